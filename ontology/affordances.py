@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 
 from pyoxigraph import Literal, NamedNode, Triple
 
-from rosld.ontology.triples import Statement, about, text
+from rosld.ontology.triples import Statement, text, triples_about
 from rosld.ontology.vocab import hctl, htv, rdf, ros, td, xsd
 
 BODIES = ("application/json", "text/turtle", "application/ld+json")
@@ -19,7 +19,7 @@ _ENDINGS: Mapping[str, str] = {"text/turtle": "-turtle", "application/ld+json": 
 def affordance(subject: NamedNode, name: str, relation: NamedNode, kind: NamedNode, *more: Statement) -> list[Triple]:
     """What may be done with the subject: its fragment `name`, led to by `relation`."""
     node = NamedNode(f"{subject.value}#{name}")
-    return [Triple(subject, relation, node), *about(node, (rdf.type, kind), (td.name, text(name)), *more)]
+    return [Triple(subject, relation, node), *triples_about(node, (rdf.type, kind), (td.name, text(name)), *more)]
 
 
 def forms(
@@ -41,7 +41,7 @@ def forms(
         form = NamedNode(f"{affordance.value}/{name}{_ENDINGS.get(media_type or '', '')}")
         triples += [
             Triple(affordance, td.hasForm, form),
-            *about(
+            *triples_about(
                 form,
                 (rdf.type, hctl.Form),
                 (hctl.hasOperationType, operation),

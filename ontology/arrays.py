@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import orjson
 
-from rosld.ontology.literals import SAFE_INTEGER, json_string, special
+from rosld.ontology.literals import SAFE_INTEGER, json_string, special_float
 
 _NUMPY = orjson.OPT_SERIALIZE_NUMPY
 
@@ -49,8 +49,8 @@ def _dump(values: npt.NDArray[Any]) -> str:
 def _with_specials(text: str, values: npt.NDArray[Any], quote: str) -> str:
     odd = values[~np.isfinite(values)]
     if (odd == odd[0]).all():
-        return text.replace("null", f"{quote}{special(odd[0])}{quote}")
-    names = iter([f"{quote}{special(value)}{quote}" for value in odd.tolist()])
+        return text.replace("null", f"{quote}{special_float(odd[0])}{quote}")
+    names = iter([f"{quote}{special_float(value)}{quote}" for value in odd.tolist()])
     first, *pieces = text.split("null")
     return first + "".join([next(names) + piece for piece in pieces])
 

@@ -23,7 +23,7 @@ Term: TypeAlias = NamedNode | BlankNode | Literal | Triple
 Subject: TypeAlias = NamedNode | BlankNode | Triple
 Properties: TypeAlias = Mapping[NamedNode, list[Term]]
 
-DEEPEST = 128
+MAX_DEPTH = 128
 """The levels of nesting a body may have."""
 
 _FORMATS = {
@@ -54,7 +54,7 @@ class BodyError(ValueError):
         return BodyError, (self.words, self.line, self.column)
 
 
-class UnreadCharset(BodyError):
+class UnsupportedCharset(BodyError):
     """A body in a character encoding that is not read here."""
 
 
@@ -96,7 +96,7 @@ def parse_body(data: bytes, media_type: str, base: str, *, alone: bool = False) 
     """
     form = _form(media_type)
     with _told():
-        return indexed(_quads(data, form, base), base, alone=alone)
+        return index_quads(_quads(data, form, base), base, alone=alone)
 
 
 def parse_dataset(data: bytes, media_type: str, base: str) -> dict[str, list[Triple]]:
@@ -181,7 +181,7 @@ def _quads(data: bytes, form: RdfFormat, base: str, *, relabelled: bool = False)
     return parse(data, form, base_iri=base, rename_blank_nodes=relabelled)
 
 
-def body_of(triples: Iterable[Triple]) -> RdfBody:
+def index_triples(triples: Iterable[Triple]) -> RdfBody:
     """Triples by subject and predicate."""
     subjects: dict[Subject, dict[NamedNode, list[Term]]] = {}
     size = 0
@@ -191,7 +191,7 @@ def body_of(triples: Iterable[Triple]) -> RdfBody:
     return RdfBody(subjects, size)
 
 
-def indexed(quads: Iterable[Quad], base: str, *, alone: bool = False) -> RdfBody:
+def index_quads(quads: Iterable[Quad], base: str, *, alone: bool = False) -> RdfBody:
     """The triples of the default graph and of the graph named `base`, by subject and predicate."""
     graphs = _own_graphs(base)
     subjects: dict[Subject, dict[NamedNode, list[Term]]] = {}
@@ -256,14 +256,14 @@ def check_turtle_depth(data: bytes) -> None:
 
 def _check_depth(data: bytes, tokens: re.Pattern[bytes], openers: bytes) -> None:
     """Raise BodyError for text nested too deep. With few enough brackets in all there is nothing to look at."""
-    if sum([data.count(opener) for opener in openers]) <= DEEPEST:
+    if sum([data.count(opener) for opener in openers]) <= MAX_DEPTH:
         return
     depth = 0
     for token in tokens.finditer(data):
         kind = token.lastgroup
         if kind == "open":
             depth += 1
-            if depth > DEEPEST:
+            if depth > MAX_DEPTH:
                 raise _too_deep(data, token.start())
         elif kind == "close":
             depth = max(0, depth - 1)
@@ -272,7 +272,7 @@ def _check_depth(data: bytes, tokens: re.Pattern[bytes], openers: bytes) -> None
 
 
 def _too_deep(data: bytes, position: int) -> BodyError:
-    return error_at(data, position, f"nested deeper than {DEEPEST} levels, which is more than any ROS message needs")
+    return error_at(data, position, f"nested deeper than {MAX_DEPTH} levels, which is more than any ROS message needs")
 
 
 # JSON-LD
@@ -329,7 +329,7 @@ def _xml(data: bytes) -> bytes:
     try:
         return decode_xml(data)
     except UnknownCharset as error:
-        raise UnreadCharset(str(error)) from error
+        raise UnsupportedCharset(str(error)) from error
     except UnicodeDecodeError as error:
         raise error_at(data, error.start, f"byte 0x{data[error.start]:02X} is not {error.encoding}") from error
 
@@ -341,7 +341,7 @@ def _check_xml(data: bytes) -> None:
         kind = token.lastgroup
         if kind == "open":
             depth += 1
-            if depth > DEEPEST:
+            if depth > MAX_DEPTH:
                 raise _too_deep(data, token.start())
         elif kind == "close":
             depth = max(0, depth - 1)

@@ -30,7 +30,7 @@ class UnknownCharset(ValueError):
         super().__init__(f"the charset {name[:100]!r} is not known here; there are {', '.join(CHARSETS)}")
 
 
-def codec(charset: str) -> str:
+def codec_of(charset: str) -> str:
     """The Python codec of a charset. Raises UnknownCharset."""
     found = _CODECS.get(charset.strip().lower())
     if found is None:
@@ -58,12 +58,12 @@ def decode_xml(data: bytes) -> bytes:
         declared = _DECLARED.match(data)
         if declared is None:
             return data
-        found = codec((declared[2] or declared[3] or b"").decode("latin-1"))
+        found = codec_of((declared[2] or declared[3] or b"").decode("latin-1"))
         if found.startswith(_UTF_16):
             raise ValueError("the document declares UTF-16 and has one byte a character")
-    return undeclared(decode(data, found)).encode()
+    return strip_encoding_declaration(decode(data, found)).encode()
 
 
-def undeclared(text: str) -> str:
+def strip_encoding_declaration(text: str) -> str:
     """An XML document that was decoded, without the encoding that it declares for its bytes."""
     return _DECLARATION.sub(r"\1", text, count=1) if text.lstrip().startswith("<?xml") else text

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rosld.adapters.model import Array, FieldType, Nested, Primitive
-from rosld.ontology.literals import DTYPES, OCTETS, octet_count
+from rosld.ontology.literals import DTYPES, OCTETS, wire_length
 
 Number: TypeAlias = "int | float | Decimal"
 Numbers: TypeAlias = npt.NDArray[Any]
@@ -48,12 +48,12 @@ class Misfit(ValueError):
         self.path = path
 
 
-def described(kind: FieldType) -> str:
+def describe_kind(kind: FieldType) -> str:
     """What is expected of a field, in words."""
     if isinstance(kind, Nested):
         return f"a {kind.name}"
     if isinstance(kind, Array):
-        return f"an array of {_count(kind)}{described(kind.element).partition(' ')[2]}"
+        return f"an array of {_count(kind)}{describe_kind(kind.element).partition(' ')[2]}"
     if kind.name in RANGES:
         least, greatest = RANGES[kind.name]
         article = "a" if kind.name[0] in "ubc" else "an"
@@ -74,7 +74,7 @@ def integer_fit(kind: Primitive) -> Callable[[Number], int]:
     def fit(value: Number) -> int:
         whole = value if type(value) is int else _whole(value)
         if whole is None or not least <= whole <= greatest:
-            raise Misfit(f"expected {described(kind)}", value)
+            raise Misfit(f"expected {describe_kind(kind)}", value)
         return whole
 
     return fit
@@ -95,7 +95,7 @@ def float_fit(kind: Primitive) -> Callable[[Number], float]:
 
     What rounds to infinity without being it does not fit.
     """
-    rounded = single if kind.name == "float32" else float
+    rounded = to_float32 if kind.name == "float32" else float
 
     def fit(value: Number) -> float:
         try:
@@ -109,7 +109,7 @@ def float_fit(kind: Primitive) -> Callable[[Number], float]:
     return fit
 
 
-def single(value: Number) -> float:
+def to_float32(value: Number) -> float:
     """The float32 nearest to `value`, as a double. Raises OverflowError beyond the range of float32."""
     double = float(value)
     nearest: float = _FLOAT32.unpack(_FLOAT32.pack(double))[0]
@@ -131,8 +131,8 @@ def string_fit(kind: Primitive) -> Callable[[str], str]:
     bound = kind.bound
 
     def fit(value: str) -> str:
-        if bound is not None and octet_count(value) > bound:
-            raise Misfit(f"expected {described(kind)}, and this has {octet_count(value)}", value)
+        if bound is not None and wire_length(value) > bound:
+            raise Misfit(f"expected {describe_kind(kind)}, and this has {wire_length(value)}", value)
         return value
 
     return fit
@@ -148,16 +148,16 @@ def base64_octets(text: str) -> bytes:
 
 def octet_array(kind: Array, octets: bytes) -> Numbers:
     """Octets as the array of a field. Raises Misfit for a wrong length."""
-    return sized(kind, np.frombuffer(octets, DTYPES[kind.element.name]))
+    return check_length(kind, np.frombuffer(octets, DTYPES[kind.element.name]))
 
 
-def sized(kind: Array, values: _Sized) -> _Sized:
+def check_length(kind: Array, values: _Sized) -> _Sized:
     """The values themselves, if there are as many as the field may hold. Raises Misfit."""
     count = len(values)
     if kind.length is not None and count != kind.length:
-        raise Misfit(f"expected {described(kind)}, and this has {count}")
+        raise Misfit(f"expected {describe_kind(kind)}, and this has {count}")
     if kind.bound is not None and count > kind.bound:
-        raise Misfit(f"expected {described(kind)}, and this has {count}")
+        raise Misfit(f"expected {describe_kind(kind)}, and this has {count}")
     return values
 
 

@@ -24,9 +24,9 @@ from rosld.ontology.literals import (
     STRINGS,
     base64_text,
     date_time,
-    octet_count,
-    singles,
-    wide,
+    unpack_float32,
+    wide_integer_json,
+    wire_length,
 )
 from rosld.ontology.syntax_codegen import Json, Notation, Site
 from rosld.ontology.typenames import TypeName, type_names
@@ -73,9 +73,9 @@ class _Module:
             **notation.runtime._asdict(),
             "base64_text": base64_text,
             "date_time": date_time,
-            "octet_count": octet_count,
-            "singles": singles,
-            "wide": wide,
+            "octet_count": wire_length,
+            "singles": unpack_float32,
+            "wide": wide_integer_json,
         }
 
     def lift(self) -> Lift:

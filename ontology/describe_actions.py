@@ -9,11 +9,11 @@ from pyoxigraph import NamedNode
 
 from rosld.adapters.model import Action, GoalStatus, Graph, Message, MessageSchema
 from rosld.ontology.affordances import BODIES, SSE, STREAM, affordance, forms
-from rosld.ontology.describe_topics import defined
+from rosld.ontology.describe_topics import type_url
 from rosld.ontology.document import Document, Envelope, LiftedMessage
 from rosld.ontology.lift import LiftSettings, lifter
 from rosld.ontology.namespaces import is_namespace
-from rosld.ontology.triples import RDF_SOURCE, Statement, about, boolean, each, moment, text
+from rosld.ontology.triples import RDF_SOURCE, Statement, boolean, date_time_literal, statements, text, triples_about
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import prov, rdf, ros, td
 
@@ -30,24 +30,24 @@ def action_document(
     """
     url = space.action(action.name)
     subject = NamedNode(url)
-    triples = about(
+    triples = triples_about(
         subject,
         (rdf.type, ros.Action),
         *RDF_SOURCE,
         (ros.name, text(action.name)),
         *_type(action, space),
-        *each(ros.provider, [NamedNode(space.node(node)) for node in dict.fromkeys(action.servers)]),
-        *each(ros.client, [NamedNode(space.node(node)) for node in dict.fromkeys(action.clients)]),
+        *statements(ros.provider, [NamedNode(space.node(node)) for node in dict.fromkeys(action.servers)]),
+        *statements(ros.client, [NamedNode(space.node(node)) for node in dict.fromkeys(action.clients)]),
         (ros.unusable, text(action.unusable)),
         (ros.namespace, NamedNode(url + "/") if is_namespace(action.name, graph.actions) else None),
-        *each(ros.hasGoal, [NamedNode(space.goal(goal)) for goal in goals]),
+        *statements(ros.hasGoal, [NamedNode(space.goal(goal)) for goal in goals]),
     )
     if takes_goals and action.type is not None:
         shape = (ros.goalShape, NamedNode(space.shape(f"{action.type.name}_Goal")))
         triples += affordance(subject, "send", td.hasActionAffordance, td.ActionAffordance, shape)
         triples += forms(NamedNode(f"{url}#send"), "invoke", "POST", td.invokeAction, url, BODIES)
     if action.type is not None:
-        triples += defined(action.type, space)
+        triples += type_url(action.type, space)
     return Document(url, tuple(triples), simulated_time=graph.simulated_time)
 
 
@@ -98,7 +98,7 @@ def goal_document(goal: GoalView, space: Space, settings: LiftSettings = _SETTIN
         messages.append(LiftedMessage("#feedback", lifter(schema, settings), message, envelope))
     if goal.result is not None:
         messages.append(LiftedMessage("#result", lifter(goal.result[0], settings), goal.result[1]))
-    triples = about(
+    triples = triples_about(
         subject,
         (rdf.type, ros.Goal),
         *RDF_SOURCE,
@@ -108,8 +108,8 @@ def goal_document(goal: GoalView, space: Space, settings: LiftSettings = _SETTIN
         (ros.status, _TERMS[goal.status]),
         (ros.statusWord, text(goal.status.value)),
         (ros.words, text(goal.words)),
-        (prov.startedAtTime, moment(goal.created_ns)),
-        (prov.endedAtTime, moment(goal.ended_ns)),
+        (prov.startedAtTime, date_time_literal(goal.created_ns)),
+        (prov.endedAtTime, date_time_literal(goal.ended_ns)),
         (ros.unreadable, text(goal.unreadable)),
         (ros.goalMessage, NamedNode(f"{url}#goal") if goal.goal else None),
         (ros.feedback, NamedNode(f"{url}#feedback") if goal.feedback else None),

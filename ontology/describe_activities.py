@@ -7,7 +7,16 @@ from typing import NamedTuple
 from pyoxigraph import Literal, NamedNode
 
 from rosld.ontology.document import Document
-from rosld.ontology.triples import RDF_SOURCE, about, boolean, double, each, integer, moment, text
+from rosld.ontology.triples import (
+    RDF_SOURCE,
+    boolean,
+    date_time_literal,
+    double,
+    integer,
+    statements,
+    text,
+    triples_about,
+)
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import dcterms, htv, prov, rdf, rdfs, ros, xsd
 
@@ -60,26 +69,26 @@ def activity_document(receipt: Receipt, space: Space) -> Document:
     )
     has_plan = bool(receipt.plan)
     made, is_activity = NamedNode(receipt.made) if receipt.made else None, _is_activity(receipt.made, space)
-    triples = about(
+    triples = triples_about(
         activity,
         (rdf.type, ros.Write),
         (rdf.type, prov.Activity),
         *RDF_SOURCE,
-        (prov.startedAtTime, moment(receipt.started_ns)),
-        (prov.endedAtTime, moment(receipt.ended_ns)),
+        (prov.startedAtTime, date_time_literal(receipt.started_ns)),
+        (prov.endedAtTime, date_time_literal(receipt.ended_ns)),
         (ros.duration, double(receipt.seconds)),
         (prov.wasAssociatedWith, agent),
         (prov.used, request),
         (prov.generated, answer),
         (prov.generated, made if made and not is_activity else None),
         (prov.qualifiedAssociation, association if has_plan else None),
-        *each(ros.touches, map(NamedNode, receipt.touched)),
+        *statements(ros.touches, map(NamedNode, receipt.touched)),
         (ros.matched, integer(receipt.matched)),
     )
     if made and is_activity:
-        triples += about(made, (prov.wasInformedBy, activity))
-    triples += about(agent, (rdf.type, prov.Agent), (rdfs.label, text(receipt.agent)))
-    triples += about(
+        triples += triples_about(made, (prov.wasInformedBy, activity))
+    triples += triples_about(agent, (rdf.type, prov.Agent), (rdfs.label, text(receipt.agent)))
+    triples += triples_about(
         request,
         (rdf.type, htv.Request),
         (rdf.type, prov.Entity),
@@ -91,7 +100,7 @@ def activity_document(receipt: Receipt, space: Space) -> Document:
         (ros.excerpt, text(receipt.excerpt)),
         (ros.withheld, boolean(True) if receipt.withheld else None),
     )
-    triples += about(
+    triples += triples_about(
         answer,
         (rdf.type, htv.Response),
         (rdf.type, prov.Entity),
@@ -99,9 +108,9 @@ def activity_document(receipt: Receipt, space: Space) -> Document:
         (ros.words, text(receipt.words)),
     )
     if has_plan:
-        triples += about(association, (rdf.type, prov.Association), (prov.agent, agent), (prov.hadPlan, plan))
-        steps = each(ros.does, [Literal(step) for step in dict.fromkeys(receipt.plan)])
-        triples += about(plan, (rdf.type, prov.Plan), (rdf.type, prov.Entity), *steps)
+        triples += triples_about(association, (rdf.type, prov.Association), (prov.agent, agent), (prov.hadPlan, plan))
+        steps = statements(ros.does, [Literal(step) for step in dict.fromkeys(receipt.plan)])
+        triples += triples_about(plan, (rdf.type, prov.Plan), (rdf.type, prov.Entity), *steps)
     return Document(url, tuple(triples))
 
 

@@ -8,9 +8,18 @@ from typing import Protocol
 from pyoxigraph import NamedNode
 
 from rosld.adapters.model import Sample, TypeRef
-from rosld.ontology.describe_topics import MESSAGE, defined
+from rosld.ontology.describe_topics import MESSAGE, type_url
 from rosld.ontology.document import Document, LiftedMessage
-from rosld.ontology.triples import CONTAINER, RDF_SOURCE, Statement, about, each, integer, moment, text
+from rosld.ontology.triples import (
+    CONTAINER,
+    RDF_SOURCE,
+    Statement,
+    date_time_literal,
+    integer,
+    statements,
+    text,
+    triples_about,
+)
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import dcterms, ldp, rdf, rdfs, ros, xhv
 
@@ -62,23 +71,23 @@ def bag_document(bag: Bag, space: Space) -> Document:
     tracks = {
         NamedNode(space.fragment(url, "topic", *name[1:].split("/"))): track for name, track in bag.topics.items()
     }
-    triples = about(
+    triples = triples_about(
         NamedNode(url),
         (rdf.type, ros.Bag),
         *CONTAINER,
         (ros.name, text(bag.name)),
         (dcterms.format, text(bag.format)),
         (ros.count, integer(bag.count)),
-        (ros.start, moment(bag.start_ns) if bag.count else None),
-        (ros.end, moment(bag.end_ns) if bag.count else None),
+        (ros.start, date_time_literal(bag.start_ns) if bag.count else None),
+        (ros.end, date_time_literal(bag.end_ns) if bag.count else None),
         (ldp.contains, messages),
-        *each(ros.hasRecordedTopic, tracks),
+        *statements(ros.hasRecordedTopic, tracks),
     )
-    triples += about(messages, (rdfs.label, text("Messages")))
+    triples += triples_about(messages, (rdfs.label, text("Messages")))
     for node, track in tracks.items():
-        triples += about(node, *_track(track, space))
+        triples += triples_about(node, *_track(track, space))
     for ref in dict.fromkeys(track.type for track in bag.topics.values()):
-        triples += defined(ref, space)
+        triples += type_url(ref, space)
     return Document(url, tuple(triples))
 
 
@@ -102,25 +111,25 @@ def bag_messages_document(bag: Bag, space: Space, page: int | None = None, size:
     last = max(0, (bag.count - 1) // size)
     pages = [NamedNode(f"{container.value}?page={number}") for number in (0, last)]
     subject = container if page is None else NamedNode(f"{container.value}?page={page}")
-    triples = about(
+    triples = triples_about(
         container,
         *CONTAINER,
         (dcterms.title, text(f"Messages of {bag.name}")),
         (ros.recordedIn, NamedNode(space.bag(bag.name))),
         (ros.count, integer(bag.count)),
     )
-    triples += about(subject, (xhv.first, pages[0]), (xhv.last, pages[1]))
+    triples += triples_about(subject, (xhv.first, pages[0]), (xhv.last, pages[1]))
     if page is not None:
         first, beyond = page * size, min((page + 1) * size, bag.count)
         members = [NamedNode(space.bag_message(bag.name, index)) for index in range(first, beyond)]
-        triples += about(
+        triples += triples_about(
             subject,
             (rdf.type, ldp.Page),
             (ldp.pageSequence, container),
             (xhv.prev, NamedNode(f"{container.value}?page={page - 1}") if page > 0 else None),
             (xhv.next, NamedNode(f"{container.value}?page={page + 1}") if page < last else None),
         )
-        triples += about(container, *each(ldp.contains, members))
+        triples += triples_about(container, *statements(ldp.contains, members))
     return Document(subject.value, tuple(triples))
 
 
@@ -129,14 +138,14 @@ def bag_message_document(
 ) -> Document:
     """One recorded message: when it was recorded, on which topic, and the message itself or why it cannot be read."""
     url = space.bag_message(bag.name, message.index)
-    triples = about(
+    triples = triples_about(
         NamedNode(url),
         (rdf.type, ros.Record),
         *RDF_SOURCE,
         (ros.recordedIn, NamedNode(space.bag(bag.name))),
         (ros.index, integer(message.index)),
         (ros.onTopic, NamedNode(space.topic(message.topic))),
-        (ros.recordedAt, moment(message.sample.received_ns)),
+        (ros.recordedAt, date_time_literal(message.sample.received_ns)),
         (ros.recordedMessage, NamedNode(url + MESSAGE) if lifted else None),
         (ros.unreadable, text(unreadable)),
     )

@@ -7,10 +7,10 @@ from collections.abc import Iterable, Sequence
 from pyoxigraph import Literal, NamedNode, Triple
 
 from rosld.adapters.model import names
-from rosld.ontology.describe_graph import ROOMS
+from rosld.ontology.describe_graph import SECTIONS
 from rosld.ontology.document import Document
 from rosld.ontology.namespaces import Members
-from rosld.ontology.triples import CONTAINER, about, each, text
+from rosld.ontology.triples import CONTAINER, statements, text, triples_about
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import dcterms, ldp, rdfs, ros
 
@@ -19,7 +19,10 @@ def container_document(url: str, members: Iterable[str], title: str) -> Document
     """A container and the URLs of its members, those ending in a slash being containers themselves."""
     found = [NamedNode(member) for member in members]
     return Document(
-        url, tuple(about(NamedNode(url), *CONTAINER, (dcterms.title, text(title)), *each(ldp.contains, found)))
+        url,
+        tuple(
+            triples_about(NamedNode(url), *CONTAINER, (dcterms.title, text(title)), *statements(ldp.contains, found))
+        ),
     )
 
 
@@ -39,16 +42,16 @@ def namespace_document(
     themselves and nobody else, so that a query over all graphs finds it once.
     """
     url = space.container(room, namespace)
-    title = ROOMS.get(room, room.capitalize())
+    title = SECTIONS.get(room, room.capitalize())
     leaves = {leaf: NamedNode(space.url(room, (*namespace, leaf))) for leaf in members.leaves}
     below = {inner: NamedNode(space.container(room, (*namespace, inner))) for inner in members.namespaces}
-    triples = about(
+    triples = triples_about(
         NamedNode(url),
         *CONTAINER,
         (dcterms.title, text(f"{title} in {names.join(namespace)}" if namespace else title)),
         (ros.name, text(names.join(namespace)) if namespace else None),
-        *each(ldp.contains, leaves.values()),
-        *each(ldp.contains, below.values()),
+        *statements(ldp.contains, leaves.values()),
+        *statements(ldp.contains, below.values()),
         (rdfs.seeAlso, NamedNode(space.url(room, namespace)) if is_name else None),
         (rdfs.seeAlso, NamedNode(whole) if whole else None),
     )
@@ -63,7 +66,7 @@ def type_container_document(room: str, namespace: tuple[str, ...], below: Sequen
         path = tuple(name.split("/"))
         leaf = len(path) == depth + 1
         members[space.url(room, path) if leaf else space.container(room, path[: depth + 1])] = None
-    title = ROOMS[room] + (f" of {'/'.join(namespace)}" if namespace else "")
+    title = SECTIONS[room] + (f" of {'/'.join(namespace)}" if namespace else "")
     document = container_document(space.container(room, namespace), members, title)
     labels = [_label(space.url(room, tuple(name.split("/"))), name) for name in below if name.count("/") == depth]
     return Document(document.url, (*document.triples, *labels))

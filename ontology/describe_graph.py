@@ -14,14 +14,25 @@ from rosld.ontology.describe_lifecycle import lifecycle_statements, transition_t
 from rosld.ontology.describe_search import search_triples
 from rosld.ontology.describe_topics import endpoints_of
 from rosld.ontology.document import Document
-from rosld.ontology.namespaces import Kept
-from rosld.ontology.triples import CONTAINER, RDF_SOURCE, Statement, Value, about, boolean, each, integer, moment, text
+from rosld.ontology.namespaces import IdentityCache
+from rosld.ontology.triples import (
+    CONTAINER,
+    RDF_SOURCE,
+    Statement,
+    Value,
+    boolean,
+    date_time_literal,
+    integer,
+    statements,
+    text,
+    triples_about,
+)
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import cora, dcterms, ldp, rdf, rdfs, ros, sosa, xsd
 
 _V = TypeVar("_V")
 
-ROOMS: Mapping[str, str] = {
+SECTIONS: Mapping[str, str] = {
     "resources": "Resources",
     "nodes": "Nodes",
     "topics": "Topics",
@@ -51,10 +62,10 @@ def entry_document(
     server's.
     """
     entry, robot = NamedNode(space.base), NamedNode(f"{space.base}#robot")
-    rooms = {room: NamedNode(space.container(room)) for room in ROOMS}
+    rooms = {room: NamedNode(space.container(room)) for room in SECTIONS}
     ontology, sparql, graphs = (NamedNode(space.base + name) for name in ("ontology", "sparql", "graphs"))
     master = NamedNode(f"{space.base}#master") if graph.master else None
-    triples = about(
+    triples = triples_about(
         entry,
         (rdf.type, ros.Graph),
         *CONTAINER,
@@ -63,19 +74,19 @@ def entry_document(
         (ros.robot, robot),
         (ros.hasMaster, master),
         *(((ros.simulatedTime, boolean(True)),) if graph.simulated_time else ()),
-        *each(ldp.contains, rooms.values()),
+        *statements(ldp.contains, rooms.values()),
         (ros.hasStop, NamedNode(space.stop)),
         (ros.hasServerStatus, NamedNode(f"{space.base}status")),
         (rdfs.seeAlso, sparql),
         (rdfs.seeAlso, graphs),
         (rdfs.seeAlso, ontology),
     )
-    triples += about(
+    triples += triples_about(
         robot, (rdf.type, sosa.Platform), (rdf.type, cora.Robot), (rdfs.label, text(name)), (sosa.hosts, entry)
     )
     if graph.master and master:
         uri = graph.master.uri
-        triples += about(
+        triples += triples_about(
             master, (rdf.type, ros.Master), (ros.uri, _uri(uri)), (ros.runId, text(graph.master.run_id))
         )  # fmt: skip
     counts = {
@@ -85,18 +96,18 @@ def entry_document(
         "actions": len(graph.actions),
         "parameters": len(graph.parameters),
     }
-    for room, title in ROOMS.items():
-        triples += about(
+    for room, title in SECTIONS.items():
+        triples += triples_about(
             rooms[room],
             (rdfs.label, text(title)),
             (ros.count, integer(counts.get(room))),
         )
     status = NamedNode(f"{space.base}status")
-    triples += about(status, *((ros.storageProblem, text(problem)) for problem in storage_problems))
+    triples += triples_about(status, *((ros.storageProblem, text(problem)) for problem in storage_problems))
     triples += search_triples(entry, space)
-    triples += about(ontology, (rdfs.label, text("Ontology")))
-    triples += about(sparql, (rdfs.label, text("SPARQL")))
-    triples += about(graphs, (rdfs.label, text("Graph store")))
+    triples += triples_about(ontology, (rdfs.label, text("Ontology")))
+    triples += triples_about(sparql, (rdfs.label, text("SPARQL")))
+    triples += triples_about(graphs, (rdfs.label, text("Graph store")))
     return Document(space.base, tuple(triples), simulated_time=graph.simulated_time)
 
 
@@ -105,7 +116,7 @@ def _state(graph: Graph) -> list[Statement]:
         case Live():
             return [(ros.state, ros.Live)]
         case Stale(since_ns, why):
-            return [(ros.state, ros.Stale), (ros.staleSince, moment(since_ns)), (ros.reason, text(why))]
+            return [(ros.state, ros.Stale), (ros.staleSince, date_time_literal(since_ns)), (ros.reason, text(why))]
 
 
 def _uri(uri: str | None) -> Value | None:
@@ -181,7 +192,7 @@ def _view(node: Node, parts: _Parts, graph: Graph) -> NodeView:
     )
 
 
-node_views: Kept[Graph, dict[str, NodeView]] = Kept(_views)
+node_views: IdentityCache[Graph, dict[str, NodeView]] = IdentityCache(_views)
 """The nodes of a graph with what each takes part in."""
 
 
@@ -198,7 +209,7 @@ def node_document(view: NodeView, space: Space, *, simulated_time: bool = False)
         for topic, own in topics
         for described in endpoints_of(kind, own, topic, space)
     ]
-    triples = about(
+    triples = triples_about(
         NamedNode(url),
         (rdf.type, ros.Node),
         (rdf.type, ros.ManagedNode if node.lifecycle else None),
@@ -212,7 +223,7 @@ def node_document(view: NodeView, space: Space, *, simulated_time: bool = False)
         *_links(ros.provides, (*map(space.service, view.provides), *map(space.action, view.serves))),
         *_links(ros.sendsGoalsTo, map(space.action, view.sends_goals_to)),
         *_links(ros.hasParameter, map(space.parameter, view.parameters)),
-        *each(ros.hasEndpoint, [endpoint for endpoint, _ in endpoints]),
+        *statements(ros.hasEndpoint, [endpoint for endpoint, _ in endpoints]),
     )
     for _, said in endpoints:
         triples += said
@@ -222,4 +233,4 @@ def node_document(view: NodeView, space: Space, *, simulated_time: bool = False)
 
 
 def _links(predicate: NamedNode, urls: Iterable[str]) -> list[Statement]:
-    return each(predicate, [NamedNode(url) for url in dict.fromkeys(sorted(urls))])
+    return statements(predicate, [NamedNode(url) for url in dict.fromkeys(sorted(urls))])

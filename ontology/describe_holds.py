@@ -13,7 +13,16 @@ from rosld.adapters.model import Message, MessageSchema
 from rosld.ontology.affordances import BODIES, SSE, STREAM, affordance, forms
 from rosld.ontology.document import Document, LiftedMessage
 from rosld.ontology.lift import LiftSettings, lifter
-from rosld.ontology.triples import RDF_SOURCE, about, boolean, double, each, integer, moment, text
+from rosld.ontology.triples import (
+    RDF_SOURCE,
+    boolean,
+    date_time_literal,
+    double,
+    integer,
+    statements,
+    text,
+    triples_about,
+)
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import dcterms, js, prov, rdf, rdfs, ros, td
 
@@ -57,10 +66,10 @@ class HoldView:
     until_ns: int | None
     created_ns: int
     message: tuple[MessageSchema, Message]
-    then: tuple[MessageSchema, Message] | None
-    then_asked: str
-    trouble: str | None = None
-    changeable: bool = True
+    release_message: tuple[MessageSchema, Message] | None
+    release_requested: str
+    last_error: str | None = None
+    is_changeable: bool = True
 
 
 def hold_document(hold: HoldView, space: Space, settings: LiftSettings = _SETTINGS) -> Document:
@@ -68,9 +77,9 @@ def hold_document(hold: HoldView, space: Space, settings: LiftSettings = _SETTIN
     url = space.hold(hold.id)
     subject = NamedNode(url)
     messages = [LiftedMessage("#message", lifter(hold.message[0], settings), hold.message[1])]
-    if hold.then is not None:
-        messages.append(LiftedMessage("#then", lifter(hold.then[0], settings), hold.then[1]))
-    triples = about(
+    if hold.release_message is not None:
+        messages.append(LiftedMessage("#then", lifter(hold.release_message[0], settings), hold.release_message[1]))
+    triples = triples_about(
         subject,
         (rdf.type, ros.Hold),
         *RDF_SOURCE,
@@ -78,14 +87,14 @@ def hold_document(hold: HoldView, space: Space, settings: LiftSettings = _SETTIN
         (ros.holder, text(hold.holder)),
         (ros.publishRate, double(hold.rate)),
         (ros.leaseTime, double(hold.lease)),
-        (ros.leaseUntil, moment(hold.until_ns)),
-        (prov.startedAtTime, moment(hold.created_ns)),
-        (ros.words, text(hold.trouble)),
+        (ros.leaseUntil, date_time_literal(hold.until_ns)),
+        (prov.startedAtTime, date_time_literal(hold.created_ns)),
+        (ros.words, text(hold.last_error)),
         (ros.heldMessage, NamedNode(f"{url}#message")),
-        (ros.then, NamedNode(f"{url}#then") if hold.then else None),
-        (ros.atTheEnd, text(hold.then_asked)),
+        (ros.then, NamedNode(f"{url}#then") if hold.release_message else None),
+        (ros.atTheEnd, text(hold.release_requested)),
     )
-    if hold.changeable:
+    if hold.is_changeable:
         triples += affordance(subject, "renew", td.hasActionAffordance, td.ActionAffordance)
         renew = NamedNode(f"{url}#renew")
         triples += forms(renew, "patch", "PATCH", td.invokeAction, url, BODIES, template=f"{url}{_PARAMETERS}")
@@ -153,25 +162,25 @@ def stop_document(
     url = space.stop
     subject = NamedNode(url)
     nodes = [_step_node(url, step) for step in steps]
-    triples = about(
+    triples = triples_about(
         subject,
         (rdf.type, ros.Stop),
         *RDF_SOURCE,
         (ros.stopped, boolean(by is not None)),
         (ros.stoppedBy, text(by)),
-        (ros.stoppedAt, moment(since_ns)),
+        (ros.stoppedAt, date_time_literal(since_ns)),
         (ros.reason, text(reason)),
         (ros.warning, text(warning)),
-        *each(ros.stopStep, nodes),
+        *statements(ros.stopStep, nodes),
     )
     for node, step in zip(nodes, steps, strict=True):
-        triples += about(
+        triples += triples_about(
             node,
             (rdfs.label, text(step.does)),
             (ros.state, step.state),
             (ros.subscriberCount, integer(step.subscribers)),
             (ros.words, text(step.words)),
-            *each(ros.touches, map(NamedNode, step.touches)),
+            *statements(ros.touches, map(NamedNode, step.touches)),
         )
     if usable:
         triples += affordance(subject, "stop", td.hasActionAffordance, td.ActionAffordance)
@@ -199,7 +208,7 @@ def _variables(subject: NamedNode, affordance: str, defaults: Mapping[str, float
     for name, kind, limit in said:
         variable = NamedNode(f"{node.value}/{name}")
         triples.append(Triple(node, td.hasUriTemplateSchema, variable))
-        triples += about(
+        triples += triples_about(
             variable,
             (rdf.type, kind),
             (js.propertyName, Literal(name)),

@@ -8,7 +8,7 @@ from pyoxigraph import NamedNode, Triple
 
 from rosld.adapters.model import Lifecycle, LifecycleState
 from rosld.ontology.affordances import BODIES, forms
-from rosld.ontology.triples import Statement, about, integer, text
+from rosld.ontology.triples import Statement, integer, text, triples_about
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import rdf, ros, sh, td, xsd
 
@@ -47,7 +47,7 @@ def transition_triples(node: str, lifecycle: Lifecycle, space: Space) -> list[Tr
         label = text(transition.label)
         triples += [
             Triple(subject, td.hasActionAffordance, affordance),
-            *about(
+            *triples_about(
                 affordance,
                 (rdf.type, td.ActionAffordance),
                 (td.name, label),
@@ -55,8 +55,8 @@ def transition_triples(node: str, lifecycle: Lifecycle, space: Space) -> list[Tr
                 (ros.shape, shape),
             ),
             *forms(affordance, "invoke", "POST", td.invokeAction, node, BODIES),
-            *about(shape, (rdf.type, sh.NodeShape), (sh.property, path)),
-            *about(
+            *triples_about(shape, (rdf.type, sh.NodeShape), (sh.property, path)),
+            *triples_about(
                 path,
                 (sh.path, ros.transition),
                 (sh.datatype, xsd.string),

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from pyoxigraph import Literal, NamedNode, Triple
 
-from rosld.ontology.triples import about, double, text
+from rosld.ontology.triples import double, text, triples_about
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import rdf, ros
 
@@ -37,7 +37,7 @@ class MemberOutline:
 def member_triples(member: MemberOutline, space: Space) -> list[Triple]:
     """What is told of a member of a list."""
     relation = None if member.kind is None else _TYPE_RELATIONS.get(member.kind)
-    return about(
+    return triples_about(
         NamedNode(member.url),
         (rdf.type, member.kind),
         (ros.name, text(member.name)),

@@ -9,7 +9,7 @@ from pyoxigraph import NamedNode, Triple
 
 from rosld.ontology.describe_members import MemberOutline, member_triples
 from rosld.ontology.document import Document
-from rosld.ontology.triples import RDF_SOURCE, about, boolean, each, integer, text
+from rosld.ontology.triples import RDF_SOURCE, boolean, integer, statements, text, triples_about
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import dcterms, hydra, rdf, rdfs, ros, schema_org
 
@@ -38,15 +38,15 @@ def search_triples(subject: NamedNode, space: Space) -> list[Triple]:
     """What `subject` says of how the server is searched: a hydra:IriTemplate."""
     search, variable = NamedNode(f"{space.base}find#search"), NamedNode(f"{space.base}find#q")
     return [
-        *about(subject, (hydra.search, search)),
-        *about(
+        *triples_about(subject, (hydra.search, search)),
+        *triples_about(
             search,
             (rdf.type, hydra.IriTemplate),
             (hydra.template, text(search_template(space))),
             (hydra.variableRepresentation, hydra.BasicRepresentation),
             (hydra.mapping, variable),
         ),
-        *about(
+        *triples_about(
             variable,
             (rdf.type, hydra.IriTemplateMapping),
             (hydra.variable, text("q")),
@@ -59,16 +59,16 @@ def search_triples(subject: NamedNode, space: Space) -> list[Triple]:
 def search_document(url: str, query: str, total: int, results: Sequence[SearchResult], space: Space) -> Document:
     """What was found, the best first: a schema:ItemList whose elements have positions. `total` are all that fit."""
     items = [NamedNode(f"{url}#{number}") for number in range(1, len(results) + 1)]
-    triples = about(
+    triples = triples_about(
         NamedNode(url),
         (rdf.type, schema_org.ItemList),
         *RDF_SOURCE,
         (dcterms.title, text(f"Search: {query}")),
         (schema_org.numberOfItems, integer(total)),
-        *each(schema_org.itemListElement, items),
+        *statements(schema_org.itemListElement, items),
     )
     for position, (item, result) in enumerate(zip(items, results, strict=True), 1):
-        triples += about(
+        triples += triples_about(
             item,
             (rdf.type, schema_org.ListItem),
             (schema_org.position, integer(position)),
@@ -78,12 +78,12 @@ def search_document(url: str, query: str, total: int, results: Sequence[SearchRe
         )
         triples += member_triples(result.member, space)
         if result.resource is not None:
-            triples += about(NamedNode(result.member.url), (rdfs.seeAlso, NamedNode(result.resource)))
+            triples += triples_about(NamedNode(result.member.url), (rdfs.seeAlso, NamedNode(result.resource)))
     return Document(url, tuple(triples))
 
 
 def unasked_document(url: str, space: Space) -> Document:
     """The search itself, while nothing is searched for."""
     subject = NamedNode(url)
-    triples = [*about(subject, *RDF_SOURCE, (dcterms.title, text("Search"))), *search_triples(subject, space)]
+    triples = [*triples_about(subject, *RDF_SOURCE, (dcterms.title, text("Search"))), *search_triples(subject, space)]
     return Document(url, tuple(triples))

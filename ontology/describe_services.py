@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from pyoxigraph import NamedNode
 
 from rosld.adapters.model import Graph, Message, MessageSchema, Service
-from rosld.ontology.describe_topics import defined
+from rosld.ontology.describe_topics import type_url
 from rosld.ontology.document import Document, LiftedMessage
 from rosld.ontology.lift import LiftSettings, lifter
 from rosld.ontology.namespaces import is_namespace
-from rosld.ontology.triples import RDF_SOURCE, Statement, about, each, moment, text
+from rosld.ontology.triples import RDF_SOURCE, Statement, date_time_literal, statements, text, triples_about
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import prov, rdf, ros
 
@@ -21,18 +21,18 @@ _SETTINGS = LiftSettings()
 def service_document(service: Service, space: Space, graph: Graph) -> Document:
     """A service: its type, who provides it, the shapes of what to send and what comes back, why it cannot be called."""
     url = space.service(service.name)
-    triples = about(
+    triples = triples_about(
         NamedNode(url),
         (rdf.type, ros.Service),
         *RDF_SOURCE,
         (ros.name, text(service.name)),
         *_type(service, space),
-        *each(ros.provider, [NamedNode(space.node(node)) for node in dict.fromkeys(service.providers)]),
+        *statements(ros.provider, [NamedNode(space.node(node)) for node in dict.fromkeys(service.providers)]),
         (ros.uncallable, text(service.uncallable)),
         (ros.namespace, NamedNode(url + "/") if is_namespace(service.name, graph.services) else None),
     )
     if service.type is not None:
-        triples += defined(service.type, space)
+        triples += type_url(service.type, space)
     return Document(url, tuple(triples), simulated_time=graph.simulated_time)
 
 
@@ -71,14 +71,14 @@ def call_document(call: CallView, space: Space, settings: LiftSettings = _SETTIN
     messages = tuple(
         LiftedMessage(f"#{half}", lifter(found[0], settings), found[1]) for half, found in halves.items() if found
     )
-    triples = about(
+    triples = triples_about(
         NamedNode(url),
         (rdf.type, ros.Call),
         *RDF_SOURCE,
         (ros.isCallOf, NamedNode(space.service(call.service))),
         (ros.state, ros.terms()[call.state]),
-        (prov.startedAtTime, moment(call.created_ns)),
-        (prov.endedAtTime, moment(call.answered_ns)),
+        (prov.startedAtTime, date_time_literal(call.created_ns)),
+        (prov.endedAtTime, date_time_literal(call.answered_ns)),
         (ros.words, text(call.words)),
         (ros.request, NamedNode(f"{url}#request")),
         (ros.response, NamedNode(f"{url}#response") if call.response else None),

@@ -14,7 +14,7 @@ from rosld.ontology.describe_holds import holdable as holdable_at
 from rosld.ontology.document import Document, LiftedMessage
 from rosld.ontology.namespaces import is_namespace
 from rosld.ontology.neutral_message import COMMANDS
-from rosld.ontology.triples import RDF_SOURCE, Statement, about, boolean, double, each, integer, text
+from rosld.ontology.triples import RDF_SOURCE, Statement, boolean, double, integer, statements, text, triples_about
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import rdf, rdfs, ros
 
@@ -46,13 +46,13 @@ def topic_document(
     several = len(nodes) > 1 or len(topic.publishers) > 1
     triples = [
         *_description(topic, space, is_namespace(topic.name, graph.topics)),
-        *about(
+        *triples_about(
             subject,
             (ros.unreadable, text(unreadable or topic.unreadable)),
             (ros.rate, double(rate)),
             (ros.latest, nodes[-1] if nodes else None),
             (ros.heldBy, NamedNode(space.hold(hold)) if hold else None),
-            *(each(ros.latestFrom, nodes) if several else ()),
+            *(statements(ros.latestFrom, nodes) if several else ()),
         ),
         *(_described_hold(topic, space) if holdable else ()),
     ]
@@ -98,37 +98,37 @@ def _description(topic: Topic, space: Space, is_namespace: bool) -> tuple[Triple
         *endpoints_of(ros.Subscriber, topic.subscribers, topic, space),
     ]
     unfit = list(_mismatches(topic, space))
-    triples = about(
+    triples = triples_about(
         NamedNode(url),
         (rdf.type, ros.Topic),
         *RDF_SOURCE,
         (ros.name, text(topic.name)),
         *_type(topic, space),
-        *each(ros.publishedBy, _nodes(topic.publishers, space)),
-        *each(ros.subscribedBy, _nodes(topic.subscribers, space)),
-        *each(ros.hasEndpoint, [node for node, _ in endpoints]),
-        *each(ros.hasQosMismatch, [node for node, _ in unfit]),
+        *statements(ros.publishedBy, _nodes(topic.publishers, space)),
+        *statements(ros.subscribedBy, _nodes(topic.subscribers, space)),
+        *statements(ros.hasEndpoint, [node for node, _ in endpoints]),
+        *statements(ros.hasQosMismatch, [node for node, _ in unfit]),
         (ros.qosMismatchCount, integer(mismatch_count(topic.publishers, topic.subscribers) if unfit else None)),
         (ros.namespace, NamedNode(url + "/") if is_namespace else None),
     )
     for _, said in (*endpoints, *unfit):
         triples += said
     for ref in topic.types:
-        triples += defined(ref, space)
+        triples += type_url(ref, space)
     return tuple(triples)
 
 
 def _type(topic: Topic, space: Space) -> list[Statement]:
     """The type with its shape, or the variants that contradict each other."""
     if topic.type is None:
-        return each(ros.conflictingType, [NamedNode(space.type(ref)) for ref in topic.types])
+        return statements(ros.conflictingType, [NamedNode(space.type(ref)) for ref in topic.types])
     name = topic.type.name
     return [(ros.hasMessageType, NamedNode(space.class_of(name))), (ros.shape, NamedNode(space.shape(name)))]
 
 
-def defined(ref: TypeRef, space: Space) -> list[Triple]:
+def type_url(ref: TypeRef, space: Space) -> list[Triple]:
     """Where the class of a type is described on this server: its IRI lies elsewhere."""
-    return about(NamedNode(space.class_of(ref.name)), (rdfs.isDefinedBy, NamedNode(space.type(ref.name))))
+    return triples_about(NamedNode(space.class_of(ref.name)), (rdfs.isDefinedBy, NamedNode(space.type(ref.name))))
 
 
 def _nodes(endpoints: Iterable[Endpoint], space: Space) -> list[NamedNode]:
@@ -155,7 +155,7 @@ def endpoints_of(
         qos = NamedNode(_numbered(space.fragment(url, "qos", *path), ordinal)) if endpoint.qos else None
         yield (
             node,
-            about(
+            triples_about(
                 node,
                 (rdf.type, ros.Endpoint),
                 (rdf.type, kind),
@@ -176,7 +176,7 @@ def _numbered(fragment: str, ordinal: int) -> str:
 
 
 def _qos(node: NamedNode, qos: Qos) -> list[Triple]:
-    return about(
+    return triples_about(
         node,
         (rdf.type, ros.Qos),
         (ros.reliability, text(qos.reliability)),
@@ -200,7 +200,7 @@ def _mismatches(topic: Topic, space: Space) -> Iterator[tuple[NamedNode, list[Tr
         node = NamedNode(space.fragment(space.topic(topic.name), "qos-mismatch", str(number)))
         yield (
             node,
-            about(
+            triples_about(
                 node,
                 (rdf.type, ros.QosMismatch),
                 (ros.offeringNode, NamedNode(space.node(one.publisher))),

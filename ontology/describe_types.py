@@ -23,7 +23,7 @@ from rosld.adapters.model import (
 )
 from rosld.ontology.document import Document
 from rosld.ontology.literals import DATATYPES, OCTETS, STRINGS
-from rosld.ontology.triples import RDF_SOURCE, Statement, about, boolean, double, each, integer, text
+from rosld.ontology.triples import RDF_SOURCE, Statement, boolean, double, integer, statements, text, triples_about
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import foaf, owl, rdf, rdfs, ros, schema_org, xsd
 
@@ -36,28 +36,28 @@ def type_document(schema: Schema, space: Space, variants: Sequence[TypeRef] = ()
     others = [ref for ref in variants if ref.hash and ref.hash != schema.ref.hash]
     url = space.type(TypeRef(schema.ref.name, schema.ref.hash if others else None))
     kind = NamedNode(space.class_of(schema.ref.name))
-    triples = about(NamedNode(url), *RDF_SOURCE, (foaf.primaryTopic, kind))
-    triples += about(
+    triples = triples_about(NamedNode(url), *RDF_SOURCE, (foaf.primaryTopic, kind))
+    triples += triples_about(
         kind,
         (rdf.type, _KINDS[type(schema)]),
-        *each(rdf.type, (rdfs.Class, owl.Class) if isinstance(schema, MessageSchema) else ()),
+        *statements(rdf.type, (rdfs.Class, owl.Class) if isinstance(schema, MessageSchema) else ()),
         (rdfs.subClassOf, ros.Message if isinstance(schema, MessageSchema) else None),
         (rdfs.label, text(schema.ref.name)),
         (ros.name, text(schema.ref.name)),
         _hash(schema.ref),
         (rdfs.isDefinedBy, NamedNode(url)),
-        *each(ros.variant, [NamedNode(space.type(ref)) for ref in others]),
+        *statements(ros.variant, [NamedNode(space.type(ref)) for ref in others]),
     )
     if isinstance(schema, MessageSchema):
-        triples += about(kind, (ros.shape, NamedNode(space.shape(schema.ref.name))))
+        triples += triples_about(kind, (ros.shape, NamedNode(space.shape(schema.ref.name))))
         triples += _message_type(schema.type, space)
     else:
         for half, predicate in zip(halves_of(schema), _HALVES[type(schema)], strict=True):
             inner = NamedNode(space.class_of(half.ref.name))
-            triples += about(kind, (predicate, inner))
-            triples += about(inner, (rdfs.isDefinedBy, NamedNode(space.type(half.ref.name))))
+            triples += triples_about(kind, (predicate, inner))
+            triples += triples_about(inner, (rdfs.isDefinedBy, NamedNode(space.type(half.ref.name))))
             triples += _message_type(half.type, space)
-    triples += about(kind, (ros.definition, text(schema.definition)))
+    triples += triples_about(kind, (ros.definition, text(schema.definition)))
     return Document(url, tuple(triples))
 
 
@@ -82,15 +82,15 @@ def _message_type(kind: MessageType, space: Space) -> list[Triple]:
     subject = NamedNode(space.class_of(kind.name))
     fields = [NamedNode(space.property_of(kind.name, field.name)) for field in kind.fields]
     constants = [NamedNode(space.property_of(kind.name, constant.name)) for constant in kind.constants]
-    triples = about(subject, *each(ros.hasField, fields), *each(ros.hasConstant, constants))
+    triples = triples_about(subject, *statements(ros.hasField, fields), *statements(ros.hasConstant, constants))
     for position, (node, field) in enumerate(zip(fields, kind.fields, strict=True)):
-        triples += about(node, *_field(field, position, subject, space))
+        triples += triples_about(node, *_field(field, position, subject, space))
         if (nested := _nested(field.type)) is not None:
-            triples += about(
+            triples += triples_about(
                 NamedNode(space.class_of(nested)), (rdfs.isDefinedBy, NamedNode(space.type(nested)))
             )  # fmt: skip
     for position, (node, constant) in enumerate(zip(constants, kind.constants, strict=True)):
-        triples += about(node, *_constant(constant, position))
+        triples += triples_about(node, *_constant(constant, position))
     return triples
 
 
@@ -100,10 +100,10 @@ def _field(field: Field, position: int, kind: NamedNode, space: Space) -> list[S
     element = array.element if array else field.type
     return [
         (rdf.type, ros.Field),
-        *each(rdf.type, _property_types(field.type)),
+        *statements(rdf.type, _property_types(field.type)),
         (rdfs.label, text(field.name)),
         (ros.fieldName, text(field.name)),
-        (ros.fieldType, text(written(field.type))),
+        (ros.fieldType, text(definition_text(field.type))),
         (ros.position, integer(position)),
         (ros.nestedType, NamedNode(space.class_of(nested)) if nested else None),
         (ros.arrayLength, integer(array.length) if array else None),
@@ -124,7 +124,7 @@ def _property_types(kind: FieldType) -> tuple[NamedNode, ...]:
 def _range(kind: FieldType, space: Space) -> list[Statement]:
     """What the values of a field are; of what may be left out, all that they may be."""
     if _may_be_elided(kind):
-        return each(schema_org.rangeIncludes, (value_type(kind, space), ros.Elided))
+        return statements(schema_org.rangeIncludes, (value_type(kind, space), ros.Elided))
     return [(rdfs.range, value_type(kind, space))]
 
 
@@ -161,14 +161,14 @@ def _nested(kind: FieldType) -> str | None:
     return element.name if isinstance(element, Nested) else None
 
 
-def written(kind: FieldType) -> str:
+def definition_text(kind: FieldType) -> str:
     """A field's type as ROS definitions write it: `float64`, `geometry_msgs/msg/Point[]`, `string<=10[<=3]`."""
     if isinstance(kind, Nested):
         return kind.name
     if isinstance(kind, Primitive):
         return kind.name if kind.bound is None else f"{kind.name}<={kind.bound}"
     size = f"<={kind.bound}" if kind.bound is not None else "" if kind.length is None else str(kind.length)
-    return f"{written(kind.element)}[{size}]"
+    return f"{definition_text(kind.element)}[{size}]"
 
 
 def value_type(kind: FieldType, space: Space) -> NamedNode:

@@ -9,7 +9,7 @@ from rosld.adapters.model import Array, Field, FieldType, Nested, Primitive
 from rosld.adapters.model.schema import Scalar
 from rosld.ontology.coercion import Misfit, is_octets
 from rosld.ontology.json_leaves import json_leaf
-from rosld.ontology.literals import STRINGS, base64_text, special, wide
+from rosld.ontology.literals import STRINGS, base64_text, special_float, wide_integer_json
 
 Plain: TypeAlias = "Scalar | list[Scalar]"
 
@@ -27,7 +27,7 @@ def stated_default(field: Field) -> Plain | None:
     return plain
 
 
-def zero(kind: Primitive) -> Scalar:
+def zero_value(kind: Primitive) -> Scalar:
     """What a primitive is where nobody says anything."""
     if kind.name in STRINGS:
         return ""
@@ -48,5 +48,5 @@ def _plain(value: Scalar) -> Scalar:
     if isinstance(value, bool | str):
         return value
     if isinstance(value, int):
-        return wide(value)
-    return value if math.isfinite(value) else special(value)
+        return wide_integer_json(value)
+    return value if math.isfinite(value) else special_float(value)

@@ -11,7 +11,7 @@ import numpy as np
 from rosld.adapters.model import Array, Field, FieldType, Message, MessageSchema, Nested, Primitive, TypeRef
 from rosld.ontology.arrays import json_numbers, json_strings
 from rosld.ontology.lift import LiftSettings, lifter
-from rosld.ontology.literals import OCTETS, STRINGS, octets
+from rosld.ontology.literals import OCTETS, STRINGS, wire_bytes
 
 _WHOLE = LiftSettings(inline_limit=2**62)
 
@@ -85,7 +85,7 @@ def _primitive(kind: Primitive, value: object) -> tuple[bytes, str]:
     if kind.name not in STRINGS:
         dtype = "f4" if kind.name == "float32" else None
         return json_numbers(np.array([value], dtype))[1:-1].encode(), "application/json"
-    text = octets(cast(str, value))
+    text = wire_bytes(cast(str, value))
     try:
         text.decode()
     except UnicodeDecodeError:

@@ -19,12 +19,12 @@ from rosld.ontology.coercion import (
     Misfit,
     Numbers,
     base64_octets,
-    described,
+    check_length,
+    describe_kind,
     float_fit,
     integer_fit,
     is_octets,
     octet_array,
-    sized,
     string_fit,
 )
 from rosld.ontology.literals import BASE64, DTYPES, STRINGS
@@ -46,7 +46,7 @@ def json_leaf(kind: Primitive | Array) -> Leaf:
 def _bool(value: object) -> bool:
     if value is True or value is False:
         return value
-    raise unexpected(Primitive("bool"), value)
+    raise unexpected_value(Primitive("bool"), value)
 
 
 def _integer(kind: Primitive) -> Leaf:
@@ -58,7 +58,7 @@ def _integer(kind: Primitive) -> Leaf:
             return fit(value)
         if wide and isinstance(value, str) and _is_integer(value):
             return fit(int(value))
-        raise unexpected(kind, value)
+        raise unexpected_value(kind, value)
 
     return read
 
@@ -82,7 +82,7 @@ def _float(kind: Primitive) -> Leaf:
                 return SPECIALS[value]
             if _is_integer(value):
                 return fit(int(value))
-        raise unexpected(kind, value)
+        raise unexpected_value(kind, value)
 
     return read
 
@@ -95,7 +95,7 @@ def _string(kind: Primitive) -> Leaf:
             return fit(_utf8(value))
         if isinstance(value, dict) and value.keys() == {"@value", "@type"} and value["@type"] == BASE64:
             return fit(_raw(value["@value"]))
-        raise unexpected(kind, value)
+        raise unexpected_value(kind, value)
 
     return read
 
@@ -114,11 +114,11 @@ def _raw(value: object) -> str:
     return base64_octets(value).decode("utf-8", "surrogateescape")
 
 
-def unexpected(kind: FieldType, value: object) -> Misfit:
+def unexpected_value(kind: FieldType, value: object) -> Misfit:
     """The misfit of a value of the wrong kind; one that was elided says so."""
     if isinstance(value, dict) and value.get("elided") is True:
         return Misfit("this was left out where it was read (elided): fetch it and send it whole", value)
-    return Misfit(f"expected {described(kind)}", value)
+    return Misfit(f"expected {describe_kind(kind)}", value)
 
 
 # Arrays of primitives
@@ -133,15 +133,15 @@ def _array(kind: Array) -> Leaf:
         if octets and isinstance(value, str):
             return octet_array(kind, base64_octets(value))
         if not isinstance(value, list):
-            raise unexpected(kind, value)
-        return values(sized(kind, value))
+            raise unexpected_value(kind, value)
+        return values(check_length(kind, value))
 
     return read
 
 
 def _string_array(kind: Array, element: Primitive) -> Callable[[list[object]], object]:
     read = json_leaf(element)
-    return lambda values: each(read, values)
+    return lambda values: read_all(read, values)
 
 
 def _number_array(kind: Array, element: Primitive) -> Callable[[list[object]], object]:
@@ -151,12 +151,12 @@ def _number_array(kind: Array, element: Primitive) -> Callable[[list[object]], o
 
     def numbers(values: list[object]) -> Numbers:
         fast = whole(values, dtype, limits)
-        return np.array(each(read, values), dtype) if fast is None else fast
+        return np.array(read_all(read, values), dtype) if fast is None else fast
 
     return numbers
 
 
-def each(read: Leaf, values: Sequence[object]) -> list[object]:
+def read_all(read: Leaf, values: Sequence[object]) -> list[object]:
     """All values read, one by one; a misfit has the index as its path."""
     found = []
     for index, value in enumerate(values):
@@ -201,9 +201,9 @@ def array_of_json(kind: Array) -> Callable[[str], object]:
         try:
             value = orjson.loads(text)
         except orjson.JSONDecodeError as error:
-            raise Misfit(f"expected {described(kind)} in JSON ({error.msg})", text) from error
+            raise Misfit(f"expected {describe_kind(kind)} in JSON ({error.msg})", text) from error
         if not isinstance(value, list):
-            raise Misfit(f"expected {described(kind)} in JSON", text)
+            raise Misfit(f"expected {describe_kind(kind)} in JSON", text)
         return read(value)
 
     return parse

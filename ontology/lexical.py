@@ -21,7 +21,7 @@ from rosld.ontology.coercion import (
     Number,
     base64_octets,
     may_tie,
-    single,
+    to_float32,
 )
 from rosld.ontology.literals import DATATYPES
 from rosld.ontology.vocab import xsd
@@ -68,7 +68,7 @@ def _double(text: str) -> float:
 def _float(text: str) -> float:
     double = _double(text)
     try:
-        return single(Decimal(text.strip()) if double and isfinite(double) and may_tie(double) else double)
+        return to_float32(Decimal(text.strip()) if double and isfinite(double) and may_tie(double) else double)
     except OverflowError:
         raise Misfit("this number is beyond the range of xsd:float (infinity is written INF)", text) from None
 
@@ -87,7 +87,7 @@ NUMBERS: dict[NamedNode, Callable[[str], Number]] = {
 """The readers of all numeric datatypes: each gives the value of a lexical form or raises Misfit."""
 
 
-def boolean(text: str) -> bool:
+def parse_boolean(text: str) -> bool:
     """The value of an xsd:boolean. Raises Misfit."""
     value = _BOOLEANS.get(text.strip())
     if value is None:
@@ -95,7 +95,7 @@ def boolean(text: str) -> bool:
     return value
 
 
-def hex_octets(text: str) -> bytes:
+def parse_hex_binary(text: str) -> bytes:
     """The octets of an xsd:hexBinary. Raises Misfit."""
     try:
         return bytes.fromhex(text.strip())
@@ -105,12 +105,12 @@ def hex_octets(text: str) -> bytes:
 
 BINARIES: dict[NamedNode, Callable[[str], bytes]] = {
     xsd.base64Binary: base64_octets,
-    NamedNode(xsd.iri + "hexBinary"): hex_octets,
+    NamedNode(xsd.iri + "hexBinary"): parse_hex_binary,
 }
 """The readers of octets."""
 
 
-def nanoseconds(text: str) -> int:
+def parse_date_time(text: str) -> int:
     """The nanoseconds from the epoch to an xsd:dateTime, which must say its time zone. Raises Misfit."""
     match = _DATE_TIME.fullmatch(text.strip())
     if match is None or match[8] is None:

@@ -57,19 +57,21 @@ SAFE_INTEGER = 2**53
 """Integers beyond this (either side of zero) are strings in JSON, whose readers keep numbers as doubles."""
 
 
-def special(value: float) -> str:
+def special_float(value: float) -> str:
     """XSD's name of a float that is not finite."""
     if value != value:
         return "NaN"
     return "INF" if value > 0 else "-INF"
 
 
-def scalars(values: Iterable[bool | int | float]) -> list[str]:
+def scalar_texts(values: Iterable[bool | int | float]) -> list[str]:
     """The lexical forms of numbers and bools; `values` is a tuple or a numpy array (for float32's own digits)."""
     text = orjson.dumps(values, option=orjson.OPT_SERIALIZE_NUMPY)[1:-1].decode()
     if "null" not in text:
         return text.split(",")
-    return [special(value) if form == "null" else form for form, value in zip(text.split(","), values, strict=True)]
+    return [
+        special_float(value) if form == "null" else form for form, value in zip(text.split(","), values, strict=True)
+    ]
 
 
 def json_scalars(values: Iterable[bool | int | float | str]) -> list[str]:
@@ -78,27 +80,27 @@ def json_scalars(values: Iterable[bool | int | float | str]) -> list[str]:
     if "null" not in text:
         return text.split(",")
     pairs = zip(text.split(","), values, strict=True)
-    return [f'"{special(float(value))}"' if form == "null" else form for form, value in pairs]
+    return [f'"{special_float(float(value))}"' if form == "null" else form for form, value in pairs]
 
 
-def wide(value: int) -> int | str:
+def wide_integer_json(value: int) -> int | str:
     """A 64-bit integer for JSON: as its digits where a double might lose some."""
     return value if -SAFE_INTEGER <= value <= SAFE_INTEGER else str(value)
 
 
-def singles(packed: bytes) -> npt.NDArray[np.float32]:
+def unpack_float32(packed: bytes) -> npt.NDArray[np.float32]:
     """The float32s in `packed` (little endian)."""
     return np.frombuffer(packed, "<f4")
 
 
-def octets(value: str) -> bytes:
+def wire_bytes(value: str) -> bytes:
     """The bytes of a string as they are on the wire."""
     return value.encode("utf-8", "surrogateescape")
 
 
-def octet_count(value: str) -> int:
+def wire_length(value: str) -> int:
     """How many bytes a string takes on the wire."""
-    return len(value) if value.isascii() else len(octets(value))
+    return len(value) if value.isascii() else len(wire_bytes(value))
 
 
 def base64_text(value: bytes) -> str:
@@ -106,7 +108,7 @@ def base64_text(value: bytes) -> str:
     return b64encode(value).decode("ascii")
 
 
-def quoted(value: str) -> str:
+def quote(value: str) -> str:
     """A string in quotes, as JSON, Turtle and N-Triples write it. Raises TypeError where it is not UTF-8."""
     return orjson.dumps(value).decode()
 
@@ -116,7 +118,7 @@ def json_string(value: str) -> str:
     try:
         return orjson.dumps(value).decode()
     except TypeError:
-        return f'{{"@value":"{base64_text(octets(value))}","@type":"{BASE64}"}}'
+        return f'{{"@value":"{base64_text(wire_bytes(value))}","@type":"{BASE64}"}}'
 
 
 @lru_cache(maxsize=4096)
@@ -138,7 +140,7 @@ _DATE_TIME = re.compile(r"(\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d)(?:\.(\d{1,30}))?(?:Z|
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 
 
-def nanoseconds(date_time: str) -> int | None:
+def date_time_nanoseconds(date_time: str) -> int | None:
     """The nanoseconds from the epoch to an xsd:dateTime with a time zone; None for any other text."""
     found = _DATE_TIME.fullmatch(date_time)
     if found is None:

@@ -17,17 +17,17 @@ from rosld.ontology.body import RdfBody, Term
 from rosld.ontology.coercion import (
     Misfit,
     Number,
-    described,
+    check_length,
+    describe_kind,
     float_fit,
     integer_fit,
     is_octets,
     octet_array,
-    sized,
     string_fit,
 )
 from rosld.ontology.compile import TIME
 from rosld.ontology.json_leaves import array_of_json
-from rosld.ontology.lexical import BINARIES, NUMBERS, boolean, nanoseconds
+from rosld.ontology.lexical import BINARIES, NUMBERS, parse_boolean, parse_date_time
 from rosld.ontology.literals import DTYPES, STRINGS
 from rosld.ontology.typenames import type_names
 from rosld.ontology.violations import Findings, Path
@@ -60,7 +60,7 @@ class GraphReading:
 
 
 def _unexpected(kind: FieldType, term: Term) -> Misfit:
-    return Misfit(f"expected {described(kind)}", term)
+    return Misfit(f"expected {describe_kind(kind)}", term)
 
 
 def _number(kind: Primitive, fit: Callable[[Number], object]) -> TermLeaf:
@@ -74,7 +74,7 @@ def _number(kind: Primitive, fit: Callable[[Number], object]) -> TermLeaf:
 
 def _bool(term: Term) -> bool:
     if isinstance(term, Literal) and term.datatype == xsd.boolean:
-        return boolean(term.value)
+        return parse_boolean(term.value)
     raise _unexpected(Primitive("bool"), term)
 
 
@@ -90,7 +90,7 @@ def _string(kind: Primitive) -> TermLeaf:
         if datatype in BINARIES:
             return fit(BINARIES[datatype](term.value).decode("utf-8", "surrogateescape"))
         if datatype == rdf.langString:
-            raise Misfit(f"expected {described(kind)} without a language", term)
+            raise Misfit(f"expected {describe_kind(kind)} without a language", term)
         raise _unexpected(kind, term)
 
     return read
@@ -154,7 +154,7 @@ def _array(kind: Array, element: Primitive) -> Reader:
 
 def _list(kind: Array, element: Primitive, one: TermLeaf, terms: list[Term]) -> object:
     values = []
-    for index, term in enumerate(sized(kind, terms)):
+    for index, term in enumerate(check_length(kind, terms)):
         try:
             values.append(one(term))
         except Misfit as misfit:
@@ -197,7 +197,7 @@ class GraphReaders:
             if isinstance(node, Literal):
                 raise _unexpected(kind, node)
             if node in reading.above:
-                raise Misfit(f"expected {described(kind)} of its own, and this node holds itself", node)
+                raise Misfit(f"expected {describe_kind(kind)} of its own, and this node holds itself", node)
             reading.spend()
             values: dict[str, object] = {}
             reading.above.append(node)
@@ -233,7 +233,7 @@ class GraphReaders:
             if isinstance(term, Literal):
                 raise _unexpected(kind, term)
             found = []
-            for index, item in enumerate(sized(kind, _elements(kind, term, reading))):
+            for index, item in enumerate(check_length(kind, _elements(kind, term, reading))):
                 try:
                     found.append(one(item, (path, str(index)), reading))
                 except Misfit as misfit:
@@ -294,7 +294,7 @@ def _complete(
         return
     for field in fields:
         if field.attribute not in values:
-            findings.add((path, field.name), f"missing: expected {described(field.type)}")
+            findings.add((path, field.name), f"missing: expected {describe_kind(field.type)}")
 
 
 def _read_stamp(values: dict[str, object], objects: list[Term], path: Path, findings: Findings) -> None:
@@ -302,7 +302,7 @@ def _read_stamp(values: dict[str, object], objects: list[Term], path: Path, find
     try:
         if len(set(objects)) > 1 or not isinstance(term, Literal) or term.datatype != xsd.dateTime:
             raise Misfit("expected one xsd:dateTime", term)
-        seconds, nanosec = divmod(nanoseconds(term.value), 1_000_000_000)
+        seconds, nanosec = divmod(parse_date_time(term.value), 1_000_000_000)
         values["sec"] = integer_fit(Primitive("int32"))(seconds)
         values["nanosec"] = nanosec
     except Misfit as misfit:

@@ -12,9 +12,9 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from rosld.adapters.model import Array, Field, FieldType, Message, MessageSchema, Nested, Primitive
-from rosld.ontology.coercion import Misfit, described, sized
-from rosld.ontology.field_defaults import stated_default, zero
-from rosld.ontology.json_leaves import json_leaf, unexpected
+from rosld.ontology.coercion import Misfit, check_length, describe_kind
+from rosld.ontology.field_defaults import stated_default, zero_value
+from rosld.ontology.json_leaves import json_leaf, unexpected_value
 from rosld.ontology.literals import DTYPES, STRINGS
 from rosld.ontology.violations import Findings, Path
 
@@ -57,7 +57,7 @@ class JsonReaders:
 
         def read(value: object, path: Path, reading: JsonReading) -> object:
             if type(value) is not dict:
-                raise unexpected(kind, value)
+                raise unexpected_value(kind, value)
             values: dict[str, object] = {}
             for key, entry in fields.items():
                 if key in value:
@@ -65,7 +65,7 @@ class JsonReaders:
                 elif reading.defaults:
                     values[entry.field.attribute] = entry.default()
                 else:
-                    reading.findings.add((path, key), f"missing: expected {described(entry.field.type)}")
+                    reading.findings.add((path, key), f"missing: expected {describe_kind(entry.field.type)}")
             if not value.keys() <= fields.keys():
                 for key in value.keys() - fields.keys():
                     reading.findings.add((path, key), f"{name} has no such field; it has {_list(fields)}")
@@ -86,9 +86,9 @@ class JsonReaders:
 
         def read(value: object, path: Path, reading: JsonReading) -> object:
             if not isinstance(value, list):
-                raise unexpected(kind, value)
+                raise unexpected_value(kind, value)
             found = []
-            for index, item in enumerate(sized(kind, value)):
+            for index, item in enumerate(check_length(kind, value)):
                 try:
                     found.append(one(item, (path, str(index)), reading))
                 except Misfit as misfit:
@@ -110,7 +110,7 @@ class JsonReaders:
         if isinstance(kind, Nested):
             return lambda: self.default(kind.name)
         if isinstance(kind, Primitive):
-            return lambda: zero(kind)
+            return lambda: zero_value(kind)
         element, length = kind.element, kind.length or 0
         if isinstance(element, Primitive) and element.name not in STRINGS:
             return lambda: np.zeros(length, DTYPES[element.name])

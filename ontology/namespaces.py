@@ -47,7 +47,7 @@ def _open(
         namespace = namespace[:-1]
 
 
-class Kept(Generic[_K, _V]):
+class IdentityCache(Generic[_K, _V]):
     """Remembers what was computed from the last few immutable values, by identity.
 
     A graph is looked at very often before it changes, and too large to be compared.
@@ -72,7 +72,7 @@ def _namespaces(names: Mapping[str, object]) -> frozenset[tuple[str, ...]]:
     return frozenset(members_of(names))
 
 
-namespaces_of: Kept[Mapping[str, object], frozenset[tuple[str, ...]]] = Kept(_namespaces)
+namespaces_of: IdentityCache[Mapping[str, object], frozenset[tuple[str, ...]]] = IdentityCache(_namespaces)
 """The namespaces of the names of one kind in a graph."""
 
 

@@ -19,7 +19,7 @@ COMMANDS = TWISTS - {f"geometry_msgs/msg/TwistWithCovariance{stamped}" for stamp
 _TEXTS = frozenset({"string", "wstring"})
 
 
-def zeroed(schema: MessageSchema, message: Message) -> Message:
+def with_zeros(schema: MessageSchema, message: Message) -> Message:
     """The same message with every number 0 and every boolean false; headers and strings stay."""
     return _zeroed(schema, schema.ref.name, message)
 
@@ -76,7 +76,7 @@ def is_unstamped(schema: MessageSchema, message: Message) -> bool:
     return has_header(schema) and not any(_stamp(schema, message).values())
 
 
-def stamped(schema: MessageSchema, message: Message, now_ns: int) -> Message:
+def with_stamp(schema: MessageSchema, message: Message, now_ns: int) -> Message:
     """The message, its header's time that of `now_ns` (nanoseconds after the epoch); itself where it has none."""
     if not has_header(schema):
         return message

@@ -16,7 +16,7 @@ from pyoxigraph import Literal, NamedNode, Triple
 
 from rosld.ontology.document import Document
 from rosld.ontology.literals import date_time
-from rosld.ontology.triples import RDF_SOURCE, Value, about, each, moment, text
+from rosld.ontology.triples import RDF_SOURCE, Value, date_time_literal, statements, text, triples_about
 from rosld.ontology.vocab import Namespace, rdf, xsd
 
 Json: TypeAlias = Mapping[str, object]
@@ -88,7 +88,7 @@ def type_named(iri: str) -> str | None:
 
 
 @dataclass(frozen=True, slots=True)
-class Service:
+class ServiceDescription:
     """A subscription service: its URL, and the name of the type of channel it makes."""
 
     url: str
@@ -96,14 +96,14 @@ class Service:
 
     def document(self) -> Document:
         """What it says of itself (protocol 3.2)."""
-        return Document(self.url, tuple(about(NamedNode(self.url), *RDF_SOURCE, *self._statements())))
+        return Document(self.url, tuple(triples_about(NamedNode(self.url), *RDF_SOURCE, *self._statements())))
 
     def triples(self) -> list[Triple]:
         """What others say of it."""
-        return about(NamedNode(self.url), *self._statements())
+        return triples_about(NamedNode(self.url), *self._statements())
 
     def _statements(self) -> list[tuple[NamedNode, Value | None]]:
-        return [(notify.channelType, channel_type(self.type)), *each(notify.feature, FEATURES)]
+        return [(notify.channelType, channel_type(self.type)), *statements(notify.feature, FEATURES)]
 
     def members(self) -> Json:
         """The same as members of a JSON-LD object."""
@@ -111,21 +111,23 @@ class Service:
         return {"id": self.url, "channelType": channel_type(self.type).value, "feature": features}
 
 
-def description_document(url: str, storage: str, services: Iterable[Service]) -> Document:
+def description_document(url: str, storage: str, services: Iterable[ServiceDescription]) -> Document:
     """The description resource of a whole server (protocol 3.1): said of itself, and of the storage it describes."""
     found = tuple(services)
-    offers = each(notify.subscription, [NamedNode(service.url) for service in found])
+    offers = statements(notify.subscription, [NamedNode(service.url) for service in found])
     said = [triple for service in found for triple in service.triples()]
-    return Document(url, (*about(NamedNode(url), *RDF_SOURCE, *offers), *about(NamedNode(storage), *offers), *said))
+    return Document(
+        url, (*triples_about(NamedNode(url), *RDF_SOURCE, *offers), *triples_about(NamedNode(storage), *offers), *said)
+    )
 
 
-def description_members(url: str, services: Iterable[Service]) -> Json:
+def description_members(url: str, services: Iterable[ServiceDescription]) -> Json:
     """The same as members of a JSON-LD object."""
     return {"id": url, "subscription": [service.members() for service in services]}
 
 
 @dataclass(frozen=True, slots=True)
-class Terms:
+class ChannelDescription:
     """What a channel was made for and is (protocol 3.3): `interval` is its rate in seconds, times are ns since 1970."""
 
     url: str
@@ -140,7 +142,7 @@ class Terms:
 
     def document(self) -> Document:
         """The channel as RDF."""
-        triples = about(
+        triples = triples_about(
             NamedNode(self.url),
             (rdf.type, channel_type(self.type)),
             *RDF_SOURCE,
@@ -148,8 +150,8 @@ class Terms:
             (notify.receiveFrom, NamedNode(self.receive_from)),
             (notify.accept, text(self.accept)),
             (notify.rate, Literal(duration(self.interval), datatype=DURATION)),
-            (notify.startAt, moment(self.start_at)),
-            (notify.endAt, moment(self.end_at)),
+            (notify.startAt, date_time_literal(self.start_at)),
+            (notify.endAt, date_time_literal(self.end_at)),
             (notify.state, text(self.state)),
         )
         return Document(self.url, tuple(triples))
@@ -180,13 +182,13 @@ class Activity(NamedTuple):
 
     def document(self, id: str, published: int) -> Document:
         """The notification as RDF: told with this id, published so many ns after 1970."""
-        triples = about(
+        triples = triples_about(
             NamedNode(id),
             (rdf.type, NamedNode(activity.iri + self.type)),
             (activity.object, NamedNode(self.object)),
             (activity.target, None if self.target is None else NamedNode(self.target)),
             (notify.state, text(self.state)),
-            (activity.published, moment(published)),
+            (activity.published, date_time_literal(published)),
         )
         return Document(id, tuple(triples))
 

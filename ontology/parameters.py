@@ -23,8 +23,8 @@ from rosld.adapters.model import ParameterValue
 from rosld.ontology.body import BodyError, RdfBody, Term, parse_json
 from rosld.ontology.coercion import Misfit
 from rosld.ontology.document import Document
-from rosld.ontology.lexical import NUMBERS, boolean
-from rosld.ontology.triples import CONTAINER, RDF_SOURCE, about, double, integer, text
+from rosld.ontology.lexical import NUMBERS, parse_boolean
+from rosld.ontology.triples import CONTAINER, RDF_SOURCE, double, integer, text, triples_about
 from rosld.ontology.triples import boolean as boolean_literal
 from rosld.ontology.urls import Space, decode_segment, encode_segment
 from rosld.ontology.violations import LoweringError, Violation
@@ -33,7 +33,7 @@ from rosld.ontology.vocab import dcterms, ldp, rdf, rdfs, ros, xsd
 Json: TypeAlias = "bool | int | float | str | list[Json] | dict[str, Json] | None"
 
 SAFE = 2**53
-DEEPEST = 64
+MAX_DEPTH = 64
 """How deep lists and dicts may be nested."""
 
 _TYPED = frozenset({"@value", "@type"})
@@ -73,22 +73,24 @@ def parameter_container_document(
     """
     url = space.container("parameters", namespace)
     title = f"Parameters in /{'/'.join(namespace)}" if namespace else "Parameters"
-    triples = about(
+    triples = triples_about(
         NamedNode(url), (dcterms.title, text(title)), (rdfs.seeAlso, NamedNode(whole) if whole is not None else None)
     )
     return Document(url, (*_tree(url, "/" + "/".join(namespace), tree, 0, limit), *triples))
 
 
 def _leaf(url: str, name: str, value: ParameterValue | None) -> list[Triple]:
-    told = None if value is None else literal(value)
-    return about(NamedNode(url), (rdf.type, ros.Parameter), *RDF_SOURCE, (ros.name, text(name)), (ros.value, told))
+    told = None if value is None else parameter_literal(value)
+    return triples_about(
+        NamedNode(url), (rdf.type, ros.Parameter), *RDF_SOURCE, (ros.name, text(name)), (ros.value, told)
+    )
 
 
 def _tree(url: str, name: str, tree: Tree, depth: int, limit: int | None) -> list[Triple]:
-    if depth > DEEPEST:
-        raise ValueError(f"{name} lies deeper than {DEEPEST} levels, which is more than rosld shows")
+    if depth > MAX_DEPTH:
+        raise ValueError(f"{name} lies deeper than {MAX_DEPTH} levels, which is more than rosld shows")
     subject = NamedNode(url)
-    triples = about(subject, (rdf.type, ros.Parameter), *CONTAINER, (ros.name, text(name)))
+    triples = triples_about(subject, (rdf.type, ros.Parameter), *CONTAINER, (ros.name, text(name)))
     if depth and limit is not None and len(tree) > limit:
         return triples
     for key, value in tree.items():
@@ -102,7 +104,7 @@ def _tree(url: str, name: str, tree: Tree, depth: int, limit: int | None) -> lis
     return triples
 
 
-def literal(value: ParameterValue) -> Literal | None:
+def parameter_literal(value: ParameterValue) -> Literal | None:
     """The literal of a value that is no dict. Raises ValueError for a dict."""
     match value:
         case bool():
@@ -134,17 +136,17 @@ def _date_time(value: datetime) -> str:
 
 def parameter_json(value: ParameterValue) -> bytes:
     """The value as plain JSON."""
-    return orjson.dumps(plain(value))
+    return orjson.dumps(plain_value(value))
 
 
-def plain(value: ParameterValue) -> Json:
+def plain_value(value: ParameterValue) -> Json:
     """The value as what JSON can hold. Raises ValueError where it is nested too deep."""
     return _plain(value, 0)
 
 
 def _plain(value: ParameterValue, depth: int) -> Json:
-    if depth > DEEPEST:
-        raise ValueError(f"the value is nested deeper than {DEEPEST} levels")
+    if depth > MAX_DEPTH:
+        raise ValueError(f"the value is nested deeper than {MAX_DEPTH} levels")
     match value:
         case bool() | str():
             return value
@@ -158,7 +160,7 @@ def _plain(value: ParameterValue, depth: int) -> Json:
             members: dict[str, Json] = {key: _plain(element, depth + 1) for key, element in value.items()}
             return {"@value": members, "@type": "@json"} if members.keys() == _TYPED else members
         case _:
-            written = literal(value)
+            written = parameter_literal(value)
             assert written is not None
             return {"@value": written.value, "@type": "xsd:" + written.datatype.value.removeprefix(xsd.iri)}
 
@@ -202,8 +204,8 @@ def _lower(body: RdfBody, subject: NamedNode, path: str, depth: int) -> Paramete
     if values:
         return lower_term(values[0], path)
     if members or ldp.BasicContainer in kinds or ldp.Container in kinds:
-        if depth > DEEPEST:
-            raise _error(path, f"nested deeper than {DEEPEST} levels", None)
+        if depth > MAX_DEPTH:
+            raise _error(path, f"nested deeper than {MAX_DEPTH} levels", None)
         return {_key(member, subject, path): _member(body, member, subject, path, depth) for member in members}
     raise _error(path, "expected an ros:value (or, for a tree, ldp:contains and the type ldp:BasicContainer)", None)
 
@@ -251,7 +253,7 @@ def _scalar(datatype: NamedNode, lexical: str) -> ParameterValue:
     if datatype == xsd.string:
         return lexical
     if datatype == xsd.boolean:
-        return boolean(lexical)
+        return parse_boolean(lexical)
     if datatype in _FLOATS:
         return float(NUMBERS[datatype](lexical))
     if (number := NUMBERS.get(datatype)) is not None:
@@ -294,8 +296,8 @@ def lower_json(value: object) -> ParameterValue:
 
 
 def _from_json(value: object, path: str, depth: int) -> ParameterValue:
-    if depth > DEEPEST:
-        raise _error(path, f"nested deeper than {DEEPEST} levels", None)
+    if depth > MAX_DEPTH:
+        raise _error(path, f"nested deeper than {MAX_DEPTH} levels", None)
     match value:
         case bool() | int() | float() | str():
             return value

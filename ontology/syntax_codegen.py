@@ -12,7 +12,7 @@ from hashlib import blake2b
 from typing import NamedTuple, Protocol
 
 from rosld.ontology.arrays import json_numbers, json_strings
-from rosld.ontology.literals import BASE64, base64_text, json_scalars, json_string, octets, quoted, scalars
+from rosld.ontology.literals import BASE64, base64_text, json_scalars, json_string, quote, scalar_texts, wire_bytes
 from rosld.ontology.typenames import TypeName
 from rosld.ontology.vocab import rdf, ros, xsd
 
@@ -94,16 +94,16 @@ class Notation(Protocol):
 
 def _n_string(value: str) -> str:
     try:
-        return quoted(value)
+        return quote(value)
     except TypeError:
-        return f'"{base64_text(octets(value))}"^^<{BASE64}>'
+        return f'"{base64_text(wire_bytes(value))}"^^<{BASE64}>'
 
 
 def _turtle_string(value: str) -> str:
     try:
-        return quoted(value)
+        return quote(value)
     except TypeError:
-        return f'"{base64_text(octets(value))}"^^xsd:base64Binary'
+        return f'"{base64_text(wire_bytes(value))}"^^xsd:base64Binary'
 
 
 def _n_elide(node: str, length: int, end: str, site: Site) -> tuple[str, str]:
@@ -158,7 +158,7 @@ def _literal_numbers(values: object) -> str:
 
 
 def _literal_strings(values: list[str]) -> str:
-    return quoted(json_strings(values))[1:-1]
+    return quote(json_strings(values))[1:-1]
 
 
 class NTriples:
@@ -166,7 +166,7 @@ class NTriples:
 
     inside = False
     separator = begin = end = ""
-    runtime = Runtime(scalars, _n_string, _literal_numbers, _literal_strings, _n_elide, _n_listing)
+    runtime = Runtime(scalar_texts, _n_string, _literal_numbers, _literal_strings, _n_elide, _n_listing)
 
     def head(self, subject: str, kind: TypeName) -> str:
         return f"<{subject}> " + const(f"<{rdf.type.value}> <{kind.iri}>") + "{e}"
@@ -193,7 +193,7 @@ class Turtle:
     inside = False
     separator = begin = ""
     end = const(" .\n")
-    runtime = Runtime(scalars, _turtle_string, _literal_numbers, _literal_strings, _turtle_elide, _turtle_listing)
+    runtime = Runtime(scalar_texts, _turtle_string, _literal_numbers, _literal_strings, _turtle_elide, _turtle_listing)
 
     def head(self, subject: str, kind: TypeName) -> str:
         return f"<{subject}> " + const(f"a {kind.package}:{kind.short}")
@@ -220,7 +220,7 @@ class JsonLd:
     inside = True
     separator = ","
     begin, end = const("{"), const("}")
-    runtime = Runtime(scalars, json_string, _literal_numbers, _literal_strings, _jsonld_elide, _json_listing)
+    runtime = Runtime(scalar_texts, json_string, _literal_numbers, _literal_strings, _jsonld_elide, _json_listing)
 
     def head(self, subject: str, kind: TypeName) -> str:
         return f'"@id":"{subject}","@type":"' + const(kind.term) + '"'

@@ -20,12 +20,12 @@ CONTAINER: tuple[Statement, ...] = (*RDF_SOURCE, (rdf.type, ldp.Container), (rdf
 """What every container is (LDP 5.2)."""
 
 
-def about(subject: NamedNode | BlankNode, *statements: Statement) -> list[Triple]:
+def triples_about(subject: NamedNode | BlankNode, *statements: Statement) -> list[Triple]:
     """The triples of a subject; a statement whose value is None is none."""
     return [Triple(subject, predicate, value) for predicate, value in statements if value is not None]
 
 
-def each(predicate: NamedNode, values: Iterable[Value]) -> list[Statement]:
+def statements(predicate: NamedNode, values: Iterable[Value]) -> list[Statement]:
     """A statement a value."""
     return [(predicate, value) for value in values]
 
@@ -57,6 +57,6 @@ def boolean(value: bool) -> Literal:
     return Literal("true" if value else "false", datatype=xsd.boolean)
 
 
-def moment(nanoseconds: int | None) -> Literal | None:
+def date_time_literal(nanoseconds: int | None) -> Literal | None:
     """The xsd:dateTime (UTC) so many nanoseconds after the epoch; None stays None."""
     return None if nanoseconds is None else Literal(date_time(0, nanoseconds), datatype=xsd.dateTime)

@@ -22,7 +22,7 @@ _TO_ESCAPE = re.compile('[\\\\"\\x00-\\x1f\\x7f-\\x9f\u2028\u2029\ufffe\uffff]')
 _LONG_TO_ESCAPE = re.compile('[\\\\"\\x00-\\x09\\x0b-\\x1f\\x7f-\\x9f\u2028\u2029\ufffe\uffff]')
 
 
-def quoted(text: str) -> str:
+def quote_turtle(text: str) -> str:
     """A quoted string; one of several lines in long quotes, so that definitions read as they were written."""
     if not _TO_ESCAPE.search(text):
         return f'"{text}"'
@@ -36,7 +36,7 @@ def _escape(match: re.Match[str]) -> str:
 
 
 @lru_cache(maxsize=4096)
-def shortened(iri: str) -> tuple[str, str | None]:
+def prefixed_name(iri: str) -> tuple[str, str | None]:
     """The IRI as a prefixed name and its prefix, or in angle brackets and None."""
     cut = max(iri.rfind("#"), iri.rfind("/")) + 1
     prefix = _NAMESPACES.get(iri[:cut])
@@ -132,7 +132,7 @@ class _Writer:
         """An IRI: a prefixed name, a fragment of this document, or in full."""
         if iri.startswith(self.fragment):
             return f"<{iri[len(self.fragment) - 1 :]}>"
-        text, prefix = shortened(iri)
+        text, prefix = prefixed_name(iri)
         if prefix is not None:
             self.prefixes.add(prefix)
         return text
@@ -143,11 +143,11 @@ class _Writer:
             return str(literal)
         datatype = literal.datatype.value
         if datatype == xsd.string.value:
-            return quoted(literal.value)
+            return quote_turtle(literal.value)
         bare = _BARE.get(datatype)
         if bare is not None and bare.fullmatch(literal.value):
             return literal.value
-        return f"{quoted(literal.value)}^^{self.iri(datatype)}"
+        return f"{quote_turtle(literal.value)}^^{self.iri(datatype)}"
 
 
 def turtle(document: Document) -> str:

@@ -38,7 +38,7 @@ class Violation:
     severity: NamedNode | None = None
 
 
-def in_words(violations: Iterable[Violation]) -> str:
+def violations_text(violations: Iterable[Violation]) -> str:
     """Violations as text without a full stop."""
     return "; ".join(f"{each.path}: {each.message}" if each.path else each.message for each in violations)
 
@@ -47,7 +47,7 @@ class LoweringError(ValueError):
     """A body that is no message of the type, with the `violations` found (not necessarily all there are)."""
 
     def __init__(self, *violations: Violation) -> None:
-        super().__init__(in_words(violations))
+        super().__init__(violations_text(violations))
         self.violations = violations
 
     def __reduce__(self) -> tuple[object, ...]:
@@ -63,7 +63,7 @@ class Findings:
 
     def add(self, path: Path, words: str, value: object = None) -> None:
         """Note a violation."""
-        self.violations.append(Violation(dotted(path), words, shortened(value)))
+        self.violations.append(Violation(path_text(path), words, brief_value(value)))
         if len(self.violations) >= _MAX_VIOLATIONS:
             raise LoweringError(*self.violations)
 
@@ -72,7 +72,7 @@ class Findings:
         self.add((path, misfit.path) if misfit.path else path, misfit.words, misfit.value)
 
 
-def dotted(path: Path) -> str:
+def path_text(path: Path) -> str:
     """The path as text."""
     steps: list[str] = []
     while path is not None:
@@ -81,7 +81,7 @@ def dotted(path: Path) -> str:
     return ".".join(reversed(steps))
 
 
-def shortened(value: object) -> str | None:
+def brief_value(value: object) -> str | None:
     """A value as a person may want to see it; None for nothing."""
     if value is None:
         return None

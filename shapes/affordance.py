@@ -9,10 +9,10 @@ from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 from rosld.adapters.model import Array, Field, MessageSchema, Nested, Primitive
 from rosld.ontology.coercion import RANGES
 from rosld.ontology.literals import DATATYPES
-from rosld.ontology.triples import Statement, Value, about, each, integer, text
+from rosld.ontology.triples import Statement, Value, integer, statements, text, triples_about
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import qudt, rdf, ros, sh, xsd
-from rosld.shapes.bounds import narrowed
+from rosld.shapes.bounds import narrow
 from rosld.shapes.value import NO_MEASURE, UNBOUNDED, Bounds, Measure, MessageShape, ScalarShape, ValueShape
 
 
@@ -22,8 +22,8 @@ def value_shape_triples(shape: ValueShape, node: NamedNode, path: NamedNode, spa
     Nodes within it are fragments beside `node` (`#shape.value`); a message's own shape is referred to by its URL.
     """
     value = within(node, "value")
-    triples = about(node, (rdf.type, sh.NodeShape), (sh.property, value))
-    triples += about(
+    triples = triples_about(node, (rdf.type, sh.NodeShape), (sh.property, value))
+    triples += triples_about(
         value, (rdf.type, sh.PropertyShape), (sh.path, path), (sh.minCount, integer(1)), (sh.maxCount, integer(1))
     )
     if isinstance(shape, MessageShape):
@@ -54,14 +54,14 @@ def _scalar(
     """What one literal must be: of the datatype of its primitive, within its range and the bounds."""
     least, greatest = RANGES.get(kind.name, (None, None)) if kind is not None else (None, None)
     longest = kind.bound if kind is not None else None
-    bounds = narrowed(bounds, Bounds(integer(least), integer(greatest), max_length=longest))
-    triples = about(
+    bounds = narrow(bounds, Bounds(integer(least), integer(greatest), max_length=longest))
+    triples = triples_about(
         node,
         (sh.datatype, datatype),
-        (sh.minInclusive, bounds.least),
-        (sh.maxInclusive, bounds.greatest),
-        (sh.minExclusive, bounds.above),
-        (sh.maxExclusive, bounds.below),
+        (sh.minInclusive, bounds.minimum),
+        (sh.maxInclusive, bounds.maximum),
+        (sh.minExclusive, bounds.exclusive_minimum),
+        (sh.maxExclusive, bounds.exclusive_maximum),
         (sh.pattern, text(bounds.pattern)),
         (sh.minLength, integer(bounds.min_length)),
         (sh.maxLength, integer(bounds.max_length)),
@@ -71,7 +71,7 @@ def _scalar(
     )
     if bounds.choices:
         head, cells = _listed(within(node, "in"), bounds.choices)
-        triples += [*about(node, (sh.in_, head)), *cells]
+        triples += [*triples_about(node, (sh.in_, head)), *cells]
     return triples
 
 
@@ -84,8 +84,8 @@ def _message(shape: MessageShape, node: NamedNode, space: Space) -> list[Triple]
     else:
         fields = (field for field in kind.fields if field.name in shape.fields)
         parts = (part for field in fields for part in _field_shapes(field, type_shape, space))
-        said = [(sh.nodeKind, sh.BlankNodeOrIRI), *each(sh.property, parts)]
-    return about(node, *said) + _bounded(node, kind.name, shape.schema, _tree(shape.bounds), space)
+        said = [(sh.nodeKind, sh.BlankNodeOrIRI), *statements(sh.property, parts)]
+    return triples_about(node, *said) + _bounded(node, kind.name, shape.schema, _tree(shape.bounds), space)
 
 
 def _field_shapes(field: Field, type_shape: str, space: Space) -> Iterable[NamedNode]:
@@ -119,16 +119,20 @@ def _bounded(node: NamedNode, kind: str, schema: MessageSchema, tree: _Bounded, 
         if field.name not in tree:
             continue
         inner, property = within(node, field.name), NamedNode(space.property_of(kind, field.name))
-        triples += about(node, (sh.property, inner)) + about(inner, (rdf.type, sh.PropertyShape))
+        triples += triples_about(node, (sh.property, inner)) + triples_about(inner, (rdf.type, sh.PropertyShape))
         element = field.type
         if isinstance(element, Array) and isinstance(element.element, Nested):
             element = element.element
             # A path is a blank node: an IRI would be a predicate (SHACL 2.3.1).
             rest = BlankNode(_label(inner) + "-rest")
             head, cells = _listed(within(inner, "path"), (property, rest, rdf.first))
-            triples += [*about(inner, (sh.path, head)), *about(rest, (sh.zeroOrMorePath, rdf.rest)), *cells]
+            triples += [
+                *triples_about(inner, (sh.path, head)),
+                *triples_about(rest, (sh.zeroOrMorePath, rdf.rest)),
+                *cells,
+            ]
         else:
-            triples += about(inner, (sh.path, property))
+            triples += triples_about(inner, (sh.path, property))
         if isinstance(element, Nested):
             triples += _bounded(inner, element.name, schema, tree[field.name], space)
         else:
@@ -144,7 +148,7 @@ def _listed(name: NamedNode, elements: Iterable[NamedNode | BlankNode | Literal]
     rest: Value = rdf.nil
     for number, element in reversed(list(enumerate(elements))):
         cell = BlankNode(f"{_label(name)}-{number}")
-        cells += about(cell, (rdf.first, element), (rdf.rest, rest))
+        cells += triples_about(cell, (rdf.first, element), (rdf.rest, rest))
         rest = cell
     return rest, cells
 

@@ -13,15 +13,15 @@ from rosld.shapes.value import UNBOUNDED, Bounds
 _K = TypeVar("_K", bound=Hashable)
 
 
-def narrowed(one: Bounds, other: Bounds) -> Bounds:
+def narrow(one: Bounds, other: Bounds) -> Bounds:
     """What fulfils both, as far as bounds can say it: of two patterns the first is kept."""
     if not one or not other:
         return one or other
     return Bounds(
-        least=_further(one.least, other.least, 1),
-        greatest=_further(one.greatest, other.greatest, -1),
-        above=_further(one.above, other.above, 1),
-        below=_further(one.below, other.below, -1),
+        minimum=_further(one.minimum, other.minimum, 1),
+        maximum=_further(one.maximum, other.maximum, -1),
+        exclusive_minimum=_further(one.exclusive_minimum, other.exclusive_minimum, 1),
+        exclusive_maximum=_further(one.exclusive_maximum, other.exclusive_maximum, -1),
         choices=_both(one.choices, other.choices),
         pattern=one.pattern if one.pattern is not None else other.pattern,
         min_length=max((each for each in (one.min_length, other.min_length) if each is not None), default=None),
@@ -30,12 +30,12 @@ def narrowed(one: Bounds, other: Bounds) -> Bounds:
     )
 
 
-def merged(*mappings: Mapping[_K, Bounds]) -> dict[_K, Bounds]:
+def merge_bounds(*mappings: Mapping[_K, Bounds]) -> dict[_K, Bounds]:
     """The bounds of several mappings in one, narrowed where they meet."""
     found: dict[_K, Bounds] = {}
     for mapping in mappings:
         for key, bounds in mapping.items():
-            found[key] = narrowed(found.get(key, UNBOUNDED), bounds)
+            found[key] = narrow(found.get(key, UNBOUNDED), bounds)
     return {key: bounds for key, bounds in found.items() if bounds}
 
 

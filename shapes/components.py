@@ -9,11 +9,11 @@ from math import isnan
 from pyoxigraph import Literal, NamedNode
 
 from rosld.ontology.body import Term
-from rosld.ontology.literals import quoted
+from rosld.ontology.literals import quote
 from rosld.ontology.vocab import rdf, rdfs, sh, xsd
-from rosld.shapes.safe_regex import Pattern
-from rosld.shapes.shape import OfSet, OfValue, SetTest, Shape, ValueTest
-from rosld.shapes.terms import Number, compared, is_numeric, is_plain, normal, number
+from rosld.shapes.safe_regex import SafePattern
+from rosld.shapes.shape import SetConstraint, SetTest, Shape, ValueConstraint, ValueTest
+from rosld.shapes.terms import Number, compare, is_numeric, is_plain, normalize, number
 from rosld.shapes.view import View
 
 _DATATYPE = NamedNode(rdfs.iri + "Datatype")
@@ -58,10 +58,10 @@ def phrase(term: Term) -> str:
         return f"<{term.value}>"
     if not isinstance(term, Literal):
         return "a blank node"
-    return quoted(term.value) if is_plain(term) else term.value
+    return quote(term.value) if is_plain(term) else term.value
 
 
-def listed(terms: Iterable[Term], limit: int = 12) -> str:
+def list_terms(terms: Iterable[Term], limit: int = 12) -> str:
     """Several terms within a sentence."""
     phrases = [phrase(term) for term in terms]
     more = [f"{len(phrases) - limit} more"] if len(phrases) > limit else []
@@ -71,7 +71,7 @@ def listed(terms: Iterable[Term], limit: int = 12) -> str:
 # Value type (4.1)
 
 
-def of_class(iri: NamedNode) -> OfValue:
+def class_(iri: NamedNode) -> ValueConstraint:
     """sh:class: an instance of the class, or of one that the data says is below it."""
 
     def test(value: Term, view: View) -> bool:
@@ -88,10 +88,10 @@ def of_class(iri: NamedNode) -> OfValue:
             waiting += more
         return False
 
-    return OfValue(component(sh.class_), test, f"must be a <{iri.value}>")
+    return ValueConstraint(component(sh.class_), test, f"must be a <{iri.value}>")
 
 
-def of_datatype(iri: NamedNode) -> OfValue:
+def datatype(iri: NamedNode) -> ValueConstraint:
     """sh:datatype: a literal of exactly this datatype that is no ill-typed one."""
     test: ValueTest
     if iri == _ANY_LITERAL:
@@ -106,33 +106,33 @@ def of_datatype(iri: NamedNode) -> OfValue:
         )
     else:
         test = lambda value, _: (  # noqa: E731
-            isinstance(value, Literal) and value.datatype == iri and not getattr(normal(value), "ill_typed", False)
+            isinstance(value, Literal) and value.datatype == iri and not getattr(normalize(value), "ill_typed", False)
         )
     name = f"xsd:{iri.value[len(xsd.iri) :]}" if iri.value.startswith(xsd.iri) else f"literal of <{iri.value}>"
     article = "an" if name[0] in "x" else "a"
-    return OfValue(component(sh.datatype), test, f"must be {article} {name}")
+    return ValueConstraint(component(sh.datatype), test, f"must be {article} {name}")
 
 
-def of_kind(kind: NamedNode) -> OfValue:
+def node_kind(kind: NamedNode) -> ValueConstraint:
     """sh:nodeKind."""
     iri, blank, literal = _KINDS[kind]
 
     def test(value: Term, view: View) -> bool:
         return literal if isinstance(value, Literal) else iri if isinstance(value, NamedNode) else blank
 
-    return OfValue(component(sh.nodeKind), test, _KIND_WORDS[kind])
+    return ValueConstraint(component(sh.nodeKind), test, _KIND_WORDS[kind])
 
 
 # Cardinality (4.2)
 
 
-def at_least_so_many(least: int) -> OfSet:
+def min_count(least: int) -> SetConstraint:
     """sh:minCount."""
     words = "is missing" if least == 1 else f"must be there at least {least} times"
-    return OfSet(component(sh.minCount), lambda values: len(values) >= least, words)
+    return SetConstraint(component(sh.minCount), lambda values: len(values) >= least, words)
 
 
-def at_most_so_many(limit: int) -> OfSet:
+def max_count(limit: int) -> SetConstraint:
     """sh:maxCount."""
     words = (
         "must not be there"
@@ -141,18 +141,18 @@ def at_most_so_many(limit: int) -> OfSet:
         if limit == 1
         else f"is there over {limit} times"
     )
-    return OfSet(component(sh.maxCount), lambda values: len(values) <= limit, words)
+    return SetConstraint(component(sh.maxCount), lambda values: len(values) <= limit, words)
 
 
 # Value range (4.3)
 
 
-def within_range(parameter: NamedNode, bound: Literal) -> OfValue:
+def value_range(parameter: NamedNode, bound: Literal) -> ValueConstraint:
     """sh:minInclusive and its three siblings: numbers by their values, whatever their datatypes."""
     limit = number(bound)
     if limit is not None and isnan(limit):
         raise ValueError(f"sh:{parameter.value[len(sh.iri) :]} is NaN, with which nothing compares")
-    compare, accepts, words = _ORDERS[parameter]
+    is_within, accepts, words = _ORDERS[parameter]
 
     def test(value: Term, view: View) -> bool:
         if not isinstance(value, Literal):
@@ -160,117 +160,121 @@ def within_range(parameter: NamedNode, bound: Literal) -> OfValue:
         if limit is not None:
             found = number(value)
             if found is not None:
-                return not (isinstance(found, float) and isnan(found)) and compare(found, limit)
-        order = compared(value, bound)
+                return not (isinstance(found, float) and isnan(found)) and is_within(found, limit)
+        order = compare(value, bound)
         return order is not None and accepts(order)
 
-    return OfValue(component(parameter), test, words.format(phrase(bound)))
+    return ValueConstraint(component(parameter), test, words.format(phrase(bound)))
 
 
 # Strings (4.4)
 
 
-def text_of(value: Term) -> str | None:
+def str_of(value: Term) -> str | None:
     """What STR() of SPARQL says of a value; nothing of a blank node."""
     if isinstance(value, NamedNode) or (isinstance(value, Literal) and is_plain(value)):
         return value.value
-    return str(normal(value)) if isinstance(value, Literal) else None
+    return str(normalize(value)) if isinstance(value, Literal) else None
 
 
-def so_long(parameter: NamedNode, length: int) -> OfValue:
+def length(parameter: NamedNode, length: int) -> ValueConstraint:
     """sh:minLength and sh:maxLength, in characters."""
     unit = "character" if length == 1 else "characters"
     if parameter == sh.minLength:
 
         def test(value: Term, view: View) -> bool:
-            text = text_of(value)
+            text = str_of(value)
             return length == 0 or (text is not None and len(text) >= length)
 
-        return OfValue(component(parameter), test, f"must be at least {length} {unit} long")
+        return ValueConstraint(component(parameter), test, f"must be at least {length} {unit} long")
 
     def test_most(value: Term, view: View) -> bool:
-        text = text_of(value)
+        text = str_of(value)
         return text is not None and len(text) <= length
 
-    return OfValue(component(parameter), test_most, f"must be at most {length} {unit} long")
+    return ValueConstraint(component(parameter), test_most, f"must be at most {length} {unit} long")
 
 
-def matching(pattern: Pattern) -> OfValue:
+def pattern_(pattern: SafePattern) -> ValueConstraint:
     """sh:pattern."""
 
     def test(value: Term, view: View) -> bool:
-        text = text_of(value)
-        return text is not None and pattern.found_in(text)
+        text = str_of(value)
+        return text is not None and pattern.is_found_in(text)
 
-    return OfValue(component(sh.pattern), test, f"must match the pattern {pattern.text}")
+    return ValueConstraint(component(sh.pattern), test, f"must match the pattern {pattern.text}")
 
 
 # Logic and shapes (4.6 and 4.7)
 
 
-def no_shape(shape: Shape) -> OfValue:
+def not_(shape: Shape) -> ValueConstraint:
     """sh:not."""
-    return OfValue(component(sh.not_), lambda value, view: not shape.conforms(value, view), "must not be like this")
+    return ValueConstraint(
+        component(sh.not_), lambda value, view: not shape.conforms(value, view), "must not be like this"
+    )
 
 
-def all_shapes(shapes: Sequence[Shape]) -> OfValue:
+def and_(shapes: Sequence[Shape]) -> ValueConstraint:
     """sh:and."""
-    return OfValue(
+    return ValueConstraint(
         component(sh.and_),
         lambda value, view: all(shape.conforms(value, view) for shape in shapes),
         f"must conform to all of {len(shapes)} shapes",
     )
 
 
-def any_shape(shapes: Sequence[Shape]) -> OfValue:
+def or_(shapes: Sequence[Shape]) -> ValueConstraint:
     """sh:or."""
-    return OfValue(
+    return ValueConstraint(
         component(sh.or_),
         lambda value, view: any(shape.conforms(value, view) for shape in shapes),
         f"must conform to one of {len(shapes)} shapes at least",
     )
 
 
-def one_shape(shapes: Sequence[Shape]) -> OfValue:
+def xone(shapes: Sequence[Shape]) -> ValueConstraint:
     """sh:xone."""
-    return OfValue(
+    return ValueConstraint(
         component(sh.xone),
         lambda value, view: sum(shape.conforms(value, view) for shape in shapes) == 1,
         f"must conform to exactly one of {len(shapes)} shapes",
     )
 
 
-def node(shape: Shape) -> OfValue:
+def node(shape: Shape) -> ValueConstraint:
     """sh:node."""
     named = f" <{shape.node.value}>" if isinstance(shape.node, NamedNode) else ""
-    return OfValue(component(sh.node), shape.conforms, f"must conform to the shape{named}")
+    return ValueConstraint(component(sh.node), shape.conforms, f"must conform to the shape{named}")
 
 
 # Other (4.8)
 
 
-def one_of(terms: Sequence[Term]) -> OfValue:
+def in_(terms: Sequence[Term]) -> ValueConstraint:
     """sh:in: the same term, which of literals means: the same normal form."""
     contains = _membership(terms)
-    return OfValue(component(sh.in_), lambda value, view: contains(value), f"must be one of {listed(terms)}")
+    return ValueConstraint(
+        component(sh.in_), lambda value, view: contains(value), f"must be one of {list_terms(terms)}"
+    )
 
 
-def with_value(term: Term) -> OfSet:
+def has_value(term: Term) -> SetConstraint:
     """sh:hasValue."""
     contains = _membership((term,))
     test: SetTest = lambda values: any(map(contains, values))  # noqa: E731
-    return OfSet(component(sh.hasValue), test, f"must be {phrase(term)}")
+    return SetConstraint(component(sh.hasValue), test, f"must be {phrase(term)}")
 
 
 def _membership(terms: Iterable[Term]) -> Callable[[Term], bool]:
     # A blank node of the shapes graph is none of the data graph, whatever its label.
     exact = frozenset(term for term in terms if isinstance(term, NamedNode | Literal))
     others = [term for term in exact if isinstance(term, Literal) and not is_plain(term)]
-    forms, datatypes = frozenset(map(normal, others)), frozenset(term.datatype for term in others)
+    forms, datatypes = frozenset(map(normalize, others)), frozenset(term.datatype for term in others)
 
     def contains(value: Term) -> bool:
         if value in exact:
             return True
-        return bool(forms) and isinstance(value, Literal) and value.datatype in datatypes and normal(value) in forms
+        return bool(forms) and isinstance(value, Literal) and value.datatype in datatypes and normalize(value) in forms
 
     return contains

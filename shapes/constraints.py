@@ -16,9 +16,9 @@ from itertools import islice
 from pyoxigraph import BlankNode, NamedNode, Triple
 
 from rosld.ontology.violations import Violation
-from rosld.shapes.bounds import merged
+from rosld.shapes.bounds import merge_bounds
 from rosld.shapes.reading import ShapesGraph
-from rosld.shapes.shape import Judge
+from rosld.shapes.shape import ShapeValidator
 from rosld.shapes.value import Bounds
 from rosld.shapes.view import TripleView, View
 
@@ -38,7 +38,7 @@ class NodeShape:
     iri: str
     paths: frozenset[NamedNode] | None
     within: Mapping[tuple[NamedNode, ...], Bounds]
-    judges: tuple[Judge, ...]
+    judges: tuple[ShapeValidator, ...]
 
     @property
     def bounds(self) -> Mapping[NamedNode, Bounds]:
@@ -47,22 +47,22 @@ class NodeShape:
 
     def violations(self, focus: NamedNode | BlankNode, triples: Iterable[Triple]) -> tuple[Violation, ...]:
         """What the node breaks, nothing where it conforms; equal to pyshacl's verdict."""
-        return self.broken(focus, TripleView(triples))
+        return self.violations_in(focus, TripleView(triples))
 
-    def broken(self, focus: NamedNode | BlankNode, view: View) -> tuple[Violation, ...]:
+    def violations_in(self, focus: NamedNode | BlankNode, view: View) -> tuple[Violation, ...]:
         """The same, through a view."""
         return tuple(islice(self._broken(focus, view), MAX_VIOLATIONS))
 
     def _broken(self, focus: NamedNode | BlankNode, view: View) -> Iterator[Violation]:
         for judge in self.judges:
-            yield from judge.broken(focus, view)
+            yield from judge.find_violations(focus, view)
 
     def __and__(self, other: NodeShape) -> NodeShape:
         """The shape that demands what both do."""
         return replace(
             self,
             paths=None if self.paths is None or other.paths is None else self.paths | other.paths,
-            within=merged(self.within, other.within),
+            within=merge_bounds(self.within, other.within),
             judges=self.judges + other.judges,
         )
 
@@ -73,13 +73,13 @@ def node_shape(graph: Sequence[Triple], iri: NamedNode | BlankNode) -> NodeShape
     Raises ValueError, naming the shape and what is wrong with it, for one that is not there, is malformed, refers to
     itself, is nested too deep or would need more than SHACL Core.
     """
-    return compiled(ShapesGraph(graph), iri)
+    return compile_shape(ShapesGraph(graph), iri)
 
 
-def compiled(graph: ShapesGraph, iri: NamedNode | BlankNode) -> NodeShape:
+def compile_shape(graph: ShapesGraph, iri: NamedNode | BlankNode) -> NodeShape:
     """The same of a shapes graph that has been read."""
     shape = graph.shape(iri)
-    judge: Judge = shape if shape.is_simple else graph.reference(iri)
+    judge: ShapeValidator = shape if shape.is_simple else graph.pyshacl_shape(iri)
     return NodeShape(iri.value, shape.paths, shape.within, (judge,))
 
 

@@ -20,12 +20,12 @@ from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 from rosld.adapters.model import Array, Message, MessageSchema, Nested, Primitive
 from rosld.ontology.body import Term, parse_body
 from rosld.ontology.lift import TYPES, LiftSettings, lifter
-from rosld.ontology.literals import DATATYPES, STRINGS, base64_text, octets, scalars
+from rosld.ontology.literals import DATATYPES, STRINGS, base64_text, scalar_texts, wire_bytes
 from rosld.ontology.urls import Space
 from rosld.ontology.violations import Violation
 from rosld.ontology.vocab import rdf, rdfs, sh, xsd
-from rosld.shapes.bounds import merged
-from rosld.shapes.constraints import MAX_VIOLATIONS, NodeShape, compiled, conjunction
+from rosld.shapes.bounds import merge_bounds
+from rosld.shapes.constraints import MAX_VIOLATIONS, NodeShape, compile_shape, conjunction
 from rosld.shapes.reading import ShapesGraph
 from rosld.shapes.value import UNBOUNDED, Bounds
 from rosld.shapes.view import TripleView
@@ -67,7 +67,7 @@ class Limits:
     types: str = TYPES
 
     @classmethod
-    def of(cls, graphs: Sequence[Sequence[Triple]], space: Space) -> Limits:
+    def from_graphs(cls, graphs: Sequence[Sequence[Triple]], space: Space) -> Limits:
         """The limits of shapes graphs; blank nodes of different graphs are different.
 
         Raises ValueError with a sentence for a malformed shape, one that limits nothing because it has no target, and a
@@ -80,7 +80,7 @@ class Limits:
             targeted = set()
             for node, kind, target in _targets(graph, shapes):
                 targeted.add(node)
-                name, shape = shapes.name(node), compiled(shapes, node)
+                name, shape = shapes.name(node), compile_shape(shapes, node)
                 if kind == sh.targetClass:
                     by_class.setdefault(_class(name, target, shape, space), []).append(shape)
                 else:
@@ -132,7 +132,7 @@ class Limits:
 
 def _targets(graph: Sequence[Triple], shapes: ShapesGraph) -> Iterator[tuple[NamedNode | BlankNode, NamedNode, Term]]:
     """Each target, those of shapes that are classes too (SHACL 2.1.3.3)."""
-    yield from shapes.targeting()
+    yield from shapes.targets()
     classes = {triple.subject for triple in graph if triple.predicate == rdf.type and triple.object == rdfs.Class}
     for root in shapes.roots():
         if root in classes:
@@ -210,7 +210,7 @@ class _MessageCheck:
     def _broken(self, name: str, message: Message, place: str, view: MessageView) -> Iterator[Violation]:
         shape = self._shapes.get(name)
         if shape is not None:
-            for each in shape.broken(view.place(name, message, place), view):
+            for each in shape.violations_in(view.place(name, message, place), view):
                 yield each if not place else _below(place[1:], each)
         for attribute, field_name, kind, is_array in self._steps.get(name, ()):
             value = getattr(message, attribute)
@@ -329,9 +329,9 @@ def literal(kind: Primitive, value: bool | int | float | str) -> Literal:
         try:
             return Literal(cast(str, value))
         except ValueError:  # bytes that are not UTF-8
-            return Literal(base64_text(octets(cast(str, value))), datatype=xsd.base64Binary)
+            return Literal(base64_text(wire_bytes(cast(str, value))), datatype=xsd.base64Binary)
     numbers = np.array([value], "<f4") if kind.name == "float32" else (value,)
-    return Literal(scalars(cast("Iterable[bool | int | float]", numbers))[0], datatype=_DATATYPES[kind.name])
+    return Literal(scalar_texts(cast("Iterable[bool | int | float]", numbers))[0], datatype=_DATATYPES[kind.name])
 
 
 _DATATYPES = {name: NamedNode(xsd.iri + local) for name, local in DATATYPES.items()}
@@ -360,7 +360,7 @@ def _bounds_of(limits: Limits, schema: MessageSchema, name: str, space: Space) -
         for each in schema.types[name].fields
         if (nested := _nested(each.type)) is not None
     )
-    return merged(own, *inner)
+    return merge_bounds(own, *inner)
 
 
 def _dotted(schema: MessageSchema, name: str, way: Sequence[NamedNode], space: Space) -> str | None:

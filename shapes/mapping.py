@@ -17,7 +17,7 @@ from rosld.ontology.vocab import rdfs, xsd
 _OTHER = rdflib.URIRef("about:other")
 
 
-class Misfit(NamedTuple):
+class ValidationResult(NamedTuple):
     """One result of a validation.
 
     The node it is about (of a literal its text) and the predicate (None: the node itself), what the shape says of it,
@@ -43,7 +43,7 @@ def _shapes() -> rdflib.Graph:
     return _graph(mapping_shape("https://w3id.org/rosld/shapes/mapping").triples, exact=True)
 
 
-def misfits(triples: Iterable[Triple]) -> list[Misfit]:
+def validate_mapping(triples: Iterable[Triple]) -> list[ValidationResult]:
     """What SHACL finds wrong with the triples of a mapping document (none of them with a triple term)."""
     import pyshacl  # takes its time, and many servers never judge a mapping
 
@@ -55,11 +55,11 @@ def misfits(triples: Iterable[Triple]) -> list[Misfit]:
     return [_misfit(report, result) for result in top]
 
 
-def _misfit(report: rdflib.Graph, result: rdflib.term.Node) -> Misfit:
+def _misfit(report: rdflib.Graph, result: rdflib.term.Node) -> ValidationResult:
     focus = report.value(result, SH.focusNode)
     path = report.value(result, SH.resultPath)
     value = report.value(result, SH.value)
-    return Misfit(
+    return ValidationResult(
         NamedNode(focus) if isinstance(focus, rdflib.URIRef)
         else BlankNode(focus) if isinstance(focus, rdflib.BNode)
         else str(focus),

@@ -26,11 +26,11 @@ from rosld.adapters.model import (
     halves_of,
 )
 from rosld.ontology.coercion import RANGES
-from rosld.ontology.describe_types import constant_value, written
+from rosld.ontology.describe_types import constant_value, definition_text
 from rosld.ontology.document import Document
 from rosld.ontology.field_defaults import stated_default
 from rosld.ontology.literals import DATATYPES, OCTETS, STRINGS
-from rosld.ontology.triples import RDF_SOURCE, Statement, Value, about, boolean, each, integer, text
+from rosld.ontology.triples import RDF_SOURCE, Statement, Value, boolean, integer, statements, text, triples_about
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import rdf, rdfs, ros, sh, xsd
 
@@ -46,10 +46,10 @@ def shape_document(schema: Schema, space: Space) -> Document:
     name = schema.ref.name
     url = space.shape(name)
     if isinstance(schema, MessageSchema):
-        return Document(url, (*about(NamedNode(url), *RDF_SOURCE), *type_shape(schema.type, schema, space)))
+        return Document(url, (*triples_about(NamedNode(url), *RDF_SOURCE), *type_shape(schema.type, schema, space)))
     halves = halves_of(schema)
     shapes = [NamedNode(space.shape(half.ref.name)) for half in halves]
-    triples = about(
+    triples = triples_about(
         NamedNode(url),
         *RDF_SOURCE,
         (rdfs.label, text(f"What {name} is sent and answers")),
@@ -66,7 +66,7 @@ _HALVES: Mapping[type, Sequence[NamedNode]] = {
 }
 
 
-def closure(schema: MessageSchema, space: Space) -> list[Triple]:
+def shapes_closure(schema: MessageSchema, space: Space) -> list[Triple]:
     """The shapes of a message type and of all types nested in it: all that a validator needs."""
     return [triple for kind in schema.types.values() for triple in type_shape(kind, schema, space)]
 
@@ -90,18 +90,18 @@ class _Shape:
     def triples(self) -> list[Triple]:
         """All of it."""
         properties = {field: NamedNode(self.space.fragment(self.url, field.name)) for field in self.kind.fields}
-        triples = about(
+        triples = triples_about(
             NamedNode(self.url),
             (rdf.type, sh.NodeShape),
             (sh.targetClass, NamedNode(self.space.class_of(self.kind.name))),
             (rdfs.label, text(self.kind.name)),
             (sh.closed, boolean(True)),
             (sh.ignoredProperties, self.list_of(SERVER_MANAGED)),
-            *each(sh.property, properties.values()),
-            *each(rdfs.comment, self.comments()),
+            *statements(sh.property, properties.values()),
+            *statements(rdfs.comment, self.comments()),
         )
         for position, (field, node) in enumerate(properties.items()):
-            triples += about(node, *self.field(field, position))
+            triples += triples_about(node, *self.field(field, position))
         return triples + self.inner
 
     def comments(self) -> list[Literal]:
@@ -115,7 +115,7 @@ class _Shape:
             (rdf.type, sh.PropertyShape),
             (sh.path, NamedNode(self.space.property_of(self.kind.name, field.name))),
             (sh.name, text(field.name)),
-            (sh.description, text(written(field.type))),
+            (sh.description, text(definition_text(field.type))),
             (sh.order, integer(position)),
             (sh.minCount, integer(1)),
             (sh.maxCount, integer(1)),
@@ -159,8 +159,8 @@ class _Shape:
             rdf.first,
         ]
         node = NamedNode(self.space.fragment(self.url, field.name) + ".elements")
-        self.inner += about(NamedNode(self.url), (sh.property, node))
-        self.inner += about(
+        self.inner += triples_about(NamedNode(self.url), (sh.property, node))
+        self.inner += triples_about(
             node,
             (rdf.type, sh.PropertyShape),
             (sh.path, self.list_of(steps)),
@@ -173,7 +173,7 @@ class _Shape:
     def blank(self, *statements: Statement) -> BlankNode:
         """A blank node that says this."""
         node = next(self.blanks)
-        self.inner += about(node, *statements)
+        self.inner += triples_about(node, *statements)
         return node
 
     def list_of(self, elements: Iterable[Value]) -> Value:

@@ -8,13 +8,13 @@ from dataclasses import replace
 from pyoxigraph import Literal, NamedNode, Triple
 
 from rosld.adapters.model import Descriptor, ParameterType, ParameterValue, Primitive, Range, fitted
-from rosld.ontology.parameters import literal, plain
-from rosld.ontology.triples import about, boolean, double, integer, text
+from rosld.ontology.parameters import parameter_literal, plain_value
+from rosld.ontology.triples import boolean, double, integer, text, triples_about
 from rosld.ontology.urls import Space
-from rosld.ontology.violations import Violation, shortened
+from rosld.ontology.violations import Violation, brief_value
 from rosld.ontology.vocab import dcterms, rdf, rdfs, ros, sh, xsd
 from rosld.shapes.affordance import value_shape_triples, within
-from rosld.shapes.components import component, listed, phrase
+from rosld.shapes.components import component, list_terms, phrase
 from rosld.shapes.value import NO_MEASURE, Bounds, Measure, OpenShape, ScalarShape
 
 _MAX_CHOICES = 32
@@ -50,7 +50,7 @@ def declared_triples(descriptor: Descriptor, url: str, space: Space) -> list[Tri
     constraint = constraint_url(url, descriptor)
     shape = None if constraint is None else NamedNode(constraint)
     type = descriptor.type
-    triples = about(
+    triples = triples_about(
         subject,
         (dcterms.description, text(descriptor.description or None)),
         (ros.readOnly, boolean(descriptor.read_only)),
@@ -65,8 +65,8 @@ def declared_triples(descriptor: Descriptor, url: str, space: Space) -> list[Tri
         declared = replace(declared, bounds=replace(declared.bounds, choices=choices))
     value = within(shape, "value")
     triples += value_shape_triples(declared, shape, ros.value, space)
-    triples += about(shape, (sh.targetNode, subject))
-    return triples + about(
+    triples += triples_about(shape, (sh.targetNode, subject))
+    return triples + triples_about(
         value,
         (sh.datatype, _ARRAYS.get(type)),
         (sh.description, text(descriptor.constraints or None)),
@@ -86,7 +86,7 @@ def choice_words(descriptor: Descriptor) -> tuple[str, ...]:
 
 
 def _chosen(descriptor: Descriptor) -> tuple[Literal, ...]:
-    return tuple(found for choice in descriptor.choices if (found := literal(choice.value)) is not None)
+    return tuple(found for choice in descriptor.choices if (found := parameter_literal(choice.value)) is not None)
 
 
 _ARRAYS: Mapping[ParameterType, NamedNode] = {
@@ -104,7 +104,7 @@ def _range(descriptor: Descriptor) -> Range | None:
 def _bounds(range: Range | None) -> Bounds:
     if range is None:
         return Bounds()
-    return Bounds(least=_number(range.least), greatest=_number(range.greatest), step=_number(range.step))
+    return Bounds(minimum=_number(range.least), maximum=_number(range.greatest), step=_number(range.step))
 
 
 def _number(value: int | float | None) -> Literal | None:
@@ -135,13 +135,13 @@ def violations(descriptor: Descriptor, name: str, url: str, value: ParameterValu
     if type is None:
         return ()
     fit = fitted(value, type)
-    term = None if isinstance(value, dict) else literal(value)
-    written = shortened(plain(value) if term is None else phrase(term)) or ""
+    term = None if isinstance(value, dict) else parameter_literal(value)
+    written = brief_value(plain_value(value) if term is None else phrase(term)) or ""
     broken: tuple[NamedNode, str] | None = None
     if fit is None:
         broken = component(sh.datatype), f"is declared as {type.value}, which {written} is not"
     elif descriptor.choices and fit not in [choice.value for choice in descriptor.choices]:
-        broken = component(sh.in_), f"must be one of {listed(_chosen(descriptor))}, not {written}"
+        broken = component(sh.in_), f"must be one of {list_terms(_chosen(descriptor))}, not {written}"
     elif isinstance(fit, int | float) and not isinstance(fit, bool) and (range := _range(descriptor)) is not None:
         broken = _outside(range, fit, written)
     if broken is None:

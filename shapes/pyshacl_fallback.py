@@ -12,8 +12,8 @@ from rdflib.term import BNode, URIRef
 from rosld.ontology.body import Term
 from rosld.ontology.violations import Violation
 from rosld.ontology.vocab import sh
-from rosld.shapes.shape import brief, joined
-from rosld.shapes.terms import Node, normal, normal_graph
+from rosld.shapes.shape import brief_term, join_path
+from rosld.shapes.terms import Node, normalize, normalize_graph
 from rosld.shapes.view import View
 
 _MAX_KEPT = 64
@@ -22,35 +22,39 @@ _TARGET = URIRef(sh.targetNode.value)
 _NOWHERE = URIRef("urn:nowhere")
 
 
-class Reference:
+class PyshaclShape:
     """The shape `root`, with everything that it refers to in `triples`. `longest`: the texts its patterns may see.
 
     Raises ValueError where pyshacl cannot read one of the `shapes`.
     """
 
     def __init__(
-        self, root: NamedNode | BlankNode, shapes: Sequence[Term], triples: Sequence[Triple], longest: int = sys.maxsize
+        self,
+        root: NamedNode | BlankNode,
+        shapes: Sequence[Term],
+        triples: Sequence[Triple],
+        max_length: int = sys.maxsize,
     ) -> None:
         self._node = root
-        self._root = normal(root, _SHAPES)
-        self._graph = normal_graph(triples, _SHAPES)
-        self._longest = longest
+        self._root = normalize(root, _SHAPES)
+        self._graph = normalize_graph(triples, _SHAPES)
+        self._longest = max_length
         self._targeted: dict[Node, rdflib.Graph] = {}
-        trial = self._with_targets([(normal(shape, _SHAPES), _NOWHERE) for shape in shapes])
+        trial = self._with_targets([(normalize(shape, _SHAPES), _NOWHERE) for shape in shapes])
         report = _report(rdflib.Graph(), trial)
         if isinstance(report, str):
             raise ValueError(report)
 
-    def broken(self, focus: Term, view: View, above: str = "") -> Iterator[Violation]:
+    def find_violations(self, focus: Term, view: View, above: str = "") -> Iterator[Violation]:
         """Each violation that pyshacl finds; where it fails, that is one too."""
         triples = view.triples()
         for triple in triples:
             if isinstance(triple.object, Literal) and len(triple.object.value) > self._longest:
                 yield Violation(above, f"holds a text of more than {self._longest} characters, too long for a pattern")
                 return
-        terms = {normal(term, _DATA): term for triple in triples for term in (triple.subject, triple.object)}
-        terms[normal(focus, _DATA)] = focus
-        report = _report(normal_graph(triples, _DATA), self._shapes_for(normal(focus, _DATA)))
+        terms = {normalize(term, _DATA): term for triple in triples for term in (triple.subject, triple.object)}
+        terms[normalize(focus, _DATA)] = focus
+        report = _report(normalize_graph(triples, _DATA), self._shapes_for(normalize(focus, _DATA)))
         if isinstance(report, str):
             yield Violation(above, f"cannot be judged: {report}", shape=_iri(self._node))
             return
@@ -102,9 +106,9 @@ def _violation(report: rdflib.Graph, result: rdflib.term.Node, terms: dict[Node,
     term = terms.get(value) if value is not None else None
     node = terms.get(focus) if focus is not None else None
     return Violation(
-        above if path is None else joined(above, path),
+        above if path is None else join_path(above, path),
         str(said("resultMessage") or "does not conform"),
-        brief(term),
+        brief_term(term),
         component=_iri(said("sourceConstraintComponent")),
         shape=_iri(said("sourceShape")),
         focus=node if isinstance(node, NamedNode | BlankNode) else None,

@@ -12,16 +12,16 @@ from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 from rosld.ontology.body import Term
 from rosld.ontology.vocab import rdf, sh, xsd
 from rosld.shapes import components
-from rosld.shapes.bounds import merged, narrowed
-from rosld.shapes.pyshacl_fallback import Reference
-from rosld.shapes.safe_regex import Pattern, pattern
-from rosld.shapes.shape import OfSet, OfValue, Shape
+from rosld.shapes.bounds import merge_bounds, narrow
+from rosld.shapes.pyshacl_fallback import PyshaclShape
+from rosld.shapes.safe_regex import SafePattern, compile_pattern
+from rosld.shapes.shape import SetConstraint, Shape, ValueConstraint
 from rosld.shapes.terms import is_numeric, number
 from rosld.shapes.value import UNBOUNDED, Bounds
 
 Node: TypeAlias = NamedNode | BlankNode
 
-DEEPEST = 10
+MAX_DEPTH = 10
 """The levels of shapes within shapes."""
 MAX_SHAPES = 1000
 """The shapes that one shape may hold, counted each time they are referred to."""
@@ -64,8 +64,8 @@ def local(predicate: NamedNode) -> str:
 class _Draft:
     """A shape in the making."""
 
-    of_value: list[OfValue] = field(default_factory=list)
-    of_set: list[OfSet] = field(default_factory=list)
+    of_value: list[ValueConstraint] = field(default_factory=list)
+    of_set: list[SetConstraint] = field(default_factory=list)
     properties: list[Shape] = field(default_factory=list)
     parts: list[Shape] = field(default_factory=list)
     own: Bounds = UNBOUNDED
@@ -73,7 +73,7 @@ class _Draft:
 
     def demand(self, bounds: Bounds) -> None:
         """Narrow what the value nodes may be."""
-        self.own = narrowed(self.own, bounds)
+        self.own = narrow(self.own, bounds)
 
     def include(self, shape: Shape) -> None:
         """Take over what a shape that must hold demands of the same value nodes."""
@@ -95,7 +95,7 @@ class ShapesGraph:
         self._open: list[Node] = []
         self._longest: dict[Node, int] = {}
 
-    def targeting(self) -> Iterator[tuple[Node, NamedNode, Term]]:
+    def targets(self) -> Iterator[tuple[Node, NamedNode, Term]]:
         """Each target declaration: the shape, the kind of target (`sh:targetNode`), the target (SHACL 2.1.3)."""
         for node, said in self._said.items():
             if isinstance(node, NamedNode | BlankNode):
@@ -133,7 +133,7 @@ class ShapesGraph:
             raise ValueError(f"{self.name(node)} is referred to, but nothing is said of it in this graph")
         if node in self._open:
             raise ValueError(f"{self.name(node)} refers to itself, which SHACL leaves undefined (3.4.3)")
-        if len(self._open) >= DEEPEST:
+        if len(self._open) >= MAX_DEPTH:
             raise self._deep()
         self._open.append(node)
         try:
@@ -142,18 +142,18 @@ class ShapesGraph:
             self._open.pop()
         return shape
 
-    def reference(self, node: Node) -> Reference:
+    def pyshacl_shape(self, node: Node) -> PyshaclShape:
         """A shape as pyshacl judges it, with all that it refers to and nothing else."""
         shapes: dict[Term, None] = {}
         triples = list(self._closure(node, shapes))
         longest = min((self._longest.get(each, sys.maxsize) for each in shapes if isinstance(each, Node)), default=0)
         try:
-            return Reference(node, list(shapes), triples, longest)
+            return PyshaclShape(node, list(shapes), triples, longest)
         except ValueError as error:
             raise ValueError(f"{self.name(node)} cannot be read: {error}") from error
 
     def _deep(self) -> ValueError:
-        return ValueError(f"{self.name(self._open[0])} has shapes nested deeper than {DEEPEST} levels")
+        return ValueError(f"{self.name(self._open[0])} has shapes nested deeper than {MAX_DEPTH} levels")
 
     def _closure(self, node: Term, shapes: dict[Term, None]) -> Iterator[Triple]:
         """The triples of a shape and of those it refers to, without their targets."""
@@ -204,13 +204,13 @@ class ShapesGraph:
         off = self._is_deactivated(node, said)
         children = draft.parts
         size, depth = 1 + sum(each.size for each in children), 1 + max((each.depth for each in children), default=0)
-        if depth > DEEPEST:
+        if depth > MAX_DEPTH:
             raise self._deep()
         if size > MAX_SHAPES:
             raise ValueError(f"{self.name(node)} holds more than {MAX_SHAPES} shapes, counted as often as referred to")
         if off:
             return Shape(node, path, is_property=is_property)
-        inner = merged(*draft.within)
+        inner = merge_bounds(*draft.within)
         if is_property:
             lead = () if path is None else (path,)
             own = {lead: draft.own} if draft.own else {}
@@ -287,20 +287,20 @@ class ShapesGraph:
     def _constraint(self, node: Node, draft: _Draft, parameter: NamedNode, value: Term, is_property: bool) -> None:
         match parameter:
             case sh.class_:
-                draft.of_value.append(components.of_class(_iri(value)))
+                draft.of_value.append(components.class_(_iri(value)))
             case sh.datatype:
-                draft.of_value.append(components.of_datatype(_iri(value)))
+                draft.of_value.append(components.datatype(_iri(value)))
             case sh.nodeKind:
                 if value not in components.NODE_KINDS:
                     raise _Fault(f"is {value}, which is no kind of node: sh:IRI, sh:Literal, sh:BlankNode, ...")
-                draft.of_value.append(components.of_kind(_iri(value)))
+                draft.of_value.append(components.node_kind(_iri(value)))
             case sh.minCount | sh.maxCount:
                 self._count(draft, parameter, value, is_property)
             case sh.minInclusive | sh.maxInclusive | sh.minExclusive | sh.maxExclusive:
                 self._range(draft, parameter, value)
             case sh.minLength | sh.maxLength:
                 length = _cardinal(value)
-                draft.of_value.append(components.so_long(parameter, length))
+                draft.of_value.append(components.length(parameter, length))
                 is_least = parameter == sh.minLength
                 draft.demand(Bounds(min_length=length) if is_least else Bounds(max_length=length))
             case sh.pattern:
@@ -309,10 +309,10 @@ class ShapesGraph:
                 _text(value)
             case sh.in_:
                 members = self._list(value)
-                draft.of_value.append(components.one_of([_known(each) for each in members]))
+                draft.of_value.append(components.in_([_known(each) for each in members]))
                 draft.demand(Bounds(choices=tuple(each for each in members if isinstance(each, Literal))))
             case sh.hasValue:
-                draft.of_set.append(components.with_value(_known(value)))
+                draft.of_set.append(components.has_value(_known(value)))
                 draft.demand(Bounds(choices=(value,)) if isinstance(value, Literal) else UNBOUNDED)
             case _ if parameter in _LEFT:
                 self._left(draft, parameter, value)
@@ -353,12 +353,12 @@ class ShapesGraph:
                 draft.of_value.append(components.node(shape))
                 draft.include(shape)
             case sh.not_:
-                draft.of_value.append(components.no_shape(self._part(draft, value)))
+                draft.of_value.append(components.not_(self._part(draft, value)))
             case sh.and_ | sh.or_ | sh.xone:
                 shapes = [self._part(draft, each) for each in self._list(value)]
                 if not shapes:
                     raise _Fault("is an empty list")
-                logic = {sh.and_: components.all_shapes, sh.or_: components.any_shape, sh.xone: components.one_shape}
+                logic = {sh.and_: components.and_, sh.or_: components.or_, sh.xone: components.xone}
                 draft.of_value.append(logic[parameter](shapes))
                 for shape in shapes if parameter == sh.and_ else ():
                     draft.include(shape)
@@ -377,7 +377,7 @@ class ShapesGraph:
             raise _Fault(f"is {value}, where an xsd:integer is needed")
         count = _cardinal(value)
         is_least = parameter == sh.minCount
-        draft.of_set.append(components.at_least_so_many(count) if is_least else components.at_most_so_many(count))
+        draft.of_set.append(components.min_count(count) if is_least else components.max_count(count))
 
     def _range(self, draft: _Draft, parameter: NamedNode, value: Term) -> None:
         if not isinstance(value, Literal):
@@ -385,30 +385,30 @@ class ShapesGraph:
         if value.language is None and value.datatype != xsd.string:
             _known(value)
         try:
-            draft.of_value.append(components.within_range(parameter, value))
+            draft.of_value.append(components.value_range(parameter, value))
         except ValueError as error:
             raise _Fault(str(error)) from error
         match parameter:
             case sh.minInclusive:
-                draft.demand(Bounds(least=value))
+                draft.demand(Bounds(minimum=value))
             case sh.maxInclusive:
-                draft.demand(Bounds(greatest=value))
+                draft.demand(Bounds(maximum=value))
             case sh.minExclusive:
-                draft.demand(Bounds(above=value))
+                draft.demand(Bounds(exclusive_minimum=value))
             case _:
-                draft.demand(Bounds(below=value))
+                draft.demand(Bounds(exclusive_maximum=value))
 
     def _pattern(self, node: Node, draft: _Draft, value: Term) -> None:
         flags = "".join(_text(each) for each in self._said[node].get(sh.flags, ()))
         found = self._taken(value, flags)
-        self._longest[node] = min(found.longest, self._longest.get(node, sys.maxsize))
-        draft.of_value.append(components.matching(found))
+        self._longest[node] = min(found.max_length, self._longest.get(node, sys.maxsize))
+        draft.of_value.append(components.pattern_(found))
         if not flags:
             draft.demand(Bounds(pattern=found.text))
 
-    def _taken(self, value: Term, flags: str) -> Pattern:
+    def _taken(self, value: Term, flags: str) -> SafePattern:
         try:
-            return pattern(_text(value), flags)
+            return compile_pattern(_text(value), flags)
         except _Fault:
             raise
         except ValueError as error:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pyoxigraph import NamedNode
 
 from rosld.ontology.document import Document
-from rosld.ontology.triples import Statement, about, boolean, each, text
+from rosld.ontology.triples import Statement, boolean, statements, text, triples_about
 from rosld.ontology.violations import Violation
 from rosld.ontology.vocab import rdf, ros, sh
 
@@ -20,11 +20,11 @@ def validation_report(url: str, violations: Sequence[Violation], *, node: str = 
     """
     report = NamedNode(f"{url}#report")
     results = [NamedNode(f"{url}#result.{number}") for number in range(len(violations))]
-    triples = about(
-        report, (rdf.type, sh.ValidationReport), (sh.conforms, boolean(not violations)), *each(sh.result, results)
+    triples = triples_about(
+        report, (rdf.type, sh.ValidationReport), (sh.conforms, boolean(not violations)), *statements(sh.result, results)
     )
     for result, violation in zip(results, violations, strict=True):
-        triples += about(
+        triples += triples_about(
             result,
             (rdf.type, sh.ValidationResult),
             (sh.resultSeverity, violation.severity or sh.Violation),

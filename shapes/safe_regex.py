@@ -30,19 +30,19 @@ _Characters = frozenset[int]
 
 
 @dataclass(frozen=True, slots=True)
-class Pattern:
+class SafePattern:
     """A pattern that may be searched for in texts of up to `longest` characters."""
 
     text: str
     regex: re.Pattern[str]
-    longest: int
+    max_length: int
 
-    def found_in(self, text: str) -> bool:
+    def is_found_in(self, text: str) -> bool:
         """Whether it matches somewhere in a text; a text that is too long to try counts as none."""
-        return len(text) <= self.longest and self.regex.search(text) is not None
+        return len(text) <= self.max_length and self.regex.search(text) is not None
 
 
-def pattern(text: str, flags: str = "") -> Pattern:
+def compile_pattern(text: str, flags: str = "") -> SafePattern:
     """The pattern written as `text`, with SHACL's flags (4.4.3). Raises ValueError for one that cannot be taken."""
     if len(text) > _MAX_PATTERN:
         raise ValueError(f"the pattern {text[:40]!r}... is longer than {_MAX_PATTERN} characters")
@@ -60,7 +60,7 @@ def pattern(text: str, flags: str = "") -> Pattern:
     longest = int((_STEPS // ways) ** (1 / power)) if power > 1 or ways > 1 else sys.maxsize
     if longest < _SHORTEST_TEXT:
         raise ValueError(f"the pattern {text!r} would take too long: too many of its parts can match the same text")
-    return Pattern(text, regex, longest)
+    return SafePattern(text, regex, longest)
 
 
 class _Step(NamedTuple):

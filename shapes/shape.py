@@ -10,7 +10,7 @@ from urllib.parse import unquote
 from pyoxigraph import BlankNode, Literal, NamedNode
 
 from rosld.ontology.body import Term
-from rosld.ontology.violations import Violation, shortened
+from rosld.ontology.violations import Violation, brief_value
 from rosld.ontology.vocab import rdf
 from rosld.shapes.value import UNBOUNDED, Bounds
 from rosld.shapes.view import View
@@ -19,15 +19,15 @@ ValueTest: TypeAlias = Callable[[Term, View], bool]
 SetTest: TypeAlias = Callable[[Sequence[Term]], bool]
 
 
-class Judge(Protocol):
+class ShapeValidator(Protocol):
     """What can tell how a focus node breaks a shape."""
 
-    def broken(self, focus: Term, view: View, above: str = "") -> Iterator[Violation]:
+    def find_violations(self, focus: Term, view: View, above: str = "") -> Iterator[Violation]:
         """Each violation; `above` is the dotted path to the focus node."""
         ...
 
 
-class OfValue(NamedTuple):
+class ValueConstraint(NamedTuple):
     """A constraint on each value node: its component, its test and a sentence."""
 
     component: NamedNode
@@ -35,7 +35,7 @@ class OfValue(NamedTuple):
     words: str
 
 
-class OfSet(NamedTuple):
+class SetConstraint(NamedTuple):
     """A constraint on the value nodes together."""
 
     component: NamedNode
@@ -55,8 +55,8 @@ class Shape:
 
     node: NamedNode | BlankNode
     path: NamedNode | None = None
-    of_value: tuple[OfValue, ...] = ()
-    of_set: tuple[OfSet, ...] = ()
+    value_constraints: tuple[ValueConstraint, ...] = ()
+    set_constraints: tuple[SetConstraint, ...] = ()
     properties: tuple[Shape, ...] = ()
     words: str | None = None
     severity: NamedNode | None = None
@@ -75,11 +75,11 @@ class Shape:
     def conforms(self, focus: Term, view: View) -> bool:
         """Whether nothing is broken."""
         values = self.values(focus, view)
-        for together in self.of_set:
+        for together in self.set_constraints:
             if not together.test(values):
                 return False
         for value in values:
-            for each in self.of_value:
+            for each in self.value_constraints:
                 if not each.test(value, view):
                     return False
             for inner in self.properties:
@@ -87,28 +87,30 @@ class Shape:
                     return False
         return True
 
-    def broken(self, focus: Term, view: View, above: str = "") -> Iterator[Violation]:
+    def find_violations(self, focus: Term, view: View, above: str = "") -> Iterator[Violation]:
         """Each violation; `above` is the dotted path to the focus node."""
         if self.conforms(focus, view):
             return
         values = self.values(focus, view)
-        path = above if self.path is None else joined(above, self.path)
-        for together in self.of_set:
+        path = above if self.path is None else join_path(above, self.path)
+        for together in self.set_constraints:
             if not together.test(values):
                 yield self.violation(focus, path, together, None)
         for value in values:
-            for each in self.of_value:
+            for each in self.value_constraints:
                 if not each.test(value, view):
                     yield self.violation(focus, path, each, value)
             for inner in self.properties:
-                yield from inner.broken(value, view, path)
+                yield from inner.find_violations(value, view, path)
 
-    def violation(self, focus: Term, path: str, constraint: OfValue | OfSet, value: Term | None) -> Violation:
+    def violation(
+        self, focus: Term, path: str, constraint: ValueConstraint | SetConstraint, value: Term | None
+    ) -> Violation:
         """A violation of one constraint, with the shape's own words where it has any (SHACL 2.1.5)."""
         return Violation(
             path,
             self.words or constraint.words,
-            brief(value),
+            brief_term(value),
             component=constraint.component,
             shape=self.node if isinstance(self.node, NamedNode) else None,
             focus=focus if isinstance(focus, NamedNode | BlankNode) else None,
@@ -118,7 +120,7 @@ class Shape:
         )
 
 
-def joined(above: str, predicate: NamedNode) -> str:
+def join_path(above: str, predicate: NamedNode) -> str:
     """The dotted path with one step more; `rdf:value` is the value itself, so that it is none."""
     if predicate == rdf.value:
         return above
@@ -127,8 +129,8 @@ def joined(above: str, predicate: NamedNode) -> str:
     return f"{above}.{name}" if above else name
 
 
-def brief(term: Term | None) -> str | None:
+def brief_term(term: Term | None) -> str | None:
     """A value as a person may want to see it."""
     if isinstance(term, BlankNode):
         return None
-    return shortened(term.value if isinstance(term, NamedNode | Literal) else term)
+    return brief_value(term.value if isinstance(term, NamedNode | Literal) else term)

@@ -94,7 +94,7 @@ class _NotANumber(float):
     __hash__ = float.__hash__
 
 
-def normal(term: Term, space: str = "") -> Node:
+def normalize(term: Term, space: str = "") -> Node:
     """A term as rdflib has it, in its normal form; `space` keeps the blank nodes of several graphs apart.
 
     A triple term, of which rdflib knows nothing, is a blank node.
@@ -121,11 +121,11 @@ def _normal(literal: Literal) -> Normal:
     return found
 
 
-def normal_graph(triples: Iterable[Triple], space: str) -> rdflib.Graph:
+def normalize_graph(triples: Iterable[Triple], space: str) -> rdflib.Graph:
     """A graph as rdflib has it."""
     graph = rdflib.Graph()
     for triple in triples:
-        graph.add((normal(triple.subject, space), normal(triple.predicate), normal(triple.object, space)))
+        graph.add((normalize(triple.subject, space), normalize(triple.predicate), normalize(triple.object, space)))
     return graph
 
 
@@ -141,10 +141,10 @@ def distinct(terms: Sequence[Term]) -> Sequence[Term]:
     terms = list(dict.fromkeys(terms))
     if sum(not is_plain(term) for term in terms) < 2:
         return terms
-    return list({term if is_plain(term) else normal(term): term for term in reversed(terms)}.values())[::-1]
+    return list({term if is_plain(term) else normalize(term): term for term in reversed(terms)}.values())[::-1]
 
 
-def compared(one: Literal, other: Literal) -> int | None:
+def compare(one: Literal, other: Literal) -> int | None:
     """Whether `one` is less (-1) than `other`, equal (0) or more (1), as pyshacl has it; None where it cannot tell."""
     left, right = _normal(one), _normal(other)
     if isinstance(left.value, str) != isinstance(right.value, str):

@@ -22,10 +22,10 @@ class Bounds:
     many of these above `least`, or it is `greatest`.
     """
 
-    least: Literal | None = None
-    greatest: Literal | None = None
-    above: Literal | None = None
-    below: Literal | None = None
+    minimum: Literal | None = None
+    maximum: Literal | None = None
+    exclusive_minimum: Literal | None = None
+    exclusive_maximum: Literal | None = None
     choices: tuple[Literal, ...] = ()
     pattern: str | None = None
     min_length: int | None = None

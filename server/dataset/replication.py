@@ -24,7 +24,7 @@ from typing import NamedTuple, Protocol, TypeVar
 
 from pyoxigraph import Literal, NamedNode, QuerySolutions
 
-from rosld.ontology.triples import moment as instant
+from rosld.ontology.triples import date_time_literal as instant
 from rosld.ontology.vocab import dcterms, rdf, ros
 from rosld.server.dataset.base import Edit
 from rosld.server.dataset.endpoint_client import StoreError, StoreRefused

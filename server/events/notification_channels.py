@@ -12,7 +12,7 @@ from functools import lru_cache
 
 from pyoxigraph import NamedNode
 
-from rosld.ontology.notifications import Activity, Terms
+from rosld.ontology.notifications import Activity, ChannelDescription
 from rosld.ontology.vocab import ldp
 from rosld.server.auth.authenticator import UNRESTRICTED, AuthContext
 from rosld.server.auth.permissions import Permissions
@@ -46,7 +46,7 @@ class Channel:
     """A channel: what it was made for, the resource it tells of, what it has told, and who receives."""
 
     token: str
-    terms: Terms
+    terms: ChannelDescription
     resource: Resource
     last_sent: ReceiverState
     since: float
@@ -105,7 +105,7 @@ class Channels:
         token = secrets.token_urlsafe(24)
         url, source = place(token)
         times = (wish.interval, wish.start_at, wish.end_at)
-        terms = Terms(url, type, resource.url, source, wish.accept, *times, wish.state)
+        terms = ChannelDescription(url, type, resource.url, source, wish.accept, *times, wish.state)
         known = wish.state if wish.state is not None else self.state_name(state)
         channel = Channel(token, terms, resource, ReceiverState(known), time.monotonic(), auth=auth)
         self._kept[token] = channel

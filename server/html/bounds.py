@@ -40,13 +40,13 @@ def number_range(kind: Primitive, bounds: Bounds) -> tuple[str, str]:
     Inputs know no exclusive bounds: of whole numbers the next one is taken, of others the bound itself.
     """
     least, greatest = RANGES.get(kind.name, (None, None))
-    lower = [_decimal(least), _bound(bounds.least), _bound(bounds.above)]
-    upper = [_decimal(greatest), _bound(bounds.greatest), _bound(bounds.below)]
+    lower = [_decimal(least), _bound(bounds.minimum), _bound(bounds.exclusive_minimum)]
+    upper = [_decimal(greatest), _bound(bounds.maximum), _bound(bounds.exclusive_maximum)]
     if least is not None:
         lower = [None if each is None else each.to_integral_value(ROUND_CEILING) for each in lower]
         upper = [None if each is None else each.to_integral_value(ROUND_FLOOR) for each in upper]
-        lower[2] = _next(bounds.above, lower[2], 1)
-        upper[2] = _next(bounds.below, upper[2], -1)
+        lower[2] = _next(bounds.exclusive_minimum, lower[2], 1)
+        upper[2] = _next(bounds.exclusive_maximum, upper[2], -1)
     return (
         _text(max((each for each in lower if each is not None), default=None)),
         _text(min((each for each in upper if each is not None), default=None)),
@@ -59,7 +59,7 @@ def number_step(kind: Primitive, bounds: Bounds) -> str:
     Without any where it would refuse the greatest.
     """
     plain = "1" if kind.name in RANGES else "any"
-    step, least, greatest = (_bound(each) for each in (bounds.step, bounds.least, bounds.greatest))
+    step, least, greatest = (_bound(each) for each in (bounds.step, bounds.minimum, bounds.maximum))
     if step is None:
         return plain
     even = least is not None and greatest is not None and (greatest - least) % step == 0
@@ -109,16 +109,16 @@ def describe_bounds(bounds: Bounds) -> str:
 
 
 def _phrases(bounds: Bounds) -> Iterator[str]:
-    if bounds.least is not None and bounds.greatest is not None:
-        yield f"from {bounds.least.value} to {bounds.greatest.value}"
-    elif bounds.least is not None:
-        yield f"at least {bounds.least.value}"
-    elif bounds.greatest is not None:
-        yield f"at most {bounds.greatest.value}"
-    if bounds.above is not None:
-        yield f"more than {bounds.above.value}"
-    if bounds.below is not None:
-        yield f"less than {bounds.below.value}"
+    if bounds.minimum is not None and bounds.maximum is not None:
+        yield f"from {bounds.minimum.value} to {bounds.maximum.value}"
+    elif bounds.minimum is not None:
+        yield f"at least {bounds.minimum.value}"
+    elif bounds.maximum is not None:
+        yield f"at most {bounds.maximum.value}"
+    if bounds.exclusive_minimum is not None:
+        yield f"more than {bounds.exclusive_minimum.value}"
+    if bounds.exclusive_maximum is not None:
+        yield f"less than {bounds.exclusive_maximum.value}"
     if bounds.step is not None:
         yield f"in steps of {bounds.step.value}"
     if bounds.min_length is not None:

@@ -82,8 +82,8 @@ def drive_pad(
 def _bounded(axis: Axis, prefix: str, schema: MessageSchema, bounds: Mapping[str, Bounds]) -> Axis:
     path = prefix + axis.path
     demanded, is_single = bounds.get(path, UNBOUNDED), _is_single(schema, path)
-    lower = [bound for bound in (_value(demanded.least), _within(demanded.above)) if bound is not None]
-    upper = [bound for bound in (_value(demanded.greatest), _within(demanded.below)) if bound is not None]
+    lower = [bound for bound in (_value(demanded.minimum), _within(demanded.exclusive_minimum)) if bound is not None]
+    upper = [bound for bound in (_value(demanded.maximum), _within(demanded.exclusive_maximum)) if bound is not None]
     least = max(lower, default=Decimal(str(axis.least)))
     greatest = min(upper, default=Decimal(str(axis.greatest)))
     return Axis(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rosld.ontology.charsets import UTF_8, UnknownCharset, codec, decode, undeclared
+from rosld.ontology.charsets import UTF_8, UnknownCharset, codec_of, decode, strip_encoding_declaration
 from rosld.server.http.media import MediaType
 from rosld.server.http.problem import Problem
 
@@ -19,7 +19,7 @@ def codec_for(media_type: MediaType) -> str:
     if stated is None or media_type.type == "multipart":
         return UTF_8
     try:
-        found = codec(stated)
+        found = codec_of(stated)
     except UnknownCharset as error:
         raise Problem(415, f"Content-Type: {media_type}: {error}.") from error
     if found.startswith("utf-16") and media_type.essence == FORM:
@@ -39,7 +39,7 @@ def to_utf8(data: bytes, media_type: MediaType) -> bytes:
         text = decode(data, found)
     except UnicodeDecodeError as error:
         raise Problem(400, f"The body is not in {stated}, as it says: {error.reason} at byte {error.start}.") from error
-    return (undeclared(text) if declares_another else text).encode()
+    return (strip_encoding_declaration(text) if declares_another else text).encode()
 
 
 def _is_xml(media_type: MediaType) -> bool:

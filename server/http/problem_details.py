@@ -13,7 +13,7 @@ from starlette.responses import Response
 
 from rosld.ontology.document import Document
 from rosld.ontology.serialize import Syntax, serialize
-from rosld.ontology.triples import about, each, integer, text
+from rosld.ontology.triples import integer, statements, text, triples_about
 from rosld.ontology.violations import Violation
 from rosld.ontology.vocab import rdf, rdfs
 from rosld.server.http import header_syntax, negotiation
@@ -104,14 +104,14 @@ def document(problem: Problem, url: str = _NOWHERE) -> Document:
     """
     node = NamedNode(f"{url}#problem")
     report = validation_report(url, [_cleaned(one) for one in problem.violations]) if problem.violations else None
-    triples = about(
+    triples = triples_about(
         node,
         (rdf.type, NamedNode(f"{_HYDRA}Error")),
         (NamedNode(f"{_HYDRA}statusCode"), integer(problem.status)),
         (NamedNode(f"{_HYDRA}title"), text(_clean(problem.title))),
         (NamedNode(f"{_HYDRA}description"), text(_clean(problem.detail))),
         (rdfs.seeAlso, NamedNode(f"{url}#report") if report else None),
-        *each(rdfs.seeAlso, map(NamedNode, problem.near)),
+        *statements(rdfs.seeAlso, map(NamedNode, problem.near)),
     )
     return Document(url, (*triples, *(report.triples if report else ())))
 

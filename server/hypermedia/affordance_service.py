@@ -16,7 +16,7 @@ from typing import Generic, TypeVar
 from rosld.adapters.base import Watch
 from rosld.adapters.model import ActionSchema, Descriptor, Graph, Kind, Operation, Ref, RosError, Schema, TypeRef
 from rosld.ontology.urls import Space
-from rosld.ontology.violations import in_words
+from rosld.ontology.violations import violations_text
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.catalogue import ParameterSource, Property, Reader, TopicSource, Writer
 from rosld.server.hypermedia.conditions import ConditionResults, url_of
@@ -275,7 +275,10 @@ class AffordanceService(Generic[T]):
         broken = verdicts.violations(conditions)
         if broken:
             raise Problem(
-                404, f"{name} is not on offer now: {in_words(broken)}.", title="Not on offer now", violations=broken
+                404,
+                f"{name} is not on offer now: {violations_text(broken)}.",
+                title="Not on offer now",
+                violations=broken,
             )
 
     # What can be done

@@ -17,10 +17,10 @@ from pyoxigraph import Literal
 
 from rosld.adapters.model import Array, Field, FieldType, MessageSchema, Nested, Primitive
 from rosld.ontology.coercion import RANGES, Misfit
-from rosld.ontology.field_defaults import stated_default, zero
-from rosld.ontology.lexical import NUMBERS, boolean
+from rosld.ontology.field_defaults import stated_default, zero_value
+from rosld.ontology.lexical import NUMBERS, parse_boolean
 from rosld.ontology.lift import LiftSettings
-from rosld.ontology.literals import OCTETS, SAFE_INTEGER, STRINGS, special, wide
+from rosld.ontology.literals import OCTETS, SAFE_INTEGER, STRINGS, special_float, wide_integer_json
 from rosld.ontology.vocab import xsd
 from rosld.shapes.value import UNBOUNDED, Bounds, Measure, MessageShape, ScalarShape, ValueShape
 
@@ -90,7 +90,7 @@ class _Schemas:
         if stated is not None:
             return {"default": list(stated) if isinstance(stated, list) else stated}
         if isinstance(kind, Primitive):
-            return {"default": zero(kind)}
+            return {"default": zero_value(kind)}
         if isinstance(kind, Array) and kind.length is None:
             return {"default": "" if _is_octets(kind) else []}
         return {}
@@ -206,10 +206,10 @@ def _integer(kind: Primitive, limits: DataSchema) -> DataSchema:
 def _limits(bounds: Bounds) -> DataSchema:
     """The ends of a range of numbers."""
     return _given(
-        minimum=_number(bounds.least),
-        maximum=_number(bounds.greatest),
-        exclusiveMinimum=_number(bounds.above),
-        exclusiveMaximum=_number(bounds.below),
+        minimum=_number(bounds.minimum),
+        maximum=_number(bounds.maximum),
+        exclusiveMinimum=_number(bounds.exclusive_minimum),
+        exclusiveMaximum=_number(bounds.exclusive_maximum),
     )
 
 
@@ -235,12 +235,12 @@ def _choices(choices: Iterable[Literal]) -> list[Json]:
 def _choice(literal: Literal) -> bool | int | float | str:
     try:
         if literal.datatype == xsd.boolean:
-            return boolean(literal.value)
+            return parse_boolean(literal.value)
         if literal.datatype in NUMBERS:
             value = NUMBERS[literal.datatype](literal.value)
             if isinstance(value, int):
-                return wide(value)
-            return float(value) if math.isfinite(value) else special(float(value))
+                return wide_integer_json(value)
+            return float(value) if math.isfinite(value) else special_float(float(value))
     except Misfit:
         pass
     return literal.value

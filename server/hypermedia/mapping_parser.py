@@ -20,10 +20,10 @@ from rdflib.namespace import SH
 
 from rosld.ontology.body import BodyError, RdfBody, Term, parse_body, parse_json
 from rosld.ontology.syntax import Syntax
-from rosld.ontology.turtle import shortened
+from rosld.ontology.turtle import prefixed_name
 from rosld.ontology.urls import Space
 from rosld.ontology.violations import LoweringError, Violation
-from rosld.ontology.violations import shortened as brief
+from rosld.ontology.violations import brief_value as brief
 from rosld.ontology.vocab import mapping, qudt, rdf, rdfs, sh, superseded_mapping
 from rosld.server.hypermedia.mapping import (
     ComplexResource,
@@ -33,8 +33,8 @@ from rosld.server.hypermedia.mapping import (
     MappedProperty,
 )
 from rosld.server.robot.software_stop import StopCommand
-from rosld.shapes.constraints import compiled
-from rosld.shapes.mapping import misfits
+from rosld.shapes.constraints import compile_shape
+from rosld.shapes.mapping import validate_mapping
 from rosld.shapes.reading import ShapesGraph
 from rosld.shapes.value import Measure
 
@@ -151,7 +151,7 @@ class _Reader:
 
     def permissions(self) -> None:
         """Judge the document by the shape of mappings. Raises MappingRefused."""
-        for misfit in misfits(self.triples):
+        for misfit in validate_mapping(self.triples):
             self.wrong(misfit.focus, misfit.message, misfit.value, misfit.predicate, misfit.component)
         self.refuse()
 
@@ -312,7 +312,7 @@ class _Reader:
                 return
             assert isinstance(node, NamedNode)
             try:
-                shape = compiled(graph, node)
+                shape = compile_shape(graph, node)
             except ValueError as error:
                 self.wrong(node, f"the condition cannot be judged: {error}")
                 continue
@@ -325,7 +325,7 @@ class _Reader:
         for name in _twice(names):
             self.wrong(node, f"the name {name!r} is there twice; give one of the two another map:name", name)
         for predicate in _twice([one.predicate for one in resource.properties]):
-            words = f"two properties have the predicate {shortened(predicate.value)[0]}; give each its own"
+            words = f"two properties have the predicate {prefixed_name(predicate.value)[0]}; give each its own"
             self.wrong(node, words, None, mapping.property)
 
     def check_paths(self, resources: Sequence[ComplexResource]) -> None:
@@ -347,8 +347,8 @@ class _Reader:
             for path in sorted(condition.shape.paths - there, key=str):
                 self.wrong(
                     node,
-                    f"the state of {about} has no {shortened(path.value)[0]}, so this would never hold; it has "
-                    + (", ".join(sorted(shortened(each.value)[0] for each in there)) or "no properties"),
+                    f"the state of {about} has no {prefixed_name(path.value)[0]}, so this would never hold; it has "
+                    + (", ".join(sorted(prefixed_name(each.value)[0] for each in there)) or "no properties"),
                 )
 
     # What is said
@@ -385,12 +385,12 @@ class _Places:
 
     def of(self, node: Term | str, predicate: NamedNode | None = None) -> str:
         """The place of a predicate of a node, or of the node itself."""
-        steps = [] if predicate is None else [shortened(predicate.value)[0]]
+        steps = [] if predicate is None else [prefixed_name(predicate.value)[0]]
         passed: set[Term] = set()
         while isinstance(node, BlankNode) and node in self._above and node not in passed:
             passed.add(node)
             above, leading = self._above[node]
-            steps += [self._told(node), shortened(leading.value)[0]]
+            steps += [self._told(node), prefixed_name(leading.value)[0]]
             node = above
         return " ".join(step for step in (self._name(node), *reversed(steps)) if step)
 
@@ -399,7 +399,7 @@ class _Places:
             return "[]" if isinstance(node, BlankNode) else f'"{node}"'
         if node.value.startswith(f"{self._url}#"):
             return f"<{node.value.removeprefix(self._url)}>"
-        return shortened(node.value)[0]
+        return prefixed_name(node.value)[0]
 
     def _told(self, node: BlankNode) -> str:
         """What tells a node in brackets from its neighbours, "" where nothing does."""
@@ -430,5 +430,5 @@ def _no_term(term: NamedNode) -> str:
     """What to say of a term that does not exist."""
     known = [each.value for each in _TERMS] if term.value.startswith(mapping.iri) else [str(each) for each in dir(SH)]
     close = get_close_matches(term.value, known, 1)
-    hint = f"; {shortened(close[0])[0]} does" if close else ""
-    return f"{shortened(term.value)[0]} does not exist{hint}"
+    hint = f"; {prefixed_name(close[0])[0]} does" if close else ""
+    return f"{prefixed_name(term.value)[0]} does not exist{hint}"

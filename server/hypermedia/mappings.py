@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from rosld.ontology.namespaces import Kept
+from rosld.ontology.namespaces import IdentityCache
 from rosld.ontology.violations import Violation
 from rosld.server.hypermedia.mapping import ComplexResource, Condition, MappedAction, MappingSet
 from rosld.server.hypermedia.mapping_parser import InvalidMapping, MappingDocument
@@ -162,7 +162,7 @@ def _make_index(mapping_set: MappingSet) -> _Index:
     )
 
 
-_index: Callable[[MappingSet], _Index] = Kept(_make_index)
+_index: Callable[[MappingSet], _Index] = IdentityCache(_make_index)
 
 
 def _components(mapping_set: MappingSet, concerned: Mapping[str, Iterable[str]]) -> Mapping[str, frozenset[str]]:

@@ -26,7 +26,7 @@ from rosld.ontology.lift import LiftSettings
 from rosld.ontology.lower import LoweringError, Violation, lowerer
 from rosld.ontology.lower_graph import term_leaf
 from rosld.ontology.parameters import lower_json, lower_term
-from rosld.ontology.violations import shortened
+from rosld.ontology.violations import brief_value
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.catalogue import (
     MessageKind,
@@ -176,7 +176,7 @@ def _fitted(kind: Primitive, content: object) -> object:
     try:
         return term_leaf(kind)(content) if isinstance(content, Literal) else json_leaf(kind)(content)
     except Misfit as misfit:
-        raise LoweringError(Violation("", misfit.words, shortened(misfit.value))) from misfit
+        raise LoweringError(Violation("", misfit.words, brief_value(misfit.value))) from misfit
 
 
 def _planned(
@@ -210,7 +210,7 @@ def lower_content(schema: MessageSchema, content: object, lifting: LiftSettings,
 def _from_literal(schema: MessageSchema, field: Field | None, content: Literal, lifting: LiftSettings) -> Message:
     if field is None:
         expected = f"expected a node of type <{lifting.types}{schema.ref.name}>"
-        raise LoweringError(Violation("", expected, shortened(content)))
+        raise LoweringError(Violation("", expected, brief_value(content)))
     value = _fitted(cast(Primitive, field.type), content)
     return schema.codec.build(schema.ref.name, {field.attribute: value})
 

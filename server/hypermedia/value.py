@@ -33,9 +33,9 @@ from rosld.ontology.literals import (
     base64_text,
     json_scalars,
     json_string,
-    octets,
-    scalars,
-    wide,
+    scalar_texts,
+    wide_integer_json,
+    wire_bytes,
 )
 from rosld.ontology.lower import lowerer
 from rosld.ontology.vocab import xsd
@@ -179,7 +179,7 @@ def scalar_json(kind: Primitive, value: object) -> bytes:
     if kind.name == "float32":
         return json_scalars(np.array([value], np.float32))[0].encode()
     number = cast("int | float", value)
-    return json_scalars((wide(cast(int, number)) if kind.name.endswith("int64") else number,))[0].encode()
+    return json_scalars((wide_integer_json(cast(int, number)) if kind.name.endswith("int64") else number,))[0].encode()
 
 
 # RDF
@@ -192,7 +192,7 @@ def value_literal(value: Value, field: str | None = None) -> Literal | None:
     """
     if isinstance(value, StoredValue):
         stored = value.value if field is None else _stored_at(value.value, field)
-        return None if isinstance(stored, dict) else parameters.literal(stored)
+        return None if isinstance(stored, dict) else parameters.parameter_literal(stored)
     if field is not None:
         return _literal(*_scalar_at(value, field))
     scalar = scalar_field(value.fields)
@@ -201,13 +201,13 @@ def value_literal(value: Value, field: str | None = None) -> Literal | None:
 
 def _literal(kind: Primitive, value: object) -> Literal:
     if kind.name not in STRINGS:
-        form = scalars(np.array([value], DTYPES[kind.name]))[0]
+        form = scalar_texts(np.array([value], DTYPES[kind.name]))[0]
         return Literal(form, datatype=NamedNode(xsd.iri + DATATYPES[kind.name]))
     text = cast(str, value)
     try:
         return Literal(text)
     except ValueError:  # bytes that are no UTF-8
-        return Literal(base64_text(octets(text)), datatype=NamedNode(BASE64))
+        return Literal(base64_text(wire_bytes(text)), datatype=NamedNode(BASE64))
 
 
 def lift_value(value: MessageValue, node: str, lifting: LiftSettings) -> LiftedMessage:

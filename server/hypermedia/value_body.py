@@ -15,7 +15,7 @@ from rosld.adapters.model import Field, MessageSchema
 from rosld.ontology.body import RdfBody, Term
 from rosld.ontology.lift import LiftSettings
 from rosld.ontology.lower import LoweringError, Violation, lowerer, parse_json
-from rosld.ontology.violations import shortened
+from rosld.ontology.violations import brief_value
 from rosld.ontology.vocab import rdf
 from rosld.server.hypermedia.catalogue import Getter, Property, Setter, TopicSource
 from rosld.server.hypermedia.value import WHOLE, MessageValue, plain_json, select_fields
@@ -47,7 +47,7 @@ def content_from_rdf(
     if isinstance(term, Literal):
         return term
     if not isinstance(term, NamedNode | BlankNode):
-        raise LoweringError(Violation("", "expected a literal or a node", shortened(term)))
+        raise LoweringError(Violation("", "expected a literal or a node", brief_value(term)))
     return _describe(body, term, property, lifting, subject.value)
 
 
@@ -72,7 +72,7 @@ def _describe(
     if found is None:
         expected = f"a node of type {' or '.join(map(str, layouts))}" if layouts else "a literal"
         stated = ", ".join(map(str, kinds)) or f"{node} without a type"
-        raise LoweringError(Violation("", f"expected {expected}", shortened(stated)))
+        raise LoweringError(Violation("", f"expected {expected}", brief_value(stated)))
     part = select_fields(found.schema, found.fields)
     message = lowerer(part, lifting).from_graph(body, node, document)
     return parse_json(plain_json(MessageValue(found.schema, message, found.fields, document), WHOLE))

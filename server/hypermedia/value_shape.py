@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from rosld.adapters.model import Array, Descriptor, MessageSchema, Nested, Primitive
 from rosld.server.hypermedia.catalogue import MessageKind, ScalarKind, ValueKind
-from rosld.shapes.bounds import narrowed
+from rosld.shapes.bounds import narrow
 from rosld.shapes.parameter import declared_shape
 from rosld.shapes.value import UNBOUNDED, Bounds, Measure, MessageShape, OpenShape, ScalarShape, ValueShape
 
@@ -33,7 +33,7 @@ def with_descriptor(shape: ValueShape, descriptor: Descriptor) -> ValueShape:
     if isinstance(shape, MessageShape):
         return shape
     declared = declared_shape(descriptor, shape.measure)
-    bounds = narrowed(shape.bounds, declared.bounds)
+    bounds = narrow(shape.bounds, declared.bounds)
     return replace(declared if isinstance(shape, OpenShape) else shape, bounds=bounds)
 
 
@@ -43,11 +43,11 @@ def field_shape(shape: ValueShape, path: str, bounds: Bounds, measure: Measure) 
     `bounds` are those of the field's own resource; its type's hold as well.
     """
     if isinstance(shape, ScalarShape) and "." not in path:  # a message of one scalar is that scalar
-        return replace(shape, bounds=narrowed(bounds, shape.bounds), measure=measure)
+        return replace(shape, bounds=narrow(bounds, shape.bounds), measure=measure)
     kind = _primitive(shape.schema, path) if isinstance(shape, MessageShape) else None
     if kind is None or not isinstance(shape, MessageShape):
         return OpenShape(bounds, measure)
-    return ScalarShape(kind, narrowed(bounds, shape.bounds.get(path, UNBOUNDED)), measure)
+    return ScalarShape(kind, narrow(bounds, shape.bounds.get(path, UNBOUNDED)), measure)
 
 
 def _primitive(schema: MessageSchema, path: str) -> Primitive | None:

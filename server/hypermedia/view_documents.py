@@ -19,7 +19,7 @@ from pyoxigraph import Literal, NamedNode, Triple
 from rosld.ontology.affordances import BODIES, SSE, STREAM, forms
 from rosld.ontology.document import Document, LiftedMessage
 from rosld.ontology.lift import LiftSettings
-from rosld.ontology.triples import CONTAINER, RDF_SOURCE, about, boolean, each, text
+from rosld.ontology.triples import CONTAINER, RDF_SOURCE, boolean, statements, text, triples_about
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import dcterms, ldp, mapping, qudt, rdf, rdfs, ros, td
 from rosld.server.hypermedia.value import MessageValue, Reading, field_json, lift_value, plain_json, value_literal
@@ -49,7 +49,7 @@ def property_document(
     name = view.reading.name if view.field is None else _name(subject.value, space)
     triples = (
         *_property(view.affordance, name, view.reads_from, view.writes_to, view.part_of),
-        *about(subject, (rdf.value, said.term), (ros.unreadable, said.failure)),
+        *triples_about(subject, (rdf.value, said.term), (ros.unreadable, said.failure)),
         *_property_affordance(view.affordance, subject, "#property", space),
     )
     return Document(subject.value, triples, said.messages, simulated_time)
@@ -70,14 +70,14 @@ def _property(
 ) -> tuple[Triple, ...]:
     """What does not change with the value."""
     return tuple(
-        about(
+        triples_about(
             NamedNode(affordance.url),
             (rdf.type, ros.Property),
             *RDF_SOURCE,
             (ros.name, text(name)),
             (dcterms.title, text(affordance.title)),
-            *each(ros.readsFrom, map(NamedNode, reads_from)),
-            *each(ros.writesTo, map(NamedNode, writes_to)),
+            *statements(ros.readsFrom, map(NamedNode, reads_from)),
+            *statements(ros.writesTo, map(NamedNode, writes_to)),
             (dcterms.isPartOf, NamedNode(part_of)),
         )
     )
@@ -89,7 +89,7 @@ def _property(
 def action_document(view: ActionView, space: Space, lifting: LiftSettings) -> Document:
     """An action: the service behind it, and how to invoke it."""
     subject = NamedNode(view.affordance.url)
-    triples = about(
+    triples = triples_about(
         subject,
         *RDF_SOURCE,
         (ros.name, text(_name(subject.value, space))),
@@ -125,16 +125,20 @@ def complex_document(
         one = member.affordance
         said = _said(member.reading, member.field, view.url, fragment_of(one.name), lifting)
         own = NamedNode(one.url)
-        values += about(subject, (one.predicate, said.term)) if one.predicate else about(own, (rdf.value, said.term))
-        values += about(own, (ros.unreadable, said.failure))
+        values += (
+            triples_about(subject, (one.predicate, said.term))
+            if one.predicate
+            else triples_about(own, (rdf.value, said.term))
+        )
+        values += triples_about(own, (ros.unreadable, said.failure))
         messages += said.messages
         affordances += _property_affordance(one, subject, fragment_of("properties", one.name), space)
     for action in view.actions:
-        values += about(subject, (action.relation, NamedNode(action.url))) if action.relation else ()
+        values += triples_about(subject, (action.relation, NamedNode(action.url))) if action.relation else ()
         affordances += _action_affordance(action, subject, fragment_of("actions", action.name), space)
     values += [Triple(subject, link.relation, NamedNode(link.target)) for link in view.links]
-    values += about(subject, *each(ldp.contains, map(NamedNode, _contained(view))))
-    values += about(subject, *each(dcterms.hasPart, map(NamedNode, view.children)))
+    values += triples_about(subject, *statements(ldp.contains, map(NamedNode, _contained(view))))
+    values += triples_about(subject, *statements(dcterms.hasPart, map(NamedNode, view.children)))
     return Document(view.url, (*triples, *values, *affordances), tuple(messages), simulated_time)
 
 
@@ -152,7 +156,7 @@ def _complex(url: str, path: str, title: str | None, arranged_by: str | None, pa
     """What a complex resource is, whatever its state."""
     name = path.rstrip("/") or "/"
     return tuple(
-        about(
+        triples_about(
             NamedNode(url),
             (rdf.type, ros.ComplexResource),
             *CONTAINER,
@@ -221,7 +225,7 @@ def _property_affordance(one: PropertyAffordance, document: NamedNode, node: str
     subject, shape = NamedNode(document.value + node), NamedNode(f"{document.value}{node}/shape")
     measure = one.shape.measure if isinstance(one.shape, ScalarShape | OpenShape) else NO_MEASURE
     observable = one.read and one.observe
-    triples = about(
+    triples = triples_about(
         subject,
         (rdf.type, td.PropertyAffordance),
         (td.name, text(one.name)),
@@ -253,7 +257,7 @@ def _action_affordance(one: ActionAffordance, document: NamedNode, node: str, sp
         return ()
     subject = NamedNode(document.value + node)
     request = NamedNode(space.shape(one.request.ref.name)) if one.request.type.fields else None
-    triples = about(
+    triples = triples_about(
         subject,
         (rdf.type, td.ActionAffordance),
         (td.name, text(one.name)),

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from pyoxigraph import NamedNode, Quad, Store, Triple
 
-from rosld.ontology.body import RdfBody, indexed
+from rosld.ontology.body import RdfBody, index_quads
 from rosld.server.dataset.encoding import decode_triple, encode_triple
 from rosld.server.dataset.private_functions import FUNCTIONS
 from rosld.server.http.problem import Problem
@@ -56,7 +56,7 @@ def apply_update(
         raise Problem(422, f"The update cannot be carried out: {error}.") from error
     if limit is not None and len(store) > limit:
         raise TooManyTriples
-    return indexed(store if by_value else map(_as_said, store), base)
+    return index_quads(store if by_value else map(_as_said, store), base)
 
 
 def _as_said(quad: Quad) -> Quad:

@@ -25,7 +25,7 @@ class ActiveLimits:
     """The limits of all documents together. Every change is whole or none."""
 
     def __init__(self, initial: Sequence[Sequence[Triple]], space: Space) -> None:
-        self.current = Limits.of(initial, space)
+        self.current = Limits.from_graphs(initial, space)
         """All of them; a change makes another object."""
         self.lock = asyncio.Lock()
         """Held while a write is judged and done."""
@@ -42,9 +42,9 @@ class ActiveLimits:
         if len(graph) > MAX_TRIPLES:
             raise ValueError(f"it has {len(graph)} triples, and {MAX_TRIPLES} are the most: make several of it")
         try:
-            if not Limits.of([graph], self._space):
+            if not Limits.from_graphs([graph], self._space):
                 raise ValueError("it limits nothing: there is no shape with a sh:targetNode or a sh:targetClass in it")
-            Limits.of(self._with(url, graph), self._space)
+            Limits.from_graphs(self._with(url, graph), self._space)
         except RecursionError as error:
             raise ValueError("its shapes nest too deep") from error
         return graph
@@ -52,12 +52,12 @@ class ActiveLimits:
     def replace(self, url: str, graph: tuple[Triple, ...]) -> None:
         """Put a document into force that was found good, in the place of the one of the same URL."""
         self._kept[url] = graph
-        self.current = Limits.of(self._with(), self._space)
+        self.current = Limits.from_graphs(self._with(), self._space)
 
     def remove(self, url: str) -> None:
         """Take the document of this URL out of force; nothing happens where there is none."""
         if self._kept.pop(url, None) is not None:
-            self.current = Limits.of(self._with(), self._space)
+            self.current = Limits.from_graphs(self._with(), self._space)
 
     def load_stored(self, records: Records) -> None:
         """Put into force what was kept by an earlier run. What cannot be used (any more) is logged and left aside."""
@@ -84,7 +84,7 @@ def initial_limits(settings: Settings, adapter: Adapter, space: Space) -> Iterat
     for path in (*((shipped,) if shipped is not None else ()), *settings.shapes):
         try:
             graph = read_limits(path.read_bytes(), space.base)
-            Limits.of([graph], space)
+            Limits.from_graphs([graph], space)
         except ValueError as error:
             raise ValueError(f"{path} holds no limits: {error}") from error
         yield graph

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pyoxigraph import RdfFormat, parse
 
 from rosld.adapters.base import Adapter
-from rosld.ontology.body import indexed
+from rosld.ontology.body import index_quads
 from rosld.ontology.urls import Space
 from rosld.server.hypermedia.mapping_parser import MappingDocument, load_mapping, mapping_of
 from rosld.server.hypermedia.mappings import Mappings
@@ -23,7 +23,7 @@ _log = logging.getLogger("rosld")
 
 def stored_mapping(triples: bytes, url: str) -> MappingDocument:
     """The mapping that is kept as these N-Triples. Raises MappingRefused."""
-    return mapping_of(indexed(parse(triples, RdfFormat.N_TRIPLES), url), url)
+    return mapping_of(index_quads(parse(triples, RdfFormat.N_TRIPLES), url), url)
 
 
 def initial_mappings(settings: Settings, adapter: Adapter, space: Space) -> Iterator[MappingDocument]:

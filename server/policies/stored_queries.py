@@ -9,8 +9,8 @@ from typing import Generic, TypeVar
 
 from pyoxigraph import NamedNode, Triple
 
-from rosld.ontology.charsets import UTF_8, codec, decode
-from rosld.ontology.triples import about, text
+from rosld.ontology.charsets import UTF_8, codec_of, decode
+from rosld.ontology.triples import text, triples_about
 from rosld.ontology.urls import Space, decode_segment
 from rosld.ontology.vocab import dcterms, rdf, ros
 from rosld.server.http import media
@@ -124,7 +124,7 @@ class StoredQueries:
         data = self._records.file(blob).read_bytes()
         charset = media.parse(blob.media_type).parameter("charset") or UTF_8
         try:
-            return data.decode("utf-8") if codec(charset) == UTF_8 else decode(data, codec(charset))
+            return data.decode("utf-8") if codec_of(charset) == UTF_8 else decode(data, codec_of(charset))
         except UnicodeDecodeError as error:
             line = data[: error.start].count(b"\n") + 1
             raise ValueError(f"{name}:{line}: what stands there is not {charset.upper()} ({error.reason})") from error
@@ -132,7 +132,7 @@ class StoredQueries:
 
 def query_triples(url: str, query: StoredQuery) -> list[Triple]:
     """A stored query as RDF: its purpose, its parameters, its text."""
-    return about(
+    return triples_about(
         NamedNode(url),
         (rdf.type, ros.Query),
         (ros.name, text(query.name)),

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping
 from pyoxigraph import Literal, NamedNode, Triple
 
 from rosld.ontology.document import Document
-from rosld.ontology.triples import about, boolean, each, text
+from rosld.ontology.triples import boolean, statements, text, triples_about
 from rosld.ontology.urls import Location
 from rosld.ontology.vocab import acl, foaf, rdf, ros
 from rosld.server.auth.agent import ANONYMOUS, Agent
@@ -59,7 +59,7 @@ def policy_document(policy: Policy, url: str) -> Iterable[Triple]:
     nodes = {agent.name: _node(agent, number, url) for number, agent in enumerate(policy.agents.values(), 1)}
     by_webid = {agent.webid: nodes[agent.name] for agent in policy.agents.values() if agent.webid}
     for agent in policy.agents.values():
-        yield from about(nodes[agent.name], (rdf.type, foaf.Agent), (ros.name, text(agent.name)))
+        yield from triples_about(nodes[agent.name], (rdf.type, foaf.Agent), (ros.name, text(agent.name)))
     for number, rule in enumerate(policy.rules, 1):
         yield from _authorization(rule, NamedNode(f"{url}#rule-{number}"), {**by_webid, **nodes})
 
@@ -70,13 +70,13 @@ def _node(agent: Agent, number: int, url: str) -> NamedNode:
 
 def _authorization(rule: Rule, node: NamedNode, nodes: Mapping[str, NamedNode]) -> Iterable[Triple]:
     names = sorted(rule.agents)
-    return about(
+    return triples_about(
         node,
         (rdf.type, acl.Authorization),
-        *each(acl.agentClass, (_CLASSES[name] for name in names if name in _CLASSES)),
-        *each(acl.agent, (nodes[name] for name in names if name in nodes)),
-        *each(acl.mode, (_MODES[mode] for mode in sorted(rule.modes, key=lambda mode: mode.value))),
-        *each(ros.glob, (Literal(glob.text) for glob in rule.globs)),
-        *each(ros.typeGlob, map(Literal, rule.types)),
+        *statements(acl.agentClass, (_CLASSES[name] for name in names if name in _CLASSES)),
+        *statements(acl.agent, (nodes[name] for name in names if name in nodes)),
+        *statements(acl.mode, (_MODES[mode] for mode in sorted(rule.modes, key=lambda mode: mode.value))),
+        *statements(ros.glob, (Literal(glob.text) for glob in rule.globs)),
+        *statements(ros.typeGlob, map(Literal, rule.types)),
         (ros.deny, boolean(True) if rule.deny else None),
     )

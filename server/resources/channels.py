@@ -19,7 +19,7 @@ from rosld.ontology.document import Document
 from rosld.ontology.notifications import (
     CHANNEL_TYPES,
     Json,
-    Service,
+    ServiceDescription,
     description_document,
     description_members,
     with_context,
@@ -94,12 +94,12 @@ class Notifications:
         self.broadcasters = broadcasters
         self._site = site
         self._resolve = resolve
-        self.services = tuple(Service(robot.space.url(ROOM, (kind,)), kind) for kind in CHANNEL_TYPES)
+        self.services = tuple(ServiceDescription(robot.space.url(ROOM, (kind,)), kind) for kind in CHANNEL_TYPES)
         self.description = f"{robot.space.base}{WELL_KNOWN}/solid"
         self.link = Link(self.description, STORAGE_DESCRIPTION)
         """What every answer links to (2.1)."""
 
-    def service(self, kind: str) -> Service | None:
+    def service(self, kind: str) -> ServiceDescription | None:
         """The service that makes channels of a type."""
         return next((service for service in self.services if service.type == kind), None)
 
@@ -109,7 +109,7 @@ class Notifications:
         source = f"{url}/{SOURCE}"
         return url, source.replace("http", "ws", 1) if kind == WEBSOCKET else source
 
-    async def create_channel(self, exchange: Exchange, service: Service) -> Channel:
+    async def create_channel(self, exchange: Exchange, service: ServiceDescription) -> Channel:
         """The channel that a request asks for. Raises Problems, and BodyError for what cannot be read."""
         check_profile(exchange.header("content-type"))
         media_type = exchange.media_type
@@ -280,7 +280,7 @@ class SubscriptionService(DescribedResource):
     accepts = {"POST": MEDIA_TYPES}  # noqa: RUF012
     takes_forms = False
 
-    def __init__(self, notifications: Notifications, service: Service) -> None:
+    def __init__(self, notifications: Notifications, service: ServiceDescription) -> None:
         super().__init__(notifications, service.url)
         self.title = service.type
         self._service = service

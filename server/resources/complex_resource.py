@@ -12,7 +12,7 @@ from pyoxigraph import Triple
 from starlette.responses import Response
 
 from rosld.adapters.base import Watch
-from rosld.ontology.body import body_of
+from rosld.ontology.body import index_triples
 from rosld.ontology.lower import parse_json
 from rosld.server.auth.permissions import Permissions
 from rosld.server.html import Form, forms_of
@@ -195,7 +195,7 @@ class ComplexResource(CommandResource):
             raise Problem(403, self.deny_reason("PATCH" if triples is not None else "DELETE"))
         snapshot = await read_fresh_state(robot, tree, plan.reads)
         view = robot.affordances.complex_view(plan, snapshot)
-        body = body_of(triples)
+        body = index_triples(triples)
         writes = await plan_changes(robot, plan, snapshot, changes_in_graph(body, plan, view, robot))
 
         async def carried_out_all() -> bool:

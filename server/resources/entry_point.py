@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 
-from rosld.ontology.describe_graph import ROOMS, entry_document
+from rosld.ontology.describe_graph import SECTIONS, entry_document
 from rosld.server.html import Csrf, EntryCount, EntryPage, Form, Notice, Site, render_entry
 from rosld.server.html.page import NoticeLevel
 from rosld.server.http.link import Link
@@ -46,13 +46,13 @@ class EntryResource(Resource):
             "parameters": _seen(graph.parameters, space.parameter, site),
             "bags": _seen(self.robot.adapter.recordings, space.bag, site),
         }
-        first = EntryCount(ROOMS["resources"], None, space.container("resources"), _FIRST, first=True)
+        first = EntryCount(SECTIONS["resources"], None, space.container("resources"), _FIRST, first=True)
         goals = ("goals",) if graph.actions else ()
         counts = (
             first,
-            *(EntryCount(ROOMS[room], number, space.container(room)) for room, number in numbers.items() if number),
+            *(EntryCount(SECTIONS[room], number, space.container(room)) for room, number in numbers.items() if number),
             *(
-                EntryCount(ROOMS[room], None, space.container(room))
+                EntryCount(SECTIONS[room], None, space.container(room))
                 for room in ("types", "mappings", "data", "calls", *goals, "holds", "queries")
             ),
         )

@@ -18,7 +18,7 @@ from starlette.types import Scope
 
 from rosld.ontology.body import parse_dataset
 from rosld.ontology.document import Document
-from rosld.ontology.triples import about, text
+from rosld.ontology.triples import text, triples_about
 from rosld.ontology.vocab import dcterms, rdf, rdfs, sd
 from rosld.server.auth import enforcement
 from rosld.server.http.link import to_uri
@@ -160,7 +160,7 @@ class GraphStore(Resource):
     def _description(self) -> tuple[Triple, ...]:
         store, default = NamedNode(self.url), NamedNode(self._default.url)
         return (
-            *about(
+            *triples_about(
                 store,
                 (rdf.type, sd.Dataset),
                 (dcterms.title, text("The graph store")),
@@ -169,8 +169,10 @@ class GraphStore(Resource):
                 (rdfs.seeAlso, NamedNode(f"{self._robot.space.base}sparql")),
                 (rdfs.seeAlso, NamedNode(self._all.url)),
             ),
-            *about(default, (rdfs.label, text("The default graph: all graphs together"))),
-            *about(NamedNode(self._all.url), (rdfs.label, text("All graphs with their names, as N-Quads or TriG"))),
+            *triples_about(default, (rdfs.label, text("The default graph: all graphs together"))),
+            *triples_about(
+                NamedNode(self._all.url), (rdfs.label, text("All graphs with their names, as N-Quads or TriG"))
+            ),
         )
 
     async def select_variant(self, exchange: Exchange) -> Resource:

@@ -16,7 +16,7 @@ from starlette.responses import Response
 
 from rosld.adapters.base import Watch
 from rosld.adapters.model import Message, MessageSchema, RosError
-from rosld.ontology.body import body_of
+from rosld.ontology.body import index_triples
 from rosld.ontology.describe_holds import (
     LEASE,
     MAX_LEASE,
@@ -29,7 +29,7 @@ from rosld.ontology.describe_holds import (
 from rosld.ontology.document import Document
 from rosld.ontology.lift import lifter
 from rosld.ontology.lower import LoweringError, find_message, lowerer, parse_json
-from rosld.ontology.neutral_message import COMMANDS, TWISTS, zeroed
+from rosld.ontology.neutral_message import COMMANDS, TWISTS, with_zeros
 from rosld.server.auth.errors import not_found
 from rosld.server.html import DeleteForm, Form, HoldForm
 from rosld.server.html.drive_pad import drive_pad
@@ -196,7 +196,7 @@ class HoldResource(Resource):
             None if hold.release_message is None else (hold.release_message.schema, hold.release_message.message),
             hold.release_requested,
             hold.last_error,
-            changeable=not self.robot.settings.read_only,
+            is_changeable=not self.robot.settings.read_only,
         )
         return hold_document(view, self.robot.space, self.robot.lifting)
 
@@ -345,7 +345,7 @@ async def _then(
     if words == NONE:
         return None, NONE
     try:
-        message = zeroed(schema, held.message) if words == ZERO else await _message_at(words, robot, schema, find)
+        message = with_zeros(schema, held.message) if words == ZERO else await _message_at(words, robot, schema, find)
         await publishing.require_within_limits(schema, message)
     except LoweringError as error:
         detail = f"?then={words[:500]}: {error}"
@@ -373,7 +373,7 @@ async def _message_at(url: str, robot: Robot, schema: MessageSchema, find: Find 
         raise problem_of(error) from error
     except Problem as problem:
         raise Problem(422, problem.detail) from problem
-    body = body_of(state.document.all_triples())
+    body = index_triples(state.document.all_triples())
     type_iri = robot.space.class_of(schema.ref.name)
     root = NamedNode(whole) if fragment else find_message(body, document, type_iri)
     return lowerer(schema, robot.lifting).from_graph(body, root, document)

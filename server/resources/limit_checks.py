@@ -17,7 +17,7 @@ from rosld.ontology.vocab import rdf, ros
 from rosld.server.hypermedia.conditions import url_of, value_triples
 from rosld.server.hypermedia.value import MessageValue, Reading, StoredValue, Value
 from rosld.server.resources.context import Robot
-from rosld.shapes.bounds import merged
+from rosld.shapes.bounds import merge_bounds
 from rosld.shapes.parameter import violations
 from rosld.shapes.value import Bounds
 
@@ -57,7 +57,7 @@ async def topic_bounds(robot: Robot, name: str, schema: MessageSchema) -> Mappin
     for shown, field in () if own is None else tree.names_of(own):
         if field is None:
             found.append(limits.bounds_of_value(url_of(shown, robot.space), rdf.value, schema))
-    return merged(*found)
+    return merge_bounds(*found)
 
 
 async def require_parameter(robot: Robot, name: str, value: ParameterValue) -> None:

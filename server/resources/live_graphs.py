@@ -35,7 +35,7 @@ from rosld.ontology.describe_types import type_document
 from rosld.ontology.document import Document
 from rosld.ontology.modules import MODULES
 from rosld.ontology.serialize import Syntax, serialize
-from rosld.ontology.triples import RDF_SOURCE, about, text
+from rosld.ontology.triples import RDF_SOURCE, text, triples_about
 from rosld.ontology.urls import Location, Space
 from rosld.ontology.vocab import rdf, ros
 from rosld.server.auth.permissions import Permissions
@@ -430,7 +430,7 @@ class RobotGraphs:
 def parameter_description(parameter: Parameter, space: Space) -> Document:
     """A parameter without its value, which is read when a query needs it."""
     url, descriptor = space.parameter(parameter.name), parameter.descriptor
-    triples = about(NamedNode(url), (rdf.type, ros.Parameter), *RDF_SOURCE, (ros.name, text(parameter.name)))
+    triples = triples_about(NamedNode(url), (rdf.type, ros.Parameter), *RDF_SOURCE, (ros.name, text(parameter.name)))
     return Document(url, (*triples, *(declared_triples(descriptor, url, space) if descriptor is not None else ())))
 
 

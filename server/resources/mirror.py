@@ -8,7 +8,7 @@ import orjson
 from pyoxigraph import NamedNode
 
 from rosld.ontology.document import Document
-from rosld.ontology.triples import RDF_SOURCE, about, double, integer, moment, text
+from rosld.ontology.triples import RDF_SOURCE, date_time_literal, double, integer, text, triples_about
 from rosld.ontology.urls import Location
 from rosld.ontology.vocab import dcterms, rdf, ros
 from rosld.server.dataset.replication import Mirror, ReplicationStatus
@@ -55,7 +55,7 @@ def replication_document(url: str, status: ReplicationStatus) -> Document:
     return Document(
         url,
         tuple(
-            about(
+            triples_about(
                 NamedNode(url),
                 (rdf.type, ros.Mirror),
                 *RDF_SOURCE,
@@ -65,7 +65,7 @@ def replication_document(url: str, status: ReplicationStatus) -> Document:
                 (ros.lag, double(round(status.lag, 3))),
                 (ros.pending, integer(status.pending)),
                 (ros.refusedGraphs, integer(status.refused)),
-                (dcterms.modified, moment(status.updated_ns)),
+                (dcterms.modified, date_time_literal(status.updated_ns)),
             )
         ),
     )

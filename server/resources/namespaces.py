@@ -11,7 +11,7 @@ from pyoxigraph import NamedNode
 from rosld.adapters.model import Action, Graph, Parameter, Service, Topic, frozen, names
 from rosld.ontology.describe_containers import namespace_document
 from rosld.ontology.document import Document
-from rosld.ontology.namespaces import Kept, Members, members_of
+from rosld.ontology.namespaces import IdentityCache, Members, members_of
 from rosld.ontology.urls import Space, decode_segment, encode_segment
 from rosld.server.html import MemberColumns, SequenceLink
 from rosld.server.html.page import Cell
@@ -45,7 +45,7 @@ _HIDDEN = QueryParameter(
 )
 
 _V = TypeVar("_V")
-_namespaces: Kept[Mapping[str, object], Namespaces] = Kept(members_of, 24)
+_namespaces: IdentityCache[Mapping[str, object], Namespaces] = IdentityCache(members_of, 24)
 
 
 def things_of(graph: Graph, room: str) -> Mapping[str, object]:
@@ -91,7 +91,7 @@ def _unhidden(graph: Graph) -> Graph:
     )
 
 
-_listed: Kept[Graph, Graph] = Kept(_unhidden)
+_listed: IdentityCache[Graph, Graph] = IdentityCache(_unhidden)
 
 
 def listed_graph(robot: Robot) -> Graph:

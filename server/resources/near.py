@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from rosld.ontology.namespaces import Kept, namespaces_of
+from rosld.ontology.namespaces import IdentityCache, namespaces_of
 from rosld.ontology.urls import Location
 from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.resource_tree import ResourceTree, path_of, segments_of
@@ -23,8 +23,8 @@ def _near_in_tree(tree: ResourceTree) -> NearNames:
     return NearNames({*tree.properties, *tree.actions, *tree.paths} - {"/"})
 
 
-_room_names: Kept[Mapping[str, object], NearNames] = Kept(_near_in_room)
-_tree_names: Kept[ResourceTree, NearNames] = Kept(_near_in_tree, 2)
+_room_names: IdentityCache[Mapping[str, object], NearNames] = IdentityCache(_near_in_room)
+_tree_names: IdentityCache[ResourceTree, NearNames] = IdentityCache(_near_in_tree, 2)
 
 
 def near_urls(robot: Robot, url: str) -> Sequence[str]:

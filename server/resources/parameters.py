@@ -12,7 +12,7 @@ from starlette.responses import Response
 
 from rosld.adapters.base import Watch
 from rosld.adapters.model import Descriptor, Kind, Operation, ParameterValue, Ref, names
-from rosld.ontology.body import body_of, parse_body
+from rosld.ontology.body import index_triples, parse_body
 from rosld.ontology.document import Document
 from rosld.ontology.lower import parse_json
 from rosld.ontology.namespaces import Members
@@ -24,9 +24,9 @@ from rosld.ontology.parameters import (
     parameter_container_document,
     parameter_document,
     parameter_json,
-    plain,
+    plain_value,
 )
-from rosld.ontology.triples import about, text
+from rosld.ontology.triples import text, triples_about
 from rosld.ontology.urls import encode_segment
 from rosld.ontology.vocab import rdfs, ros
 from rosld.server.auth.enforcement import require_subtree
@@ -271,7 +271,7 @@ class ParameterResource(_Parameters):
         def described() -> Document:
             document = parameter_document(self.name, value, self.robot.space)
             declared = () if descriptor is None else declared_triples(descriptor, self.url, self.robot.space)
-            noted = about(NamedNode(self.url), (rdfs.comment, text(note)))
+            noted = triples_about(NamedNode(self.url), (rdfs.comment, text(note)))
             return replace(document, triples=(*document.triples, *declared, *noted))
 
         said = "" if descriptor is None and note is None else repr((descriptor, note))
@@ -282,7 +282,7 @@ class ParameterResource(_Parameters):
         methods, value = self.methods(), await self._value()
         forms: list[Form] = []
         if "PUT" in methods and value is not None:
-            forms.append(_form(plain(value), self._descriptor(self.name), self._note))
+            forms.append(_form(plain_value(value), self._descriptor(self.name), self._note))
         if "DELETE" in methods:
             forms.append(DeleteForm("Delete the parameter"))
         return forms
@@ -302,7 +302,7 @@ class ParameterResource(_Parameters):
 
     async def plan_graph_write(self, triples: Sequence[Triple] | None) -> Plan:
         methods = self.methods()
-        body = body_of(triples or ())
+        body = index_triples(triples or ())
         if not body.objects(NamedNode(self.url), ros.value):
             if "DELETE" not in methods:
                 raise Problem(403, self.deny_reason("DELETE"))

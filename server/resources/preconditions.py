@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from rosld.ontology.violations import Violation, in_words
+from rosld.ontology.violations import Violation, violations_text
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import Snapshot
 from rosld.server.hypermedia.catalogue import Property
@@ -36,4 +36,6 @@ def condition_conflict(robot: Robot, conditions: Sequence[Condition], snapshot: 
     broken: tuple[Violation, ...] = snapshot.results.violations(conditions)
     if broken:
         about = [url_of(condition.about, robot.space) for condition in conditions]
-        raise Problem(409, f"{sentence}: {in_words(broken)}.", title="Not on offer now", violations=broken, about=about)
+        raise Problem(
+            409, f"{sentence}: {violations_text(broken)}.", title="Not on offer now", violations=broken, about=about
+        )

@@ -12,7 +12,7 @@ from starlette.responses import Response
 
 from rosld.adapters.base import Watch
 from rosld.adapters.model import Kind, ServiceSchema
-from rosld.ontology.body import RdfBody, body_of, parse_body
+from rosld.ontology.body import RdfBody, index_triples, parse_body
 from rosld.ontology.fields import field_bytes
 from rosld.ontology.lower import parse_json
 from rosld.ontology.vocab import rdf, ros
@@ -262,7 +262,7 @@ class MemberResource(CommandResource):
             raise Problem(403, self.deny_reason("PUT"))
         if triples is None:
             raise Problem(403, f"{self.name} is there for as long as the robot has it: it cannot be dropped.")
-        body = body_of(triples)
+        body = index_triples(triples)
         written = await self._write(tree, plan, self._stated(plan, body))
 
         async def carried_out() -> bool:

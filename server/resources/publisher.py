@@ -9,7 +9,7 @@ from pyoxigraph import NamedNode, Triple
 from starlette.responses import Response
 
 from rosld.adapters.model import Kind, Message, MessageSchema, Topic, TypeRef, UnknownType
-from rosld.ontology.body import RdfBody, body_of, parse_body
+from rosld.ontology.body import RdfBody, index_triples, parse_body
 from rosld.ontology.lift import lifter
 from rosld.ontology.lower import find_message, lowerer, parse_json
 from rosld.ontology.neutral_message import COMMANDS
@@ -92,7 +92,7 @@ class Publisher:
 
     async def plan_graph(self, triples: Sequence[Triple]) -> PlannedPublish:
         """What the graph of the topic asks to be published, if it is to say these triples."""
-        body = body_of(triples)
+        body = index_triples(triples)
         schema = await (self._schema() if self._typed() else self._stated_schema(body))
         return await self._publish(schema, self._lower(schema, body), latch=False)
 

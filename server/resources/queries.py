@@ -16,7 +16,7 @@ from starlette.responses import Response
 from rosld.adapters.base import Watch
 from rosld.ontology.document import Document
 from rosld.ontology.serialize import Syntax
-from rosld.ontology.triples import RDF_SOURCE, about, each, text
+from rosld.ontology.triples import RDF_SOURCE, statements, text, triples_about
 from rosld.ontology.urls import Location
 from rosld.ontology.vocab import dcterms, ldp, rdfs
 from rosld.server import html
@@ -224,7 +224,7 @@ class ShippedQueryResource(Resource):
 
 def shipped_document(url: str, query: StoredQuery) -> Document:
     """The description of a query that comes with rosld."""
-    return Document(url, (*about(NamedNode(url), *RDF_SOURCE), *query_triples(url, query)))
+    return Document(url, (*triples_about(NamedNode(url), *RDF_SOURCE), *query_triples(url, query)))
 
 
 # What clients keep
@@ -365,13 +365,15 @@ def _shipped(robot: Robot) -> dict[str, str]:
 def _list(document: Document, shipped: Mapping[str, str], kept: Mapping[str, str], *, titled: bool) -> Document:
     """The container with its queries' purposes. That they are queries they say themselves, and nobody else."""
     container = NamedNode(document.url)
-    more = about(
+    more = triples_about(
         container,
         (dcterms.title, text(_TITLE) if titled else None),
-        *each(ldp.contains, map(NamedNode, shipped)),
+        *statements(ldp.contains, map(NamedNode, shipped)),
     )
     purposes = {**shipped, **kept}.items()
-    said = [triple for url, purpose in purposes for triple in about(NamedNode(url), (rdfs.comment, text(purpose)))]
+    said = [
+        triple for url, purpose in purposes for triple in triples_about(NamedNode(url), (rdfs.comment, text(purpose)))
+    ]
     return Document(document.url, tuple(dict.fromkeys((*document.triples, *more, *said))))
 
 

@@ -9,7 +9,7 @@ from pyoxigraph import NamedNode, Triple
 from starlette.responses import Response, StreamingResponse
 
 from rosld.ontology.document import Document
-from rosld.ontology.triples import about, each
+from rosld.ontology.triples import statements, triples_about
 from rosld.ontology.vocab import rdf, rdfs, ros, sd
 from rosld.server import html
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
@@ -186,16 +186,16 @@ def _dataset(service: NamedNode) -> Iterable[Triple]:
     """Every resource is a named graph under its URL, and the default graph is their union."""
     dataset, default = (NamedNode(f"{service.value}#{name}") for name in ("dataset", "default"))
     return (
-        *about(service, (sd.feature, sd.UnionDefaultGraph), (sd.defaultDataset, dataset)),
-        *about(dataset, (rdf.type, sd.Dataset), (sd.defaultGraph, default)),
-        *about(default, (rdf.type, sd.Graph)),
+        *triples_about(service, (sd.feature, sd.UnionDefaultGraph), (sd.defaultDataset, dataset)),
+        *triples_about(dataset, (rdf.type, sd.Dataset), (sd.defaultGraph, default)),
+        *triples_about(default, (rdf.type, sd.Graph)),
     )
 
 
 def _extensions(service: NamedNode) -> Iterable[Triple]:
     for iri in sorted(functions(lambda url: None)):
-        yield from about(service, (sd.extensionFunction, NamedNode(iri)))
-        yield from about(NamedNode(iri), (rdf.type, sd.Function))
+        yield from triples_about(service, (sd.extensionFunction, NamedNode(iri)))
+        yield from triples_about(NamedNode(iri), (rdf.type, sd.Function))
 
 
 RESULTS = tuple(dict.fromkeys((*SOLUTIONS, *GRAPHS, HTML)))
@@ -275,10 +275,10 @@ class SparqlResource(Resource):
             *self._languages(service),
             *_dataset(service),
             *describe_limits(service, self._service.limits),
-            *about(service, *each(sd.resultFormat, _formats((*SOLUTIONS, *GRAPHS)))),
+            *triples_about(service, *statements(sd.resultFormat, _formats((*SOLUTIONS, *GRAPHS)))),
             *_extensions(service),
-            *about(service, (rdfs.seeAlso, NamedNode(f"{self.robot.space.base}graphs"))),
-            *about(service, (ros.hasMirror, self._mirror())),
+            *triples_about(service, (rdfs.seeAlso, NamedNode(f"{self.robot.space.base}graphs"))),
+            *triples_about(service, (ros.hasMirror, self._mirror())),
         )
 
     def _mirror(self) -> NamedNode | None:
@@ -288,12 +288,12 @@ class SparqlResource(Resource):
     def _languages(self, service: NamedNode) -> Iterable[Triple]:
         languages = [sd.SPARQL11Query] if self._updates is None else [sd.SPARQL11Query, sd.SPARQL11Update]
         inputs = () if self.robot.settings.read_only else _formats(RDF_BODIES)
-        return about(
+        return triples_about(
             service,
             (rdf.type, sd.Service),
             (sd.endpoint, service),
-            *each(sd.supportedLanguage, languages),
-            *each(sd.inputFormat, inputs),
+            *statements(sd.supportedLanguage, languages),
+            *statements(sd.inputFormat, inputs),
             (sd.defaultEntailmentRegime, NamedNode("http://www.w3.org/ns/entailment/Simple")),
         )
 

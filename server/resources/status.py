@@ -8,7 +8,7 @@ import orjson
 from pyoxigraph import NamedNode
 
 from rosld.ontology.document import Document
-from rosld.ontology.triples import RDF_SOURCE, about, double, moment, text
+from rosld.ontology.triples import RDF_SOURCE, date_time_literal, double, text, triples_about
 from rosld.ontology.urls import Location
 from rosld.ontology.vocab import rdf, ros
 from rosld.server.http.problem import Problem
@@ -63,12 +63,12 @@ def status_document(url: str, pauses: Pauses, storage_problems: Sequence[str] = 
     return Document(
         url,
         tuple(
-            about(
+            triples_about(
                 NamedNode(url),
                 (rdf.type, ros.ServerStatus),
                 *RDF_SOURCE,
                 (ros.longestPause, double(round(longest.seconds, 4))),
-                (ros.longestPauseEnd, moment(longest.ended_ns)),
+                (ros.longestPauseEnd, date_time_literal(longest.ended_ns)),
                 (ros.longestPauseCode, text(longest.code)),
                 (ros.longestWork, double(round(pauses.busiest.busy, 4))),
                 (ros.longestWorkCode, text(pauses.busiest.code)),
@@ -80,7 +80,7 @@ def status_document(url: str, pauses: Pauses, storage_problems: Sequence[str] = 
 
 
 def _plain(pauses: Pauses, storage_problems: Sequence[str]) -> bytes:
-    end = moment(pauses.longest.ended_ns)
+    end = date_time_literal(pauses.longest.ended_ns)
     return orjson.dumps(
         {
             "longestPause": round(pauses.longest.seconds, 4),

@@ -11,7 +11,7 @@ from rosld.adapters.base import Watch
 from rosld.ontology.body import parse_json
 from rosld.ontology.describe_holds import StepView, stop_document
 from rosld.ontology.document import Document
-from rosld.ontology.triples import moment
+from rosld.ontology.triples import date_time_literal
 from rosld.ontology.vocab import ros
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.html import DeleteForm, Form
@@ -128,7 +128,7 @@ class StopResource(Resource):
         """The stop as JSON, with the steps that the agent may know of."""
         stops = self.robot.software_stop
         stop_state = stops.stop_state
-        since = None if stop_state is None else moment(stop_state.since_ns)
+        since = None if stop_state is None else date_time_literal(stop_state.since_ns)
         steps = [
             {"does": step.description, "state": step.status.value, "subscribers": step.subscribers, "words": step.words}
             for step in stops.steps

@@ -17,7 +17,7 @@ from urllib.parse import quote
 from pyoxigraph import NamedNode, Triple
 
 from rosld.ontology.document import Document
-from rosld.ontology.triples import about
+from rosld.ontology.triples import triples_about
 from rosld.ontology.vocab import ldp, rdf, xhv
 from rosld.server.html import SequenceLink
 from rosld.server.http.link import Link, to_uri
@@ -90,7 +90,7 @@ class LdpPage:
     def triples(self) -> list[Triple]:
         """The same in RDF."""
         relations = {"first": xhv.first, "prev": xhv.prev, "next": xhv.next, "last": xhv.last}
-        return about(
+        return triples_about(
             NamedNode(self.url),
             (rdf.type, ldp.Page),
             (ldp.pageSequence, NamedNode(self.container)),

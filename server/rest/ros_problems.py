@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from rosld.adapters.model import NotFound, Refused, RosError, Sent, TimedOut, UnknownType, Unreachable
-from rosld.ontology.body import BodyError, UnreadCharset
+from rosld.ontology.body import BodyError, UnsupportedCharset
 from rosld.ontology.lower import LoweringError
-from rosld.ontology.triples import moment
+from rosld.ontology.triples import date_time_literal
 from rosld.server.http.problem import Problem
 from rosld.server.robot.interlock import Stopped, TopicHeld
 from rosld.server.runtime.process_memory import NotEnoughMemory
@@ -32,7 +32,7 @@ def problem_of(error: RosError) -> Problem:
         extra["words"] = error.words
     match error:
         case Stopped(stop_state=stop_state):
-            since = moment(stop_state.since_ns)
+            since = date_time_literal(stop_state.since_ns)
             extra |= {
                 "stoppedBy": stop_state.stopped_by,
                 "since": since.value if since else None,
@@ -57,6 +57,6 @@ def problem_of_body(error: BodyError | LoweringError) -> Problem:
     """400 for a body that cannot be read (415 for its charset), 422 for one that does not fit, with every violation."""
     if isinstance(error, LoweringError):
         return Problem(422, str(error), title="Does not fit", violations=error.violations)
-    if isinstance(error, UnreadCharset):
+    if isinstance(error, UnsupportedCharset):
         return Problem(415, str(error))
     return Problem(400, str(error), title="Malformed body")

@@ -16,7 +16,7 @@ from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from rosld.adapters.model import Encoding, Kind, Message, MessageSchema, RosError
-from rosld.ontology.neutral_message import is_unstamped, stamped
+from rosld.ontology.neutral_message import is_unstamped, with_stamp
 from rosld.server.auth.agent import Agent
 from rosld.server.http.problem import Problem
 from rosld.server.robot.interlock import Holder
@@ -53,7 +53,7 @@ class HeldMessage:
         """The bytes to publish at a time, in nanoseconds after the epoch."""
         if not self.is_stamped:
             return self.data
-        return self.schema.codec.encode(stamped(self.schema, self.message, now_ns), encoding)
+        return self.schema.codec.encode(with_stamp(self.schema, self.message, now_ns), encoding)
 
 
 def held_message(

@@ -8,7 +8,7 @@ from fnmatch import fnmatchcase
 from rosld.adapters.model import Graph, Message, MessageSchema, Topic
 from rosld.ontology.lift import LiftSettings
 from rosld.ontology.lower import lowerer
-from rosld.ontology.neutral_message import COMMANDS, is_zero, zeroed
+from rosld.ontology.neutral_message import COMMANDS, is_zero, with_zeros
 from rosld.server.robot.session import Session
 from rosld.server.robot.write_policy import is_reserved
 
@@ -44,7 +44,7 @@ def subscribers_of(topic: Topic, graph: Graph) -> int:
 
 def zero_message(schema: MessageSchema, lifting: LiftSettings) -> Message:
     """The zero message of a type."""
-    return zeroed(schema, lowerer(schema, lifting).from_json({}, defaults=True))
+    return with_zeros(schema, lowerer(schema, lifting).from_json({}, defaults=True))
 
 
 def passes_stop(session: Session, name: str, schema: MessageSchema, message: Message) -> bool:

@@ -17,7 +17,7 @@ from itertools import count
 from pyoxigraph import BlankNode, Literal, NamedNode, Store, Triple, Variable
 
 from rosld.ontology.coercion import Misfit
-from rosld.ontology.describe_graph import ROOMS
+from rosld.ontology.describe_graph import SECTIONS
 from rosld.ontology.lexical import NUMBERS
 from rosld.ontology.lift import TYPES
 from rosld.ontology.triples import double
@@ -317,7 +317,7 @@ def _url(path: str, base: str) -> str:
     assert match is not None
     location = locate(match[1])
     space = Space(base)
-    if location.kind not in ROOMS and path != "/":
+    if location.kind not in SECTIONS and path != "/":
         raise ValueError(f"{_told(path)} is no path of this server, such as /topics/x or /nodes/x")
     if not location.kind:
         return base

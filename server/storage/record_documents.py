@@ -10,7 +10,7 @@ from typing import NamedTuple
 from pyoxigraph import NamedNode, RdfFormat, Triple, parse
 
 from rosld.ontology.document import Document
-from rosld.ontology.triples import Statement, about, each, integer, moment, text
+from rosld.ontology.triples import Statement, date_time_literal, integer, statements, text, triples_about
 from rosld.ontology.vocab import dcterms, ldp, rdf, ros
 from rosld.server.storage.models import rdf_types
 from rosld.server.storage.packing import unpack, unpack_prefix
@@ -36,7 +36,7 @@ def record_document(record: Record, url: str, members: Sequence[str], membership
     Of a non-RDF source it is the description, at its URL and `.meta`.
     """
     document = url + META if record.model is Model.NON_RDF_SOURCE else url
-    contained = about(NamedNode(url), *each(ldp.contains, map(NamedNode, members))) if members else ()
+    contained = triples_about(NamedNode(url), *statements(ldp.contains, map(NamedNode, members))) if members else ()
     times = client_times(record, url)
     said = parse_ntriples(_beside(times, record))
     return Document(document, (*_managed(record, url, times), *contained, *said, *membership))
@@ -52,10 +52,10 @@ def managed_triples(record: Record, url: str) -> tuple[Triple, ...]:
 
 def _managed(record: Record, url: str, said: ClientTimes) -> tuple[Triple, ...]:
     times = said.created + (said.modified if _is_new(record) else b"")
-    created = () if said.created else ((dcterms.created, moment(record.created_ns)),)
-    modified = () if said.modified and _is_new(record) else ((dcterms.modified, moment(record.modified_ns)),)
+    created = () if said.created else ((dcterms.created, date_time_literal(record.created_ns)),)
+    modified = () if said.modified and _is_new(record) else ((dcterms.modified, date_time_literal(record.modified_ns)),)
     classes = ((rdf.type, each) for each in rdf_types(record.model))
-    return (*about(NamedNode(url), *classes, *created, *modified, *_of_file(record)), *parse_ntriples(times))
+    return (*triples_about(NamedNode(url), *classes, *created, *modified, *_of_file(record)), *parse_ntriples(times))
 
 
 def _is_new(record: Record) -> bool:

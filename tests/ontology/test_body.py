@@ -7,7 +7,7 @@ import time
 import pyoxigraph as ox
 import pytest
 
-from rosld.ontology.body import DEEPEST, MEDIA_TYPES, BodyError, parse_body, parse_json
+from rosld.ontology.body import MAX_DEPTH, MEDIA_TYPES, BodyError, parse_body, parse_json
 
 D = "http://127.0.0.1:8080/topics/t"
 SUBJECT, PREDICATE = ox.NamedNode(D + "#message"), ox.NamedNode("http://x/p")
@@ -103,7 +103,7 @@ def test_deep_nesting_is_refused_before_any_parser_sees_it(media_type: str, text
         parse_body(text.encode(), media_type, D)
 
 
-BRACKETS = "[({<" * DEEPEST
+BRACKETS = "[({<" * MAX_DEPTH
 HARMLESS = [
     f'<#m> <http://x/p> "{BRACKETS}" .',
     f"<#m> <http://x/p> '{BRACKETS}' .",
@@ -112,7 +112,7 @@ HARMLESS = [
     f"# it's {BRACKETS}\n<#m> <http://x/p> 1 .",
     "<#m> <http://x/p> " + ", ".join([f"<#{'(' * (i % 50)}{i}>" for i in range(200)]) + " .",
     "<#m> <http://x/p> " + ", ".join(["( 1 )"] * 200) + " .",
-    "<#m> <http://x/p> " + "( " * DEEPEST + ") " * DEEPEST + " .",
+    "<#m> <http://x/p> " + "( " * MAX_DEPTH + ") " * MAX_DEPTH + " .",
 ]
 
 

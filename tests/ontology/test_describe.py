@@ -28,7 +28,7 @@ from rosld.adapters.model import (
 )
 from rosld.adapters.model.library import TypeLibrary
 from rosld.ontology.describe import (
-    ROOMS,
+    SECTIONS,
     CallView,
     Members,
     NodeView,
@@ -104,7 +104,7 @@ def test_the_entry_point_links_to_every_room_and_names_the_master() -> None:
     document = entry_document(GRAPH, SPACE, "ROS 1")
     assert document.url == SPACE.base
     assert own(document, rdf.type)[0] == ros.Graph
-    assert own(document, ldp.contains) == [url(f"{room}/") for room in ROOMS]
+    assert own(document, ldp.contains) == [url(f"{room}/") for room in SECTIONS]
     assert own(document, ros.state) == [ros.Live]
     assert said(document, url("#master"), ros.uri) == [Literal("http://localhost:11311/", datatype=xsd.anyURI)]
     assert said(document, url("topics/"), ros.count) == [Literal("3", datatype=xsd.integer)]

@@ -21,7 +21,7 @@ from rosld.ontology.arrays import json_numbers
 from rosld.ontology.document import Envelope
 from rosld.ontology.fields import field_bytes
 from rosld.ontology.lift import LiftSettings, lifter
-from rosld.ontology.literals import date_time, scalars, singles
+from rosld.ontology.literals import date_time, scalar_texts, unpack_float32
 from rosld.ontology.lower import lowerer
 
 D = "http://127.0.0.1:8080/topics/t"
@@ -126,7 +126,7 @@ def test_integers_in_arrays_are_strings_only_beyond_two_to_the_53() -> None:
 @given(st.lists(st.floats(width=32), max_size=6))
 def test_float32_has_the_shortest_digits_alone_and_in_arrays(values: list[float]) -> None:
     array = np.array(values, np.float32)
-    alone = scalars(singles(array.tobytes())) if values else []
+    alone = scalar_texts(unpack_float32(array.tobytes())) if values else []
     within = orjson.loads(json_numbers(array))
     assert [np.float32(form.replace("INF", "inf")).tobytes() for form in alone if form != "NaN"] == [
         value.tobytes() for value in array if value == value

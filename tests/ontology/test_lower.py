@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 from rosld.adapters.model import Array, Encoding, Message, MessageSchema, Primitive
 from rosld.adapters.model.library import TypeLibrary
 from rosld.ontology.body import RdfBody, parse_body
-from rosld.ontology.coercion import Misfit, described, float_fit, single
+from rosld.ontology.coercion import Misfit, describe_kind, float_fit, to_float32
 from rosld.ontology.document import Envelope
-from rosld.ontology.lexical import NUMBERS, nanoseconds
+from rosld.ontology.lexical import NUMBERS, parse_date_time
 from rosld.ontology.lift import LiftSettings, lifter
 from rosld.ontology.lower import LoweringError, Violation, find_message, lowerer, parse_json
 from rosld.ontology.vocab import xsd
@@ -267,7 +267,7 @@ def test_half_a_stamp_is_refused(turtle: str) -> None:
 def test_date_times_are_exact_to_the_nanosecond(when: datetime, nanosecond: int) -> None:
     whole = when.replace(microsecond=0)
     seconds = (whole - datetime(1970, 1, 1)) // timedelta(seconds=1)
-    assert nanoseconds(f"{whole.isoformat()}.{nanosecond:09d}Z") == seconds * 10**9 + nanosecond
+    assert parse_date_time(f"{whole.isoformat()}.{nanosecond:09d}Z") == seconds * 10**9 + nanosecond
 
 
 # Which node is the message
@@ -425,11 +425,11 @@ def test_a_float32_is_the_nearest_of_all(number: Decimal) -> None:
 def test_rounding_twice_decides_no_tie() -> None:
     tie = Fraction(1) + Fraction(1, 2**24)
     above = Decimal(tie.numerator) / Decimal(tie.denominator) + Decimal("1e-25")
-    assert single(float(above)) == 1.0
-    assert single(above) == 1.0 + 2**-23
+    assert to_float32(float(above)) == 1.0
+    assert to_float32(above) == 1.0 + 2**-23
     assert NUMBERS[xsd.float](str(above)) == 1.0 + 2**-23
 
 
 def test_descriptions_read_as_english() -> None:
-    assert described(Array(Primitive("float64"), length=9)) == "an array of exactly 9 float64"
-    assert described(Primitive("string", bound=5)) == "a string of at most 5 bytes"
+    assert describe_kind(Array(Primitive("float64"), length=9)) == "an array of exactly 9 float64"
+    assert describe_kind(Primitive("string", bound=5)) == "a string of at most 5 bytes"

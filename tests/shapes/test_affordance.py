@@ -17,7 +17,7 @@ from rosld.ontology.urls import Space
 from rosld.ontology.vocab import qudt, rdf, sh, xsd
 from rosld.shapes.affordance import value_shape_triples
 from rosld.shapes.constraints import node_shape
-from rosld.shapes.message import closure
+from rosld.shapes.message import shapes_closure
 from rosld.shapes.value import Bounds, Measure, MessageShape, OpenShape, ScalarShape, ValueShape
 
 SPACE = Space("http://127.0.0.1:8080/")
@@ -58,7 +58,9 @@ def of(*values: Literal, path: NamedNode = rdf.value) -> list[Triple]:
 
 
 def test_a_bounded_scalar_is_of_its_datatype_and_within_its_bounds() -> None:
-    shape = ScalarShape(Primitive("float64"), Bounds(least=typed("0", xsd.integer), below=typed("1000", xsd.integer)))
+    shape = ScalarShape(
+        Primitive("float64"), Bounds(minimum=typed("0", xsd.integer), exclusive_maximum=typed("1000", xsd.integer))
+    )
     assert conforms(shape, of(typed("0.0")))
     assert not conforms(shape, of(typed("1000.0")))
     assert not conforms(shape, of(typed("-1.0")))
@@ -69,10 +71,10 @@ def test_a_bounded_scalar_is_of_its_datatype_and_within_its_bounds() -> None:
 
 def test_an_integer_is_within_the_range_of_its_type_where_nothing_is_narrower() -> None:
     assert not conforms(ScalarShape(Primitive("int64")), of(typed("9223372036854775808", xsd.long)))
-    shape = ScalarShape(Primitive("int8"), Bounds(least=typed("0", xsd.integer)))
+    shape = ScalarShape(Primitive("int8"), Bounds(minimum=typed("0", xsd.integer)))
     assert conforms(shape, of(typed("127", xsd.byte)))
     assert not conforms(shape, of(typed("-1", xsd.byte)))
-    wider = ScalarShape(Primitive("int8"), Bounds(greatest=typed("1000", xsd.integer)))
+    wider = ScalarShape(Primitive("int8"), Bounds(maximum=typed("1000", xsd.integer)))
     said = [t.object for t in value_shape_triples(wider, SHAPE, rdf.value, SPACE) if t.predicate == sh.maxInclusive]
     assert said == [typed("127", xsd.integer)]
 
@@ -99,7 +101,7 @@ def test_a_mapped_property_is_by_its_predicate_and_tells_its_unit() -> None:
 
 def test_an_open_value_may_be_anything_within_its_bounds() -> None:
     assert conforms(OpenShape(), of(Literal("anything")))
-    assert not conforms(OpenShape(Bounds(greatest=typed("5", xsd.integer))), of(typed("6", xsd.integer)))
+    assert not conforms(OpenShape(Bounds(maximum=typed("5", xsd.integer))), of(typed("6", xsd.integer)))
 
 
 def twist(**values: float) -> list[Triple]:
@@ -127,7 +129,10 @@ def whole(name: str, **bounds: Bounds) -> MessageShape:
 
 def test_a_message_is_of_its_types_shape_and_within_the_bounds_of_its_fields() -> None:
     name = "geometry_msgs/msg/Twist"
-    shape, types = whole(name, linear_x=Bounds(greatest=typed("1000", xsd.integer))), closure(schema_of(name), SPACE)
+    shape, types = (
+        whole(name, linear_x=Bounds(maximum=typed("1000", xsd.integer))),
+        shapes_closure(schema_of(name), SPACE),
+    )
     assert conforms(shape, twist(linear_x=1000.0, angular_x=5000.0), more=types)
     assert not conforms(shape, twist(linear_x=1000.5), more=types)
     assert not conforms(shape, [t for t in twist() if not t.predicate.value.endswith("Twist#angular")], more=types)
@@ -136,7 +141,7 @@ def test_a_message_is_of_its_types_shape_and_within_the_bounds_of_its_fields() -
 
 def test_a_part_of_a_messages_fields_needs_no_others() -> None:
     schema = schema_of("geometry_msgs/msg/Twist")
-    shape, types = MessageShape(schema, ("linear",)), closure(schema, SPACE)
+    shape, types = MessageShape(schema, ("linear",)), shapes_closure(schema, SPACE)
     untyped = [t for t in twist() if (t.subject, t.predicate) != (NamedNode(URL + "#value"), rdf.type)]
     without = [t for t in untyped if not t.predicate.value.endswith("Twist#angular")]
     assert conforms(shape, without, more=types)
@@ -146,8 +151,8 @@ def test_a_part_of_a_messages_fields_needs_no_others() -> None:
 def test_bounds_within_an_array_hold_for_each_element() -> None:
     name = "geometry_msgs/msg/Polygon"
     point = schema_of(name).codec.build
-    shape = whole(name, points_x=Bounds(greatest=typed("5", xsd.integer)))
-    types = closure(schema_of(name), SPACE)
+    shape = whole(name, points_x=Bounds(maximum=typed("5", xsd.integer)))
+    types = shapes_closure(schema_of(name), SPACE)
     for x, holds in ((5.0, True), (6.0, False)):
         points = [point("geometry_msgs/msg/Point32", {"x": each, "y": 9.0, "z": 0.0}) for each in (1.0, x)]
         assert conforms(shape, message(name, {"points": points}), more=types) is holds
@@ -157,12 +162,12 @@ def test_bounds_within_an_array_hold_for_each_element() -> None:
     "shape",
     [
         ScalarShape(Primitive("string"), Bounds(choices=(Literal("on"),), pattern="^o", min_length=1)),
-        whole("geometry_msgs/msg/Twist", linear_x=Bounds(least=typed("0", xsd.integer))),
+        whole("geometry_msgs/msg/Twist", linear_x=Bounds(minimum=typed("0", xsd.integer))),
         OpenShape(),
     ],
 )
 def test_the_shape_can_be_compiled_and_its_nodes_are_fragments(shape: ValueShape) -> None:
     triples = value_shape_triples(shape, SHAPE, rdf.value, SPACE)
-    node_shape([*triples, *closure(schema_of("geometry_msgs/msg/Twist"), SPACE)], SHAPE)
+    node_shape([*triples, *shapes_closure(schema_of("geometry_msgs/msg/Twist"), SPACE)], SHAPE)
     shapes = {t.subject for t in triples if t.predicate not in (rdf.first, rdf.rest, sh.zeroOrMorePath)}
     assert all(isinstance(each, NamedNode) and each.value.startswith(URL + "#shape") for each in shapes)

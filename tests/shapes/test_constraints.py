@@ -375,7 +375,7 @@ def test_bounds_are_those_that_must_hold_together() -> None:
     p, q = (NamedNode(f"http://h/v#{name}") for name in "pq")
     assert shape.bounds.keys() == {p, q}
     found = shape.bounds[p]
-    assert (found.greatest, found.above, found.least) == (number["5"], number["0"], None)
+    assert (found.maximum, found.exclusive_minimum, found.minimum) == (number["5"], number["0"], None)
     assert found.choices == (number["1"], number["2"], number["3"])
     assert (found.pattern, found.max_length) == ("^1", 3)
     assert shape.bounds[q].choices == (Literal("on"),)

@@ -68,7 +68,7 @@ def graph(turtle: str) -> tuple[Triple, ...]:
 
 
 def limits(*turtle: str) -> Limits:
-    return Limits.of([graph(each) for each in turtle], SPACE)
+    return Limits.from_graphs([graph(each) for each in turtle], SPACE)
 
 
 def message(schema: MessageSchema, values: dict[str, object], name: str | None = None, path: str = "") -> Message:
@@ -222,7 +222,7 @@ def typed(text: str, datatype: NamedNode) -> Literal:
 @cache
 def aircraft() -> Limits:
     data = (Path(rosld.adapters.aircraft.__file__).parent / "limits.ttl").read_bytes()
-    return Limits.of([read_limits(data, SPACE.base)], SPACE)
+    return Limits.from_graphs([read_limits(data, SPACE.base)], SPACE)
 
 
 @pytest.mark.parametrize(
@@ -267,7 +267,7 @@ def test_several_limits_on_one_resource_hold_together_and_narrow_its_bounds() ->
         )
     )
     assert given.bounds_of_resource(url) == Bounds(
-        least=typed("-3", xsd.integer), above=typed("0", xsd.integer), greatest=typed("5.5", xsd.decimal)
+        minimum=typed("-3", xsd.integer), exclusive_minimum=typed("0", xsd.integer), maximum=typed("5.5", xsd.decimal)
     )
     shape = given.resource(url)
     assert shape is not None
@@ -278,7 +278,7 @@ def test_several_limits_on_one_resource_hold_together_and_narrow_its_bounds() ->
 
 def test_bounds_of_the_aircraft() -> None:
     bounds = aircraft().bounds_of_resource(f"{SPACE.base}resources/aircraft/engine/speed")
-    assert bounds == Bounds(least=typed("0", xsd.integer), greatest=typed("1000", xsd.integer))
+    assert bounds == Bounds(minimum=typed("0", xsd.integer), maximum=typed("1000", xsd.integer))
     power = aircraft().bounds_of_resource(f"{SPACE.base}resources/aircraft/power")
     assert power.choices == (Literal("on"), Literal("off"))
 
@@ -286,8 +286,8 @@ def test_bounds_of_the_aircraft() -> None:
 def test_bounds_of_a_message_are_by_dotted_path_and_merged() -> None:
     given = limits(NESTED, SPEED % "sh:maxInclusive 2000 ; sh:minInclusive -1")
     assert given.bounds_of_message(TWIST) == {
-        "linear.x": Bounds(least=typed("0", xsd.integer), greatest=typed("1000", xsd.integer)),
-        "angular.x": Bounds(least=typed("-1", xsd.integer), greatest=typed("2000", xsd.integer)),
+        "linear.x": Bounds(minimum=typed("0", xsd.integer), maximum=typed("1000", xsd.integer)),
+        "angular.x": Bounds(minimum=typed("-1", xsd.integer), maximum=typed("2000", xsd.integer)),
     }
     assert given.bounds_of_message(schema_of("std_msgs/msg/String")) == {}
 
@@ -395,7 +395,7 @@ def test_a_verdict_on_a_message_is_that_of_pyshacl(values: dict[str, object], pa
     schema = schema_of("test_msgs/msg/All")
     shapes = graph(f"<#l> a sh:NodeShape ; sh:targetClass t:All ; {' ; '.join(parts)} .\n{extra}")
     value = message(schema, values)
-    check = Limits.of([shapes], SPACE).message(schema)
+    check = Limits.from_graphs([shapes], SPACE).message(schema)
     assert check is not None
     found = {(each.focus, each.predicate, each.component) for each in check(value, URL, "#message")}
     lifted = lifter(schema, LiftSettings(inline_limit=1 << 62)).triples(value, URL, "#message")

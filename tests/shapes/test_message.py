@@ -18,7 +18,7 @@ from rosld.ontology.literals import DTYPES, STRINGS
 from rosld.ontology.serialize import Syntax, serialize
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import rdf, ros, sh, xsd
-from rosld.shapes.message import closure, shape_document
+from rosld.shapes.message import shape_document, shapes_closure
 
 SPACE = Space("http://127.0.0.1:8080/")
 URL = "http://127.0.0.1:8080/topics/a"
@@ -96,7 +96,7 @@ def graph(triples: list[Triple]) -> rdflib.Graph:
 
 
 def conforms(schema: MessageSchema, triples: list[Triple]) -> tuple[bool, str]:
-    found, _, words = pyshacl.validate(graph(triples), shacl_graph=graph(closure(schema, SPACE)))
+    found, _, words = pyshacl.validate(graph(triples), shacl_graph=graph(shapes_closure(schema, SPACE)))
     return bool(found), str(words)
 
 
@@ -209,5 +209,5 @@ def test_a_shape_is_the_same_in_every_syntax(syntax: Syntax) -> None:
 
 
 def test_blank_nodes_of_two_shapes_never_meet_in_one_graph() -> None:
-    triples = closure(schema_of("nav_msgs/msg/Path"), SPACE)
+    triples = shapes_closure(schema_of("nav_msgs/msg/Path"), SPACE)
     assert len(set(triples)) == len(triples)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from pyoxigraph import Literal, NamedNode, Triple
 
-from rosld.ontology.literals import nanoseconds
+from rosld.ontology.literals import date_time_nanoseconds
 from rosld.ontology.vocab import dcterms, ldp, rdf
 from rosld.server.http.problem import Problem
 from rosld.server.rest.interaction import membership_declaration
@@ -102,7 +102,7 @@ def _is_a_time_of(said: Triple, now: Sequence[object], record: Record) -> bool:
 
 
 def _milliseconds(value: object) -> int | None:
-    at = nanoseconds(value.value) if isinstance(value, Literal) else None
+    at = date_time_nanoseconds(value.value) if isinstance(value, Literal) else None
     return None if at is None else at // _MILLISECOND
 
 

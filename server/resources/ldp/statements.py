@@ -12,7 +12,7 @@ from typing import NamedTuple, TypeVar, overload
 
 from pyoxigraph import BlankNode, NamedNode, RdfFormat, Triple, parse
 
-from rosld.ontology.body import RdfBody, Term, body_of, read_ntriples
+from rosld.ontology.body import RdfBody, Term, index_triples, read_ntriples
 from rosld.ontology.document import Document
 from rosld.ontology.vocab import ldp
 from rosld.server.http.problem import Problem
@@ -250,4 +250,4 @@ def client_triples(kept: Statements, subject: str, model: Model, servers: frozen
 
 def member_uri(membership: Membership, kept: Statements, url: str) -> str:
     """What stands for a new member at `url` in membership triples. Raises 409 Problems as `member_of`."""
-    return member_derived_uri(membership, body_of(kept), url)
+    return member_derived_uri(membership, index_triples(kept), url)

@@ -388,7 +388,7 @@ RESOURCES = f"{BASE}resources"
 POWER = ScalarShape(Primitive("string"), Bounds(choices=(Literal("on"), Literal("off"))))
 SPEED = ScalarShape(
     Primitive("float64"),
-    Bounds(least=Literal(0), greatest=Literal(1000)),
+    Bounds(minimum=Literal(0), maximum=Literal(1000)),
     Measure(
         NamedNode("http://qudt.org/vocab/unit/REV-PER-MIN"),
         NamedNode("http://qudt.org/vocab/quantitykind/RotationalVelocity"),
@@ -396,7 +396,7 @@ SPEED = ScalarShape(
 )
 DIRECTION = ScalarShape(
     Primitive("float64"),
-    Bounds(least=Literal(0), below=Literal(360)),
+    Bounds(minimum=Literal(0), exclusive_maximum=Literal(360)),
     Measure(NamedNode("http://qudt.org/vocab/unit/DEG")),
 )
 
@@ -545,7 +545,7 @@ def pose() -> Page:
     """A property that is a message, some of whose fields have bounds."""
     kind = schema("geometry_msgs/msg/PoseStamped")
     shape = MessageShape(
-        kind, ("header", "pose"), {"pose.position.z": Bounds(least=Literal(0)), "header.frame_id": POWER.bounds}
+        kind, ("header", "pose"), {"pose.position.z": Bounds(minimum=Literal(0)), "header.frame_id": POWER.bounds}
     )
     value = of("geometry_msgs/msg/PoseStamped", {"pose": {"position": {"x": 1.5}}}, "/arm/goal")
     view = property_view(member("/arm/goal", shape, value), ["topics/arm/goal"], ["topics/arm/goal"])
@@ -605,7 +605,7 @@ def hostile_offer() -> Page:
     """Resources named by somebody who means harm."""
     text, odd = HOSTILE.replace("\x00", ""), f"{RESOURCES}/%3Cscript%3E"
     strange = Bounds(choices=(Literal(text),), pattern=HOSTILE)
-    stranger = Bounds(pattern='"><script>', least=Literal(text), min_length=3)
+    stranger = Bounds(pattern='"><script>', minimum=Literal(text), min_length=3)
     told = Measure(NamedNode("javascript:alert(1)"), NamedNode("javascript:alert(1)"))
     view = ComplexView(
         f"{odd}/",

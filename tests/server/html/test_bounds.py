@@ -27,7 +27,7 @@ def fits(bounds: Bounds, value: Decimal) -> bool:
     """What SHACL 4.3 says."""
     least, greatest, above, below = (
         None if each is None else Decimal(each.value)
-        for each in (bounds.least, bounds.greatest, bounds.above, bounds.below)
+        for each in (bounds.minimum, bounds.maximum, bounds.exclusive_minimum, bounds.exclusive_maximum)
     )
     return (
         (least is None or value >= least)
@@ -54,21 +54,21 @@ def test_every_number_that_fits_is_taken(bounds: Bounds, value: Decimal) -> None
 
 @pytest.mark.parametrize("text", ["INF", "NaN", "many", "", "1e999999999", "-1e-999999999"])
 def test_a_bound_that_no_input_knows_is_none(text: str) -> None:
-    assert number_range(FLOAT, Bounds(least=Literal(text), below=Literal(text))) == ("", "")
-    assert number_range(INT8, Bounds(least=Literal(text))) == ("-128", "127")
+    assert number_range(FLOAT, Bounds(minimum=Literal(text), exclusive_maximum=Literal(text))) == ("", "")
+    assert number_range(INT8, Bounds(minimum=Literal(text))) == ("-128", "127")
 
 
 def test_bounds_beyond_the_type_change_nothing() -> None:
-    assert number_range(INT8, Bounds(least=Literal(-1000), greatest=Literal(1000))) == ("-128", "127")
+    assert number_range(INT8, Bounds(minimum=Literal(-1000), maximum=Literal(1000))) == ("-128", "127")
 
 
 @pytest.mark.parametrize(
     ("bounds", "sentence"),
     [
         (UNBOUNDED, ""),
-        (Bounds(least=Literal(0), greatest=Literal(1000)), "From 0 to 1000."),
-        (Bounds(least=Literal(0), below=Literal(360)), "At least 0, less than 360."),
-        (Bounds(above=Literal("0.5")), "More than 0.5."),
+        (Bounds(minimum=Literal(0), maximum=Literal(1000)), "From 0 to 1000."),
+        (Bounds(minimum=Literal(0), exclusive_maximum=Literal(360)), "At least 0, less than 360."),
+        (Bounds(exclusive_minimum=Literal("0.5")), "More than 0.5."),
         (Bounds(min_length=1, max_length=3), "At least 1 character, at most 3 characters."),
         (Bounds(pattern="^[a-z]+$"), "Must match ^[a-z]+$."),
         (Bounds(choices=(Literal("on"), Literal("off"))), ""),

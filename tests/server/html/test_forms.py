@@ -454,7 +454,7 @@ def test_an_unchecked_box_is_false() -> None:
 def test_bounds_of_fields_are_attributes_of_their_inputs() -> None:
     kind = schema("geometry_msgs/msg/TwistStamped")
     bounds = {
-        "twist.linear.x": Bounds(least=Literal(-1), greatest=Literal(1)),
+        "twist.linear.x": Bounds(minimum=Literal(-1), maximum=Literal(1)),
         "header.frame_id": Bounds(pattern="^[a-z]+$", min_length=1, max_length=9),
         "header.seq": Bounds(choices=(Literal(1), Literal(2))),
     }

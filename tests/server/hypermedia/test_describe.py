@@ -94,7 +94,7 @@ TRIGGER, SET_BOOL = request_of("std_srvs/srv/Trigger"), request_of("std_srvs/srv
 ON_OFF = ScalarShape(Primitive("string"), Bounds(choices=(Literal("on"), Literal("off"))))
 THOUSAND = ScalarShape(
     Primitive("float64"),
-    Bounds(least=Literal("0", datatype=xsd.integer), greatest=Literal("1000", datatype=xsd.integer)),
+    Bounds(minimum=Literal("0", datatype=xsd.integer), maximum=Literal("1000", datatype=xsd.integer)),
     Measure(KMH, VELOCITY),
 )
 
@@ -535,6 +535,8 @@ def test_affordances_are_made_once_whatever_the_value() -> None:
 
 
 def test_affordances_of_messages_with_limits_are_made_once_too() -> None:
-    shape = MessageShape(POSE, ("header", "pose"), {"pose.position.x": Bounds(least=Literal("0", datatype=xsd.double))})
+    shape = MessageShape(
+        POSE, ("header", "pose"), {"pose.position.x": Bounds(minimum=Literal("0", datatype=xsd.double))}
+    )
     member = replace(pose(), affordance=replace(pose().affordance, shape=shape))
     assert ask(described(replace(STOPPED, members=(member,))), "?shape sh:minInclusive ?least")

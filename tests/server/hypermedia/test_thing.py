@@ -249,11 +249,11 @@ def test_a_thing_says_who_it_is_where_it_leads_and_that_it_is_open() -> None:
         (ScalarShape(Primitive("uint64"), Bounds(choices=(number("18446744073709551615"),))),
          {"enum": ["18446744073709551615"]}),
         (OpenShape(), {}),
-        (OpenShape(Bounds(least=number("1"))), {"type": "number", "minimum": 1}),
+        (OpenShape(Bounds(minimum=number("1"))), {"type": "number", "minimum": 1}),
         (OpenShape(Bounds(choices=(Literal("true", datatype=xsd.boolean), Literal("a"), number("1")))),
          {"enum": [True, "a", 1]}),
-        (OpenShape(Bounds(least=Literal("2026-01-01T00:00:00Z", datatype=xsd.dateTime))), {}),
-        (OpenShape(Bounds(least=Literal("INF", datatype=xsd.double))), {}),
+        (OpenShape(Bounds(minimum=Literal("2026-01-01T00:00:00Z", datatype=xsd.dateTime))), {}),
+        (OpenShape(Bounds(minimum=Literal("INF", datatype=xsd.double))), {}),
         (OpenShape(measure=Measure(KMH)), {"unit": KMH.value}),
     ],
 )  # fmt: skip
@@ -281,7 +281,7 @@ def test_only_patterns_that_mean_the_same_in_ecmascript_are_kept(pattern: str, k
 
 
 def test_a_part_of_a_message_is_the_object_of_that_part_with_its_limits() -> None:
-    shape = MessageShape(POSE, ("pose",), {"pose.position.x": Bounds(least=number("0"), greatest=number("9"))})
+    shape = MessageShape(POSE, ("pose",), {"pose.position.x": Bounds(minimum=number("0"), maximum=number("9"))})
     found = json.dumps(value_schema(shape))
     assert json.loads(found)["required"] == ["pose"]
     assert '"x": {"type": "number", "minimum": 0, "maximum": 9}' in found

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from pyoxigraph import Literal, NamedNode, Quad, Triple
 
-from rosld.ontology.body import indexed, parse_body
+from rosld.ontology.body import index_quads, parse_body
 from rosld.ontology.vocab import ldp, rdf
 from rosld.server.http.link import Link, parse
 from rosld.server.http.problem import Problem
@@ -268,7 +268,7 @@ NEW = f"{BOX}new"
 
 def member(turtle: str, membership: Membership | None = TOPIC) -> str:
     triples = said(turtle, NEW)
-    return member_derived_uri(membership, indexed((Quad(*triple) for triple in triples), NEW), NEW)
+    return member_derived_uri(membership, index_quads((Quad(*triple) for triple in triples), NEW), NEW)
 
 
 @pytest.mark.parametrize(

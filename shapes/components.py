@@ -11,8 +11,8 @@ from pyoxigraph import Literal, NamedNode
 from rosld.ontology.body import Term
 from rosld.ontology.literals import quote
 from rosld.ontology.vocab import rdf, rdfs, sh, xsd
+from rosld.shapes.compiled_shape import SetConstraint, SetTest, Shape, ValueConstraint, ValueTest
 from rosld.shapes.safe_regex import SafePattern
-from rosld.shapes.shape import SetConstraint, SetTest, Shape, ValueConstraint, ValueTest
 from rosld.shapes.terms import Number, compare, is_numeric, is_plain, normalize, number
 from rosld.shapes.view import View
 

@@ -17,8 +17,8 @@ from pyoxigraph import BlankNode, NamedNode, Triple
 
 from rosld.ontology.violations import Violation
 from rosld.shapes.bounds import merge_bounds
-from rosld.shapes.reading import ShapesGraph
-from rosld.shapes.shape import ShapeValidator
+from rosld.shapes.compiled_shape import ShapeValidator
+from rosld.shapes.shapes_graph import ShapesGraph
 from rosld.shapes.value import Bounds
 from rosld.shapes.view import TripleView, View
 

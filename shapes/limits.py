@@ -26,7 +26,7 @@ from rosld.ontology.violations import Violation
 from rosld.ontology.vocab import rdf, rdfs, sh, xsd
 from rosld.shapes.bounds import merge_bounds
 from rosld.shapes.constraints import MAX_VIOLATIONS, NodeShape, compile_shape, conjunction
-from rosld.shapes.reading import ShapesGraph
+from rosld.shapes.shapes_graph import ShapesGraph
 from rosld.shapes.value import UNBOUNDED, Bounds
 from rosld.shapes.view import TripleView
 

@@ -12,7 +12,7 @@ from rdflib.term import BNode, URIRef
 from rosld.ontology.body import Term
 from rosld.ontology.violations import Violation
 from rosld.ontology.vocab import sh
-from rosld.shapes.shape import brief_term, join_path
+from rosld.shapes.compiled_shape import brief_term, join_path
 from rosld.shapes.terms import Node, normalize, normalize_graph
 from rosld.shapes.view import View
 

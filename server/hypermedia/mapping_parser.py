@@ -35,7 +35,7 @@ from rosld.server.hypermedia.mapping import (
 from rosld.server.robot.software_stop import StopCommand
 from rosld.shapes.constraints import compile_shape
 from rosld.shapes.mapping import validate_mapping
-from rosld.shapes.reading import ShapesGraph
+from rosld.shapes.shapes_graph import ShapesGraph
 from rosld.shapes.value import Measure
 
 Node: TypeAlias = NamedNode | BlankNode

@@ -13,9 +13,9 @@ from rosld.ontology.body import Term
 from rosld.ontology.vocab import rdf, sh, xsd
 from rosld.shapes import components
 from rosld.shapes.bounds import merge_bounds, narrow
+from rosld.shapes.compiled_shape import SetConstraint, Shape, ValueConstraint
 from rosld.shapes.pyshacl_fallback import PyshaclShape
 from rosld.shapes.safe_regex import SafePattern, compile_pattern
-from rosld.shapes.shape import SetConstraint, Shape, ValueConstraint
 from rosld.shapes.terms import is_numeric, number
 from rosld.shapes.value import UNBOUNDED, Bounds
 

@@ -537,7 +537,20 @@ class td(Namespace, iri="https://www.w3.org/2019/wot/td#"):
     cancelAction: NamedNode
     subscribeEvent: NamedNode
     queryAction: NamedNode
+    unobserveProperty: NamedNode
+    readAllProperties: NamedNode
     hasUriTemplateSchema: NamedNode
+    title: NamedNode
+    description: NamedNode
+    hasLink: NamedNode
+    hasInputSchema: NamedNode
+    hasOutputSchema: NamedNode
+    hasSecurityConfiguration: NamedNode
+    definesSecurityScheme: NamedNode
+    hasInstanceConfiguration: NamedNode
+    isSafe: NamedNode
+    isIdempotent: NamedNode
+    isSynchronous: NamedNode
 
 
 class js(Namespace, iri="https://www.w3.org/2019/wot/json-schema#"):
@@ -545,8 +558,10 @@ class js(Namespace, iri="https://www.w3.org/2019/wot/json-schema#"):
 
     NumberSchema: NamedNode
     StringSchema: NamedNode
+    properties: NamedNode
     propertyName: NamedNode
     default: NamedNode
+    items: NamedNode
     exclusiveMinimum: NamedNode
     maximum: NamedNode
 
@@ -561,6 +576,13 @@ class hctl(Namespace, iri="https://www.w3.org/2019/wot/hypermedia#"):
     hasRelationType: NamedNode
     forContentType: NamedNode
     forSubProtocol: NamedNode
+    hintsAtMediaType: NamedNode
+
+
+class wotsec(Namespace, iri="https://www.w3.org/2019/wot/security#"):
+    """How things are secured (WoT)."""
+
+    NoSecurityScheme: NamedNode
 
 
 class sosa(Namespace, iri="http://www.w3.org/ns/sosa/"):

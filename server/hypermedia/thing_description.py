@@ -67,6 +67,7 @@ def thing_description(
     """
     thing: Members = {
         "@context": _CONTEXT,
+        "@type": "Thing",
         "id": url,
         "title": title,
         **_given(description=description),

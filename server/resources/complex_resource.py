@@ -167,7 +167,7 @@ class ComplexResource(CommandResource):
         if not wants_thing(exchange):
             return None
         _, plan = await self._plan()  # it tells what there ever is, also while the resource is not there
-        return thing_response(exchange, self.robot, complex_thing(self.robot, plan))
+        return thing_response(exchange, self.robot, self.url, complex_thing(self.robot, plan))
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:
         tree = await self.robot.affordances.tree()

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from starlette.responses import Response
 
+from rosld.ontology.serialize import serialize
 from rosld.server.auth.authenticator import UNRESTRICTED
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.auth.redaction.thing_descriptions import redact_thing_description
@@ -17,10 +18,11 @@ from rosld.server.hypermedia.json_schema import OBJECT
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.hypermedia.resource_tree import ComplexPlan, ResourceTree
 from rosld.server.hypermedia.thing_description import MEDIA_TYPE, ThingLink, thing_description
+from rosld.server.hypermedia.thing_graph import thing_document
 from rosld.server.hypermedia.views import ActionAffordance, PropertyAffordance
 from rosld.server.resources.context import Robot
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.formats import RDF_BODIES
+from rosld.server.rest.formats import RDF_BODIES, VARIANTS
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.raw_response import bytes_response
 from rosld.server.rest.resource import RESOURCE, Resource
@@ -37,11 +39,20 @@ def wants_thing(exchange: Exchange) -> bool:
     return accept is not None and MEDIA_TYPE in accept and negotiation.choose(accept, _OFFERS) == MEDIA_TYPE
 
 
-def thing_response(exchange: Exchange, robot: Robot, data: bytes) -> Response:
-    """The answer with a Thing Description, as it is for who asks."""
+def thing_response(exchange: Exchange, robot: Robot, url: str, data: bytes) -> Response:
+    """The answer with the Thing Description at a URL, as it is for who asks, in the syntax that is asked for."""
     if exchange.auth is not UNRESTRICTED:
         data = redact_thing_description(data, exchange.permissions)
-    return bytes_response(exchange, data, MEDIA_TYPE, ETag(f"{robot.instance_id}-{digest(data)}", FORMAT))
+    tag, media_type = f"{robot.instance_id}-{digest(data)}", _choose_syntax(exchange)
+    if media_type == MEDIA_TYPE:
+        return bytes_response(exchange, data, MEDIA_TYPE, ETag(tag, FORMAT))
+    written = serialize(thing_document(data, url), media_type)
+    return bytes_response(exchange, written, media_type, ETag(tag, f"{FORMAT}-{VARIANTS[media_type]}"))
+
+
+def _choose_syntax(exchange: Exchange) -> str:
+    """In which of its syntaxes a Thing Description is asked for: JSON, unless one of RDF is preferred."""
+    return negotiation.choose(exchange.accept, (MEDIA_TYPE, *RDF_BODIES)) or MEDIA_TYPE
 
 
 def complex_thing(robot: Robot, plan: ComplexPlan) -> bytes:
@@ -121,8 +132,10 @@ class RobotThing(Resource):
         self.robot = robot
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem("The Thing Description of the whole robot", (MEDIA_TYPE,), OBJECT, (), streams=False)
+        return PathItem(
+            "The Thing Description of the whole robot", (MEDIA_TYPE, *RDF_BODIES), OBJECT, (), streams=False
+        )
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
         tree = await self.robot.affordances.tree()
-        return thing_response(exchange, self.robot, robot_thing(self.robot, tree, exchange.permissions))
+        return thing_response(exchange, self.robot, self.url, robot_thing(self.robot, tree, exchange.permissions))

@@ -1,0 +1,125 @@
+"""Thing Descriptions in RDF: W3C's context makes the same of their JSON, and W3C's shapes find nothing wrong."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pyshacl
+import pytest
+from pyoxigraph import CanonicalizationAlgorithm, Dataset, Quad, RdfFormat, Triple, parse
+from rdflib import RDF, SH, XSD, Graph, Literal, URIRef
+
+WOT = Path(__file__).parent / "hypermedia" / "wot"
+TD, JS = "https://www.w3.org/2019/wot/td#", "https://www.w3.org/2019/wot/json-schema#"
+THING = {"Accept": "application/td+json"}
+COUNTS = frozenset(f"{JS}{name}" for name in ("minItems", "maxItems", "minLength", "maxLength"))
+NUMBERS = frozenset(
+    f"{JS}{name}" for name in ("minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum", "multipleOf")
+)
+AIRCRAFT = ("/resources/aircraft/", "/resources/aircraft/engine/", "/resources/", "/.well-known/wot")
+SYNTAXES = {
+    "text/turtle": RdfFormat.TURTLE,
+    "application/ld+json": RdfFormat.JSON_LD,
+    "application/n-triples": RdfFormat.N_TRIPLES,
+    "application/rdf+xml": RdfFormat.RDF_XML,
+}
+
+
+@pytest.fixture(scope="module")
+def plane(start_server: Callable[..., Any]) -> httpx.Client:
+    """The aircraft, started."""
+    http: httpx.Client = start_server("aircraft").http
+    http.post("/services/aircraft/start", json={})
+    return http
+
+
+@pytest.fixture(scope="module")
+def rover(start_server: Callable[..., Any]) -> httpx.Client:
+    """The rover, whose messages are large."""
+    http: httpx.Client = start_server("rover").http
+    return http
+
+
+def expanded(http: httpx.Client, path: str) -> list[Triple]:
+    """What a JSON-LD processor makes of a Thing Description by W3C's context."""
+    answer = http.get(path, headers=THING, params={} if path.startswith("/.") else {"format": "td"})
+    thing = answer.json()
+    context = json.loads((WOT / "context.json").read_text())["@context"]
+    context["security"]["@type"] = "xsd:string"
+    thing["@context"] = [context if isinstance(each, str) else each for each in thing["@context"]]
+    base = f"{http.base_url}{path[1:]}"
+    return [each.triple for each in parse(json.dumps(thing), format=RdfFormat.JSON_LD, base_iri=base)]
+
+
+def served(http: httpx.Client, path: str, media_type: str) -> list[Triple]:
+    answer = http.get(path, headers={"Accept": media_type}, params={} if path.startswith("/.") else {"format": "td"})
+    assert (answer.status_code, answer.headers["content-type"].partition(";")[0]) == (200, media_type), answer.text
+    found = parse(answer.content, format=SYNTAXES[media_type], base_iri=str(answer.url))
+    return [each.triple for each in found]
+
+
+def canonical(triples: list[Triple]) -> Dataset:
+    dataset = Dataset(Quad(each.subject, each.predicate, each.object) for each in triples)
+    dataset.canonicalize(CanonicalizationAlgorithm.UNSTABLE)
+    return dataset
+
+
+def violations(triples: list[Triple]) -> str:
+    """What W3C's shapes find wrong; empty if nothing is."""
+    data, said = Graph(), Graph().parse(data="".join(f"{each} .\n" for each in triples), format="nt")
+    for subject, predicate, value in said:
+        if str(predicate) in NUMBERS and (subject, RDF.type, URIRef(f"{JS}IntegerSchema")) not in said:
+            value = Literal(float(str(value)), datatype=XSD.double)
+        elif str(predicate) in COUNTS:
+            value = Literal(int(str(value)), datatype=XSD.unsignedInt)
+        data.add((subject, predicate, value))
+    text = (WOT / "td-validation.ttl").read_text().replace("rdf:HTML", "xsd:string")
+    shapes = Graph().parse(data=text, format="turtle")
+    for shape in list(shapes.subjects(SH.path, URIRef(f"{TD}hasSecurityConfiguration"))):
+        shapes.set((shape, SH.nodeKind, SH.Literal))
+    for shape in list(shapes.subjects(SH.path, RDF.type)):  # that wants one of seven classes to be a string
+        for demand in (SH.datatype, SH.nodeKind):
+            shapes.remove((shape, demand, None))
+    conforms, _, report = pyshacl.validate(data, shacl_graph=shapes)
+    return "" if conforms else str(report)
+
+
+def of_robots(plane: httpx.Client, rover: httpx.Client) -> Iterator[tuple[httpx.Client, str]]:
+    yield from ((plane, path) for path in AIRCRAFT)
+    yield from ((rover, path) for path in ("/.well-known/wot", "/resources/", "/resources/camera/"))
+
+
+@pytest.mark.parametrize("media_type", SYNTAXES)
+def test_every_syntax_says_what_the_expanded_json_says(
+    plane: httpx.Client, rover: httpx.Client, media_type: str
+) -> None:
+    for http, path in of_robots(plane, rover):
+        assert canonical(served(http, path, media_type)) == canonical(expanded(http, path)), path
+
+
+def test_the_shapes_of_w3c_find_nothing_wrong(plane: httpx.Client, rover: httpx.Client) -> None:
+    for http, path in of_robots(plane, rover):
+        assert violations(served(http, path, "text/turtle")) == "", path
+
+
+def test_the_shapes_of_w3c_find_what_is_missing(plane: httpx.Client) -> None:
+    found = served(plane, AIRCRAFT[0], "text/turtle")
+    for term in ("title", "hasSecurityConfiguration", "definesSecurityScheme"):
+        assert violations([each for each in found if each.predicate.value != TD + term]) != "", term
+
+
+def test_json_is_what_is_answered_where_nothing_else_is_asked_for(plane: httpx.Client) -> None:
+    for accept in ("*/*", "application/td+json, text/turtle;q=0.5", "text/html, */*;q=0.1"):
+        answer = plane.get("/.well-known/wot", headers={"Accept": accept})
+        assert answer.headers["content-type"] == "application/td+json"
+
+
+def test_each_syntax_has_an_entity_tag_of_its_own(plane: httpx.Client) -> None:
+    tags = {
+        plane.get("/.well-known/wot", headers={"Accept": one}).headers["etag"] for one in (*SYNTAXES, *THING.values())
+    }
+    assert len(tags) == len(SYNTAXES) + 1

@@ -11,7 +11,8 @@ import httpx
 import pyshacl
 import pytest
 from pyoxigraph import CanonicalizationAlgorithm, Dataset, Quad, RdfFormat, Triple, parse
-from rdflib import RDF, SH, XSD, Graph, Literal, URIRef
+from rdflib import RDF, Graph, Literal, URIRef
+from rdflib.namespace import SH, XSD
 
 WOT = Path(__file__).parent / "hypermedia" / "wot"
 TD, JS = "https://www.w3.org/2019/wot/td#", "https://www.w3.org/2019/wot/json-schema#"

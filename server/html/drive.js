@@ -48,7 +48,8 @@ Without this file, or with scripts off, there is no pad, and the form beside it 
 
     constructor(box, number) {
       this.box = box;
-      this.config = JSON.parse(box.dataset.drive);
+      this.told = box.dataset.drive;
+      this.config = JSON.parse(this.told);
       this.#draw(number);
       this.#listen();
     }
@@ -294,18 +295,22 @@ Without this file, or with scripts off, there is no pad, and the form beside it 
   const pads = new Set();
   let count = 0;
 
-  /* Make the pads that have come with the page, or since; let go of those that have gone with what was on offer. */
+  /* Make the pads that have come with the page, or since; let go of those that have gone with what was on offer, or for
+  which other limits hold now. */
   function look() {
     for (const pad of pads)
-      if (!pad.box.isConnected) {
+      if (!pad.box.isConnected || pad.box.dataset.drive !== pad.told) {
         pads.delete(pad);
         pad.release();
+        pad.box.replaceChildren();
       }
     for (const box of document.querySelectorAll("[data-drive]"))
       if (!box.firstElementChild) pads.add(new Pad(box, (count += 1)));
   }
 
-  new MutationObserver(look).observe(document.querySelector("main"), { childList: true, subtree: true });
+  new MutationObserver(look).observe(document.querySelector("main"), {
+    childList: true, subtree: true, attributeFilter: ["data-drive"],
+  });
   const letGo = () => pads.forEach((pad) => pad.release());
   addEventListener("blur", letGo);
   addEventListener("pagehide", letGo);

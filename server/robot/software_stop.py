@@ -257,6 +257,7 @@ class SoftwareStop:
         """Returns when nothing of a stop is under way."""
         if self._running:
             await asyncio.wait(self._running)
+        await self._zero.over()
 
 
 def _words(mapped: StopCommand) -> str:

@@ -72,13 +72,17 @@ class ZeroPublisher:
         repetition = self._running[name] = _Repetition(session, name, zero, subscribers_of(topic, session.graph))
         return await repetition.reached()
 
+    async def over(self) -> None:
+        """Wait until zero is published no more."""
+        running, self._running = list(self._running.values()), {}
+        await asyncio.gather(*(each.over() for each in running))
+
     async def withdraw(self) -> None:
         """Wait until zero was published for its second, and stop advertising what was advertised for that alone.
 
         A stop is never cut short: that a message was handed over does not mean that the base has it yet.
         """
-        running, self._running = list(self._running.values()), {}
-        await asyncio.gather(*(each.over() for each in running))
+        await self.over()
         if self._running:
             return  # the robot was stopped anew meanwhile
         names, self._advertised = self._advertised & self._session.adapter.published, set()

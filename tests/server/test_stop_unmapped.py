@@ -209,6 +209,12 @@ def test_a_release_waits_for_the_second_of_zeros_so_that_none_comes_between_comm
     assert STILL not in told[told.index(AHEAD) :]
 
 
+def test_a_server_that_is_told_to_end_publishes_zero_to_the_end(base: Base) -> None:
+    with served(base) as http:
+        stop(http)
+    assert all(len(base.sent[each]) >= 15 for each in COMMANDS)
+
+
 def test_whose_goals_are_canceled_is_own_or_others() -> None:
     with pytest.raises(ValueError, match="--stop-cancels all: it is own or others"), served(Base(), stop_cancels="all"):
         pass

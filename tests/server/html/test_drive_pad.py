@@ -212,6 +212,10 @@ def test_speeds_are_bounded_by_the_sliders_and_by_the_limits_in_force(base: Base
     assert max(speed for speed, _ in base.speeds()) <= 0.25
     assert min(speed for speed, _ in base.speeds()) >= -0.1
     assert pad.run(f"{slider}.nextElementSibling.textContent") == "0.25 m/s"
+    pad.until("document.querySelector('.liveness').dataset.state === 'live'")
+    assert http.delete("/shapes/slow").status_code == 204
+    assert http.put("/topics/cmd_vel", json=STILL).status_code == 204
+    pad.until(f"{slider}.max === '1'")
 
 
 def test_stamped_commands_and_those_of_cars_have_their_own_fields(base: Base, http: httpx.Client, tab: Any) -> None:

@@ -294,8 +294,8 @@ class Synchroniser:
     ) -> AbstractAsyncContextManager[None]:
         """Within it the dataset holds what the needs ask for: send the query there, at once.
 
-        `scope` are the only graphs that are looked at, None for all. Raises what the source raises, Problem 503 where
-        too much is to be brought first, and TimeoutError.
+        `scope` are the only graphs that are looked at, None for all. Raises what the source raises, and Problem 503
+        where too much is to be brought first.
         """
         return _Synced(self, needs, scope, deadline)
 
@@ -468,20 +468,18 @@ class Synchroniser:
         return True
 
     async def _caught_up(self, scope: frozenset[str] | None, wanted: Sequence[int], deadline: float) -> None:
-        """Wait until these graphs are current. Raises Problem 503 where that takes too long, TimeoutError."""
+        """Wait until these graphs are current. Raises Problem 503 with the progress where that takes too long."""
         if self._filling is None and self._bring_at_once():
             return
         loop = asyncio.get_running_loop()
-        until = loop.time() + _PATIENCE
+        until = min(deadline, loop.time() + _PATIENCE)
         while not self._is_current(scope, wanted):
             filling = self._filling or self._fill(self._kept)
             assert filling.task is not None
             if not filling.task.done():
                 now = loop.time()
-                if now > deadline:
-                    raise asyncio.TimeoutError
                 if now < until and filling.seconds_left < _PATIENCE:
-                    await asyncio.wait([filling.task], timeout=max(0.0, min(until, deadline, now + _GLANCE) - now))
+                    await asyncio.wait([filling.task], timeout=min(until, now + _GLANCE) - now)
                 else:
                     raise process_restarting(min(_LONGEST_RETRY, 1 + int(filling.seconds_left)), str(filling))
             if filling.task.done():

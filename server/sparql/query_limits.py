@@ -95,5 +95,11 @@ def process_restarting(seconds: int, progress: str = "") -> Problem:
     return Problem(503, words, headers={"Retry-After": str(seconds)}, extra={"reason": "starting"})
 
 
+def dataset_behind() -> Problem:
+    """The query process is still making changes that are to be seen by the query."""
+    words = "A large change is being read into the dataset, and the query is to see it: try again in a moment."
+    return Problem(503, words, headers=_RETRY_AFTER, extra={"reason": "starting"})
+
+
 def _stopped(reason: StopReason, detail: str) -> Problem:
     return Problem(503, detail, extra={"reason": reason.value})

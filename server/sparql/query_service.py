@@ -7,7 +7,7 @@ import pickle
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import asynccontextmanager
+from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeAlias
 
@@ -205,19 +205,9 @@ class QueryService:
         """What the query needs, with all documents that it names, as far as it may be read."""
         return _readable(await self._synchroniser.resolve_documents(_needs(analysis, request)), permissions)
 
-    @asynccontextmanager
-    async def _sync(self, needs: Needs, limits: Limits, scope: frozenset[str] | None) -> AsyncIterator[None]:
+    def _sync(self, needs: Needs, limits: Limits, scope: frozenset[str] | None) -> AbstractAsyncContextManager[None]:
         """Within it the dataset holds what the needs ask for."""
-        deadline = loop_time() + limits.seconds
-        synced = self._synchroniser.synchronised(needs, deadline=deadline, scope=scope)
-        try:
-            await synced.__aenter__()
-        except asyncio.TimeoutError as error:
-            raise out_of_time(limits.seconds) from error
-        try:
-            yield
-        finally:
-            await synced.__aexit__(None, None, None)
+        return self._synchroniser.synchronised(needs, deadline=loop_time() + limits.seconds, scope=scope)
 
     def _query(self, analysis: Analysis, request: QueryRequest, permissions: Permissions) -> QueryWork:
         default, named = _dataset(analysis, request)

@@ -272,7 +272,7 @@ def _told(value: str) -> str:
 def _string(value: str, base: str = "") -> str:
     r"""A string literal that reads the same whenever codepoint escapes are replaced (SPARQL 1.1, 19.2).
 
-    rA backslash that would begin one if they are replaced before parsing is followed by the escape of its `u`.
+    A backslash that would begin one if they are replaced before parsing is followed by the escape of its `u`.
     r"""
     return f'"{_SPECIAL.sub(lambda match: _ESCAPES[match[0]], value)}"'
 

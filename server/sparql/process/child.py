@@ -116,14 +116,22 @@ class ChildProcess:
         """
         if self._socket is None:
             raise process_restarting(1)
-        made = self.at_work.changes
-        while self._ahead and self._ahead[0][0] <= made:
-            self._ahead.popleft()
         try:
-            self._memory.require(needed + sum(each for _, each in self._ahead), what)
+            self._memory.require(needed + sum(each for _, each in self._still_ahead()), what)
         except NotEnoughMemory:
             self.send(pack(ReduceMemory()))
             raise
+
+    @property
+    def is_behind(self) -> bool:
+        """Whether it is still to make changes that it was sent."""
+        return len(self._still_ahead()) > 0
+
+    def _still_ahead(self) -> Sequence[tuple[int, int]]:
+        made = self.at_work.changes
+        while self._ahead and self._ahead[0][0] <= made:
+            self._ahead.popleft()
+        return self._ahead
 
     async def wait_drained(self) -> None:
         """Return when the process has taken most of what it was sent, or is gone."""

@@ -191,6 +191,11 @@ class QueryProcess:
         self._jobs[number] = pending
         return number, pending
 
+    @property
+    def is_behind(self) -> bool:
+        """Whether the process is still to make changes that it was sent. For `Evaluation`."""
+        return self._child is not None and self._child.is_behind
+
     def cancel(self, number: int) -> None:
         """End a job that is not wanted any more. For `Evaluation`."""
         pending = self._jobs.get(number)

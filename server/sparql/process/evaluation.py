@@ -15,7 +15,14 @@ from rosld.server.sparql.disconnect import Disconnected
 from rosld.server.sparql.process.fork import FRAME_HEADER as FRAME
 from rosld.server.sparql.process.fork import OUT_OF_MEMORY, ExitStatus, FrameKind
 from rosld.server.sparql.process.work import Work
-from rosld.server.sparql.query_limits import Limits, out_of_memory, out_of_time, process_crashed, too_many_queries
+from rosld.server.sparql.query_limits import (
+    Limits,
+    dataset_behind,
+    out_of_memory,
+    out_of_time,
+    process_crashed,
+    too_many_queries,
+)
 
 MAX_FIRST_BYTES = 1024 * 1024
 """Bytes that are gathered before the first is sent: up to these, an answer is sent whole or refused."""
@@ -44,6 +51,11 @@ class JobRunner(Protocol):
 
     def begin(self, work: Work, limits: Limits, dataset: int, on_wait: Callable[[], None]) -> tuple[int, PendingJob]:
         """Have work begun. Raises Problem 503 where there is no process, or no memory for it."""
+        ...
+
+    @property
+    def is_behind(self) -> bool:
+        """Whether changes are still to be made before what was begun last is looked at."""
         ...
 
     def cancel(self, number: int) -> None:
@@ -106,9 +118,14 @@ class Evaluation:
         """The time is over."""
         first = self._pending.first
         if not first.done():
-            is_waiting = self._watch is not None
-            first.set_exception(too_many_queries() if is_waiting else out_of_time(self._limits.seconds))
+            first.set_exception(self._why_late())
             self._process.cancel(self._number)
+
+    def _why_late(self) -> Problem:
+        """Why the work has not even begun, or has taken too long."""
+        if self._watch is not None:
+            return too_many_queries()
+        return dataset_behind() if self._process.is_behind else out_of_time(self._limits.seconds)
 
     def _watch_client(self) -> None:
         """It takes a while: see whether the client hangs up."""

@@ -122,6 +122,22 @@ async def test_a_change_larger_than_any_buffer_arrives_whole(process: QueryProce
 
 
 @running
+async def test_work_that_waits_for_changes_for_too_long_is_to_come_again(process: QueryProcess) -> None:
+    assert await done(process, Do(count)) == b"0"
+    assert process.pid is not None
+    os.kill(process.pid, signal.SIGSTOP)
+    try:
+        process.change({G: f'<http://h/s> {P} "1" .\n'})
+        late = await refused(process, Do(count), 0.2)
+    finally:
+        os.kill(process.pid, signal.SIGCONT)
+    assert (late.status, late.headers["Retry-After"], late.extra["reason"]) == (503, "1", "starting")
+    assert await done(process, Do(count)) == b"1"
+    assert not process.is_behind
+    assert (await refused(process, Do(endless), 0.3)).extra["reason"] == "time"
+
+
+@running
 async def test_a_graph_that_cannot_be_stored_hides_no_other(process: QueryProcess) -> None:
     process.change({"http://h/bad": "} ; DROP ALL", G: f'<http://h/s> {P} "1" .\n'}, [Edit(G, "no triple")])
     assert pickle.loads(await done(process, ListGraphs())) == [G]

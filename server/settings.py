@@ -19,7 +19,7 @@ from rosld.adapters.model import Qos
 from rosld.server.http.origin import is_loopback, is_wildcard, normalize_origin
 
 _V = TypeVar("_V")
-_HELP, _OPTION, _UNIT, _LEAST, _METAVAR = "help", "option", "unit", "least", "metavar"
+_HELP, _OPTION, _UNIT, _MINIMUM, _METAVAR = "help", "option", "unit", "minimum", "metavar"
 
 
 def setting(
@@ -28,11 +28,11 @@ def setting(
     *,
     option: bool = False,
     unit: str = "",
-    least: float | None = None,
+    minimum: float | None = None,
     metavar: str | None = None,
 ) -> _V:
-    """Declares a setting; `unit` belongs to its number, which is at least `least`."""
-    metadata = {_HELP: help, _OPTION: option, _UNIT: unit, _LEAST: least, _METAVAR: metavar}
+    """Declares a setting; `unit` belongs to its number, which is at least `minimum`."""
+    metadata = {_HELP: help, _OPTION: option, _UNIT: unit, _MINIMUM: minimum, _METAVAR: metavar}
     return dataclasses.field(default=default, metadata=metadata)
 
 
@@ -53,7 +53,7 @@ class Settings:
         option=True,
         metavar="ADDRESS",
     )
-    port: int = setting(8080, "The port to listen on; 0 takes a free one.", option=True, metavar="PORT", least=0)
+    port: int = setting(8080, "The port to listen on; 0 takes a free one.", option=True, metavar="PORT", minimum=0)
     auth: Path | None = setting(  # noqa: RUF009 - it is a field
         None,
         "Who may do what: agents, their tokens, rules (TOML, or Turtle with Web Access Control). It is read again "
@@ -131,7 +131,7 @@ class Settings:
         metavar="GLOB",
     )
     max_publish_rate: float = setting(
-        100.0, "The most publishes a second to one topic.", option=True, unit="Hz", least=0.001, metavar="N"
+        100.0, "The most publishes a second to one topic.", option=True, unit="Hz", minimum=0.001, metavar="N"
     )
     cors_origins: tuple[str, ...] = setting(
         (),
@@ -175,7 +175,7 @@ class Settings:
         "How often that server is told what changed: of topics, those subscribed to by --subscribe.",
         option=True,
         unit="Hz",
-        least=0.001,
+        minimum=0.001,
         metavar="HZ",
     )
     store_credentials: Path | None = setting(  # noqa: RUF009 - it is a field
@@ -189,103 +189,114 @@ class Settings:
     )
     read_only: bool = setting(False, "Offer nothing that changes the robot.", option=True)
     rate: float = setting(
-        1.0, "Recordings: how fast to play, 1 being as recorded.", option=True, least=0.000001, metavar="X"
+        1.0, "Recordings: how fast to play, 1 being as recorded.", option=True, minimum=0.000001, metavar="X"
     )
     once: bool = setting(False, "Recordings: play once and rest at the end, instead of in a loop.", option=True)
     first_value_wait: float = setting(
-        1.0, "How long the first look at a topic, a query's too, waits for a message.", unit="s", least=0
+        1.0, "How long the first look at a topic, a query's too, waits for a message.", unit="s", minimum=0
     )
-    idle_time: float = setting(60.0, "How long a subscription is kept after the last look.", unit="s", least=0)
+    idle_time: float = setting(60.0, "How long a subscription is kept after the last look.", unit="s", minimum=0)
     subscription_budget: int = setting(
-        2000, "The most subscriptions at a time; the longest unused goes first.", least=1
+        2000, "The most subscriptions at a time; the longest unused goes first.", minimum=1
     )
     publish_wait: float = setting(
-        0.5, "How long a publish waits for a subscriber to connect before it answers 202.", unit="s", least=0
+        0.5, "How long a publish waits for a subscriber to connect before it answers 202.", unit="s", minimum=0
     )
-    call_deadline: float = setting(10.0, "How long to wait for a service before answering 504.", unit="s", least=0.001)
+    call_deadline: float = setting(
+        10.0, "How long to wait for a service before answering 504.", unit="s", minimum=0.001
+    )
     freshness: float = setting(
-        1.0, "How long the value of a getter or a parameter is shown before it is read again.", unit="s", least=0
+        1.0, "How long the value of a getter or a parameter is shown before it is read again.", unit="s", minimum=0
     )
     read_deadline: float = setting(
-        5.0, "How long a resource waits for the values of all its members together.", unit="s", least=0.001
+        5.0, "How long a resource waits for the values of all its members together.", unit="s", minimum=0.001
     )
-    calls_kept: int = setting(1000, "The most calls kept under /calls/; the oldest goes first.", least=1)
-    calls_age: float = setting(3600.0, "How long a call is kept under /calls/.", unit="s", least=1)
-    goals_kept: int = setting(1000, "The most goals kept under /goals/; the oldest that has ended goes first.", least=1)
+    calls_kept: int = setting(1000, "The most calls kept under /calls/; the oldest goes first.", minimum=1)
+    calls_age: float = setting(3600.0, "How long a call is kept under /calls/.", unit="s", minimum=1)
+    goals_kept: int = setting(
+        1000, "The most goals kept under /goals/; the oldest that has ended goes first.", minimum=1
+    )
     goals_age: float = setting(
-        3600.0, "How long a goal is kept under /goals/ after it was last heard of.", unit="s", least=1
+        3600.0, "How long a goal is kept under /goals/ after it was last heard of.", unit="s", minimum=1
     )
     client_rate: float = setting(
         200.0,
         "The most requests a second of one client: of an agent, else of an address. On this machine only agents are "
         "held to it, and to the two that follow, unless --limit-loopback is given.",
         unit="Hz",
-        least=0.001,
+        minimum=0.001,
     )
-    client_requests: int = setting(64, "The most requests of one client at a time, streams included.", least=1)
-    client_connections: int = setting(256, "The most connections from one address at a time.", least=1)
+    client_requests: int = setting(64, "The most requests of one client at a time, streams included.", minimum=1)
+    client_connections: int = setting(256, "The most connections from one address at a time.", minimum=1)
     limit_loopback: bool = setting(False, "Hold clients on this machine to the limits of clients, too.", option=True)
     client_websockets: int = setting(
-        256, "The most WebSockets from one address at a time, from this machine, too.", least=1
+        256, "The most WebSockets from one address at a time, from this machine, too.", minimum=1
     )
     client_streams: int = setting(
-        256, "The most event streams and waiting requests from one address at a time, from this machine, too.", least=1
+        256,
+        "The most event streams and waiting requests from one address at a time, from this machine, too.",
+        minimum=1,
     )
     connections: int = setting(
-        3000, "The most connections at a time; a new one takes the place of an idle one, or is answered 503.", least=10
+        3000,
+        "The most connections at a time; a new one takes the place of an idle one, or is answered 503.",
+        minimum=10,
     )
     head_limit: int = setting(
-        64 * 1024, "The largest request line and headers of a request, together.", unit="bytes", least=1024
+        64 * 1024, "The largest request line and headers of a request, together.", unit="bytes", minimum=1024
     )
     head_timeout: float = setting(
-        20.0, "How long a client has to send the request line and headers.", unit="s", least=0.01
+        20.0, "How long a client has to send the request line and headers.", unit="s", minimum=0.01
     )
     body_timeout: float = setting(
-        30.0, "How long a client has to send a body; a file that is to be kept, each part of it.", unit="s", least=0.01
+        30.0,
+        "How long a client has to send a body; a file that is to be kept, each part of it.",
+        unit="s",
+        minimum=0.01,
     )
     read_timeout: float = setting(
-        60.0, "How long a client may leave unread what it is sent, before it is cut off.", unit="s", least=0.01
+        60.0, "How long a client may leave unread what it is sent, before it is cut off.", unit="s", minimum=0.01
     )
     receipts_kept: int = setting(
-        10_000, "The most receipts of writes kept under /activity/; of refused ones a fifth as many beside.", least=1
+        10_000, "The most receipts of writes kept under /activity/; of refused ones a fifth as many beside.", minimum=1
     )
     receipts_age: float = setting(
-        30 * 24 * 3600.0, "How long the receipt of a write is kept under /activity/.", unit="s", least=1
+        30 * 24 * 3600.0, "How long the receipt of a write is kept under /activity/.", unit="s", minimum=1
     )
     receipt_excerpt: int = setting(
-        500, "How much of its beginning a receipt tells of a body; 0: nothing.", unit="bytes", least=0
+        500, "How much of its beginning a receipt tells of a body; 0: nothing.", unit="bytes", minimum=0
     )
-    body_limit: int = setting(10 * 1024 * 1024, "The largest request body.", unit="bytes", least=1024)
+    body_limit: int = setting(10 * 1024 * 1024, "The largest request body.", unit="bytes", minimum=1024)
     upload_limit: int = setting(
-        1024 * 1024 * 1024, "The largest file that is kept under /data/.", unit="bytes", least=1024
+        1024 * 1024 * 1024, "The largest file that is kept under /data/.", unit="bytes", minimum=1024
     )
     message_limit: int = setting(
         MESSAGE_LIMIT,
         "The longest message or response that is read from a node of ROS 1; a longer one ends the connection.",
         unit="bytes",
-        least=1024 * 1024,
+        minimum=1024 * 1024,
     )
     inline_limit: int = setting(
         64 * 1024,
         "The largest array or string told inline; a larger one is elided, with a link to its bytes.",
         unit="bytes",
-        least=0,
+        minimum=0,
     )
     store_time_limit: float = setting(
-        30.0, "The longest one request to the server of --store may take.", unit="s", least=0.1
+        30.0, "The longest one request to the server of --store may take.", unit="s", minimum=0.1
     )
-    query_time_limit: float = setting(10.0, "The longest a SPARQL query may take.", unit="s", least=0.001)
+    query_time_limit: float = setting(10.0, "The longest a SPARQL query may take.", unit="s", minimum=0.001)
     query_memory_limit: int = setting(
         1024 * 1024 * 1024,
         "The most memory a SPARQL query may take beyond the dataset; held on Linux.",
         unit="bytes",
-        least=16 * 1024 * 1024,
+        minimum=16 * 1024 * 1024,
     )
     query_row_limit: int = setting(
         1_000_000,
         "The most rows, or triples of a graph, in the answer to a SPARQL query.",
         option=True,
-        least=1,
+        minimum=1,
         metavar="N",
     )
     allow_service: tuple[str, ...] = setting(
@@ -300,11 +311,11 @@ class Settings:
         option=True,
         metavar="URL",
     )
-    query_concurrency: int = setting(4, "The most SPARQL queries that are answered at a time.", least=1)
+    query_concurrency: int = setting(4, "The most SPARQL queries that are answered at a time.", minimum=1)
     query_queue: int = setting(
-        256, "The most SPARQL queries that wait for their turn; to more the answer is 503.", least=0
+        256, "The most SPARQL queries that wait for their turn; to more the answer is 503.", minimum=0
     )
-    query_size_limit: int = setting(256 * 1024, "The longest text of a SPARQL query.", unit="bytes", least=1024)
+    query_size_limit: int = setting(256 * 1024, "The longest text of a SPARQL query.", unit="bytes", minimum=1024)
     types_namespace: str = setting(
         "https://w3id.org/rosld/types/", "The namespace of the classes and properties of message types."
     )
@@ -313,7 +324,7 @@ class Settings:
         _check_base(self.base_url)
         _check_namespace(self.types_namespace)
         for declared in declarations():
-            _check_least(declared, getattr(self, declared.name))
+            _check_minimum(declared, getattr(self, declared.name))
         if self.stop_cancels not in ("own", "others"):
             raise ValueError(f"--stop-cancels {self.stop_cancels}: it is own or others")
         if self.port > 65535:
@@ -369,7 +380,7 @@ class Declaration(NamedTuple):
     help: str
     option: str | None
     unit: str
-    least: float | None
+    minimum: float | None
     metavar: str | None
 
 
@@ -392,7 +403,7 @@ def _declarations() -> Iterator[Declaration]:
             one.metadata[_HELP],
             option,
             one.metadata[_UNIT],
-            one.metadata[_LEAST],
+            one.metadata[_MINIMUM],
             one.metadata[_METAVAR],
         )
 
@@ -411,7 +422,7 @@ def parse(name: str, text: str) -> int | float | str:
         value = kinds[declared.type](text)
     except ValueError as error:
         raise ValueError(f"the setting {name} takes a number, not {text!r}") from error
-    _check_least(declared, value)
+    _check_minimum(declared, value)
     return value
 
 
@@ -461,12 +472,12 @@ def _row(one: Declaration) -> str:
     return f"| `{one.name}` | {option} | {default}{' ' + one.unit if one.unit else ''} | {one.help} |\n"
 
 
-def _check_least(declared: Declaration, value: object) -> None:
-    if declared.least is None or not isinstance(value, (int, float)):
+def _check_minimum(declared: Declaration, value: object) -> None:
+    if declared.minimum is None or not isinstance(value, (int, float)):
         return
-    if not declared.least <= value < float("inf"):
+    if not declared.minimum <= value < float("inf"):
         name = declared.option or f"--setting {declared.name}"
-        raise ValueError(f"{name} {value}: must be at least {declared.least:g}")
+        raise ValueError(f"{name} {value}: must be at least {declared.minimum:g}")
 
 
 def _check_asked(option: str, url: str) -> None:

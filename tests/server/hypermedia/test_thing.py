@@ -71,7 +71,7 @@ def whole(schema: MessageSchema) -> MessageShape:
     return MessageShape(schema, tuple(field.name for field in schema.type.fields))
 
 
-THOUSAND = scalar("float64", Measure(KMH, SPEED), least=number("0"), greatest=number("1000"))
+THOUSAND = scalar("float64", Measure(KMH, SPEED), minimum=number("0"), maximum=number("1000"))
 PROPERTIES = (
     PropertyAffordance("power", URL + "power", POWER, av.power, write=True, title="Power"),
     PropertyAffordance("engine/speed", URL + "engine/speed", THOUSAND, av.speed, write=True, observe=True),
@@ -233,10 +233,10 @@ def test_a_thing_says_who_it_is_where_it_leads_and_that_it_is_open() -> None:
         (scalar("bool"), {"type": "boolean"}),
         (scalar("uint8"), {"type": "integer", "minimum": 0, "maximum": 255}),
         (scalar("int16"), {"type": "integer", "minimum": -32768, "maximum": 32767}),
-        (scalar("int32", least=number("0")), {"type": "integer", "minimum": 0, "maximum": 2147483647}),
-        (scalar("int64", least=number("-5"), below=number("7")),
+        (scalar("int32", minimum=number("0")), {"type": "integer", "minimum": 0, "maximum": 2147483647}),
+        (scalar("int64", minimum=number("-5"), exclusive_maximum=number("7")),
          {"type": "integer", "minimum": -5, "exclusiveMaximum": 7}),
-        (scalar("float32", above=number("0.5")), {"type": "number", "exclusiveMinimum": 0.5}),
+        (scalar("float32", exclusive_minimum=number("0.5")), {"type": "number", "exclusiveMinimum": 0.5}),
         (scalar("string"), {"type": "string"}),
         (ScalarShape(Primitive("string", 8)), {"type": "string", "maxLength": 8}),
         (ScalarShape(Primitive("string", 8), Bounds(min_length=1, max_length=20, pattern="^[a-z]+$")),

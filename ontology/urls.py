@@ -14,7 +14,7 @@ from functools import lru_cache
 from typing import NamedTuple
 from urllib.parse import quote, unquote_to_bytes, urlsplit
 
-from rosld.adapters.model import TypeRef, names
+from rosld.adapters.model import Schema, TypeRef, halves_of, names
 
 TYPES = "https://w3id.org/rosld/types/"
 
@@ -164,6 +164,14 @@ class Space:
     def shape(self, name: str) -> str:
         """The SHACL shape of a type."""
         return self.url("shapes", tuple(name.split("/")))
+
+    def shapes_of(self, schema: Schema) -> tuple[str, ...]:
+        """The SHACL shapes of the messages that a type is made of."""
+        return tuple(self.shape(half.ref.name) for half in halves_of(schema))
+
+    def document_shape(self, name: str) -> str:
+        """The SHACL shape of what documents say of a class: `Topic` -> `shapes/documents#Topic`."""
+        return f"{self.base}shapes/documents#{name}"
 
     def call(self, id: str) -> str:
         """One call of a service."""

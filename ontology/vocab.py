@@ -505,7 +505,9 @@ class sh(Namespace, iri="http://www.w3.org/ns/shacl#"):
     or_: NamedNode
     not_: NamedNode
     xone: NamedNode
+    inversePath: NamedNode
     zeroOrMorePath: NamedNode
+    shapesGraph: NamedNode
     conforms: NamedNode
     result: NamedNode
     resultSeverity: NamedNode

@@ -1,12 +1,18 @@
-"""What constrains the data and the queries that clients keep, as shapes graphs (LDP 4.2.1.6)."""
+"""Shapes graphs written by hand: what documents of this server say, and what clients may keep (LDP 4.2.1.6)."""
 
 from __future__ import annotations
 
+from functools import cache
 from importlib.resources import files
 
 from pyoxigraph import RdfFormat, parse
 
 from rosld.ontology.document import Document
+
+
+def documents_shape(url: str) -> Document:
+    """The shapes graph of what this server says, class by class, about the document at `url`."""
+    return _document("documents.ttl", url)
 
 
 def data_shape(url: str) -> Document:
@@ -19,6 +25,7 @@ def query_shape(url: str) -> Document:
     return _document("query.ttl", url)
 
 
+@cache
 def _document(name: str, url: str) -> Document:
     text = (files("rosld.shapes") / name).read_bytes()
     return Document(url, tuple(quad.triple for quad in parse(text, RdfFormat.TURTLE, base_iri=url)))

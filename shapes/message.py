@@ -1,22 +1,25 @@
-"""SHACL shapes of message types: what a message must look like to be written (SHACL 1.0 Core).
+"""SHACL shapes of message types: what this server says of a message (SHACL 1.0 Core).
 
 A shape says what the datatypes of XSD and the classes do not say by themselves: each field is there exactly once, the
-range of integers, the length of strings and arrays. The shape of a type is the resource `/shapes/PKG/msg/NAME`, the
-property shape of a field is the fragment of its name.
+range of integers, the length of strings and arrays, what may stand for a value that is too large to be written. The
+shape of a type is the resource `/shapes/PKG/msg/NAME`, the property shape of a field is the fragment of its name. Types
+nested in it have shapes of their own there (`#std_msgs/msg/Header`), so that one document is all that a validator
+needs. Each has its class as its target, so that none holds another: validators bound how deep shapes may nest.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from itertools import count
+from collections.abc import Mapping, Sequence
+from typing import Protocol
 
-from pyoxigraph import BlankNode, Literal, NamedNode, Triple
+from pyoxigraph import Literal, NamedNode
 
 from rosld.adapters.model import (
     ActionSchema,
     Array,
     Constant,
     Field,
+    FieldType,
     MessageSchema,
     MessageType,
     Nested,
@@ -33,30 +36,31 @@ from rosld.ontology.literals import DATATYPES, OCTETS, STRINGS
 from rosld.ontology.triples import RDF_SOURCE, Statement, Value, boolean, integer, statements, text, triples_about
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import rdf, rdfs, ros, sh, xsd
+from rosld.shapes.lists import list_of, write_list_shape
+from rosld.shapes.writer import ShapesWriter
 
 SERVER_MANAGED = (rdf.type, ros.received, ros.sequence, ros.sentBy, ros.latched, ros.dateTime)
 """What a message node may say beside its fields."""
+
+SHACL_SHACL = "http://www.w3.org/ns/shacl-shacl#"
+"""The shapes of shapes graphs (SHACL 1.0, appendix C)."""
 
 _LONGEST_PATTERN = 1000
 _NUMBER = r"[^,\[\]{}]+"
 
 
 def shape_document(schema: Schema, space: Space) -> Document:
-    """The shape of a message type, or those of the messages of a service or an action. Nested types have their own."""
+    """The shape of a message type, or links to the shapes of the messages of a service or an action."""
     name = schema.ref.name
     url = space.shape(name)
     if isinstance(schema, MessageSchema):
-        return Document(url, (*triples_about(NamedNode(url), *RDF_SOURCE), *type_shape(schema.type, schema, space)))
-    halves = halves_of(schema)
-    shapes = [NamedNode(space.shape(half.ref.name)) for half in halves]
-    triples = triples_about(
-        NamedNode(url),
-        *RDF_SOURCE,
-        (rdfs.label, text(f"What {name} is sent and answers")),
-        *zip(_HALVES[type(schema)], shapes, strict=True),
-    )
-    for half in halves:
-        triples += type_shape(half.type, half, space)
+        writer = ShapesWriter(url)
+        writer.add(writer.node(), *RDF_SOURCE)
+        write_message_shapes(writer, schema, space, _Said(writer, schema, space))
+        return Document(url, tuple(writer.triples))
+    halves = [NamedNode(space.shape(half.ref.name)) for half in halves_of(schema)]
+    label = (rdfs.label, text(f"What {name} is sent and answers"))
+    triples = triples_about(NamedNode(url), *RDF_SOURCE, label, *zip(_HALVES[type(schema)], halves, strict=True))
     return Document(url, tuple(triples))
 
 
@@ -66,122 +70,145 @@ _HALVES: Mapping[type, Sequence[NamedNode]] = {
 }
 
 
-def shapes_closure(schema: MessageSchema, space: Space) -> list[Triple]:
-    """The shapes of a message type and of all types nested in it: all that a validator needs."""
-    return [triple for kind in schema.types.values() for triple in type_shape(kind, schema, space)]
+class FieldShapes(Protocol):
+    """What is demanded of the values of fields, by their kinds."""
+
+    def primitive(self, kind: Primitive) -> Sequence[Statement]:
+        """Of a scalar."""
+        ...
+
+    def nested(self, name: str) -> Sequence[Statement]:
+        """Of a message within a message, by the name of its type."""
+        ...
+
+    def array(self, kind: Array, element: Primitive) -> Sequence[Statement]:
+        """Of an array of primitives."""
+        ...
+
+    def messages(self, kind: Array, name: str) -> Sequence[Statement]:
+        """Of an array of messages, by the name of their type."""
+        ...
+
+    def message(self, kind: MessageType) -> Sequence[Statement]:
+        """Of the node of a message itself beside its fields, and which nodes are meant."""
+        ...
 
 
-def type_shape(kind: MessageType, schema: MessageSchema, space: Space) -> list[Triple]:
-    """The node shape of one type of a schema."""
-    return _Shape(kind, space, binary_strings=not (schema.ref.hash or "").startswith("RIHS")).triples()
+def shape_node(writer: ShapesWriter, schema: MessageSchema, name: str) -> NamedNode:
+    """The node shape of one of the types of a schema: that of the type itself is the document."""
+    return writer.node("" if name == schema.ref.name else name)
 
 
-class _Shape:
-    """Writes the shape of one type. `binary_strings`: a string that is not UTF-8 may come as octets (ROS 1)."""
+def write_message_shapes(writer: ShapesWriter, schema: MessageSchema, space: Space, fields: FieldShapes) -> None:
+    """Write the shapes of all types of a schema, and those of their fields."""
+    for kind in (schema.type, *(kind for name, kind in schema.types.items() if name != schema.ref.name)):
+        _write_type(writer, schema, kind, space, fields)
 
-    def __init__(self, kind: MessageType, space: Space, *, binary_strings: bool) -> None:
-        self.kind = kind
-        self.space = space
-        self.binary_strings = binary_strings
-        self.url = space.shape(kind.name)
-        self.blanks = (BlankNode(f"{kind.name.replace('/', '-')}-{number}") for number in count())
-        self.inner: list[Triple] = []
 
-    def triples(self) -> list[Triple]:
-        """All of it."""
-        properties = {field: NamedNode(self.space.fragment(self.url, field.name)) for field in self.kind.fields}
-        triples = triples_about(
-            NamedNode(self.url),
-            (rdf.type, sh.NodeShape),
-            (sh.targetClass, NamedNode(self.space.class_of(self.kind.name))),
-            (rdfs.label, text(self.kind.name)),
-            (sh.closed, boolean(True)),
-            (sh.ignoredProperties, self.list_of(SERVER_MANAGED)),
-            *statements(sh.property, properties.values()),
-            *statements(rdfs.comment, self.comments()),
-        )
-        for position, (field, node) in enumerate(properties.items()):
-            triples += triples_about(node, *self.field(field, position))
-        return triples + self.inner
-
-    def comments(self) -> list[Literal]:
-        """The constants, which a field may but need not hold."""
-        values = [(constant, constant_value(constant)) for constant in self.kind.constants]
-        return [Literal(f"{constant.name} = {value.value}") for constant, value in values if value is not None]
-
-    def field(self, field: Field, position: int) -> list[Statement]:
-        """The property shape of a field."""
-        return [
+def _write_type(
+    writer: ShapesWriter, schema: MessageSchema, kind: MessageType, space: Space, fields: FieldShapes
+) -> None:
+    """Write the node shape of a type. Constants are told, which a field may but need not hold."""
+    prefix = "" if kind.name == schema.ref.name else f"{kind.name}."
+    properties = {field: writer.node(prefix + field.name) for field in kind.fields}
+    values = [(constant, constant_value(constant)) for constant in kind.constants]
+    writer.add(
+        shape_node(writer, schema, kind.name),
+        (rdf.type, sh.NodeShape),
+        (rdfs.label, text(kind.name)),
+        *statements(
+            rdfs.comment, [Literal(f"{one.name} = {value.value}") for one, value in values if value is not None]
+        ),
+        (sh.closed, boolean(True)),
+        *statements(sh.property, properties.values()),
+        *fields.message(kind),
+    )
+    for position, (field, property) in enumerate(properties.items()):
+        writer.add(
+            property,
             (rdf.type, sh.PropertyShape),
-            (sh.path, NamedNode(self.space.property_of(self.kind.name, field.name))),
+            (sh.path, NamedNode(space.property_of(kind.name, field.name))),
             (sh.name, text(field.name)),
             (sh.description, text(definition_text(field.type))),
             (sh.order, integer(position)),
             (sh.minCount, integer(1)),
             (sh.maxCount, integer(1)),
             (sh.defaultValue, _default(field)),
-            *self.value(field),
-        ]
+            *_value(field.type, fields),
+        )
 
-    def value(self, field: Field) -> list[Statement]:
-        """What the value must be."""
-        kind = field.type
-        if isinstance(kind, Primitive):
-            return self.primitive(kind)
-        if isinstance(kind, Nested):
-            return self.nested(kind.name)
-        if isinstance(kind.element, Nested):
-            self.elements(field, kind, kind.element)
-            return [(sh.nodeKind, sh.BlankNodeOrIRI)]
-        return octets(kind) if kind.element.name in OCTETS else array(kind, kind.element)
 
-    def primitive(self, kind: Primitive) -> list[Statement]:
-        """A scalar."""
+def _value(kind: FieldType, fields: FieldShapes) -> Sequence[Statement]:
+    if isinstance(kind, Primitive):
+        return fields.primitive(kind)
+    if isinstance(kind, Nested):
+        return fields.nested(kind.name)
+    element = kind.element
+    return fields.array(kind, element) if isinstance(element, Primitive) else fields.messages(kind, element.name)
+
+
+class _Said:
+    """The values of fields as this server says them.
+
+    Strings and arrays may be elided. In ROS 1 a string that is not UTF-8 comes as octets.
+    """
+
+    def __init__(self, writer: ShapesWriter, schema: MessageSchema, space: Space) -> None:
+        self._writer = writer
+        self._space = space
+        self._binary_strings = not (schema.ref.hash or "").startswith("RIHS")
+        kinds = [field.type for kind in schema.types.values() for field in kind.fields]
+        if any(isinstance(kind, Array) or kind.name in STRINGS for kind in kinds):
+            self._write_elided()
+        if any(isinstance(kind, Array) and isinstance(kind.element, Nested) for kind in kinds):
+            write_list_shape(writer)
+
+    def _write_elided(self) -> None:
+        writer, one = self._writer, [(sh.minCount, integer(1)), (sh.maxCount, integer(1))]
+        count = ((sh.datatype, xsd.integer), (sh.minInclusive, integer(0)))
+        length = writer.blank((sh.path, ros.elidedLength), *count, *one)
+        place = writer.blank((sh.path, ros.bytes), (sh.nodeKind, sh.IRI), *one)
+        writer.add(
+            self._elided,
+            (rdf.type, sh.NodeShape),
+            (rdfs.label, text("What stands for a value that is too large to be written")),
+            (sh.class_, ros.Elided),
+            *statements(sh.property, [length, place]),
+        )
+
+    @property
+    def _elided(self) -> NamedNode:
+        return self._writer.node("elided")
+
+    def _or_elided(self, *shapes: Value) -> list[Statement]:
+        return [self._writer.either([*shapes, self._elided])]
+
+    def primitive(self, kind: Primitive) -> Sequence[Statement]:
         datatype = NamedNode(xsd.iri + DATATYPES[kind.name])
         if kind.name in STRINGS:
-            if self.binary_strings:
-                either = [self.blank((sh.datatype, each)) for each in (datatype, xsd.base64Binary)]
-                return [(sh.or_, self.list_of(either))]
-            return [(sh.datatype, datatype), (sh.maxLength, integer(kind.bound))]
+            string = self._writer.blank((sh.datatype, datatype), (sh.maxLength, integer(kind.bound)))
+            octets = [self._writer.blank((sh.datatype, xsd.base64Binary))] if self._binary_strings else []
+            return self._or_elided(string, *octets)
         least, greatest = RANGES.get(kind.name, (None, None))
         # XSD has these ranges in its datatypes, but not every validator looks into them.
         return [(sh.datatype, datatype), (sh.minInclusive, integer(least)), (sh.maxInclusive, integer(greatest))]
 
-    def nested(self, name: str) -> list[Statement]:
-        """A message within a message."""
-        return [(sh.class_, NamedNode(self.space.class_of(name))), (sh.node, NamedNode(self.space.shape(name)))]
+    def nested(self, name: str) -> Sequence[Statement]:
+        return [(sh.class_, NamedNode(self._space.class_of(name)))]
 
-    def elements(self, field: Field, kind: Array, element: Nested) -> None:
-        """A second property shape for the elements of an rdf:List of messages."""
-        steps: list[Value] = [
-            NamedNode(self.space.property_of(self.kind.name, field.name)),
-            self.blank((sh.zeroOrMorePath, rdf.rest)),
-            rdf.first,
-        ]
-        node = NamedNode(self.space.fragment(self.url, field.name) + ".elements")
-        self.inner += triples_about(NamedNode(self.url), (sh.property, node))
-        self.inner += triples_about(
-            node,
-            (rdf.type, sh.PropertyShape),
-            (sh.path, self.list_of(steps)),
-            (sh.name, text(f"elements of {field.name}")),
-            (sh.minCount, integer(kind.length)),
-            (sh.maxCount, integer(kind.length if kind.length is not None else kind.bound)),
-            *self.nested(element.name),
-        )
+    def array(self, kind: Array, element: Primitive) -> Sequence[Statement]:
+        said = _octets(kind) if element.name in OCTETS else _json(kind, element)
+        return self._or_elided(self._writer.blank(*said))
 
-    def blank(self, *statements: Statement) -> BlankNode:
-        """A blank node that says this."""
-        node = next(self.blanks)
-        self.inner += triples_about(node, *statements)
-        return node
+    def messages(self, kind: Array, name: str) -> Sequence[Statement]:
+        return self._or_elided(list_of(self._writer, self.nested(name), kind.length, kind.bound))
 
-    def list_of(self, elements: Iterable[Value]) -> Value:
-        """An rdf:List."""
-        rest: Value = rdf.nil
-        for element in reversed(list(elements)):
-            rest = self.blank((rdf.first, element), (rdf.rest, rest))
-        return rest
+    def message(self, kind: MessageType) -> Sequence[Statement]:
+        ignored = self._writer.list_of(SERVER_MANAGED)
+        return [
+            (sh.targetClass, NamedNode(self._space.class_of(kind.name))),
+            (sh.ignoredProperties, ignored),
+        ]  # fmt: skip
 
 
 def _default(field: Field) -> Literal | None:
@@ -192,7 +219,7 @@ def _default(field: Field) -> Literal | None:
     return constant_value(Constant(field.name, field.type.name, stated))
 
 
-def octets(kind: Array) -> list[Statement]:
+def _octets(kind: Array) -> list[Statement]:
     """An array of octets: one base64 literal, four characters for each three octets begun."""
     longest = kind.length if kind.length is not None else kind.bound
     return [
@@ -206,7 +233,7 @@ def _base64_length(octets: int) -> int:
     return (octets + 2) // 3 * 4
 
 
-def array(kind: Array, element: Primitive) -> list[Statement]:
+def _json(kind: Array, element: Primitive) -> list[Statement]:
     """An array of numbers, bools or strings: one rdf:JSON literal, whose length a pattern can tell for numbers."""
     return [(sh.datatype, rdf.JSON), (sh.pattern, text(_pattern(kind)) if element.name not in STRINGS else None)]
 

@@ -38,6 +38,7 @@ from rosld.ontology.literals import (
     wire_bytes,
 )
 from rosld.ontology.lower import lowerer
+from rosld.ontology.urls import Space
 from rosld.ontology.vocab import xsd
 from rosld.server.http.conditional import digest
 
@@ -144,6 +145,14 @@ def refusal_text(schema: MessageSchema, response: Message, value: tuple[Field, .
         return None
     words = (getattr(response, one.attribute) for one in status if one.name in _WORDS and scalar_field((one,)))
     return next((str(one) for one in words if one), "")
+
+
+def shape_url(reading: Reading, field: str | None, space: Space) -> str | None:
+    """The URL of the shape that a reading conforms to where it is shown as a message with all of its fields."""
+    value = reading.value
+    if not isinstance(value, MessageValue) or field is not None or value.fields != value.schema.type.fields:
+        return None
+    return None if scalar_field(value.fields) is not None else space.shape(value.schema.ref.name)
 
 
 # Plain JSON

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from pyoxigraph import Literal, NamedNode, Triple
 
@@ -36,6 +36,10 @@ class AclResource(Resource):
 
     def deny_reason(self, method: str) -> str:
         return "The rules are written in the file of --auth; it is read again whenever it changes."
+
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (f"{self.url.removesuffix(ACL)}shapes/documents#Authorization",)
 
     async def state(self) -> State:
         policy = self._authenticator.config.policy

@@ -90,6 +90,10 @@ class ActionResource(CommandResource):
         )
         return PathItem(f"The action {self.name}", writes={"POST": send})
 
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self.robot.space.document_shape("Action"),)
+
     def methods(self) -> frozenset[str]:
         if self.robot.settings.read_only or self.robot.is_resources_only(self.name):
             return READ
@@ -249,6 +253,10 @@ class GoalResource(Resource):
         is_closed = not goal.status.is_final and self.robot.is_resources_only(goal.action)
         return not (self.robot.settings.read_only or is_closed)
 
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self.robot.space.document_shape("Goal"),)
+
     async def state(self) -> State:
         goal = self.goal
         if not goal.is_own and not goal.status.is_final:
@@ -266,7 +274,11 @@ class GoalResource(Resource):
         return self.robot.states.get_or_make(
             self.url,
             (IdentityKey(goal), self._is_open(goal)),
-            lambda: State(lambda: self.document(goal), lambda: self._plain(goal)),
+            lambda: State(
+                lambda: self.document(goal),
+                lambda: self._plain(goal),
+                shapes=() if goal.schema is None else self.robot.space.shapes_of(goal.schema),
+            ),
         )
 
     def document(self, goal: Goal) -> Document:

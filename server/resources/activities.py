@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import islice
 
 import orjson
@@ -59,6 +59,10 @@ class ActivityResource(Resource):
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem("The receipt of a write", plain=ANYTHING)
 
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self.robot.space.document_shape("Write"),)
+
     async def state(self) -> State:
         try:
             entry = self.robot.receipts.find(self.id)
@@ -87,6 +91,10 @@ class ActivityContainer(Resource):
     @property
     def variant_key(self) -> PagePosition | None:
         return self._place
+
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self.robot.space.document_shape("Container"),)
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """The page that `?page=` asks for, the first of many pages (303); as a stream, the newest receipt."""
@@ -160,6 +168,10 @@ class NewestReceipt(Resource):
     def __init__(self, robot: Robot) -> None:
         super().__init__(robot.space.container("activity"))
         self.robot = robot
+
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self.robot.space.document_shape("Write"),)
 
     async def state(self) -> State:
         entry = next(self.robot.receipts.newest_first(), None)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Sequence
 from dataclasses import replace
 
 from starlette.responses import Response
@@ -44,6 +45,10 @@ class BagContainer(Resource):
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem("The recordings")
 
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self.robot.space.document_shape("Container"),)
+
     async def state(self) -> State:
         members = [self.robot.space.bag(name) for name in self.robot.adapter.recordings]
         return self.robot.states.get_or_make(
@@ -65,6 +70,10 @@ class BagResource(Resource):
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem(f"The recording {self.recording.name}")
 
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self.robot.space.document_shape("Bag"),)
+
     async def state(self) -> State:
         recording, space = self.recording, self.robot.space
         return self.robot.states.get_or_make(self.url, 0, lambda: State(lambda: bag_document(recording, space)))
@@ -85,6 +94,10 @@ class BagMessages(Resource):
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem(f"The messages of {self.recording.name}", query=(FORMAT, _PAGE))
+
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self.robot.space.document_shape("Container"),)
 
     async def state(self) -> State:
         recording, space, page = self.recording, self.robot.space, self.number
@@ -142,6 +155,10 @@ class BagMessage(Resource):
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem(f"A message of {self.recording.name}", FIELD_READS, ANYTHING, (FORMAT, FIELD))
 
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self.robot.space.document_shape("Record"),)
+
     async def state(self) -> State:
         known = self.robot.states.find(self.url, 0)
         if known is not None:
@@ -160,7 +177,8 @@ class BagMessage(Resource):
             said = bag_message_document(recording, message, robot.space, found, unreadable=decoded.reason)
             return replace(said, simulated_time=robot.graph.simulated_time)
 
-        return robot.states.put(self.url, 0, State(describe, plain))
+        shapes = () if decoded.schema is None else robot.space.shapes_of(decoded.schema)
+        return robot.states.put(self.url, 0, State(describe, plain, shapes=shapes))
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
         if "field" not in exchange.query:

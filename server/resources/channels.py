@@ -237,6 +237,10 @@ class StorageDescription(DescribedResource):
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem("Where the subscription services are", plain=OBJECT)
 
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self.notifications.robot.space.document_shape("Subscriptions"),)
+
     def document(self) -> Document:
         return description_document(self.url, self.notifications.robot.space.base, self.notifications.services)
 
@@ -254,6 +258,10 @@ class WellKnownContainer(DescribedResource):
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem("What is well known here")
 
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self.notifications.robot.space.document_shape("Container"),)
+
     def document(self) -> Document:
         described = self.notifications.description
         return container_document(self.url, [described, f"{self.url}{THING}"], self.title)
@@ -268,6 +276,10 @@ class ServiceContainer(DescribedResource):
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem("The subscription services")
+
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self.notifications.robot.space.document_shape("Container"),)
 
     def document(self) -> Document:
         return container_document(self.url, [one.url for one in self.notifications.services], self.title)
@@ -293,6 +305,10 @@ class SubscriptionService(DescribedResource):
             shows=OBJECT,
         )
         return PathItem(f"Makes channels: {self._service.type}", plain=OBJECT, writes={"POST": subscribe})
+
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self.notifications.robot.space.document_shape("SubscriptionService"),)
 
     def methods(self) -> frozenset[str]:
         return READ | {"POST"}
@@ -326,6 +342,10 @@ class ChannelResource(DescribedResource):
     def __init__(self, notifications: Notifications, channel: Channel) -> None:
         super().__init__(notifications, channel.terms.url)
         self._channel = channel
+
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self.notifications.robot.space.document_shape("Channel"),)
 
     def methods(self) -> frozenset[str]:
         return READ | {"DELETE"}

@@ -25,6 +25,7 @@ from rosld.server.hypermedia.json_schema import nullable, patch_schema, read_sch
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.hypermedia.resource_tree import ComplexPlan, ResourceTree
 from rosld.server.hypermedia.thing_description import MEDIA_TYPE
+from rosld.server.hypermedia.value import shape_url
 from rosld.server.hypermedia.view_documents import complex_document, complex_json
 from rosld.server.hypermedia.views import ComplexView
 from rosld.server.patches.patch import apply_update
@@ -74,6 +75,10 @@ class ComplexResource(CommandResource):
         return (
             () if plan is None else [url_of(one.url_name or one.source.name, self.robot.space) for one in plan.members]
         )
+
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self.robot.space.document_shape("ComplexResource"),)
 
     @property
     def constrained_by(self) -> str | None:
@@ -135,12 +140,14 @@ class ComplexResource(CommandResource):
         view = robot.affordances.complex_view(plan, snapshot)
         own = tuple(member.reading for member in view.members)
         times = [one.read_ns for one in own if one.read_ns is not None and one.fresh_until is not None]
+        shapes = (shape_url(member.reading, member.field, robot.space) for member in view.members)
         return State(
             lambda: complex_document(view, robot.space, robot.lifting, simulated_time=robot.graph.simulated_time),
             lambda: complex_json(view, robot.lifting),
             received_ns=min(times, default=None),
             max_age=0 if plan.is_conditional else robot.affordances.max_age(own),
             view=view,
+            shapes=tuple(dict.fromkeys(url for url in shapes if url is not None)),
         )
 
     def redact(self, state: State, permissions: Permissions) -> State:

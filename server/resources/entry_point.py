@@ -70,6 +70,10 @@ class EntryResource(Resource):
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem("The robot, with links to everything")
 
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self.robot.space.document_shape("Graph"),)
+
     async def state(self) -> State:
         graph = listed_graph(self.robot)
         system, problems = self.robot.adapter.capabilities.system, self.robot.storage_problems

@@ -114,6 +114,10 @@ class FindResource(Resource):
             raise Problem(400, f"?q= cannot be searched for: {error}. Send fewer.") from error
         return FindResource(self.robot, self._finder, query, exchange.permissions)
 
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self.robot.space.document_shape("SearchResults" if self._text else "Source"),)
+
     async def state(self) -> State:
         if not self._text:
             return State(self.document, self._plain)

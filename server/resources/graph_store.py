@@ -147,6 +147,10 @@ class GraphStore(Resource):
             also=EXTRA_STATUSES,
         )
 
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self._robot.space.document_shape("Dataset"),)
+
     def methods(self) -> frozenset[str]:
         return READ if self._robot.settings.read_only else READ | {"PUT", "POST", "PATCH", "DELETE"}
 

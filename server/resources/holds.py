@@ -170,6 +170,10 @@ class HoldResource(Resource):
     def methods(self) -> frozenset[str]:
         return READ if self.robot.settings.read_only else READ | {"PATCH", "DELETE"}
 
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self.robot.space.document_shape("Hold"),)
+
     async def state(self) -> State:
         return self.state_of(self.hold)
 
@@ -178,8 +182,11 @@ class HoldResource(Resource):
 
     def state_of(self, hold: Hold) -> State:
         """The state of this hold as it stood."""
+        shapes = self.robot.space.shapes_of(hold.message.schema)
         return self.robot.states.get_or_make(
-            self.url, IdentityKey(hold), lambda: State(lambda: self.document(hold), lambda: self._plain(hold))
+            self.url,
+            IdentityKey(hold),
+            lambda: State(lambda: self.document(hold), lambda: self._plain(hold), shapes=shapes),
         )
 
     def document(self, hold: Hold) -> Document:

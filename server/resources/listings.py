@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 from rosld.adapters.base import Watch
 from rosld.ontology.describe_containers import container_document
@@ -31,6 +31,10 @@ class ListingResource(Resource):
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem(self._summary)
+
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self._robot.space.document_shape("Container"),)
 
     async def state(self) -> State:
         members = tuple(self._members())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import orjson
 from pyoxigraph import NamedNode
@@ -29,9 +29,14 @@ class ReplicationResource(Resource):
     def __init__(self, robot: Robot, mirror: Mirror) -> None:
         super().__init__(robot.space.base + ROUTE)
         self._mirror = mirror
+        self._shape = robot.space.document_shape("Mirror")
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem("The mirror of the dataset in another store")
+
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self._shape,)
 
     async def state(self) -> State:
         status = self._mirror.status

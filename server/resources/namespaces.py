@@ -205,6 +205,10 @@ class NamespaceContainer(Resource):
     def variant_key(self) -> tuple[PagePosition | None, bool]:
         return self._place, self._hidden
 
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self.robot.space.document_shape("Container"),)
+
     async def select_variant(self, exchange: Exchange) -> Resource:
         """The page that `?page=` asks for, the first of many pages (303)."""
         if exchange.method not in ("GET", "HEAD"):

@@ -86,6 +86,10 @@ class NodeResource(CommandResource):
         )
         return PathItem("A node", writes={"POST": transition}, alike="managed-node")
 
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self.robot.space.document_shape("Node"),)
+
     def methods(self) -> frozenset[str]:
         lifecycle = self.lifecycle
         if self.robot.settings.read_only or lifecycle is None or lifecycle.state is None:

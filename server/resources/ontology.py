@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from rosld.ontology.document import Document
 from rosld.ontology.modules import CORE, MODULES, VERSION, module_url, served_triples
 from rosld.ontology.urls import Location
@@ -26,6 +28,10 @@ class OntologyResource(Resource):
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem("The core of the ontology" if self.name == CORE else f"A module of the ontology: {self.name}")
+
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self.robot.space.document_shape("Ontology"),)
 
     async def state(self) -> State:
         return self.robot.states.get_or_make(self.url, 0, lambda: State(self.document))

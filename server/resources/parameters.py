@@ -135,6 +135,10 @@ class _Parameters(CommandResource):
             return False
         return operation in self.robot.adapter.allows(Ref(Kind.PARAMETER, self.name))
 
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self.robot.space.document_shape("Parameter"),)
+
     async def _value(self) -> ParameterValue | None:
         deadline = self.robot.deadline(self.robot.settings.call_deadline)
         return (await self.robot.adapter.get_parameters([self.name], deadline=deadline)).get(self.name)

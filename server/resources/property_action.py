@@ -26,7 +26,7 @@ from rosld.server.hypermedia.json_schema import ANYTHING, OBJECT, nullable, patc
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.hypermedia.property_writer import PlannedWrite, WriteOutcome, carry_out, not_writable_reason
 from rosld.server.hypermedia.resource_tree import ActionPlan, PropertyPlan, ResourceTree, parent_of
-from rosld.server.hypermedia.value import MessageValue
+from rosld.server.hypermedia.value import MessageValue, shape_url
 from rosld.server.hypermedia.value_body import content_from_rdf
 from rosld.server.hypermedia.view_documents import action_document, property_document, property_json
 from rosld.server.hypermedia.views import PropertyView
@@ -152,6 +152,12 @@ class MemberResource(CommandResource):
             return f"{self.url}#property/shape"
         return self.robot.space.shape(action.request.ref.name)
 
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        tree = self._tree
+        is_property = tree is None or tree.property(self.name) is not None
+        return (self.robot.space.document_shape("Property" if is_property else "ActionResource"),)
+
     # Reading
 
     async def state(self) -> State:
@@ -171,12 +177,14 @@ class MemberResource(CommandResource):
     def _shown(self, plan: PropertyPlan, snapshot: Snapshot) -> State:
         robot = self.robot
         view = robot.affordances.property_view(plan, snapshot)
+        shape = shape_url(view.reading, view.field, robot.space)
         return State(
             lambda: property_document(view, robot.space, robot.lifting, simulated_time=robot.graph.simulated_time),
             lambda: property_json(view, robot.lifting),
             received_ns=view.reading.read_ns,
             max_age=0 if plan.is_conditional else robot.affordances.max_age((view.reading,)),
             view=view,
+            shapes=() if shape is None else (shape,),
         )
 
     def _shown_action(self, plan: ActionPlan, snapshot: Snapshot) -> State:

@@ -209,9 +209,10 @@ class ShippedQueryResource(Resource):
         return f"{self._query.name} comes with rosld and stays as it is: PUT a query of another name to {room}NAME."
 
     async def state(self) -> State:
-        return self.robot.states.get_or_make(
-            self.url, 0, lambda: State(partial(shipped_document, self.url, self._query))
-        )
+        return self.robot.states.get_or_make(self.url, 0, self._describe)
+
+    def _describe(self) -> State:
+        return State(partial(shipped_document, self.url, self._query), shapes=_shapes(self.robot))
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
         if (
@@ -399,8 +400,16 @@ def _describe(robot: Robot, record: Record) -> State:
         document = state.document
         return Document(document.url, tuple(dict.fromkeys((*document.triples, *robot.queries.description(record)))))
 
+    def make() -> State:
+        return replace(state, describe=describe, shapes=_shapes(robot), renderings={})
+
     url = f"{robot.space.base}{record.path}# with what it says"
-    return robot.states.get_or_make(url, IdentityKey(state), lambda: replace(state, describe=describe, renderings={}))
+    return robot.states.get_or_make(url, IdentityKey(state), make)
+
+
+def _shapes(robot: Robot) -> tuple[str, ...]:
+    """What the description of a query conforms to; its results do not."""
+    return (robot.space.document_shape("Query"),)
 
 
 async def _require_size(robot: Robot, exchange: Exchange) -> None:

@@ -67,6 +67,10 @@ class ServiceResource(CommandResource):
         )
         return PathItem(f"The service {self.name}", writes={"POST": call})
 
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self.robot.space.document_shape("Service"),)
+
     def methods(self) -> frozenset[str]:
         if self.robot.settings.read_only or self.robot.is_resources_only(self.name):
             return READ
@@ -159,6 +163,10 @@ class CallResource(Resource):
         except KeyError as error:
             raise Problem(404, f"There is no call {self.id}.") from error
 
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self.robot.space.document_shape("Call"),)
+
     async def state(self) -> State:
         call = self.call
         return self.robot.states.get_or_make(self.url, IdentityKey(call), lambda: self.state_of(call))
@@ -174,7 +182,7 @@ class CallResource(Resource):
                 return b"null"
             return lifter(call.schema.response, self.robot.lifting).json(call.response, self.url)
 
-        return State(lambda: self.document(call), plain)
+        return State(lambda: self.document(call), plain, shapes=self.robot.space.shapes_of(call.schema))
 
     def document(self, call: Call) -> Document:
         """The RDF of this call as it stood."""

@@ -258,6 +258,10 @@ class SparqlResource(Resource):
         )
         return PathItem("The SPARQL endpoint", RESULTS, ANYTHING, (_QUERY, *_OF_BOTH, TIMEOUT), {"POST": post})
 
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self.robot.space.document_shape("SparqlEndpoint"),)
+
     def methods(self) -> frozenset[str]:
         return READ | {"POST"}
 

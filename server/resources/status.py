@@ -41,6 +41,10 @@ class StatusResource(Resource):
         summary = "How promptly the server itself answers, what is wrong with its storage"
         return PathItem(summary, plain={"type": "object", "properties": told})
 
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self._robot.space.document_shape("ServerStatus"),)
+
     async def state(self) -> State:
         pauses, problems = self._watchdog.pauses, self._robot.storage_problems
         return State(lambda: status_document(self.url, pauses, problems), lambda: _plain(pauses, problems))

@@ -79,6 +79,10 @@ class StopResource(Resource):
         release = WriteMethod("Lets writes reach the robot again.", done=(204,))
         return PathItem("The stop of the whole robot", plain=plain, writes={"POST": stop, "DELETE": release})
 
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self.robot.space.document_shape("Stop"),)
+
     def methods(self) -> frozenset[str]:
         return READ | {"POST", "DELETE"} if unusable_reason(self.robot) is None else READ
 

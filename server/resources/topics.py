@@ -218,7 +218,16 @@ class TopicResource(CommandResource):
         token = digest(said.encode("utf-8", "replace"))
         recorded = bool(self.robot.adapter.recordings)  # a recording's times are of the past: no Age (RFC 9111 5.1)
         received = view.newest.received_ns if view.newest and not recorded else None
-        return State(lambda: self._document(topic, view, decoded), plain, token, received)
+        return State(
+            lambda: self._document(topic, view, decoded), plain, token, received, shapes=self._shapes(topic, decoded)
+        )
+
+    def _shapes(self, topic: Topic, decoded: Sequence[DecodedSample]) -> tuple[str, ...]:
+        """The shapes of the messages; none where their types contradict each other: `/shapes/` has one of a name."""
+        if len(topic.types) > 1:
+            return ()
+        schemas = (one.schema for one in decoded)
+        return tuple(dict.fromkeys(self.robot.space.shape(one.ref.name) for one in schemas if one is not None))
 
     def _document(self, topic: Topic, view: TopicView, decoded: Sequence[DecodedSample]) -> Document:
         robot = self.robot
@@ -229,6 +238,10 @@ class TopicResource(CommandResource):
             topic, robot.space, robot.graph, view.rate, found, unreadable=reason,
             holdable=self.is_holdable, hold=None if hold is None else hold.id,
         )  # fmt: skip
+
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self.robot.space.document_shape("Topic"),)
 
     @property
     def constrained_by(self) -> str | None:

@@ -33,19 +33,18 @@ from rosld.server.rest.state import State
 from rosld.server.robot.session import used_types
 from rosld.server.storage import Put, Record
 from rosld.server.storage.record_documents import record_document
-from rosld.shapes.data import data_shape, query_shape
+from rosld.shapes.data import data_shape, documents_shape, query_shape
 from rosld.shapes.mapping import mapping_shape
-from rosld.shapes.message import shape_document
+from rosld.shapes.message import SHACL_SHACL, shape_document
 
-DATA, LIMITS, MAPPING, QUERY = "data", "limits", "mapping", "query"
-SHAPES_GRAPHS = (DATA, LIMITS, MAPPING, QUERY)
-"""What lies below `/shapes/` beside the shapes of types: what constrains kept data, the limits in force, and
-
-what constrains mapping documents and stored queries."""
+DATA, DOCUMENTS, LIMITS, MAPPING, QUERY = "data", "documents", "limits", "mapping", "query"
+SHAPES_GRAPHS = (DATA, DOCUMENTS, LIMITS, MAPPING, QUERY)
+"""What lies below `/shapes/` beside the shapes of types, and what clients keep there."""
 
 _HASH = QueryParameter("hash", "Which of several definitions of one name.")
 _SUMMARIES = {
     "data": "The shapes of data",
+    "documents": "The shapes of what documents say",
     "limits": "The limits in force",
     "mapping": "The shape of mapping documents",
     "query": "The shape of stored queries",
@@ -61,6 +60,10 @@ class TypeResource(Resource):
         super().__init__(robot.space.type(TypeRef(name, hash)))
         self.robot = robot
         self.ref = TypeRef(name, hash)
+
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self.robot.space.document_shape("Type"),)
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         hash = exchange.query.get("hash")
@@ -98,6 +101,10 @@ class ShapeResource(Resource):
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem("One of the shapes")
 
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (SHACL_SHACL,)
+
     async def state(self) -> State:
         schema = await schema_of(self.robot, TypeRef(self.name))
         return self.robot.states.get_or_make(
@@ -106,7 +113,7 @@ class ShapeResource(Resource):
 
 
 class ShapesGraphResource(Resource):
-    """`/shapes/data`, `/shapes/limits`, `/shapes/mapping`, `/shapes/query`: a shapes graph by itself."""
+    """`/shapes/data`, `/shapes/documents`, `/shapes/limits`, ...: a shapes graph by itself."""
 
     kind = "Shape"
 
@@ -124,6 +131,10 @@ class ShapesGraphResource(Resource):
     async def current_methods(self) -> frozenset[str]:
         return await self.methods_if_there()
 
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (SHACL_SHACL,)
+
     async def state(self) -> State:
         return self.robot.states.get_or_make(
             self.url, IdentityKey(self.robot.limits), lambda: State(lambda: shapes_graph(self.robot, self.title))
@@ -138,7 +149,12 @@ def shapes_graph(robot: Robot, name: str) -> Document:
     return _SHAPES[name](url)
 
 
-_SHAPES: Mapping[str, Callable[[str], Document]] = {DATA: data_shape, MAPPING: mapping_shape, QUERY: query_shape}
+_SHAPES: Mapping[str, Callable[[str], Document]] = {
+    DATA: data_shape,
+    DOCUMENTS: documents_shape,
+    MAPPING: mapping_shape,
+    QUERY: query_shape,
+}
 
 
 class TypeContainer(Resource):
@@ -156,6 +172,10 @@ class TypeContainer(Resource):
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         of = ("", " of a package", " of a kind")[len(self.namespace)]
         return PathItem(f"{self.room.capitalize()}{of}")
+
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self.robot.space.document_shape("Container"),)
 
     async def state(self) -> State:
         listed = sorted({ref.name for ref in known_types(self.robot)})

@@ -31,6 +31,7 @@ READ = frozenset({"GET", "HEAD", "OPTIONS"})
 ABSENT = frozenset({"OPTIONS"})
 """What is answered of what is not there, and is not made by a write to its URL."""
 LDP = "http://www.w3.org/ns/ldp#"
+CONFORMS_TO = "http://purl.org/dc/terms/conformsTo"
 RESOURCE = Link(f"{LDP}Resource", "type")
 RDF_SOURCE = Link(f"{LDP}RDFSource", "type")
 BASIC_CONTAINER = Link(f"{LDP}BasicContainer", "type")
@@ -139,6 +140,11 @@ class Resource:
     @property
     def also_changes(self) -> Sequence[str]:
         """The URLs of what its writes change beside itself, so that they take the right to each."""
+        return ()
+
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        """The URLs of the shapes of what it says: that of its class, and those of the messages that it tells of."""
         return ()
 
     @property

@@ -39,6 +39,7 @@ class State:
     `view` is what its page is drawn from, where that is more than its RDF. `scope` names what `tag` is unique in, where
     that outlives this run of the server. `part` ends the variant of its ETags where it is only a part of the resource,
     so that the part guards a write as the whole does. `headers` go with every representation.
+    `shapes` are the URLs of those that the messages in it conform to, beside that of its class.
     `weight` is about how many bytes of N-Triples it says, where that may be many: from `LARGE_BYTES` on its
     representations are made in worker processes, to which `describe` goes as a pickle. A state is kept as long as
     nothing changes, and its renderings with it.
@@ -53,6 +54,7 @@ class State:
     scope: str | None = None
     part: str = ""
     headers: Mapping[str, str] = field(default_factory=dict)
+    shapes: tuple[str, ...] = ()
     weight: int = 0
     renderings: dict[str, Rendering] = field(default_factory=dict)
     redactions: dict[str, State] = field(default_factory=dict)

@@ -362,7 +362,7 @@ def _headers(resource: Resource, state: State, media_type: str, etag: str) -> di
         "etag": etag,
         "vary": "Accept",
         "cache-control": f"max-age={state.max_age}" if state.max_age else "no-cache",
-        **resource_headers(resource),
+        **resource_headers(resource, shapes=state.shapes),
         **state.headers,
     }
 

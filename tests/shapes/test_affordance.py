@@ -17,7 +17,7 @@ from rosld.ontology.urls import Space
 from rosld.ontology.vocab import qudt, rdf, sh, xsd
 from rosld.shapes.affordance import value_shape_triples
 from rosld.shapes.constraints import node_shape
-from rosld.shapes.message import shapes_closure
+from rosld.shapes.message import shape_document
 from rosld.shapes.value import Bounds, Measure, MessageShape, OpenShape, ScalarShape, ValueShape
 
 SPACE = Space("http://127.0.0.1:8080/")
@@ -131,7 +131,7 @@ def test_a_message_is_of_its_types_shape_and_within_the_bounds_of_its_fields() -
     name = "geometry_msgs/msg/Twist"
     shape, types = (
         whole(name, linear_x=Bounds(maximum=typed("1000", xsd.integer))),
-        shapes_closure(schema_of(name), SPACE),
+        shape_document(schema_of(name), SPACE).triples,
     )
     assert conforms(shape, twist(linear_x=1000.0, angular_x=5000.0), more=types)
     assert not conforms(shape, twist(linear_x=1000.5), more=types)
@@ -141,7 +141,7 @@ def test_a_message_is_of_its_types_shape_and_within_the_bounds_of_its_fields() -
 
 def test_a_part_of_a_messages_fields_needs_no_others() -> None:
     schema = schema_of("geometry_msgs/msg/Twist")
-    shape, types = MessageShape(schema, ("linear",)), shapes_closure(schema, SPACE)
+    shape, types = MessageShape(schema, ("linear",)), shape_document(schema, SPACE).triples
     untyped = [t for t in twist() if (t.subject, t.predicate) != (NamedNode(URL + "#value"), rdf.type)]
     without = [t for t in untyped if not t.predicate.value.endswith("Twist#angular")]
     assert conforms(shape, without, more=types)
@@ -152,7 +152,7 @@ def test_bounds_within_an_array_hold_for_each_element() -> None:
     name = "geometry_msgs/msg/Polygon"
     point = schema_of(name).codec.build
     shape = whole(name, points_x=Bounds(maximum=typed("5", xsd.integer)))
-    types = shapes_closure(schema_of(name), SPACE)
+    types = shape_document(schema_of(name), SPACE).triples
     for x, holds in ((5.0, True), (6.0, False)):
         points = [point("geometry_msgs/msg/Point32", {"x": each, "y": 9.0, "z": 0.0}) for each in (1.0, x)]
         assert conforms(shape, message(name, {"points": points}), more=types) is holds
@@ -168,6 +168,6 @@ def test_bounds_within_an_array_hold_for_each_element() -> None:
 )
 def test_the_shape_can_be_compiled_and_its_nodes_are_fragments(shape: ValueShape) -> None:
     triples = value_shape_triples(shape, SHAPE, rdf.value, SPACE)
-    node_shape([*triples, *shapes_closure(schema_of("geometry_msgs/msg/Twist"), SPACE)], SHAPE)
+    node_shape([*triples, *shape_document(schema_of("geometry_msgs/msg/Twist"), SPACE).triples], SHAPE)
     shapes = {t.subject for t in triples if t.predicate not in (rdf.first, rdf.rest, sh.zeroOrMorePath)}
     assert all(isinstance(each, NamedNode) and each.value.startswith(URL + "#shape") for each in shapes)

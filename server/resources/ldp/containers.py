@@ -55,6 +55,10 @@ class ContainerResource(RdfSourceResource):
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem(_SUMMARIES.get(self.path, "A container"), is_paged=True, also=EXTRA_STATUSES)
 
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self.robot.space.document_shape("Container"),)
+
     def methods(self) -> frozenset[str]:
         is_root = self.path.count("/") == 1
         return super().methods() - ({"DELETE"} if is_root else frozenset())

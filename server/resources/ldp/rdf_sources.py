@@ -35,6 +35,7 @@ from rosld.server.resources.ldp.statements import (
     patch_statements,
     require_same_members,
 )
+from rosld.server.resources.ldp.validation import validator_of
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import RDF_BODIES, SPARQL_UPDATE
 from rosld.server.rest.plan import StorageWrite
@@ -59,6 +60,11 @@ class RdfSourceResource(StoredResource):
         "POST": (*RDF_BODIES, MULTIPART),
         "PATCH": (SPARQL_UPDATE, N3_PATCH),
     }
+
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        validator = validator_of(self.robot, self.path)
+        return (self.robot.space.document_shape("Source"), *(() if validator is None else validator.conforms_to))
 
     async def state(self) -> State:
         return state_of(self.robot, self.require_record())
@@ -199,6 +205,11 @@ class DescriptionResource(RdfSourceResource):
         super().__init__(robot, path.removesuffix(META))
         self.url = robot.space.base + path
         self.title = "/" + path
+
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        validator = validator_of(self.robot, self.path)
+        return (self.robot.space.document_shape("File"), *(() if validator is None else validator.conforms_to))
 
     async def forms(self) -> Sequence[Form]:
         return ()

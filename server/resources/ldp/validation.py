@@ -19,6 +19,7 @@ from rosld.server.rest.formats import RDF_BODIES
 from rosld.server.sparql.protocol import QUERY_MEDIA_TYPE
 from rosld.server.storage import Model, Put, Remove, Write
 from rosld.server.storage.packing import size_of, unpack
+from rosld.shapes.message import SHACL_SHACL
 
 MAX_BYTES = 4 * 1024 * 1024
 """Bytes of N-Triples that a mapping, or limits, may say: some 40,000 triples."""
@@ -31,6 +32,11 @@ class Validator(Protocol):
     """The name, below `/shapes/`, of what constrains it."""
     media_types: Sequence[str]
     """The media types of what may be made."""
+
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        """The URLs of the shapes of what its documents say, beside that of all that is kept."""
+        ...
 
     @property
     def lock(self) -> asyncio.Lock:
@@ -50,6 +56,10 @@ class MappingValidator:
 
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
+
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self._robot.space.shape(self.shape),)
 
     @property
     def lock(self) -> asyncio.Lock:
@@ -86,6 +96,10 @@ class QueryValidator:
         self._robot = robot
 
     @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self._robot.space.document_shape("Query"),)
+
+    @property
     def lock(self) -> asyncio.Lock:
         return self._robot.queries.lock
 
@@ -119,6 +133,10 @@ class LimitsValidator:
 
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
+
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (SHACL_SHACL,)
 
     @property
     def lock(self) -> asyncio.Lock:

@@ -17,6 +17,8 @@ from rosld.ontology.modules import MODULES, module_triples
 
 VOCABULARIES = Path(__file__).parent / "vocabularies"
 ERROR = URIRef("http://www.daml.org/2002/03/agents/agent-ont#error")
+# An object property in W3C's ontology of Thing Descriptions, whose values are strings by W3C's context and shapes.
+_NAMES_OF_SCHEMES = URIRef("https://www.w3.org/2019/wot/td#hasSecurityConfiguration")
 _DERIVED = {
     XSD.integer: {
         *(XSD.long, XSD.int, XSD.short, XSD.byte, XSD.nonNegativeInteger, XSD.positiveInteger, XSD.unsignedLong),
@@ -101,7 +103,7 @@ def _of_other_kinds(graph: Graph) -> Iterator[str]:
                 yield f"{subject} {term} {value}: no literal"
             elif any(not _is_of(value, each) for each in ranges):
                 yield f"{subject} {term} {value.n3()}: not of {ranges}"
-    for term in set(graph.subjects(RDF.type, OWL.ObjectProperty)):
+    for term in set(graph.subjects(RDF.type, OWL.ObjectProperty)) - {_NAMES_OF_SCHEMES}:
         yield from (f"{s} {term} {o}: a literal" for s, o in graph.subject_objects(term) if isinstance(o, Literal))
 
 

@@ -39,8 +39,8 @@ def test_a_file_is_no_folder(tmp_path: Path) -> None:
 HOLDER = """
 import os, sys
 from pathlib import Path
-from rosld.server.cli.data_folder import hold
-with hold(Path(sys.argv[1])):
+from rosld.server.cli.data_folder import lock
+with lock(Path(sys.argv[1])):
     if len(sys.argv) > 2 and os.fork() == 0:
         os.read(int(sys.argv[2]), 1)  # a child that goes on when its parent is dead
         os._exit(0)

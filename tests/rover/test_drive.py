@@ -13,7 +13,6 @@ from tests.waiting import until
 __all__ = ["browser", "tab", "window"]
 
 STICK = "document.querySelector('.stick')"
-DRIVING = "document.querySelector('.driving').textContent === 'Driving'"
 
 
 def mouse(tab: Any, kind: str, left: float, ahead: float) -> None:
@@ -24,6 +23,14 @@ def mouse(tab: Any, kind: str, left: float, ahead: float) -> None:
     tab.send("Input.dispatchMouseEvent", type=kind, button="left", buttons=1, clickCount=1, x=x, y=y)
 
 
+def turns(rover: Rover, tab: Any) -> bool:
+    """Whether it turns to the left, with the pad pressed: anew where a busy machine let the lease lapse."""
+    if not tab.run(f"{STICK}.hasAttribute('data-pressed')"):
+        mouse(tab, "mouseReleased", 0.95, 0.0)
+        mouse(tab, "mousePressed", 0.95, 0.0)
+    return rover.velocity()[1] > 0.3
+
+
 def test_the_rover_turns_while_the_pad_is_pressed_and_stands_when_it_is_let_go_or_the_page_is_lost(
     rover: Rover, tab: Any
 ) -> None:
@@ -31,9 +38,7 @@ def test_the_rover_turns_while_the_pad_is_pressed_and_stands_when_it_is_let_go_o
         tab.open(f"{rover.url}topics{CMD_VEL}")
         tab.until(STICK)
         tab.run(f"void {STICK}.scrollIntoView({{block: 'center'}})")
-        mouse(tab, "mousePressed", 0.95, 0.0)
-        tab.until(DRIVING)
-        until(lambda: rover.velocity()[1] > 0.3, "a turn to the left")
+        until(lambda: turns(rover, tab), "a turn to the left")
         if leave:
             tab.open(f"{rover.url}topics/odom")
         else:

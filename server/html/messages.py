@@ -18,6 +18,10 @@ from rosld.server.html.view import ArrayView, BytesView, TableListView, TableRow
 
 TIME = "builtin_interfaces/msg/Time"
 DURATION = "builtin_interfaces/msg/Duration"
+DIAGNOSTIC_STATUS = "diagnostic_msgs/msg/DiagnosticStatus"
+
+_LEVELS = {0: ("OK", "good"), 1: ("WARN", "warning"), 2: ("ERROR", "error"), 3: ("STALE", "warning")}
+"""The words of diagnostic levels, as the definition of DiagnosticStatus names its constants, and their tones."""
 
 _HEAD = 8
 _SHORT = 4
@@ -65,7 +69,11 @@ def _rows(kind: MessageType, message: Message, path: str, depth: int, drawing: _
             )
             break
         drawing.left -= 1
-        value = _value(each, getattr(message, each.attribute), f"{path}{each.name}", depth, drawing)
+        content = getattr(message, each.attribute)
+        if kind.name == DIAGNOSTIC_STATUS and each.name == "level":
+            value = level_view(int(content))
+        else:
+            value = _value(each, content, f"{path}{each.name}", depth, drawing)
         rows.append(TableRow(each.name, (value,), hint=type_name(each.type)))
     return TableView(tuple(rows), kind.name, short=depth > 0 and _is_short(kind))
 
@@ -83,6 +91,14 @@ def _value(each: Field, value: object, path: str, depth: int, drawing: _Drawing)
     if isinstance(each.type, Nested):
         return _nested(each.type, cast(Message, value), f"{path}.", depth, drawing)
     return _array(each.type, value, path, depth, drawing)
+
+
+def level_view(level: int) -> View:
+    """A diagnostic level as its word, with its number beside; an unknown one as its number."""
+    if level not in _LEVELS:
+        return TextView(str(level), tone="number")
+    word, tone = _LEVELS[level]
+    return TextView(word, str(level), tone=tone)
 
 
 def _nested(kind: Nested, message: Message, path: str, depth: int, drawing: _Drawing) -> View:

@@ -21,7 +21,7 @@ from rosld.server.html import Page, PageResults, Site, SparqlPage, render_page, 
 from rosld.server.html.messages import message_view
 from rosld.server.html.page import Term
 from rosld.server.html.timestamps import duration_view, time_view, time_view_of_text
-from rosld.server.html.view import ArrayView, BytesView, TableView, TextView, TimeView, View
+from rosld.server.html.view import ArrayView, BytesView, TableListView, TableView, TextView, TimeView, View
 
 BASE = "http://127.0.0.1:8080/"
 SITE = Site(BASE, "robot")
@@ -83,6 +83,24 @@ def test_bytes_are_counted_and_linked_where_they_are(gallery: ModuleType) -> Non
     message = gallery.message(kind, {"data": "AAEC"})
     assert field(message_view(kind, message, octets="?field="), "data") == BytesView(3, "00 01 02", "?field=data")
     assert field(message_view(kind, message), "data") == BytesView(3, "00 01 02")
+
+
+@pytest.mark.parametrize(
+    ("level", "view"),
+    [
+        (0, TextView("OK", "0", tone="good")),
+        (1, TextView("WARN", "1", tone="warning")),
+        (2, TextView("ERROR", "2", tone="error")),
+        (3, TextView("STALE", "3", tone="warning")),
+        (7, TextView("7", tone="number")),
+    ],
+)
+def test_levels_of_diagnostics_have_words(gallery: ModuleType, level: int, view: View) -> None:
+    kind = gallery.schema("diagnostic_msgs/msg/DiagnosticArray")
+    shown = message_view(kind, gallery.message(kind, {"status": [{"level": level, "name": "motor"}]}))
+    status = field(shown, "status")
+    assert isinstance(status, TableListView)
+    assert field(status.items[0], "level") == view
 
 
 def test_a_huge_message_is_cut_visibly(gallery: ModuleType) -> None:

@@ -584,6 +584,9 @@ class hctl(Namespace, iri="https://www.w3.org/2019/wot/hypermedia#"):
 class wotsec(Namespace, iri="https://www.w3.org/2019/wot/security#"):
     """How things are secured (WoT)."""
 
+    BasicSecurityScheme: NamedNode
+    BearerSecurityScheme: NamedNode
+    ComboSecurityScheme: NamedNode
     NoSecurityScheme: NamedNode
 
 

@@ -53,7 +53,13 @@ _OPERATIONS: Mapping[str, NamedNode] = {
     "queryaction": td.queryAction,
     "cancelaction": td.cancelAction,
 }
-_SCHEMES: Mapping[str, NamedNode] = {"nosec": wotsec.NoSecurityScheme}
+_SCHEMES: Mapping[str, NamedNode] = {
+    "nosec": wotsec.NoSecurityScheme,
+    "combo": wotsec.ComboSecurityScheme,
+    "bearer": wotsec.BearerSecurityScheme,
+    "basic": wotsec.BasicSecurityScheme,
+}
+_OF_SCHEMES = {name: NamedNode(wotsec.iri + name) for name in ("in", "format", "oneOf")}
 _SCHEMAS: Mapping[str, NamedNode] = {
     name: NamedNode(f"{js.iri}{name.capitalize()}Schema")
     for name in ("object", "array", "boolean", "string", "number", "integer", "null")
@@ -131,7 +137,7 @@ _SCOPES: Mapping[str, _Scope] = {
     "link": _Scope(
         literals={"rel": hctl.hasRelationType, "type": hctl.hintsAtMediaType}, urls={"href": hctl.hasTarget}
     ),
-    "security": _Scope(words={"scheme": (rdf.type, "scheme")}),
+    "security": _Scope(literals=_OF_SCHEMES, words={"scheme": (rdf.type, "scheme")}),
 }
 
 

@@ -25,8 +25,11 @@ UNLINKED = (
     "stop",
 )
 """What a crawl begins at, beside the entry."""
-NOT_ITSELF = frozenset({"queries/graph", "queries/mine"})
-"""Of a CONSTRUCT that is stored GET tells the results; a query that is kept is a text, which its `.meta` describes."""
+NOT_ITSELF = frozenset({"queries/graph", "queries/mine", ".well-known/wot"})
+"""Of a CONSTRUCT that is stored GET tells the results; a query that is kept is a text, which its `.meta` describes.
+
+A Thing Description says again, as W3C's context has it, what the graphs of the resources say of themselves.
+"""
 VOLATILE = frozenset(
     f"https://w3id.org/rosld#{name}"
     for name in (

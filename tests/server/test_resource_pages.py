@@ -24,7 +24,7 @@ def http(serve: Callable[..., Any]) -> httpx.Client:
 def forms(page: str) -> dict[str, str]:
     """The tokens of a page's forms by where they post; empty for the page's own URL."""
     found = {}
-    for form in re.findall(r"<form.*?</form>", page, re.DOTALL):
+    for form in re.findall(r"<form.*?</form>", page.partition("<main")[2], re.DOTALL):
         action = re.search(r'action="([^"]*)"', form)
         token = re.search(r'name="csrf" value="([^"]+)"', form)
         assert token is not None

@@ -14,6 +14,10 @@ from pyoxigraph import CanonicalizationAlgorithm, Dataset, Quad, RdfFormat, Trip
 from rdflib import RDF, Graph, Literal, URIRef
 from rdflib.namespace import SH, XSD
 
+from rosld.server.auth.permissions import ALLOW_ALL
+from rosld.server.auth.redaction.thing_descriptions import redact_thing_description
+from rosld.server.hypermedia.thing_graph import thing_document
+
 WOT = Path(__file__).parent / "hypermedia" / "wot"
 TD, JS = "https://www.w3.org/2019/wot/td#", "https://www.w3.org/2019/wot/json-schema#"
 THING = {"Accept": "application/td+json"}
@@ -48,11 +52,13 @@ def rover(start_server: Callable[..., Any]) -> httpx.Client:
 def expanded(http: httpx.Client, path: str) -> list[Triple]:
     """What a JSON-LD processor makes of a Thing Description by W3C's context."""
     answer = http.get(path, headers=THING, params={} if path.startswith("/.") else {"format": "td"})
-    thing = answer.json()
+    return expand(answer.json(), f"{http.base_url}{path[1:]}")
+
+
+def expand(thing: dict[str, Any], base: str) -> list[Triple]:
     context = json.loads((WOT / "context.json").read_text())["@context"]
     context["security"]["@type"] = "xsd:string"
     thing["@context"] = [context if isinstance(each, str) else each for each in thing["@context"]]
-    base = f"{http.base_url}{path[1:]}"
     return [each.triple for each in parse(json.dumps(thing), format=RdfFormat.JSON_LD, base_iri=base)]
 
 
@@ -100,6 +106,13 @@ def test_every_syntax_says_what_the_expanded_json_says(
 ) -> None:
     for http, path in of_robots(plane, rover):
         assert canonical(served(http, path, media_type)) == canonical(expanded(http, path)), path
+
+
+def test_a_description_that_asks_for_tokens_says_so_in_every_syntax(plane: httpx.Client) -> None:
+    url = f"{plane.base_url}.well-known/wot"
+    told = redact_thing_description(plane.get("/.well-known/wot", headers=THING).content, ALLOW_ALL)
+    document = thing_document(told, url)
+    assert canonical([*document.all_triples()]) == canonical(expand(json.loads(told), url))
 
 
 def test_the_shapes_of_w3c_find_nothing_wrong(plane: httpx.Client, rover: httpx.Client) -> None:

@@ -286,7 +286,7 @@ def test_managed_nodes_are_shown_with_state_and_transitions(ask: Ask) -> None:
 
 def test_what_can_be_done_is_told_with_the_request_that_does_it(ask: Ask) -> None:
     camera = "/nodes/camera"
-    expected = [(camera, label, "POST", camera) for label in ("activate", "cleanup")]
+    expected = [(camera, label, "POST", f"{BASE}nodes/camera") for label in ("activate", "cleanup")]
     assert ask("what-can-be-done") == expected
     assert ask("what-can-be-done", below="/camera") == expected
     assert ask("what-can-be-done", below="/elsewhere") == []

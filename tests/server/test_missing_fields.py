@@ -220,8 +220,9 @@ def test_a_goal_is_filled_up(serve: Callable[..., Any]) -> None:
 
 def test_a_form_is_filled_with_the_defaults(http: httpx.Client) -> None:
     page = http.get(f"/topics{GOAL}", headers={"Accept": "text/html"}).text
-    (w,) = [line for line in page.split("<input") if 'name="pose.orientation.w"' in line]
-    assert 'value="1.0"' in w.partition(">")[0]
+    found = [each for each in page.split("<input") if 'name="pose.orientation.w"' in each]
+    assert len(found) == 2  # to publish once, and to hold
+    assert all('value="1.0"' in each.partition(">")[0] for each in found)
     page = http.get(f"/services{TURN}", headers={"Accept": "text/html"}).text
     assert 'value="0.5"' in page
     assert 'value="all of it"' in page

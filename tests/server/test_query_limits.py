@@ -175,7 +175,7 @@ def test_a_time_that_is_none_is_refused(http: httpx.Client, given: str) -> None:
 
 def test_a_time_beyond_the_limit_is_the_limit(serve: Callable[..., Served]) -> None:
     served = serve("aircraft", "--setting", "query_time_limit", "0.3")
-    until(lambda: get(served, "ASK {}").status_code == 200, "the query process is there")
+    until(lambda: get(served, "ASK { ?s ?p ?o }").status_code == 200, "the dataset is there")
     answer = get(served, HEAVY, timeout="100000")
     stopped(answer, "time")
     assert "0.3 s" in answer.json()["detail"]

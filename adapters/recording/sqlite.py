@@ -30,13 +30,13 @@ class Sqlite:
         address = f"file:{quote(str(path.resolve()))}?mode=ro&immutable=1"
         try:
             self._database = sqlite3.connect(address, uri=True, check_same_thread=False)
-        except sqlite3.Error as error:
+        except (sqlite3.Error, UnicodeDecodeError) as error:
             raise Damaged(f"it cannot be opened: {error}") from error
         self._lock = threading.Lock()
         try:
             self.connections, numbers = _topics(self._database)
             self.messages = _messages(self._database, numbers)
-        except sqlite3.Error as error:
+        except (sqlite3.Error, UnicodeDecodeError) as error:
             self._database.close()
             raise Damaged(f"it is no database of messages: {error}") from error
 
@@ -45,7 +45,7 @@ class Sqlite:
         try:
             with self._lock:
                 row = self._database.execute("SELECT data FROM messages WHERE rowid = ?", (offset,)).fetchone()
-        except sqlite3.Error as error:
+        except (sqlite3.Error, UnicodeDecodeError) as error:
             raise Damaged(f"the database cannot be read: {error}") from error
         if row is None or not isinstance(row[0], bytes):
             raise Damaged(f"there is no message in row {offset}")
@@ -76,7 +76,7 @@ def _definitions(database: sqlite3.Connection) -> dict[str, tuple[str, str]]:
     try:
         rows = database.execute("SELECT topic_type, encoding, encoded_message_definition FROM message_definitions")
         return {str(name): (str(syntax), str(text)) for name, syntax, text in rows}
-    except sqlite3.Error:
+    except (sqlite3.Error, UnicodeDecodeError):
         return {}
 
 

@@ -31,6 +31,7 @@ from rosld.adapters.base import (
     Subscription,
     Watch,
 )
+from rosld.adapters.embedded import NoWatch, require_reachable, require_type
 from rosld.adapters.local_topics import LocalTopics
 from rosld.adapters.model import (
     ActionSchema,
@@ -48,9 +49,7 @@ from rosld.adapters.model import (
     Sample,
     Schema,
     ServiceSchema,
-    TimedOut,
     TypeRef,
-    Unreachable,
     without_lifecycle,
 )
 from rosld.adapters.model.library import TypeLibrary
@@ -188,8 +187,7 @@ class Aircraft:
             raise NotFound(f"there is no service {service}")
         schema = self._library.find(self._types[service])
         assert isinstance(schema, ServiceSchema)
-        if not _same(schema.ref, type):
-            raise Refused(f"the service {service} is a {schema.ref.name}, not this {type.name}")
+        require_type(service, "service", schema.ref, type)
         try:
             asked = schema.request.codec.decode(request, Encoding.ROS1)
         except ValueError as error:
@@ -202,8 +200,7 @@ class Aircraft:
         """Have the aircraft fly. Refused while it is off or flies already, and for another type."""
         self._reachable(deadline)
         schema = self._action(action)
-        if not _same(schema.ref, type):
-            raise Refused(f"the action {action} is a {schema.ref.name}, not this {type.name}")
+        require_type(action, "action", schema.ref, type)
         try:
             asked = schema.goal.codec.decode(goal, Encoding.ROS1)
         except ValueError as error:
@@ -235,7 +232,7 @@ class Aircraft:
     async def follow_goals(self, action: str, *, deadline: float) -> Watch:
         """All its goals are ours, and told in any case."""
         self._action(action)
-        return _Nothing()
+        return NoWatch()
 
     async def change_state(self, node: str, transition: str, *, deadline: float) -> None:
         """Its nodes have no lifecycles."""
@@ -273,10 +270,7 @@ class Aircraft:
                 self._sink.parameter_changed(name)
 
     def _reachable(self, deadline: float) -> None:
-        if self._sink is None:
-            raise Unreachable("the aircraft is not there: the adapter is closed")
-        if asyncio.get_running_loop().time() > deadline:
-            raise TimedOut("the deadline had passed before the aircraft was asked")
+        require_reachable(self._sink is not None, deadline, "aircraft")
 
     def _message(self, ref: TypeRef) -> MessageSchema:
         schema = self._library.find(ref)
@@ -330,14 +324,3 @@ class Aircraft:
         self._fly_on(time.monotonic_ns())
         following = max(turn, int((loop.time() - began) / PERIOD)) + 1
         self._timer = loop.call_at(began + following * PERIOD, self._tick, began, following)
-
-
-class _Nothing:
-    """A watch of what is told in any case."""
-
-    def close(self) -> None:
-        """Nothing has to be given back."""
-
-
-def _same(ref: TypeRef, asked: TypeRef) -> bool:
-    return asked.name == ref.name and asked.hash in (None, ref.hash)

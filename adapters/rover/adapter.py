@@ -23,6 +23,7 @@ from rosld.adapters.base import (
     Subscription,
     Watch,
 )
+from rosld.adapters.embedded import NoWatch, require_reachable, require_type
 from rosld.adapters.local_topics import LocalTopics
 from rosld.adapters.model import (
     ActionSchema,
@@ -40,9 +41,7 @@ from rosld.adapters.model import (
     Sample,
     Schema,
     ServiceSchema,
-    TimedOut,
     TypeRef,
-    Unreachable,
     without_lifecycle,
 )
 from rosld.adapters.model.library import TypeLibrary
@@ -184,7 +183,7 @@ class Rover:
             raise NotFound(f"there is no service {service}")
         schema = self._library.find(self._types[service])
         assert isinstance(schema, ServiceSchema)
-        _check_type(service, "service", schema.ref, type)
+        require_type(service, "service", schema.ref, type)
         answer = self._serve(service, _decode(schema.request, request, service))
         return encode(schema.response, answer._asdict())
 
@@ -192,7 +191,7 @@ class Rover:
         """Have the rover drive somewhere. Refused for a pose that is none, and for another type."""
         self._reachable(deadline)
         schema = self._action(action)
-        _check_type(action, "action", schema.ref, type)
+        require_type(action, "action", schema.ref, type)
         try:
             pose = requests.goal_of(_decode(schema.goal, goal, action))
         except Declined as declined:
@@ -222,7 +221,7 @@ class Rover:
     async def follow_goals(self, action: str, *, deadline: float) -> Watch:
         """All its goals are ours, and told in any case."""
         self._action(action)
-        return _Nothing()
+        return NoWatch()
 
     async def change_state(self, node: str, transition: str, *, deadline: float) -> None:
         """Its node has no lifecycle."""
@@ -257,10 +256,7 @@ class Rover:
         return answer
 
     def _reachable(self, deadline: float) -> None:
-        if self._sink is None:
-            raise Unreachable("the rover is not there: the adapter is closed")
-        if asyncio.get_running_loop().time() > deadline:
-            raise TimedOut("the deadline had passed before the rover was asked")
+        require_reachable(self._sink is not None, deadline, "rover")
 
     def _message(self, ref: TypeRef) -> MessageSchema:
         schema = self._library.find(ref)
@@ -333,23 +329,11 @@ class Rover:
             self._sink.goal_changed(GoalId(NAVIGATE_TO, id), event)
 
 
-class _Nothing:
-    """A watch of what is told in any case."""
-
-    def close(self) -> None:
-        """Nothing has to be given back."""
-
-
 def _decode(schema: MessageSchema, data: bytes, name: str) -> Message:
     try:
         return schema.codec.decode(data, ENCODING)
     except ValueError as error:
         raise Refused(f"{name} cannot read what it is given", words=str(error)) from error
-
-
-def _check_type(name: str, kind: str, ref: TypeRef, asked: TypeRef) -> None:
-    if asked.name != ref.name or asked.hash not in (None, ref.hash):
-        raise Refused(f"the {kind} {name} is a {ref.name}, not this {asked.name}")
 
 
 def _next(due: float, period: float, now: float) -> float:

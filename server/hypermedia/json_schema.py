@@ -10,6 +10,7 @@ Schema: TypeAlias = DataSchema
 
 ANYTHING: Schema = {}
 TEXT: Schema = {"type": "string"}
+URI: Schema = {"type": "string", "format": "uri"}
 OBJECT: Schema = {"type": "object"}
 NOTHING: Schema = {"type": "null"}
 JSON_LD: Schema = {"type": ["object", "array"]}

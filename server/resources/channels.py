@@ -40,7 +40,7 @@ from rosld.server.http.link import Link
 from rosld.server.http.origin import OriginPolicy, normalize_authority
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import DataSchema
-from rosld.server.hypermedia.json_schema import OBJECT, TEXT
+from rosld.server.hypermedia.json_schema import OBJECT, TEXT, URI
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.context import Robot
 from rosld.server.rest.exchange import Exchange
@@ -73,7 +73,7 @@ _SUBSCRIPTION: DataSchema = {
     "properties": {
         "@context": {},
         "type": TEXT,
-        "topic": {"type": "string", "format": "uri"},
+        "topic": URI,
         **dict.fromkeys(("rate", "state", "startAt", "endAt", "accept"), TEXT),
     },
     "required": ["@context", "type", "topic"],

@@ -20,6 +20,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.brief_value import brief_json
 from rosld.server.hypermedia.catalogue import ParameterSource, Property, TopicSource
 from rosld.server.hypermedia.data_schema import DataSchema, Json
+from rosld.server.hypermedia.json_schema import TEXT, URI
 from rosld.server.hypermedia.latest_values import LatestValue
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.hypermedia.value import Reading
@@ -49,29 +50,27 @@ _CLASSES: Mapping[EntryKind, NamedNode] = {
 _KEPT = frozenset({EntryKind.QUERY, EntryKind.MAPPING, EntryKind.DOCUMENT})
 """What has a path and no name of ROS."""
 NOTHING_AT_HAND = LatestValue(None)
-_TEXT: DataSchema = {"type": "string"}
-_URL: DataSchema = {"type": "string", "format": "uri"}
 _RESULTS: DataSchema = {
     "type": "object",
     "properties": {
-        "query": _TEXT,
+        "query": TEXT,
         "total": {"type": "integer"},
-        "template": _TEXT,
+        "template": TEXT,
         "results": {
             "type": "array",
             "maxItems": MAX_RESULTS,
             "items": {
                 "type": "object",
                 "properties": {
-                    "name": _TEXT,
+                    "name": TEXT,
                     "kind": {"type": "string", "enum": list[Json](kind.value for kind in EntryKind)},
                     "type": {"type": ["string", "array"]},
-                    "url": _URL,
+                    "url": URI,
                     "match": {"type": "string", "enum": list[Json](sorted({match.label for match in Match}))},
-                    "field": _TEXT,
+                    "field": TEXT,
                     "value": {},
                     "rate": {"type": "number"},
-                    "resource": _URL,
+                    "resource": URI,
                 },
                 "required": ["kind", "url", "match"],
             },

@@ -19,7 +19,7 @@ from rosld.server.http import negotiation
 from rosld.server.http.charset import FORM
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import DataSchema
-from rosld.server.hypermedia.json_schema import ANYTHING, TEXT
+from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, URI
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.context import Robot
 from rosld.server.rest.exchange import Exchange
@@ -202,7 +202,7 @@ RESULTS = tuple(dict.fromkeys((*SOLUTIONS, *GRAPHS, HTML)))
 """The media types of results."""
 RESULT_FORMAT = replace(FORMAT, schema={"type": "string", "enum": [*FORMATS]})
 TIMEOUT = QueryParameter("timeout", "The seconds that the query may take.", {"type": "number", "exclusiveMinimum": 0})
-_GRAPHS: DataSchema = {"type": "array", "items": {"type": "string", "format": "uri"}}
+_GRAPHS: DataSchema = {"type": "array", "items": URI}
 _QUERY = QueryParameter("query", "A query (SPARQL 1.1 Protocol 2.1); without one the endpoint describes itself.")
 _OF_BOTH = (
     QueryParameter("default-graph-uri", "The graphs that are the default graph together.", _GRAPHS),

@@ -693,6 +693,23 @@ def test_a_goal_is_canceled_on_request_and_an_unknown_one_is_not(robot: Any) -> 
     run(scenario())
 
 
+@asynccontextmanager
+async def goals_of_another(robot: Any, sink: Sink) -> AsyncIterator[Callable[[], set[GoalId]]]:
+    """While another client has the robot act: the goals that are pursued since, of which there is one at least."""
+    known = {goal for goal, _ in sink.goals}
+    end = await asyncio.to_thread(robot.other)
+
+    def pursued() -> set[GoalId]:
+        """The ends of earlier goals may still be told of, too: these have feedback."""
+        return {goal for goal, event in sink.goals if event.feedback} - known
+
+    try:
+        await until(pursued)
+        yield pursued
+    finally:
+        await asyncio.to_thread(end)
+
+
 @needs("acting", "other")
 def test_goals_of_others_are_followed_till_the_watch_is_closed_and_can_be_canceled(robot: Any) -> None:
     async def scenario() -> None:
@@ -700,18 +717,11 @@ def test_goals_of_others_are_followed_till_the_watch_is_closed_and_can_be_cancel
         async with opened(robot, sink) as adapter:
             await until(lambda: robot.acting.action in adapter.graph.actions)
             watch = await adapter.follow_goals(robot.acting.action, deadline=soon(2.0))
-            known = {goal for goal, _ in sink.goals}
-            end = await asyncio.to_thread(robot.other)
-            try:
-                # The ends of earlier goals may still be told of, too: this one is pursued.
-                pursued = lambda: {goal for goal, event in sink.goals if event.feedback} - known  # noqa: E731
-                await until(pursued)
+            async with goals_of_another(robot, sink) as pursued:
                 [goal] = pursued()
                 assert not any(event.own for event in sink.told(goal))
                 await adapter.cancel_goal(goal, deadline=soon())
                 await until(lambda: GoalStatus.CANCELED in sink.statuses(goal))
-            finally:
-                await asyncio.to_thread(end)
             watch.close()
             watch.close()
 
@@ -741,15 +751,9 @@ def test_all_goals_of_an_action_are_those_of_others_too(robot: Any) -> None:
         async with opened(robot, sink) as adapter:
             await until(lambda: robot.acting.action in adapter.graph.actions)
             watch = await adapter.follow_goals(robot.acting.action, deadline=soon(2.0))
-            known = {goal for goal, _ in sink.goals}
-            end = await asyncio.to_thread(robot.other)
-            try:
-                pursued = lambda: {goal for goal, event in sink.goals if event.feedback} - known  # noqa: E731
-                await until(pursued)
+            async with goals_of_another(robot, sink) as pursued:
                 await adapter.cancel_goals(robot.acting.action, deadline=soon())
                 await until(lambda: all(GoalStatus.CANCELED in sink.statuses(goal) for goal in pursued()))
-            finally:
-                await asyncio.to_thread(end)
             watch.close()
 
     run(scenario())

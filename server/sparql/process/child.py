@@ -144,7 +144,7 @@ class ChildProcess:
         if self._socket is None:
             return
         while self._output:
-            sent = self._write(self._socket, [*islice(self._output, _AT_ONCE)])
+            sent = _send(self._socket, [*islice(self._output, _AT_ONCE)])
             if sent is None:
                 self._loop.add_writer(self._socket, self._flush)
                 break
@@ -155,15 +155,6 @@ class ChildProcess:
         else:
             self._loop.remove_writer(self._socket)
         self._tell_taken()
-
-    def _write(self, connection: socket.socket, views: Sequence[memoryview]) -> int | None:
-        """The number of bytes that were sent, None where no more are taken now."""
-        try:
-            return connection.sendmsg(views)
-        except (BlockingIOError, InterruptedError):
-            return None
-        except OSError:  # it is dead, which is noticed by reading
-            return sum(map(len, views))
 
     def _tell_taken(self) -> None:
         taken, self._taken = self._taken, None
@@ -205,3 +196,13 @@ def _is_readable(connection: socket.socket) -> bool:
     except OSError:
         return True
     return True
+
+
+def _send(connection: socket.socket, views: Sequence[memoryview]) -> int | None:
+    """Send what the socket takes now; the number of bytes, None where it takes none."""
+    try:
+        return connection.sendmsg(views)
+    except (BlockingIOError, InterruptedError):
+        return None
+    except OSError:  # the process is dead, which is noticed by reading
+        return sum(map(len, views))

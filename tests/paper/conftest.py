@@ -348,6 +348,7 @@ class Flight:
         until(lambda: self.get("/resources/aircraft/power").status_code == 200, "the power")
         for one in ("start", "stop", "set_power", "engine/set_speed", "engine/set_direction"):
             until(lambda url=f"/services/aircraft/{one}": self.get(url).status_code == 200, one)
+        until(lambda: self.get("/parameters/cockpit/night").status_code == 200, "the parameters of the cockpit")
         until(lambda: self.robot_speed() is not None, "the speed")
 
     def robot_speed(self) -> float | None:

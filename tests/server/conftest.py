@@ -43,7 +43,8 @@ def start(*arguments: str, python: str = sys.executable, environment: Mapping[st
     process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
     url = process.stdout.readline().strip()
-    assert url.startswith("http"), f"{command} printed {url!r}"
+    if not url.startswith("http"):
+        raise AssertionError(f"{command} printed {url!r} and ended with {process.wait(60)}")
     return Served(process, url)
 
 

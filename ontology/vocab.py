@@ -103,6 +103,7 @@ class ros(Namespace, iri="https://w3id.org/rosld#"):
     unreadable: NamedNode
     uncallable: NamedNode
     unusable: NamedNode
+    mappingWarning: NamedNode
     rate: NamedNode
     briefValue: NamedNode
     namespace: NamedNode

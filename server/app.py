@@ -34,6 +34,7 @@ from rosld.server.resources.channels import Notifications, fixed_resources, rout
 from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.ldp.record_graphs import RecordGraphs
 from rosld.server.resources.live_graphs import OTHER_ROUTES, RobotGraphs
+from rosld.server.resources.mapping_warnings import log_mapping_warnings
 from rosld.server.resources.mirror import replication_route
 from rosld.server.resources.mirror_setup import create_mirror
 from rosld.server.resources.near import near_urls
@@ -112,7 +113,11 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
     clients = ClientLimiter(allowance, loopback=settings.limit_loopback)
     admission = Admission(clients, f"{robot.space.path}stop".encode("ascii"))
     handler = middleware(robot, router, dispatcher, pages, names, admission, authenticator)
-    background: list[Job] = [service.keep_synchronised, partial(asyncio.to_thread, prepare_pages)]
+    background: list[Job] = [
+        service.keep_synchronised,
+        partial(asyncio.to_thread, prepare_pages),
+        partial(log_mapping_warnings, robot),
+    ]
     closings: list[Job] = [large.close]
     if mirror is not None:
         background.append(mirror.run)

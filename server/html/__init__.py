@@ -6,7 +6,7 @@ up to date while it is looked at, `filter.js`, which finds things on long ones, 
 while words are typed, and `drive.js`, which drives a robot. Without them every page is as whole.
 """
 
-from rosld.server.html.affordances import action_form, forms_of, property_form
+from rosld.server.html.affordances import action_form, cancel_forms, forms_of, property_form
 from rosld.server.html.form_parser import (
     parse_choice,
     parse_form,
@@ -99,6 +99,7 @@ __all__ = [
     "StoredQueryParameter",
     "ValueForm",
     "action_form",
+    "cancel_forms",
     "forms_of",
     "parse_choice",
     "parse_form",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
-from rosld.server.html.forms import Form, MessageForm, ValueForm
+from rosld.server.html.forms import DeleteForm, Form, MessageForm, ValueForm
 from rosld.server.html.labels import capitalize, split_words
 from rosld.server.html.page import Offer
 from rosld.server.html.values import plain_value
@@ -34,7 +34,8 @@ def forms_of(view: Offer) -> tuple[Form, ...]:
         case PropertyView(affordance, reading):
             return (property_form(affordance, reading),) if affordance.write else ()
         case ActionView(affordance):
-            return _once(action_form(affordance))
+            invoke = _once(action_form(affordance)) if affordance.is_open else ()
+            return (*invoke, *cancel_forms(affordance))
         case ComplexView():
             actions = (form for one in view.actions for form in _once(action_form(one), one.url))
             return (*_member_forms(view), *actions)
@@ -67,6 +68,13 @@ def action_form(affordance: ActionAffordance) -> MessageForm | None:
         return None
     button = affordance.title or capitalize(split_words(affordance.name))
     return MessageForm(affordance.request, "POST", affordance.title or affordance.name, button)
+
+
+def cancel_forms(affordance: ActionAffordance) -> tuple[DeleteForm, ...]:
+    """The button that cancels the goals of an action, where that can be done."""
+    if affordance.goals is None or not affordance.goals.can_cancel:
+        return ()
+    return (DeleteForm("Cancel", "Cancel the goal", "Cancels every goal that was sent from here and has not ended."),)
 
 
 def _once(form: MessageForm | None, action: str = "") -> tuple[MessageForm, ...]:

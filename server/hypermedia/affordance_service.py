@@ -18,7 +18,7 @@ from rosld.adapters.model import ActionSchema, Descriptor, Graph, Kind, Operatio
 from rosld.ontology.urls import Space
 from rosld.ontology.violations import violations_text
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.catalogue import ParameterSource, Property, Reader, TopicSource, Writer
+from rosld.server.hypermedia.catalogue import GoalSource, ParameterSource, Property, Reader, TopicSource, Writer
 from rosld.server.hypermedia.conditions import ConditionResults, url_of
 from rosld.server.hypermedia.conventions import CONVENTIONS, Conventions, catalogue, needed_types
 from rosld.server.hypermedia.mapping import Condition, MappingSet
@@ -38,6 +38,7 @@ from rosld.server.hypermedia.views import (
     ActionAffordance,
     ActionView,
     ComplexView,
+    GoalAffordance,
     LinkAffordance,
     Member,
     PropertyAffordance,
@@ -116,9 +117,7 @@ class AffordanceService(Generic[T]):
     async def _made(self) -> ResourceTree:
         session = self._session
         graph, mapping_set = session.graph, self._mappings.mapping_set
-        goals = {name: graph.actions[name].type for name in _mapped_actions(mapping_set) if name in graph.actions}
-        types = tuple(ref for ref in goals.values() if ref is not None)
-        await self._learn((*needed_types(graph, self.conventions), *types))
+        await self._learn(needed_types(graph, self.conventions))
         known, count = self._kept, session.schemas.count
         if known is not None and known[0] is graph and known[1] == count:
             found = known[3].catalogue
@@ -130,7 +129,7 @@ class AffordanceService(Generic[T]):
                 if is_small
                 else await asyncio.to_thread(catalogue, graph, find, self.conventions)
             )
-        tree = ResourceTree(found, mapping_set, {name: self._action_at_hand(ref) for name, ref in goals.items()})
+        tree = ResourceTree(found, mapping_set)
         self._kept = (graph, count, mapping_set, tree)
         return tree
 
@@ -153,9 +152,14 @@ class AffordanceService(Generic[T]):
         schemas = self._session.schemas
         return schemas.find_cached(ref) or (schemas.find_cached_by_name(ref.name) if ref.hash is None else None)
 
-    def _action_at_hand(self, ref: TypeRef | None) -> ActionSchema | None:
-        found = None if ref is None else self._schema_at_hand(ref)
-        return found if isinstance(found, ActionSchema) else None
+    async def mapping_warnings(self, url: str) -> tuple[str, ...]:
+        """What the mapping document of a URL names that is not there, or cannot be offered; nothing if it is none."""
+        document = self._mappings.documents.get(url)
+        if document is None:
+            return ()
+        tree = await self.tree()
+        plans = (tree.complex(resource.path) for resource in document.resources)
+        return tuple(words for plan in plans if plan is not None for words in plan.warnings)
 
     # Looking
 
@@ -202,10 +206,17 @@ class AffordanceService(Generic[T]):
         """Call `wake` when one of these properties may have another value, or anything else has changed."""
         session, names = self._session, {one.name for one in reads}
         watches = [session.changes.watch(wake), self._changes.watch(wake, lambda name: name in names)]
-        watches += [await session.topics.watch(one.readers[0].name, wake) for one in reads if is_observable(one)]
+        watches += [await self._watch_source(one.readers[0], wake) for one in reads if is_observable(one)]
         if not all(map(is_observable, reads)):
             watches.append(call_every(max(_MIN_SECONDS, session.settings.freshness), wake))
         return combine_watches(*watches)
+
+    async def _watch_source(self, source: Reader, wake: Callable[[], None]) -> Watch:
+        session = self._session
+        if isinstance(source, GoalSource):
+            await session.goals.follow(source.name, deadline=session.deadline(session.settings.first_value_wait))
+            return session.goals.watch(source.name, wake)
+        return await session.topics.watch(source.name, wake)
 
     # What is seen
 
@@ -240,6 +251,7 @@ class AffordanceService(Generic[T]):
             None if plan.parent is None else url_of(plan.parent, space),
             mapped.title if mapped else None,
             mapped.iri if mapped else None,
+            plan.warnings,
         )  # fmt: skip
 
     def property_view(self, plan: PropertyPlan, snapshot: Snapshot) -> PropertyView:
@@ -263,7 +275,8 @@ class AffordanceService(Generic[T]):
         space = self._session.space
         invokes = space.action(plan.service) if plan.sends_goals else space.service(plan.service)
         affordance = replace(self.action_affordance(plan), is_open=self._is_open)
-        return ActionView(affordance, invokes, url_of(plan.parent, space))
+        parts = tuple(self.member_affordance(_member_of(one), write=False) for one in plan.parts)
+        return ActionView(affordance, invokes, url_of(plan.parent, space), parts)
 
     @property
     def _is_open(self) -> bool:
@@ -325,7 +338,14 @@ class AffordanceService(Generic[T]):
         request = plan.request if self.is_callable(plan) else None
         url = url_of(plan.name, self._session.space)
         name = plan.name.rpartition("/")[2]
-        return ActionAffordance(name, url, request, plan.relation, sends_goals=plan.sends_goals)
+        goals: GoalAffordance | None = None
+        if plan.sends_goals:
+            schema = plan.schema if isinstance(plan.schema, ActionSchema) else None
+            status = url_of(f"{plan.service}/", self._session.space) if plan.parts else None
+            can_cancel = self.can_cancel(plan)
+            feedback, result = (None, None) if schema is None else (schema.feedback, schema.result)
+            goals = GoalAffordance(status, can_cancel, feedback, result)
+        return ActionAffordance(name, url, request, plan.relation, goals=goals)
 
     # Writing
 
@@ -341,6 +361,11 @@ class AffordanceService(Generic[T]):
         if plan.sends_goals:
             return Operation.SEND_GOAL in session.adapter.allows(Ref(Kind.ACTION, plan.service))
         return Operation.CALL in session.adapter.allows(Ref(Kind.SERVICE, plan.service))
+
+    def can_cancel(self, plan: ActionPlan) -> bool:
+        """Whether goals of an action may be canceled: whatever conditions say, and while the robot is stopped."""
+        session = self._session
+        return plan.sends_goals and session.adapter.capabilities.writes and not session.settings.read_only
 
     @asynccontextmanager
     async def lock(self, tree: ResourceTree, *names: str, modified: Iterable[str] = ()) -> AsyncIterator[None]:
@@ -376,26 +401,28 @@ def conventions_of(settings: Settings) -> Conventions:
     return CONVENTIONS.extend(getters=settings.getter, setters=settings.setter, excluded=settings.exclude_service)
 
 
-def _mapped_actions(mapping_set: MappingSet) -> set[str]:
-    """The names that mappings offer as actions: of services, or of actions of ROS."""
-    return {action.service for resource in mapping_set.resources.values() for action in resource.actions}
-
-
 async def _take(held: contextlib.AsyncExitStack, locks: Iterable[asyncio.Lock]) -> None:
     for lock in locks:
         await held.enter_async_context(lock)
 
 
 def is_observable(found: Property) -> bool:
-    """Whether the changes of a property are noticed as they happen: those of a topic are."""
-    return bool(found.readers) and isinstance(found.readers[0], TopicSource)
+    """Whether the changes of a property are noticed as they happen: those of a topic are, and of an action's goal."""
+    return bool(found.readers) and isinstance(found.readers[0], TopicSource | GoalSource)
+
+
+def _member_of(part: Property) -> MemberPlan:
+    """What is told of an action's goal as a member of the complex resource below the action's name."""
+    return MemberPlan(part.name.rpartition("/")[2], part, part.name, ())
 
 
 def _source_url(way: Reader | Writer, space: Space) -> str:
-    """The URL of a topic, service or parameter."""
+    """The URL of a topic, service, parameter or action."""
     match way:
         case TopicSource():
             return space.topic(way.name)
+        case GoalSource():
+            return space.action(way.name)
         case ParameterSource():
             return space.parameter(way.name)
         case _:

@@ -1,16 +1,18 @@
 """The catalogue: which resources a robot's names come to by convention (paper, section 4.2; Listing 1 to Listing 2).
 
 A `Property` is what has a value: `NS/get_X`, `NS/set_X`, the topic `NS/X` and the parameter `NS/X` are one. An `Action`
-is a service that is neither a getter nor a setter. `conventions.py` finds both, `signatures.py` judges their types.
+is a service that is neither a getter nor a setter, or an action of ROS, below whose name is how its goal stands.
+`conventions.py` finds both, `type_inference.py` judges their types.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import Enum
 from typing import TypeAlias
 
-from rosld.adapters.model import Field, MessageSchema, Primitive, ServiceSchema
+from rosld.adapters.model import ActionSchema, Field, MessageSchema, Primitive, ServiceSchema
 from rosld.ontology.namespaces import Members
 
 
@@ -46,15 +48,38 @@ class ParameterSource:
     name: str
 
 
-Reader: TypeAlias = TopicSource | Getter | ParameterSource
+class GoalPart(Enum):
+    """What is told of the goal that an action pursues, or pursued last: by these names below that of the action."""
+
+    STATUS = "status"
+    GOAL = "goal"
+    FEEDBACK = "feedback"
+    RESULT = "result"
+
+
+IDLE = "idle"
+"""The status of an action of which no goal is known."""
+
+
+@dataclass(frozen=True, slots=True)
+class GoalSource:
+    """An action of ROS, of whose goal a part is read. `schema` is that of the part, None for the status, a word."""
+
+    name: str
+    part: GoalPart
+    schema: MessageSchema | None
+
+
+Reader: TypeAlias = TopicSource | Getter | ParameterSource | GoalSource
 Writer: TypeAlias = Setter | ParameterSource | TopicSource
 
 
 @dataclass(frozen=True, slots=True)
 class ScalarKind:
-    """The value is one scalar."""
+    """The value is one scalar, and where there are `choices` one of these strings."""
 
     primitive: Primitive
+    choices: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +102,7 @@ ValueKind: TypeAlias = ScalarKind | MessageKind | OpenKind
 class Property:
     """A resource with a value, by its full name (`/aircraft/engine/speed`).
 
-    `readers` and `writers` are in the order in which they are tried: topic, getter, parameter; setter, parameter,
+    `readers` and `writers` are in the order in which they are tried: topic, getter, parameter, goal; setter, parameter,
     topic. A writer is what could write by its kind; whether it may now is asked when it comes to that.
     """
 
@@ -89,14 +114,15 @@ class Property:
 
 @dataclass(frozen=True, slots=True)
 class Action:
-    """A resource that does something, by its full name, which is that of the service.
+    """A resource that does something, by its full name, which is that of the service or (`sends_goals`) of the action.
 
-    `schema` is None where the service's type is not known, so that it cannot be called.
+    `schema` is None where the type of that is not known, so that it cannot be invoked.
     """
 
     name: str
     service: str
-    schema: ServiceSchema | None
+    schema: ServiceSchema | ActionSchema | None
+    sends_goals: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,9 +3,11 @@
     /aircraft/get_power, /aircraft/set_power              one property   /aircraft/power
     /aircraft/engine/speed (a topic), .../set_speed       one property   /aircraft/engine/speed
     /aircraft/start                                       an action      /aircraft/start
+    /aircraft/fly (an action of ROS)                      an action      /aircraft/fly, with the properties
+                                                                         /aircraft/fly/status, goal, feedback, result
 
-A template such as `get_{name}` only proposes; the types decide (`signatures.py`). Whatever is not found to be a getter
-or a setter stays what it is: an action under its own name.
+A template such as `get_{name}` only proposes; the types decide (`type_inference.py`). Whatever is not found to be a
+getter or a setter stays what it is: an action under its own name.
 """
 
 from __future__ import annotations
@@ -18,17 +20,32 @@ from functools import lru_cache
 from types import MappingProxyType
 from typing import TypeAlias, TypeVar
 
-from rosld.adapters.model import Graph, MessageSchema, Parameter, Schema, ServiceSchema, Topic, TypeRef
+from rosld.adapters.model import (
+    ActionSchema,
+    GoalStatus,
+    Graph,
+    MessageSchema,
+    Parameter,
+    Primitive,
+    Schema,
+    ServiceSchema,
+    Topic,
+    TypeRef,
+)
 from rosld.adapters.model.names import action_of
 from rosld.ontology.namespaces import members_of
 from rosld.server.hypermedia.catalogue import (
+    IDLE,
     Action,
     Catalogue,
     Getter,
+    GoalPart,
+    GoalSource,
     OpenKind,
     ParameterSource,
     Property,
     Reader,
+    ScalarKind,
     Setter,
     TopicSource,
     ValueKind,
@@ -41,6 +58,14 @@ SchemaOf: TypeAlias = Callable[[TypeRef], "Schema | None"]
 _S = TypeVar("_S", Getter, Setter)
 
 _PLACE = re.compile(r"\{([nN]ame)\}")
+_ACTIONLIB = {
+    "goal": "ActionGoal",
+    "cancel": "actionlib_msgs/msg/GoalID",
+    "status": "actionlib_msgs/msg/GoalStatusArray",
+    "feedback": "ActionFeedback",
+    "result": "ActionResult",
+}
+"""The topics that an action of ROS 1 is made of, and how their types end."""
 _OF_ROS_2 = re.compile(r"use_sim_time|start_type_description_service|qos_overrides\..*", re.DOTALL)
 
 
@@ -75,7 +100,7 @@ class Conventions:
         )
 
     def excludes(self, service: str) -> bool:
-        """Whether a service is in no resource."""
+        """Whether a service or an action is in no resource."""
         return _any_of(self.excluded).match(service) is not None
 
 
@@ -166,7 +191,8 @@ def needed_types(graph: Graph, conventions: Conventions = CONVENTIONS) -> tuple[
     """The types whose schemas `catalogue` would know of this graph, each once."""
     topics = (ref for topic in _topics(graph) for ref in topic.types)
     services = (service.type for service in graph.services.values() if not conventions.excludes(service.name))
-    return tuple(dict.fromkeys((*topics, *(ref for ref in services if ref is not None))))
+    actions = (action.type for action in graph.actions.values() if not conventions.excludes(action.name))
+    return tuple(dict.fromkeys((*topics, *(ref for ref in (*services, *actions) if ref is not None))))
 
 
 def catalogue(graph: Graph, schema_of: SchemaOf, conventions: Conventions = CONVENTIONS) -> Catalogue:
@@ -184,9 +210,11 @@ def catalogue(graph: Graph, schema_of: SchemaOf, conventions: Conventions = CONV
     }
     getters = _by_property(services, conventions.getters, _getter)
     setters = _by_property(services, conventions.setters, _setter)
-    properties = {
+    pursued = _actions(graph, schema_of, conventions)
+    properties = {part.name: part for name, schema in pursued.items() for part in _parts(name, schema)}
+    properties |= {
         name: _property(name, topics.get(name), getters.get(name, ()), setters.get(name, ()), parameters.get(name))
-        for name in sorted({*topics, *getters, *setters, *parameters})
+        for name in {*topics, *getters, *setters, *parameters}
     }
     by_service = {
         source.name: name
@@ -194,10 +222,11 @@ def catalogue(graph: Graph, schema_of: SchemaOf, conventions: Conventions = CONV
         for source in (*properties[name].readers, *properties[name].writers)
         if isinstance(source, Getter | Setter)
     }
-    actions = {name: Action(name, name, schema) for name, schema in sorted(services.items()) if name not in by_service}
+    actions = {name: Action(name, name, schema, sends_goals=True) for name, schema in pursued.items()}
+    actions |= {name: Action(name, name, schema) for name, schema in services.items() if name not in by_service}
     return Catalogue(
-        MappingProxyType(properties),
-        MappingProxyType(actions),
+        MappingProxyType(dict(sorted(properties.items()))),
+        MappingProxyType(dict(sorted(actions.items()))),
         MappingProxyType(members_of({**properties, **actions})),
         MappingProxyType({name: name for name in topics}),
         MappingProxyType(by_service),
@@ -206,8 +235,41 @@ def catalogue(graph: Graph, schema_of: SchemaOf, conventions: Conventions = CONV
 
 
 def _topics(graph: Graph) -> Iterator[Topic]:
-    """The topics that are in resources: all but those that ROS 2 makes an action of."""
-    return (topic for topic in graph.topics.values() if action_of(topic.name) is None)
+    """The topics that are in resources: all but those that an action is made of, in ROS 2 and by actionlib."""
+    return (
+        topic for topic in graph.topics.values() if action_of(topic.name) is None and not _is_of_actionlib(topic, graph)
+    )
+
+
+def _is_of_actionlib(topic: Topic, graph: Graph) -> bool:
+    """Whether a topic is one of the five that an action of ROS 1 is made of."""
+    action, _, part = topic.name.rpartition("/")
+    ending = _ACTIONLIB.get(part)
+    return ending is not None and action in graph.actions and all(ref.name.endswith(ending) for ref in topic.types)
+
+
+def _actions(graph: Graph, schema_of: SchemaOf, conventions: Conventions) -> Mapping[str, ActionSchema | None]:
+    """The actions of ROS that are in resources, with their schemas."""
+    found: dict[str, ActionSchema | None] = {}
+    for action in graph.actions.values():
+        if not conventions.excludes(action.name):
+            schema = schema_of(action.type) if action.type is not None else None
+            found[action.name] = schema if isinstance(schema, ActionSchema) else None
+    return found
+
+
+def _parts(action: str, schema: ActionSchema | None) -> Iterator[Property]:
+    """The properties below an action's name: how its goal stands and, where its type is known, what is told of it."""
+    yield Property(
+        f"{action}/{GoalPart.STATUS.value}",
+        ScalarKind(Primitive("string"), (IDLE, *(status.value for status in GoalStatus))),
+        (GoalSource(action, GoalPart.STATUS, None),),
+    )
+    if schema is not None:
+        halves = {GoalPart.GOAL: schema.goal, GoalPart.FEEDBACK: schema.feedback, GoalPart.RESULT: schema.result}
+        for part, half in halves.items():
+            kind = value_kind(half, half.type.fields)
+            yield Property(f"{action}/{part.value}", kind, (GoalSource(action, part, half),))
 
 
 def _services(graph: Graph, schema_of: SchemaOf, conventions: Conventions) -> Mapping[str, ServiceSchema | None]:

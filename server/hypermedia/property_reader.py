@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from itertools import count
 from math import inf
@@ -14,7 +14,7 @@ from weakref import WeakValueDictionary
 from rosld.adapters.base import Adapter
 from rosld.adapters.model import MessageSchema, names
 from rosld.ontology.urls import Space
-from rosld.server.hypermedia.catalogue import Getter, ParameterSource, Property, TopicSource
+from rosld.server.hypermedia.catalogue import Getter, GoalSource, ParameterSource, Property, TopicSource
 from rosld.server.hypermedia.single_flight_cache import Fetch, SingleFlightCache, Slot
 from rosld.server.hypermedia.source_reader import (
     NO_VALUE,
@@ -22,9 +22,12 @@ from rosld.server.hypermedia.source_reader import (
     SourceReader,
     TopicLook,
     decode_value,
+    goal_value,
+    part_of_goal,
     timeout_message,
 )
 from rosld.server.hypermedia.value import Reading
+from rosld.server.robot.goals import Goals
 from rosld.server.robot.live_topics import LiveTopics
 from rosld.server.robot.schemas import Schemas
 from rosld.server.robot.topic_view import TopicView
@@ -52,26 +55,41 @@ class _Result(NamedTuple):
 
 @dataclass(slots=True)
 class _Kept:
-    """A reading and what it is good for: this view of the property's topic (if it has one), until that loop time."""
+    """A reading and what it is good for, until that loop time: of a topic this view, of a goal this part of it."""
 
     property: Property
-    topic: str | None
     view: TopicView | None
+    part: object
     until: float
     reading: Reading
+
+    def source(self) -> TopicSource | GoalSource | None:
+        """What tells by itself that there is another value."""
+        first = self.property.readers[0] if self.property.readers else None
+        return first if isinstance(first, TopicSource | GoalSource) else None
 
 
 class PropertyReader:
     """The readings of one robot's properties.
 
-    A topic's value is good until another message comes; that of a getter or a parameter, or its failure, for
-    `freshness` seconds. A call is given `patience` seconds, whoever stops waiting for it, and shared by all who wait.
+    A topic's value is good until another message comes, that of an action until another is told of its goal; that of a
+    getter or a parameter, or its failure, for `freshness` seconds. A call is given `patience` seconds, whoever stops
+    waiting for it, and shared by all who wait.
     """
 
     def __init__(
-        self, adapter: Adapter, topics: LiveTopics, schemas: Schemas, space: Space, *, freshness: float, patience: float
+        self,
+        adapter: Adapter,
+        topics: LiveTopics,
+        goals: Goals,
+        schemas: Schemas,
+        space: Space,
+        *,
+        freshness: float,
+        patience: float,
     ) -> None:
         self._topics = topics
+        self._goals = goals
         self._schemas = schemas
         self._space = space
         self._freshness = freshness
@@ -94,8 +112,13 @@ class PropertyReader:
             if kept.property != property:
                 return None
             kept.property = property  # of another catalogue, but the same
-        if kept.topic is not None and self._topics.find_view(kept.topic) is not kept.view:
-            return None
+        match kept.source():
+            case TopicSource(name=topic) if self._topics.find_view(topic) is not kept.view:
+                return None
+            case GoalSource(name=action) as source:
+                goals = self._goals
+                if not goals.is_followed(action) or part_of_goal(source, goals.current(action)) is not kept.part:
+                    return None
         if kept.until != inf and kept.until <= asyncio.get_running_loop().time():
             return None
         return kept.reading
@@ -149,12 +172,15 @@ class PropertyReader:
     async def _one(self, property: Property, attempt: _Attempt) -> Reading:
         """A property read from its sources in turn, until one has a value."""
         view: TopicView | None = None
+        part: object = None
         results: list[_Result] = []
         for reader in property.readers:
             if isinstance(reader, TopicSource):
                 view, result = await self._look(reader.name, attempt)
             elif isinstance(reader, Getter):
                 result = await self._call(property.name, reader, attempt)
+            elif isinstance(reader, GoalSource):
+                part, result = await self._pursued(property.name, reader, attempt)
             else:
                 result = (await self._get({property.name: reader.name}, attempt))[property.name]
             if (standing := self._standing(property, attempt.since)) is not None:
@@ -162,7 +188,7 @@ class PropertyReader:
             results.append(result)
             if result.found.value is not None:
                 break
-        return self._keep(property, view, results)
+        return self._keep(property, view, results, part)
 
     async def _stored(self, properties: Sequence[Property], attempt: _Attempt) -> dict[str, Reading]:
         """Properties that are nothing but parameters, fetched together."""
@@ -172,7 +198,9 @@ class PropertyReader:
             for one in properties
         }
 
-    def _keep(self, property: Property, view: TopicView | None, results: Sequence[_Result]) -> Reading:
+    def _keep(
+        self, property: Property, view: TopicView | None, results: Sequence[_Result], part: object = None
+    ) -> Reading:
         """The reading that sources come to: the value of the last, or the failures of all."""
         found = results[-1].found if results else NO_VALUE
         until = min((one.until for one in results), default=inf) if found.value is None else results[-1].until
@@ -180,10 +208,8 @@ class PropertyReader:
         failure = "; ".join(failures) if failures and found.value is None else None
         reading = Reading(property.name, found.value, failure, found.read_ns, None if until == inf else until)
         if until > asyncio.get_running_loop().time():
-            first = property.readers[0] if property.readers else None
-            topic = first.name if isinstance(first, TopicSource) else None
             self._kept.pop(property.name, None)
-            self._kept[property.name] = _Kept(property, topic, view, until, reading)
+            self._kept[property.name] = _Kept(property, view, part, until, reading)
             if len(self._kept) > _MAX_READINGS:
                 del self._kept[next(iter(self._kept))]
         return reading
@@ -212,6 +238,14 @@ class PropertyReader:
             return view, self._for_now(ReadResult(None, failure, newest.received_ns))
         found = decode_value(topic, newest, schema, self._space.topic(topic))
         return view, _Result(found, inf) if found.value is not None else self._for_now(found)
+
+    async def _pursued(self, name: str, source: GoalSource, attempt: _Attempt) -> tuple[object, _Result]:
+        """What is told of the goal of an action, and the part of the goal that it is."""
+        with suppress(asyncio.TimeoutError, TimeoutError):
+            await asyncio.wait_for(self._goals.follow(source.name, deadline=attempt.deadline), attempt.seconds)
+        goal = self._goals.current(source.name)
+        found = goal_value(source, goal, self._space.url("resources", names.segments(name)))
+        return part_of_goal(source, goal), _Result(found, inf)
 
     def _for_now(self, found: ReadResult) -> _Result:
         return _Result(found, asyncio.get_running_loop().time() + self._freshness)

@@ -6,7 +6,7 @@ on the state of the robot. Plans are made when first asked for and kept with the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -14,8 +14,9 @@ from pyoxigraph import NamedNode
 
 from rosld.adapters.model import ActionSchema, Kind, MessageSchema, ServiceSchema
 from rosld.ontology.namespaces import Members
-from rosld.server.hypermedia.catalogue import Catalogue, Getter, Property, Setter
+from rosld.server.hypermedia.catalogue import Catalogue, Getter, GoalPart, GoalSource, Property, Setter
 from rosld.server.hypermedia.mapping import ComplexResource, Condition, MappedLink, MappedProperty, MappingSet
+from rosld.server.hypermedia.mapping_check import warnings_of
 from rosld.server.hypermedia.mappings import (
     actions_by_service,
     connected_paths,
@@ -53,7 +54,7 @@ class ActionPlan:
     """An action by its full name; it is on offer while all of `exists_when` and `conditions` hold.
 
     `service` is the service that it calls, or (`sends_goals`) the action of ROS that it sends goals to. `schema` is
-    None where the type of that is not known.
+    None where the type of that is not known. `parts` are the properties that tell how its goal stands.
     """
 
     name: str
@@ -64,6 +65,7 @@ class ActionPlan:
     conditions: tuple[Condition, ...]
     reads: tuple[Property, ...]
     sends_goals: bool = False
+    parts: tuple[Property, ...] = ()
 
     @property
     def request(self) -> MessageSchema | None:
@@ -100,7 +102,10 @@ class ChildPlan:
 
 @dataclass(frozen=True, slots=True)
 class ComplexPlan:
-    """A complex resource. `reads` are all properties that tell its state and what it offers."""
+    """A complex resource. `reads` are all properties that tell its state and what it offers.
+
+    `warnings` say what its mapping names that is not there, or cannot be offered.
+    """
 
     path: str
     members: tuple[MemberPlan, ...]
@@ -111,6 +116,7 @@ class ComplexPlan:
     mapped: ComplexResource | None
     reads: tuple[Property, ...]
     is_conditional: bool
+    warnings: tuple[str, ...] = ()
 
     @property
     def parent(self) -> str | None:
@@ -166,13 +172,10 @@ def parent_of_name(name: str) -> str:
 
 
 class ResourceTree:
-    """The resources of one catalogue and one arrangement; `goals` are the actions of ROS by name, as far as needed."""
+    """The resources of one catalogue and one set of mappings."""
 
-    def __init__(
-        self, catalogue: Catalogue, mapping_set: MappingSet, goals: Mapping[str, ActionSchema | None] = {}
-    ) -> None:
+    def __init__(self, catalogue: Catalogue, mapping_set: MappingSet) -> None:
         self.catalogue = catalogue
-        self._goals = goals
         self.mapping_set = mapping_set
         self._claimed = actions_by_service(mapping_set)
         self._named = {
@@ -188,7 +191,8 @@ class ResourceTree:
         }
         self._children = _children(catalogue.namespaces, mapping_set)
         self._schemas = _schemas(catalogue)
-        self._services = self._schemas.keys() | {action.service for action in catalogue.actions.values()}
+        self.invocable: dict[str, bool] = {action.service: action.sends_goals for action in catalogue.actions.values()}
+        self.invocable |= dict.fromkeys(self._schemas.keys() - self.invocable.keys(), False)
         self._complexes: dict[str, ComplexPlan | None] = {}
         self._properties: dict[str, PropertyPlan | None] = {}
         self._actions: dict[str, ActionPlan | None] = {}
@@ -324,7 +328,8 @@ class ResourceTree:
             )
         )
         reads = self._reads((one.source for one in members), conditions)
-        return ComplexPlan(path, members, actions, links, children, exists, mapped, reads, bool(conditions))
+        warnings = () if mapped is None else warnings_of(mapped, self)
+        return ComplexPlan(path, members, actions, links, children, exists, mapped, reads, bool(conditions), warnings)
 
     def _derived_members(self, path: str) -> tuple[MemberPlan, ...]:
         properties = self.state_properties(path)
@@ -393,7 +398,7 @@ class ResourceTree:
         action = self._named.get(name)
         if action is not None:
             service, relation, conditions = action.service, action.relation, action.available_when
-            if service not in self._services and service not in self._goals:
+            if service not in self.invocable:
                 return None
         else:
             derived = self.catalogue.actions.get(name)
@@ -401,12 +406,16 @@ class ResourceTree:
                 return None
             service, relation, conditions = derived.service, None, ()
         exists = self.exists_when(parent_of_name(name))
-        sends_goals = service not in self._services
-        schema = self._goals[service] if sends_goals else self._schemas.get(service)
+        sends_goals = self.invocable[service]
         return ActionPlan(
-            name, service, schema, relation, exists, conditions,
-            self._reads((), (*exists, *conditions)), sends_goals,
+            name, service, self._schemas.get(service), relation, exists, conditions,
+            self._reads((), (*exists, *conditions)), sends_goals, self._parts(service) if sends_goals else (),
         )  # fmt: skip
+
+    def _parts(self, action: str) -> tuple[Property, ...]:
+        """The properties that tell how the goal of an action of ROS stands, where no other thing has their names."""
+        found = (self.catalogue.properties.get(f"{action}/{part.value}") for part in GoalPart)
+        return tuple(one for one in found if one is not None and isinstance(one.readers[0], GoalSource))
 
     def _unclaimed(self, found: Property) -> Property:
         """The property without those writers that a mapping offers as actions: they are guarded there."""
@@ -434,8 +443,8 @@ def _has_conditions(tree: ResourceTree, paths: Iterable[str]) -> bool:
     )
 
 
-def _schemas(catalogue: Catalogue) -> dict[str, ServiceSchema]:
-    """The type of every service whose type is known, by its name."""
+def _schemas(catalogue: Catalogue) -> dict[str, ServiceSchema | ActionSchema]:
+    """The type of every service and every action whose type is known, by its name."""
     found = {action.service: action.schema for action in catalogue.actions.values() if action.schema is not None}
     for one in catalogue.properties.values():
         found |= {way.name: way.schema for way in (*one.readers, *one.writers) if isinstance(way, Getter | Setter)}

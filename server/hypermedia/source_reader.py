@@ -11,8 +11,9 @@ from typing import NamedTuple
 from rosld.adapters.base import Adapter
 from rosld.adapters.model import Message, MessageSchema, ParameterValue, Refused, RosError, Sample, TimedOut
 from rosld.ontology.parameters import parameter_json
-from rosld.server.hypermedia.catalogue import Getter
+from rosld.server.hypermedia.catalogue import IDLE, Getter, GoalPart, GoalSource
 from rosld.server.hypermedia.value import MessageValue, StoredValue, Value, refusal_text
+from rosld.server.robot.goal_store import Goal
 from rosld.server.robot.live_topics import LiveTopics
 from rosld.server.robot.schemas import Schemas
 from rosld.server.robot.topic_view import TopicView
@@ -51,6 +52,38 @@ def decode_value(topic: str, sample: Sample, schema: MessageSchema, origin: str)
     except ValueError as error:
         return ReadResult(None, f"the latest message of {topic} cannot be read: {error}", sample.received_ns)
     return ReadResult(MessageValue(schema, message, schema.type.fields, origin), None, sample.received_ns)
+
+
+def part_of_goal(source: GoalSource, goal: Goal | None) -> object:
+    """The part of a goal that a source is about, to be compared by identity: it outlives the goal's next states."""
+    if goal is None:
+        return None
+    parts = {
+        GoalPart.STATUS: goal.status,
+        GoalPart.GOAL: goal.goal,
+        GoalPart.FEEDBACK: goal.feedback,
+        GoalPart.RESULT: goal.result,
+    }
+    return parts[source.part]
+
+
+def goal_value(source: GoalSource, goal: Goal | None, origin: str) -> ReadResult:
+    """What is told of a goal, or where there is none that there is none; no value where nothing was told yet."""
+    if source.part is GoalPart.STATUS:
+        word, told_ns = (IDLE, None) if goal is None else (goal.status.value, goal.updated_ns)
+        return ReadResult(StoredValue(word), None, told_ns)
+    if goal is None:
+        return NO_VALUE
+    feedback = goal.feedback
+    messages: Mapping[GoalPart, tuple[Message | None, int | None]] = {
+        GoalPart.GOAL: (goal.goal, goal.created_ns),
+        GoalPart.FEEDBACK: (None, None) if feedback is None else (feedback.message, feedback.received_ns),
+        GoalPart.RESULT: (goal.result, goal.ended_ns),
+    }
+    message, at_ns = messages[source.part]
+    if message is None or source.schema is None:
+        return ReadResult(None, goal.unreadable, at_ns)
+    return ReadResult(MessageValue(source.schema, message, source.schema.type.fields, origin), None, at_ns)
 
 
 class SourceReader:

@@ -6,7 +6,7 @@ the resources says.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TypeAlias
@@ -115,7 +115,8 @@ def _property(one: PropertyAffordance, lifting: LiftSettings) -> orjson.Fragment
 def _action(one: ActionAffordance, lifting: LiftSettings) -> orjson.Fragment:
     """An action (5.3.1.4): what to send, unless that is nothing.
 
-    Its answer is the state of its complex resource, of one that sends goals the goal.
+    Its answer is the state of its complex resource, of one that sends goals the goal, which is queried and canceled:
+    feedback and result are properties.
     """
     assert one.request is not None
     schema: DataSchema | None = None
@@ -127,11 +128,19 @@ def _action(one: ActionAffordance, lifting: LiftSettings) -> orjson.Fragment:
             "output": {"type": "object"},
             "safe": False,
             "idempotent": False,
-            "synchronous": not one.sends_goals,
+            "synchronous": one.goals is None,
             **_led_to("map:relation", one.relation),
-            "forms": [_form(one.url, "invokeaction", "POST")],
+            "forms": [_form(one.url, "invokeaction", "POST"), *_goal_forms(one)],
         }
     )
+
+
+def _goal_forms(one: ActionAffordance) -> Iterator[Members]:
+    """How to see what becomes of a goal, and to cancel it."""
+    if one.goals is not None and one.goals.status is not None:
+        yield _form(one.goals.status, "queryaction", "GET")
+    if one.goals is not None and one.goals.can_cancel:
+        yield _form(one.url, "cancelaction", "DELETE")
 
 
 @lru_cache(maxsize=4)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from pyoxigraph import Literal
+
 from rosld.adapters.model import Array, Descriptor, MessageSchema, Nested, Primitive
 from rosld.server.hypermedia.catalogue import MessageKind, ScalarKind, ValueKind
 from rosld.shapes.bounds import narrow
@@ -19,8 +21,8 @@ def value_shape(kind: ValueKind, limits: Limits, url: str, measure: Measure) -> 
     """What the value of the property at `url` is, and must be when it is written."""
     bounds = limits.bounds_of_resource(url)
     match kind:
-        case ScalarKind():
-            return ScalarShape(kind.primitive, bounds, measure)
+        case ScalarKind(primitive=primitive, choices=choices):
+            return ScalarShape(primitive, narrow(bounds, Bounds(choices=tuple(map(Literal, choices)))), measure)
         case MessageKind():
             names = tuple(field.name for field in kind.fields)
             return MessageShape(kind.schema, names, limits.bounds_of_message(kind.schema))
@@ -35,6 +37,16 @@ def with_descriptor(shape: ValueShape, descriptor: Descriptor) -> ValueShape:
     declared = declared_shape(descriptor, shape.measure)
     bounds = narrow(shape.bounds, declared.bounds)
     return replace(declared if isinstance(shape, OpenShape) else shape, bounds=bounds)
+
+
+def has_scalar(kind: ValueKind, path: str) -> bool:
+    """Whether a value may have a scalar at a dotted path; where its type is not known it may have any."""
+    match kind:
+        case ScalarKind():
+            return "." not in path
+        case MessageKind(schema=schema, fields=fields):
+            return path.partition(".")[0] in {one.name for one in fields} and _primitive(schema, path) is not None
+    return True
 
 
 def field_shape(shape: ValueShape, path: str, bounds: Bounds, measure: Measure) -> ValueShape:

@@ -16,6 +16,7 @@ from urllib.parse import quote
 import orjson
 from pyoxigraph import Literal, NamedNode, Triple
 
+from rosld.adapters.model import MessageSchema
 from rosld.ontology.affordances import BODIES, SSE, STREAM, forms
 from rosld.ontology.document import Document, LiftedMessage
 from rosld.ontology.lift import LiftSettings
@@ -87,7 +88,7 @@ def _property(
 
 
 def action_document(view: ActionView, space: Space, lifting: LiftSettings) -> Document:
-    """An action: the service behind it, and how to invoke it."""
+    """An action: the service or action of ROS behind it, how to invoke it, and how to see what becomes of it."""
     subject = NamedNode(view.affordance.url)
     triples = triples_about(
         subject,
@@ -97,7 +98,10 @@ def action_document(view: ActionView, space: Space, lifting: LiftSettings) -> Do
         (ros.invokes, NamedNode(view.invokes)),
         (dcterms.isPartOf, NamedNode(view.part_of)),
     )
-    return Document(subject.value, (*triples, *_action_affordance(view.affordance, subject, "#action", space)))
+    triples += _action_affordance(view.affordance, subject, "#action", space)
+    for one in view.parts:
+        triples += _property_affordance(one, subject, fragment_of("properties", one.name), space)
+    return Document(subject.value, tuple(triples))
 
 
 def _name(url: str, space: Space) -> str | None:
@@ -118,6 +122,7 @@ def complex_document(
     """
     subject = NamedNode(view.url)
     triples = [*_complex(view.url, view.path, view.title, view.mapping, view.parent)]
+    triples += triples_about(subject, *statements(ros.mappingWarning, map(Literal, view.warnings)))
     values: list[Triple] = []
     messages: list[LiftedMessage] = []
     affordances: list[Triple] = []
@@ -251,19 +256,33 @@ def _property_affordance(one: PropertyAffordance, document: NamedNode, node: str
 def _action_affordance(one: ActionAffordance, document: NamedNode, node: str, space: Space) -> tuple[Triple, ...]:
     """An action affordance of the thing that `document` describes; without a shape, nothing has to be sent.
 
-    An action whose request is not known cannot be called, and so affords nothing.
+    An action whose request is not known cannot be invoked. What cannot be invoked affords nothing, but that a goal can
+    be canceled.
     """
-    if one.request is None or not one.is_open:
+    goals, can_invoke = one.goals, one.request is not None and one.is_open
+    if not can_invoke and not (goals is not None and goals.can_cancel):
         return ()
     subject = NamedNode(document.value + node)
-    request = NamedNode(space.shape(one.request.ref.name)) if one.request.type.fields else None
+    request = one.request if one.request is not None and one.request.type.fields else None
     triples = triples_about(
         subject,
         (rdf.type, td.ActionAffordance),
         (td.name, text(one.name)),
         (dcterms.title, text(one.title)),
         (mapping.relation, one.relation),
-        (ros.requestShape, request),
+        (ros.requestShape, _shape(request, space)),
+        (ros.feedbackShape, None if goals is None else _shape(goals.feedback, space)),
+        (ros.resultShape, None if goals is None else _shape(goals.result, space)),
     )
-    triples += forms(subject, "invoke", "POST", td.invokeAction, one.url, BODIES)
+    if can_invoke:
+        triples += forms(subject, "invoke", "POST", td.invokeAction, one.url, BODIES)
+    if goals is not None and goals.status is not None:
+        triples += forms(subject, "query", "GET", td.queryAction, goals.status, BODIES[:1])
+    if goals is not None and goals.can_cancel:
+        triples += forms(subject, "cancel", "DELETE", td.cancelAction, one.url)
     return (Triple(document, td.hasActionAffordance, subject), *triples)
+
+
+def _shape(schema: MessageSchema | None, space: Space) -> NamedNode | None:
+    """The shape of a message; None where its type is not known."""
+    return None if schema is None else NamedNode(space.shape(schema.ref.name))

@@ -44,10 +44,28 @@ class PropertyAffordance:
 
 
 @dataclass(frozen=True, slots=True)
+class GoalAffordance:
+    """What can be done with the goals of an action of ROS: see at `status` how its goal stands, cancel it (DELETE).
+
+    `feedback` and `result` are what is told of it, None where the type is not known.
+    """
+
+    status: str | None
+    can_cancel: bool
+    feedback: MessageSchema | None
+    result: MessageSchema | None
+
+    def redact(self, permissions: Permissions, url: str) -> GoalAffordance:
+        may_read = self.status is not None and permissions.may_read(self.status)
+        can_cancel = self.can_cancel and permissions.may("DELETE", url)
+        return replace(self, status=self.status if may_read else None, can_cancel=can_cancel)
+
+
+@dataclass(frozen=True, slots=True)
 class ActionAffordance:
     """An action: POST to `url`, with a message of `request` (None: its type is not known, so it cannot be called).
 
-    `sends_goals`: it takes its time, so that what comes of it is a goal. `is_open`: it may be invoked now.
+    `goals`: it takes its time, so that what comes of it is a goal. `is_open`: it may be invoked now.
     """
 
     name: str
@@ -55,11 +73,13 @@ class ActionAffordance:
     request: MessageSchema | None
     relation: NamedNode | None = None
     title: str | None = None
-    sends_goals: bool = False
+    goals: GoalAffordance | None = None
     is_open: bool = True
 
     def redact(self, permissions: Permissions) -> ActionAffordance:
-        return self if permissions.may("POST", self.url) else replace(self, request=None)
+        goals = None if self.goals is None else self.goals.redact(permissions, self.url)
+        request = self.request if permissions.may("POST", self.url) else None
+        return self if request is self.request and goals == self.goals else replace(self, request=request, goals=goals)
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,14 +125,19 @@ class PropertyView:
 
 @dataclass(frozen=True, slots=True)
 class ActionView:
-    """An action by itself (`/resources/aircraft/start`); `invokes` is the URL of the service behind it."""
+    """An action by itself (`/resources/aircraft/start`); `invokes` is the URL of the service or action behind it.
+
+    `parts` tell how the goal of an action of ROS stands.
+    """
 
     affordance: ActionAffordance
     invokes: str
     part_of: str
+    parts: tuple[PropertyAffordance, ...] = ()
 
     def redact(self, permissions: Permissions) -> ActionView:
-        return replace(self, affordance=self.affordance.redact(permissions))
+        parts = tuple(one.redact(permissions) for one in self.parts if permissions.may_read(one.url))
+        return replace(self, affordance=self.affordance.redact(permissions), parts=parts)
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +145,7 @@ class ComplexView:
     """A complex resource (`/resources/aircraft/`): everything in it that is on offer now, and nothing else.
 
     `children`: the URLs of the complex resources directly below, `parent`: that of the one above; `mapping`: the IRI of
-    what arranges it, None where it is derived from names alone.
+    what arranges it, None where it is derived from names alone; `warnings`: what that names in vain.
     """
 
     url: str
@@ -132,10 +157,12 @@ class ComplexView:
     parent: str | None = None
     title: str | None = None
     mapping: str | None = None
+    warnings: tuple[str, ...] = ()
 
     def redact(self, permissions: Permissions) -> ComplexView:
         return replace(
             self,
+            warnings=(),
             members=tuple(
                 replace(member, affordance=member.affordance.redact(permissions))
                 for member in self.members

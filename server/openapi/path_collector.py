@@ -150,15 +150,20 @@ class PathCollector:
             yield self._other_resources(self._path(another))
 
     def _resource_paths(self) -> Iterator[str]:
-        """Complex resources, each followed by the properties and actions in it."""
+        """Complex resources, each followed by the properties and actions in it; then the actions that none lists."""
         space = self.robot.space
+        unlisted = set(self.tree.actions)
         for path in self.tree.paths:
             plan = self.tree.complex(path)
             if plan is not None:
                 yield self._of(url_of(path, space))
                 properties = [one.url_name for one in plan.members if one.url_name is not None]
                 for name in dict.fromkeys((*properties, *(one.name for one in plan.actions))):
+                    unlisted.discard(name)
                     yield self._of(url_of(name, space))
+        for name in sorted(unlisted):
+            if self.tree.action(name) is not None:
+                yield self._of(url_of(name, space))
 
     def _other_resources(self, one: DescribedPath) -> DescribedPath:
         """What stands for all resources and properties that are not described one by one, as `one` of them is."""

@@ -168,6 +168,21 @@ class ActionResource(CommandResource):
         resource = GoalResource(robot, sending.goal.id)
         return CreatedAnswer(resource.url, resource, resource.state_of(sending.goal))
 
+    async def cancel_goals(self, *, others: bool = False) -> Response:
+        """Cancel the goals that were sent from here and have not ended, `others`: and those of others.
+
+        The answer names the newest of them. Raises a 409 Problem where there are none, or one is not canceled.
+        """
+        robot = self.robot
+        await follow_action(robot, self.name)
+        pursued = [goal for goal in robot.goals.of_action(self.name) if goal.is_cancelable]
+        asked = [goal for goal in pursued if goal.is_own or others]
+        if not asked:
+            hint = " Others have sent some: ?others=true cancels these." if pursued else ""
+            raise Problem(409, f"{self.name} pursues no goal that was sent from here.{hint}")
+        answers = [await _cancel(robot, goal) for goal in asked]
+        return answers[-1]
+
     async def _sent(self, exchange: Exchange, schema: ActionSchema, message: Message) -> GoalSubmission:
         """What became of a goal that was sent, once only for each Idempotency-Key."""
         goals, deadline = self.robot.goals, self.robot.deadline(self.robot.settings.call_deadline)
@@ -323,14 +338,19 @@ class GoalResource(Resource):
         if goal.status.is_final:
             goals.delete(self.id)
             return Response(status_code=204)
-        try:
-            await goals.cancel(goal, deadline=self.robot.deadline(self.robot.settings.call_deadline))
-        except (Refused, NotFound) as error:
-            problem = problem_of(error)
-            problem.status = 409
-            problem.detail = f"The goal {self.id} was not canceled: {error.words or error.sentence}"
-            raise problem from error
-        return Response(status_code=202, headers={"Location": to_uri(self.url)})
+        return await _cancel(self.robot, goal)
+
+
+async def _cancel(robot: Robot, goal: Goal) -> Response:
+    """Ask for a goal to be canceled. Raises a 409 Problem where that is refused, and RosError."""
+    try:
+        await robot.goals.cancel(goal, deadline=robot.deadline(robot.settings.call_deadline))
+    except (Refused, NotFound) as error:
+        problem = problem_of(error)
+        problem.status = 409
+        problem.detail = f"The goal {goal.id} was not canceled: {error.words or error.sentence}"
+        raise problem from error
+    return Response(status_code=202, headers={"Location": to_uri(robot.space.goal(goal.id))})
 
 
 async def follow_action(robot: Robot, action: str) -> None:

@@ -55,6 +55,7 @@ class Robot(Session):
         self.property_reader = PropertyReader(
             adapter,
             self.topics,
+            self.goals,
             self.schemas,
             self.space,
             freshness=settings.freshness,

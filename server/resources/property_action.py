@@ -16,7 +16,7 @@ from rosld.ontology.body import RdfBody, index_triples, parse_body
 from rosld.ontology.fields import field_bytes
 from rosld.ontology.lower import parse_json
 from rosld.ontology.vocab import rdf, ros
-from rosld.server.html import Form, action_form, property_form
+from rosld.server.html import Form, action_form, cancel_forms, property_form
 from rosld.server.http.link import Link
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import Snapshot
@@ -43,7 +43,7 @@ from rosld.server.resources.service_request import call_problem, call_service, r
 from rosld.server.resources.strictness import STRICT, is_strict
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH, RDF_BODIES, SPARQL_UPDATE
-from rosld.server.rest.path_item import FIELD, FIELD_READS, FORMAT, PathItem, WriteMethod
+from rosld.server.rest.path_item import FIELD, FIELD_READS, FORMAT, PathItem, QueryParameter, WriteMethod
 from rosld.server.rest.plan import Plan, RobotWrite
 from rosld.server.rest.resource import ABSENT, READ, Answer, ShownAnswer, permanent_redirect
 from rosld.server.rest.state import State
@@ -51,6 +51,8 @@ from rosld.server.robot.calls import CallOutcome
 
 _INVOKES = "Invokes the action; what is shown then is the resource that it belongs to."
 _SENDS_A_GOAL = "Sends a goal, which is what is made; 409 where it is rejected."
+_CANCELS = "Has the goals canceled that were sent from here and have not ended; 409 where there are none."
+_OTHERS = QueryParameter("others", "Whether goals that others sent are canceled, too.", {"type": "boolean"})
 
 
 class MemberResource(CommandResource):
@@ -101,6 +103,7 @@ class MemberResource(CommandResource):
             None if value is None else nullable(read_schema(value)),
             (FORMAT, FIELD),
             {
+                "DELETE": WriteMethod(_CANCELS, done=(202,), query=(_OTHERS,)),
                 "PUT": WriteMethod(
                     sends=ANYTHING if sent is None else write_schema(sent), done=(200, 202, 204), query=(STRICT,)
                 ),
@@ -121,10 +124,17 @@ class MemberResource(CommandResource):
         action = tree.action(self.name)
         if action is not None and robot.affordances.is_callable(action):
             methods |= {"POST"}
+        if action is not None and robot.affordances.can_cancel(action):
+            methods |= {"DELETE"}
         return methods
 
+    @property
+    def withheld(self) -> frozenset[str]:
+        """What is not on offer while the robot is stopped: all that writes, but that goals are canceled."""
+        return super().withheld - {"DELETE"}
+
     async def current_methods(self) -> frozenset[str]:
-        """Nothing where it does not exist now; POST alone of an action that is not on offer, for it says why not."""
+        """Nothing where it does not exist now; of an action that is not on offer what writes, for it says why not."""
         tree, methods = await self.robot.affordances.tree(), self.methods()
         plan, action = tree.property(self.name), tree.action(self.name)
         reads = (*(() if plan is None else plan.reads), *(() if action is None else action.reads))
@@ -194,15 +204,15 @@ class MemberResource(CommandResource):
 
     def _missing(self, tree: ResourceTree) -> Problem:
         """308 to the complex resource of that name, or to the property that a mapping calls so here; else 404."""
+        instead = tree.replacement(self.name)
+        if instead is not None:
+            return Problem(404, f"{self.name} is offered as {url_of(instead, self.robot.space)}")
         path = f"{self.name}/"
         if path in tree.paths:
             return permanent_redirect(url_of(path, self.robot.space))
         elsewhere = tree.remapped_property(self.name)
         if elsewhere is not None:
             return permanent_redirect(url_of(elsewhere, self.robot.space))
-        instead = tree.replacement(self.name)
-        if instead is not None:
-            return Problem(404, f"The service {self.name} is offered as {url_of(instead, self.robot.space)}")
         return Problem(404, f"There is no resource {self.name}.")
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:
@@ -233,8 +243,11 @@ class MemberResource(CommandResource):
             if isinstance(view, PropertyView):
                 forms.append(property_form(view.affordance, view.reading))
         action = tree.action(self.name)
-        form = action_form(offers.action_affordance(action)) if action is not None else None
-        return forms if form is None else [*forms, form]
+        if action is None:
+            return forms
+        affordance = offers.action_affordance(action)
+        form = action_form(affordance)
+        return [*forms, *(() if form is None else (form,)), *cancel_forms(affordance)]
 
     # Writing
 
@@ -359,6 +372,14 @@ class MemberResource(CommandResource):
         async with self.robot.affordances.lock(tree, self.name):
             require_offered(self.robot, plan, await read_fresh_state(self.robot, tree, plan.reads))
             return await action.send(exchange, schema, goal)
+
+    async def delete(self, exchange: Exchange) -> Answer:
+        """Cancel the goals of an action of ROS, whatever conditions say."""
+        tree = await self.robot.affordances.tree()
+        plan = tree.action(self.name)
+        if plan is None:
+            raise self._missing(tree)
+        return await ActionResource(self.robot, plan.service).cancel_goals(others=exchange.query_flag("others"))
 
     async def _after(self, path: str, outcome: CallOutcome) -> ShownAnswer:
         """The complex resource as it is after an action; the one above where the action has ended its own."""

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 from rosld.adapters.model import Graph, Kind, TypeRef
 from rosld.ontology.urls import Location
 from rosld.server.auth.rules import UNTYPED, Types
-from rosld.server.hypermedia.catalogue import ParameterSource, TopicSource
+from rosld.server.hypermedia.catalogue import GoalSource, ParameterSource, TopicSource
 from rosld.server.resources.context import Robot
+
+_KINDS: Mapping[type, Kind] = {TopicSource: Kind.TOPIC, GoalSource: Kind.ACTION}
+"""What a value is read from or written to; all else is a service."""
 
 
 def types_at(robot: Robot, location: Location) -> Types:
@@ -42,10 +45,12 @@ def _refs(robot: Robot, location: Location) -> Iterable[TypeRef]:
 
 
 def types_of(graph: Graph, kind: Kind, name: str) -> tuple[TypeRef, ...]:
-    """The types of a topic or a service, as far as they are known."""
+    """The types of a topic, a service or an action, as far as they are known."""
     if kind is Kind.TOPIC:
         topic = graph.topics.get(name)
         return () if topic is None else tuple(topic.types)
+    if kind is Kind.ACTION:
+        return _of_action(graph, name)
     service = graph.services.get(name)
     return () if service is None or service.type is None else (service.type,)
 
@@ -64,6 +69,6 @@ def _of_member(robot: Robot, name: str) -> Iterable[TypeRef]:
     if plan is not None:
         for way in (*plan.source.readers, *plan.source.writers):
             if not isinstance(way, ParameterSource):
-                yield from types_of(robot.graph, Kind.TOPIC if isinstance(way, TopicSource) else Kind.SERVICE, way.name)
+                yield from types_of(robot.graph, _KINDS.get(type(way), Kind.SERVICE), way.name)
     if action is not None:
-        yield from types_of(robot.graph, Kind.SERVICE, action.service)
+        yield from types_of(robot.graph, Kind.ACTION if action.sends_goals else Kind.SERVICE, action.service)

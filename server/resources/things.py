@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterator, Sequence
 from dataclasses import replace
 
 from starlette.responses import Response
@@ -78,6 +78,8 @@ def complex_thing(robot: Robot, plan: ComplexPlan) -> bytes:
 def robot_thing(robot: Robot, tree: ResourceTree, permissions: Permissions = ALLOW_ALL) -> bytes:
     """The Thing Description of the whole robot: the affordances of all its complex resources, named by their paths.
 
+    Actions are there that no complex resource lists, too.
+
     Of a complex resource that the agent may not read, its properties are there as their own URLs have them.
     """
     properties: list[PropertyAffordance] = []
@@ -94,6 +96,7 @@ def robot_thing(robot: Robot, tree: ResourceTree, permissions: Permissions = ALL
         actions += (replace(one, name=path[1:] + one.name) for one in acts)
         if own or acts:
             links.append(ThingLink("item", url_of(path, robot.space)))
+    actions += _unlisted_actions(robot, tree, {one.url for one in actions})
     system = robot.adapter.capabilities.system
     return thing_description(
         robot.name,
@@ -111,6 +114,14 @@ def _affordances(robot: Robot, plan: ComplexPlan) -> tuple[Sequence[PropertyAffo
     offers = robot.affordances
     properties = tuple(offers.member_affordance(one, write=True) for one in plan.members)
     return properties, tuple(map(offers.action_affordance, plan.actions))
+
+
+def _unlisted_actions(robot: Robot, tree: ResourceTree, listed: Container[str]) -> Iterator[ActionAffordance]:
+    """The actions that no complex resource lists, because a mapping leaves them out: they answer at their own URLs."""
+    for name in sorted(tree.actions):
+        plan = tree.action(name)
+        if plan is not None and (affordance := robot.affordances.action_affordance(plan)).url not in listed:
+            yield replace(affordance, name=name[1:])
 
 
 def _by_themselves(robot: Robot, tree: ResourceTree, plan: ComplexPlan) -> Iterator[PropertyAffordance]:

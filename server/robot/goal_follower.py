@@ -50,6 +50,12 @@ class GoalFollower:
             return False
         return True
 
+    def is_followed(self, action: str) -> bool:
+        """Whether the robot tells all goals of an action now."""
+        following = self._followed.get(action)
+        opening = None if following is None else following.opening
+        return opening is not None and opening.done() and not opening.cancelled() and opening.exception() is None
+
     def keep_following(self, action: str, watch: Watch) -> Watch:
         """The watch, with its action followed, if it is, until it is closed."""
         return _GoalWatch(self._followed.get(action), watch)

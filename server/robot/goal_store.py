@@ -87,6 +87,11 @@ class GoalStore:
             raise Gone(id)
         return self._goals[id]
 
+    def current(self, action: str) -> Goal | None:
+        """The newest goal of an action that has not ended; the last one where all have."""
+        newest = [goal for goal in reversed(self._goals.values()) if goal.action == action]
+        return next((goal for goal in newest if not goal.status.is_final), newest[0] if newest else None)
+
     def get(self, id: str) -> Goal | None:
         """A goal that is kept, whatever its age."""
         return self._goals.get(id)

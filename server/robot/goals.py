@@ -88,6 +88,14 @@ class Goals:
         """The goals kept of one action, oldest first."""
         return [goal for goal in self.all() if goal.action == action]
 
+    def current(self, action: str) -> Goal | None:
+        """The goal that an action pursues, the newest of several; the last one where it pursues none."""
+        return self._store.current(action)
+
+    def is_followed(self, action: str) -> bool:
+        """Whether all that becomes known of an action's goals is told now."""
+        return self._follower.is_followed(action)
+
     def find(self, id: str) -> Goal:
         """A goal by its id; raises Gone for one that was deleted or is too old, KeyError for one that never was."""
         return self._store.find(id)

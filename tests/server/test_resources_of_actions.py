@@ -48,7 +48,7 @@ def test_a_mapped_action_of_ros_is_offered_and_takes_goals(http: httpx.Client) -
     action = http.get(GO, headers=TURTLE)
     assert action.status_code == 200
     assert f"ros:invokes <{http.base_url}actions/aircraft/fly>" in action.text
-    assert http.options(GO).headers["allow"] == "GET, HEAD, OPTIONS, POST"
+    assert http.options(GO).headers["allow"] == "DELETE, GET, HEAD, OPTIONS, POST"
     sent = http.post(GO, json={"distance": 2}, headers=JSON)
     assert sent.status_code == 201, sent.text
     goal: dict[str, Any] = http.get(sent.headers["location"], headers=JSON).json()
@@ -60,7 +60,7 @@ def test_a_mapped_action_of_ros_is_offered_and_takes_goals(http: httpx.Client) -
 def test_conditions_and_types_are_judged_before_a_goal_is_sent(http: httpx.Client) -> None:
     power(http, "off")
     assert http.get(GO).status_code == 404
-    assert http.options(GO).headers["allow"] == "OPTIONS, POST"
+    assert http.options(GO).headers["allow"] == "DELETE, OPTIONS, POST"
     assert http.post(GO, json={"distance": 2}).status_code == 409
     assert http.post(GO, json={"distance": "far"}).status_code == 422
     assert "ldp:contains" not in http.get("/goals/", headers=TURTLE).text

@@ -20,6 +20,9 @@ from rosld.server.auth.permissions import Permissions
 
 _Term: TypeAlias = "NamedNode | BlankNode | Literal | Triple"
 
+_TELLING = frozenset({ros.mappingWarning})
+"""Predicates whose words name whatever there is: only who may read everything is told them."""
+
 
 def redact_document(document: Document, permissions: Permissions) -> Document:
     """Return the document without what the agent may not read; the agent may read what the document is about."""
@@ -47,7 +50,12 @@ class _Redaction:
         after = [
             each
             for each in before
-            if not (self._is_hidden(each.subject) or self._is_hidden(each.object) or each.subject in parts)
+            if not (
+                self._is_hidden(each.subject)
+                or self._is_hidden(each.object)
+                or each.subject in parts
+                or each.predicate in _TELLING
+            )
         ]
         after = self._remove_unusable_forms(after)
         if len(after) == len(before):

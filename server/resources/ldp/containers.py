@@ -15,6 +15,7 @@ from rosld.server.resources.ldp.creation import create_record
 from rosld.server.resources.ldp.rdf_sources import N3_PATCH, RdfSourceResource
 from rosld.server.resources.ldp.representation import page_at, page_state, state_of
 from rosld.server.resources.ldp.stored_files import StoredFile
+from rosld.server.resources.ldp.warnings import with_warnings
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import RDF_BODIES, SPARQL_UPDATE
 from rosld.server.rest.interaction import model_links
@@ -138,7 +139,7 @@ _NAMED_MEANWHILE = frozenset({ConflictCause.THERE, ConflictCause.NAME, ConflictC
 
 async def create_resource(
     robot: Robot, path: str, model: Model, exchange: Exchange, blob: Blob | None, *, unused: bool = False
-) -> CreatedAnswer:
+) -> Answer:
     """A new resource, and the answer that tells of it (LDP 4.2.3, 5.2.3). Raises Conflict as `create` does."""
     record = await create_record(resource_of(robot, path, model), model, exchange, blob, unused=unused)
     resource = resource_of(robot, path, model)  # as it is now that it is there
@@ -146,4 +147,5 @@ async def create_resource(
         return CreatedAnswer(
             resource.url, resource, None, (Link(resource.url + META, "describedby", anchor=resource.url),)
         )
-    return CreatedAnswer(resource.url, resource, state_of(robot, record))
+    created = CreatedAnswer(resource.url, resource, state_of(robot, record))
+    return await with_warnings(robot, path, exchange, created)

@@ -36,6 +36,7 @@ from rosld.server.resources.ldp.statements import (
     require_same_members,
 )
 from rosld.server.resources.ldp.validation import validator_of
+from rosld.server.resources.ldp.warnings import with_warnings
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import RDF_BODIES, SPARQL_UPDATE
 from rosld.server.rest.plan import StorageWrite
@@ -83,7 +84,7 @@ class RdfSourceResource(StoredResource):
             return await self.with_triples(record, triples, expected)
 
         await self.change_record(exchange, replaced)
-        return no_content()
+        return await with_warnings(self.robot, self.path, exchange, no_content())
 
     async def post(self, exchange: Exchange) -> Answer:
         """The body is merged into what is here (SPARQL 1.1 Graph Store Protocol 5.5)."""
@@ -100,7 +101,7 @@ class RdfSourceResource(StoredResource):
             return await self.with_triples(record, stated, record.version)
 
         await self.change_record(exchange, with_added)
-        return no_content()
+        return await with_warnings(self.robot, self.path, exchange, no_content())
 
     async def patch(self, exchange: Exchange) -> Answer:
         self.require_if_match(exchange)
@@ -121,7 +122,7 @@ class RdfSourceResource(StoredResource):
             return await self.with_triples(record, await self.robot.workers.run(work), record.version)
 
         await self.change_record(exchange, changed)
-        return no_content()
+        return await with_warnings(self.robot, self.path, exchange, no_content())
 
     async def _patch(
         self, patch: Callable[[Sequence[Triple]], Sequence[Triple]], before: Sequence[Triple]

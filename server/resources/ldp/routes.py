@@ -26,6 +26,7 @@ from rosld.server.resources.ldp.representation import state_of
 from rosld.server.resources.ldp.statements import N3_PATCH, is_small, patch_statements
 from rosld.server.resources.ldp.stored_files import StoredFile
 from rosld.server.resources.ldp.transaction import write_together
+from rosld.server.resources.ldp.warnings import with_warnings
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import MERGE_PATCH, OFFERS, RDF_BODIES, SPARQL_UPDATE
 from rosld.server.rest.path_item import ANY_TYPE, PathItem, WriteMethod
@@ -171,7 +172,8 @@ class AbsentResource(StoredResource):
             return await self._patch_there(exchange)
         assert record is not None
         made = resource_of(self.robot, self.path, record.model)
-        return CreatedAnswer(made.url, made, state_of(self.robot, record))
+        created = CreatedAnswer(made.url, made, state_of(self.robot, record))
+        return await with_warnings(self.robot, self.path, exchange, created)
 
     async def _patch_there(self, exchange: Exchange) -> Answer:
         there = resource_of(self.robot, self.path, self.require_record().model)

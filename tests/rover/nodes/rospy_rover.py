@@ -210,7 +210,7 @@ class Rover:
             self.simulation.cancel(handle.get_goal_id().id, time.monotonic())
 
     def tick(self):
-        with self.lock:
+        with self.actions.lock, self.lock:  # in the order in which the action server calls `navigate` and `cancel`
             now = time.monotonic()
             self.simulation.advance(now)
             for name, each in PERIODIC.items():

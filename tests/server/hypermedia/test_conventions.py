@@ -194,8 +194,9 @@ class TestListings:
         whole = Aircraft(AdapterOptions()).graph
         listing = catalogue(whole, known)
         named = {"/aircraft/power", "/aircraft/engine/speed", "/aircraft/engine/direction"}
-        assert listing.properties.keys() == named | whole.topics.keys() | whole.parameters.keys()
-        assert list(listing.actions) == ["/aircraft/start", "/aircraft/stop"]
+        pursued = {f"/aircraft/fly/{part}" for part in ("status", "goal", "feedback", "result")}
+        assert listing.properties.keys() == named | pursued | whole.topics.keys() | whole.parameters.keys()
+        assert list(listing.actions) == ["/aircraft/fly", "/aircraft/start", "/aircraft/stop"]
         assert listing.by_service == {
             "/aircraft/get_power": "/aircraft/power",
             "/aircraft/set_power": "/aircraft/power",

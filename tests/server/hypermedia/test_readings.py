@@ -40,6 +40,7 @@ from rosld.server.hypermedia.conventions import catalogue
 from rosld.server.hypermedia.property_reader import PropertyReader
 from rosld.server.hypermedia.type_inference import value_fields
 from rosld.server.hypermedia.value import Reading, plain_json
+from rosld.server.robot.goals import Goals
 from rosld.server.robot.live_topics import LiveSettings, LiveTopics
 from rosld.server.robot.schemas import Schemas
 
@@ -50,6 +51,11 @@ LIFTING = LiftSettings()
 LIBRARY = TypeLibrary(ros_version=1)
 FRESHNESS, PATIENCE = 1.0, 10.0
 SPEED, POWER, SEATS = "/aircraft/engine/speed", "/aircraft/power", "/aircraft/seats"
+
+
+def goals_of(adapter: Adapter) -> Goals:
+    """The goals of a robot, none of which has a schema at hand."""
+    return Goals(adapter, lambda _: None, limit=10, age=60.0, idle=10.0)
 
 
 class Clock(asyncio.SelectorEventLoop):
@@ -115,8 +121,8 @@ class Cockpit:
         self.schemas = Schemas(adapter)
         self.topics = LiveTopics(adapter, self.schemas, LiveSettings())
         self.readings = PropertyReader(
-            adapter, self.topics, self.schemas, SPACE, freshness=freshness, patience=PATIENCE
-        )  # fmt: skip
+            adapter, self.topics, goals_of(adapter), self.schemas, SPACE, freshness=freshness, patience=PATIENCE
+        )
         self.catalogue: Catalogue = catalogue(adapter.graph, LIBRARY.find)
 
     def property(self, name: str) -> Property:
@@ -344,7 +350,9 @@ class Bench:
         adapter = cast(Adapter, self.fake)
         schemas = Schemas(adapter)
         self.topics = LiveTopics(adapter, schemas, LiveSettings(first_value=first))
-        self.readings = PropertyReader(adapter, self.topics, schemas, SPACE, freshness=freshness, patience=patience)
+        self.readings = PropertyReader(
+            adapter, self.topics, goals_of(adapter), schemas, SPACE, freshness=freshness, patience=patience
+        )
 
     def property(self, *readers: TopicSource | Getter | ParameterSource, name: str = "/robot/x") -> Property:
         return Property(name, OpenKind(), readers or (getter(ASKED),))

@@ -38,7 +38,7 @@ def namespace_document(
     """A namespace of names of one kind: its direct members, and the namespaces below, both where a name is both.
 
     `is_name`: the namespace is a name too (`/camera/image_raw`), and links to it; to `whole` too, the URL at which its
-    hidden members are told as well, if there are any. What members are, they say
+    hidden members are told as well, if there are any. What members are is not told here: in the dataset they say it
     themselves and nobody else, so that a query over all graphs finds it once.
     """
     url = space.container(room, namespace)

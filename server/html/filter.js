@@ -1,26 +1,38 @@
 /* Shows, of the folded things of a page, those whose words hold what is typed.
 
 Without this file, or with scripts off, there is no field to type in, and everything can be unfolded by hand. What a URL
-names by its fragment is unfolded in browsers that do not do so by themselves. */
+names by its fragment is unfolded in browsers that do not do so by themselves. A page that is kept up to date is filtered
+again when something in it has changed; what is filtered out is marked by an attribute that live.js leaves alone. */
 "use strict";
 {
   const field = document.querySelector(".filter"), box = field?.querySelector("input");
-  const groups = [...document.querySelectorAll("details.group")];
-  const things = groups.map((group) => [...group.querySelectorAll("details.thing")]);
-  const words = things.map((each) => each.map((thing) => thing.textContent.toLowerCase()));
+  const OUT = "data-filtered";
+
+  const things = (group) => [...group.querySelectorAll("details.thing, tbody > tr, ul.acts > li")];
+
+  const mark = (element, isOut) => element.toggleAttribute(OUT, isOut);
+
+  const tell = (element, text) => { if (element.textContent !== text) element.textContent = text; };
+
+  let wasWanted = false;
 
   const filter = () => {
     const wanted = box.value.toLowerCase().split(/\s+/).filter(Boolean);
-    groups.forEach((group, place) => {
+    if (!wanted.length && !wasWanted) return;
+    for (const group of document.querySelectorAll("details.group")) {
       let found = 0;
-      things[place].forEach((thing, index) => {
-        thing.hidden = !wanted.every((word) => words[place][index].includes(word));
-        if (!thing.hidden) found += 1;
-      });
-      group.hidden = !found;
-      group.open = Boolean(wanted.length && found);
-      group.querySelector(".count").textContent = found.toLocaleString("en");
-    });
+      for (const thing of things(group)) {
+        const text = thing.textContent.toLowerCase();
+        const isFound = wanted.every((word) => text.includes(word));
+        mark(thing, !isFound);
+        if (isFound) found += 1;
+      }
+      mark(group, !found);
+      if (wanted.length) group.open = Boolean(found);
+      else if (wasWanted) group.open = false;
+      tell(group.querySelector(".count"), found.toLocaleString("en"));
+    }
+    wasWanted = Boolean(wanted.length);
   };
 
   const reveal = () => {
@@ -33,6 +45,11 @@ names by its fragment is unfolded in browsers that do not do so by themselves. *
   if (field) {
     field.hidden = false;
     box.addEventListener("input", filter);
+    let due = 0;
+    new MutationObserver(() => {
+      cancelAnimationFrame(due);
+      due = requestAnimationFrame(() => wasWanted && filter());
+    }).observe(document.querySelector("main"), { childList: true, subtree: true });
   }
   addEventListener("hashchange", reveal);
   reveal();

@@ -10,6 +10,7 @@ from rosld.ontology.document import Document
 from rosld.ontology.vocab import ldp, rdf, rdfs, ros
 from rosld.server.html.description import objects_of
 from rosld.server.html.labels import label
+from rosld.server.html.name_groups import NameGroup, group_names
 from rosld.server.html.page import Cell, MemberColumns
 from rosld.server.html.site import Anchor, Site
 from rosld.server.html.terms import cell_view
@@ -30,12 +31,16 @@ class ListingRow:
 
 @dataclass(frozen=True, slots=True)
 class ContainerTable:
-    """The table of a container: `members`, and `namespaces` that have no member of their name."""
+    """The table of a container: `members`, and `namespaces` that have no member of their name.
+
+    Very many members are in `groups`, which a page folds.
+    """
 
     columns: tuple[str, ...]
     members: tuple[ListingRow, ...]
     namespaces: tuple[Anchor, ...]
     total: int
+    groups: tuple[NameGroup[ListingRow], ...] = ()
 
 
 def container_table(document: Document, site: Site, listing: MemberColumns | None) -> ContainerTable | None:
@@ -56,7 +61,9 @@ def container_table(document: Document, site: Site, listing: MemberColumns | Non
         for url in urls
         if not url.endswith("/")
     )
-    return ContainerTable(columns, members, tuple(anchors[url] for url in urls if url in containers), total)
+    namespaces = tuple(anchors[url] for url in urls if url in containers)
+    groups = group_names(members, lambda row: row.anchor.text)
+    return ContainerTable(columns, members, namespaces, total, groups)
 
 
 def _seen(cell: Cell, site: Site) -> Cell:

@@ -98,7 +98,9 @@ Without this file, or with scripts off, the page is what it was when it was load
   }
 
   function mergeAttributes(old, now) {
-    const isOurs = (name) => name === "data-changed" || name === "inert" || (name === "open" && matches(old, "details"));
+    const isOurs = (name) =>
+      name === "data-changed" || name === "data-filtered" || name === "inert" ||
+      (name === "open" && matches(old, "details")) || (name === "hidden" && matches(old, ".filter"));
     for (const { name, value } of attributesOf(now))
       if (!isOurs(name) && attribute(old, name) !== value) set(old, name, value);
     for (const { name } of [...attributesOf(old)])

@@ -14,6 +14,7 @@ from pyoxigraph import NamedNode
 from rosld.ontology.vocab import ros
 from rosld.server.html.forms import Form
 from rosld.server.html.labels import label
+from rosld.server.html.name_groups import NameGroup, group_names
 from rosld.server.html.page import Csrf, Offer
 from rosld.server.html.site import Anchor, Site, readable_path
 from rosld.server.html.terms import iri_view
@@ -87,7 +88,10 @@ class LinkRow:
 
 @dataclass(frozen=True, slots=True)
 class ComplexOffer:
-    """A complex resource. `below` are the complex resources in it that no link leads to."""
+    """A complex resource. `children` are the complex resources in it that no link leads to.
+
+    Very many properties, and very many actions, are in groups, which a page folds.
+    """
 
     kind: ClassVar[str] = "complex"
     properties: tuple[PropertyRow, ...]
@@ -96,6 +100,21 @@ class ComplexOffer:
     children: tuple[Anchor, ...]
     part_of: Anchor | None
     mapping: Anchor | None
+
+    @property
+    def property_groups(self) -> tuple[NameGroup[PropertyRow], ...]:
+        """The properties in groups, none where they are few."""
+        return group_names(self.properties, lambda row: row.anchor.text)
+
+    @property
+    def action_groups(self) -> tuple[NameGroup[ActionRow], ...]:
+        """The actions in groups, none where they are few."""
+        return group_names(self.actions, lambda row: row.anchor.text)
+
+    @property
+    def is_folded(self) -> bool:
+        """Whether anything is in groups."""
+        return bool(self.property_groups or self.action_groups)
 
     @property
     def has_settable(self) -> bool:

@@ -1,5 +1,7 @@
 """The dataset that SPARQL sees: one named graph a resource, exactly what a GET of it says.
 
+What listings say of their members is in their graphs only where a query names these: the members say it themselves.
+
 Graphs without live values (the computation graph, containers, types, shapes, the vocabulary) are descriptions, listed
 all. Topics with their messages, parameters with their values, resources whose getters are called and recorded messages
 are made when a query needs them.
@@ -50,7 +52,14 @@ from rosld.server.resources.bags import BagMessage
 from rosld.server.resources.complex_resource import ComplexResource
 from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.holds import HoldResource
-from rosld.server.resources.namespaces import listed_graph, listed_members, listing_document, namespaces, things_of
+from rosld.server.resources.namespaces import (
+    NamespaceContainer,
+    listed_graph,
+    listed_members,
+    listing_document,
+    namespaces,
+    things_of,
+)
 from rosld.server.resources.nodes import NodeResource
 from rosld.server.resources.ontology import OntologyResource
 from rosld.server.resources.parameters import ParameterResource, ParameterTree
@@ -80,6 +89,8 @@ _KEPT = 256
 """Needs whose resources are remembered."""
 OTHER_ROUTES = frozenset({stored_queries.ROUTE, active_limits.ROUTE})
 """The containers of what clients keep in which something else lies too: they are described here, whole."""
+_LISTINGS = ("nodes", "topics", "services", "actions")
+"""The routes of containers whose members are names of the computation graph."""
 _AT_ONCE = 64
 """Looks that are begun before the loop has its turn."""
 _TURNS = 4
@@ -201,9 +212,17 @@ class RobotGraphs:
                 url = robot.space.container("parameters", path)
                 if url in needs.graph_names and needs.wants_parameter(url):
                     yield ParameterTree(robot, path)
+        yield from self._named_listings(needs.graph_names)
         anything = any(demand.is_anything for demand in needs.demands)
         yield from (one for url, one in self._live.items() if anything or url in needs.documents)
         yield from self._named(needs.documents)
+
+    def _named_listings(self, graph_names: frozenset[str]) -> Iterator[Resource]:
+        """The listings that are named as graphs: only there they tell what their members say of themselves, too."""
+        for url in graph_names:
+            location = self._robot.space.location(url)
+            if location is not None and location.is_container and location.kind in _LISTINGS:
+                yield NamespaceContainer(self._robot, location.kind, location.segments)
 
     def _candidates(self, named: frozenset[str] | None) -> Iterator[Topic]:
         """The topics among these URLs; all where none are named."""
@@ -258,7 +277,7 @@ class RobotGraphs:
         """
         is_settled = self._robot.topics.is_settled
         firsts = (self._first(topic) for topic in topics if not is_settled(topic.name))
-        shown = (self._entry(one.url, one.state()) for one in others)
+        shown = (self._entry(one.url, one.state(), is_transient=isinstance(one, NamespaceContainer)) for one in others)
         tasks: list[asyncio.Future[GraphEntry | None]] = []
         try:
             for coming in chain(firsts, shown):
@@ -309,10 +328,12 @@ class RobotGraphs:
                 break
         return [entry for entry in entries if entry is not None]
 
-    async def _entry(self, iri: str, coming: Coroutine[object, object, State]) -> GraphEntry | None:
+    async def _entry(
+        self, iri: str, coming: Coroutine[object, object, State], *, is_transient: bool = False
+    ) -> GraphEntry | None:
         """The graph of one resource, None where it cannot be read now."""
         try:
-            return _live(iri, await coming)
+            return _live(iri, await coming)._replace(is_transient=is_transient)
         except (Problem, RosError):
             return None
 
@@ -357,7 +378,7 @@ class RobotGraphs:
         for path in namespaces(graph, "parameters"):
             tree = ParameterTree(self._robot, path)
             yield _described(tree.url, IdentityKey(graph.parameters), partial(_of_itself, tree))
-        for room in ("nodes", "topics", "services", "actions"):
+        for room in _LISTINGS:
             for path, whole in namespaces(graph, room).items():
                 members = listed_members(self._robot, room, path)
                 assert members is not None

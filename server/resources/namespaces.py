@@ -6,20 +6,20 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TypeVar
 
-from pyoxigraph import NamedNode
-
-from rosld.adapters.model import Action, Graph, Parameter, Service, Topic, frozen, names
+from rosld.adapters.model import Graph, Parameter, frozen, names
 from rosld.ontology.describe_containers import namespace_document
+from rosld.ontology.describe_members import MemberOutline, member_triples
 from rosld.ontology.document import Document
 from rosld.ontology.namespaces import IdentityCache, Members, members_of
-from rosld.ontology.urls import Space, decode_segment, encode_segment
+from rosld.ontology.urls import decode_segment, encode_segment
 from rosld.server.html import MemberColumns, SequenceLink
-from rosld.server.html.page import Cell
 from rosld.server.http.conditional import digest
 from rosld.server.http.link import render
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.latest_values import LatestValue
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.context import Robot
+from rosld.server.resources.member_outlines import action_cells, member_outlines, service_cells, topic_cells
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.paging import (
     LdpPage,
@@ -126,9 +126,13 @@ def listing_document(
     """A namespace with these members, or these of them; where its listing leaves some out it links to all."""
     url = robot.space.container(room, namespace)
     is_name = names.join(namespace) in things_of(robot.graph, room)
-    leaves_out = listed_members(robot, room, namespace, hidden=hidden) != namespaces(robot.graph, room).get(namespace)
-    whole = with_hidden(url) if leaves_out else None
+    whole = with_hidden(url) if leaves_out(robot, room, namespace, hidden=hidden) else None
     return namespace_document(room, namespace, members, robot.space, is_name=is_name, whole=whole)
+
+
+def leaves_out(robot: Robot, room: str, namespace: tuple[str, ...], *, hidden: bool = False) -> bool:
+    """Whether the listing of a namespace leaves hidden members out."""
+    return listed_members(robot, room, namespace, hidden=hidden) != namespaces(robot.graph, room).get(namespace)
 
 
 def count_members(members: Members) -> int:
@@ -160,21 +164,6 @@ def redirect_to_namespace(robot: Robot, room: str, name: str) -> Problem | None:
         return None
     url = robot.space.container(room, path)
     return permanent_redirect(url)
-
-
-def _topic_cells(topic: Topic, space: Space) -> tuple[Cell, ...]:
-    kind = NamedNode(space.class_of(topic.type.name)) if topic.type else ", ".join(ref.name for ref in topic.types)
-    return (kind, str(len(topic.publishers)), str(len(topic.subscribers)))
-
-
-def _service_cells(service: Service, space: Space) -> tuple[Cell, ...]:
-    kind = NamedNode(space.class_of(service.type.name)) if service.type else ""
-    return (kind, NamedNode(space.node(service.providers[0])) if service.providers else "")
-
-
-def _action_cells(action: Action, space: Space) -> tuple[Cell, ...]:
-    kind = NamedNode(space.class_of(action.type.name)) if action.type else ""
-    return (kind, NamedNode(space.node(action.servers[0])) if action.servers else "")
 
 
 class NamespaceContainer(Resource):
@@ -229,23 +218,36 @@ class NamespaceContainer(Resource):
 
     async def state(self) -> State:
         members = self._members()
-        version = (members, self._is_name, self.robot.graph.revision)  # the page tells of what lies below, too
-        if self._place is None:
-            return self.robot.states.get_or_make(
-                self._sequence, version, lambda: State(lambda: self._document(members))
-            )
-        page, told = self._page(self._place, members)
+        page, told = (None, members) if self._place is None else self._page(self._place, members)
+        outlines = member_outlines(self.robot, things_of(self.robot.graph, self.room), self.room, self.namespace, told)
+        values = self._values_below()
+        version = (members, self._is_name, outlines, values, self.robot.graph.revision)
 
         def make() -> State:
+            document = self._document(told, outlines)
+            if page is None:
+                return State(lambda: document, token=token)
             headers = {"link": render([*self.links, *page.links()]), "vary": "Accept, Prefer"}
-            return State(
-                lambda: page.add_to(self._document(told)), part=f"p{digest(page.token.encode())}", headers=headers
-            )
+            part = f"p{digest(page.token.encode())}"
+            return State(lambda: page.add_to(document), token=token, part=part, headers=headers)
 
-        return self.robot.states.get_or_make(page.url, version, make)
+        is_partial = leaves_out(self.robot, self.room, self.namespace, hidden=self._hidden)
+        token = digest(repr((members, self._is_name, is_partial, outlines, values)).encode("utf-8", "replace"))
+        return self.robot.states.get_or_make(self._sequence if page is None else page.url, version, make)
 
-    def _document(self, members: Members) -> Document:
-        return listing_document(self.robot, self.room, self.namespace, members, hidden=self._hidden)
+    def _values_below(self) -> Sequence[tuple[str, LatestValue | None]]:
+        """The values at hand of all topics below, which the page lists, too: it is another one when one of them is."""
+        if self.room != "topics":
+            return ()
+        prefix, values = "".join(f"/{part}" for part in self.namespace) + "/", self.robot.latest_values
+        below = (name for name in self.robot.topics.subscribed() if name.startswith(prefix))
+        return tuple((name, values.of_topic(name)) for name in below)
+
+    def _document(self, members: Members, outlines: Sequence[MemberOutline]) -> Document:
+        """What the namespace says of itself, and in brief of its members."""
+        document = listing_document(self.robot, self.room, self.namespace, members, hidden=self._hidden)
+        told = (triple for outline in outlines for triple in member_triples(outline, self.robot.space))
+        return replace(document, triples=(*document.triples, *told))
 
     @property
     def _is_name(self) -> bool:
@@ -284,8 +286,11 @@ class NamespaceContainer(Resource):
             told, total = self._below(graph.topics, members)
             topics = {name: graph.topics[name] for name in told}
             return MemberColumns(
-                ("type", "publishers", "subscribers"),
-                {space.topic(name): _topic_cells(topic, space) for name, topic in topics.items()},
+                ("type", "latest value", "rate", "publishers", "subscribers"),
+                {
+                    space.topic(name): topic_cells(topic, self.robot.latest_values.of_topic(name), space)
+                    for name, topic in topics.items()
+                },
                 total,
             )
         if self.room == "services":
@@ -293,7 +298,7 @@ class NamespaceContainer(Resource):
             services = {name: graph.services[name] for name in told}
             return MemberColumns(
                 ("type", "provider"),
-                {space.service(name): _service_cells(service, space) for name, service in services.items()},
+                {space.service(name): service_cells(service, space) for name, service in services.items()},
                 total,
             )
         if self.room == "actions":
@@ -301,7 +306,7 @@ class NamespaceContainer(Resource):
             actions = {name: graph.actions[name] for name in told}
             return MemberColumns(
                 ("type", "server"),
-                {space.action(name): _action_cells(action, space) for name, action in actions.items()},
+                {space.action(name): action_cells(action, space) for name, action in actions.items()},
                 total,
             )
         return None if self._place is None or members is None else MemberColumns(total=count_members(members))

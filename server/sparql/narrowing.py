@@ -144,8 +144,8 @@ class PartNeeds:
 
     def _demand(self) -> Demand | None:
         part, live = self._part, self._live
-        if part.is_named and any(map(self._vocabulary.is_of_parameters, part.graphs or ())):
-            return Demand(part.graphs, parameters=True, messages=False)  # trees say of their members what those say
+        if part.is_named and any(map(self._vocabulary.tells_of_members, part.graphs or ())):
+            return Demand(part.graphs, parameters=True, messages=False)  # they say of their members what those say
         if not (live.messages or live.parameters):
             return None
         return Demand(part.graphs, self._said.types, live.messages, live.parameters)

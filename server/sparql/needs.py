@@ -5,9 +5,17 @@ The answer may be too much and never too little; `narrowing.py` finds it.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+
+_LISTINGS = re.compile(r"/(?:parameters/|(?:nodes|topics|services|actions)/(?:.*/)?$)")
+
+
+def tells_of_members(graph: str) -> bool:
+    """Whether a graph tells what others say, where it is named alone: a tree of parameters, a listing of names."""
+    return _LISTINGS.search(graph) is not None
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,9 +121,9 @@ class Needs:
         narrowed = (
             replace(one, graphs=allowed if one.graphs is None else one.graphs & allowed) for one in self.demands
         )
-        trees = frozenset(graph for graph in allowed if "/parameters/" in graph)
-        of_trees = (Demand(trees, messages=False, parameters=True),) if trees else ()
-        demands = (*(one for one in narrowed if one.graphs), *of_trees)
+        telling = frozenset(filter(tells_of_members, allowed))
+        of_members = (Demand(telling, messages=False, parameters=True),) if telling else ()
+        demands = (*(one for one in narrowed if one.graphs), *of_members)
         documents = self.documents | allowed
         return Needs(
             tuple(remove_covered(demands)), documents, rests_on=self.rests_on, graph_names=self.graph_names | allowed

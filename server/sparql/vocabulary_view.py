@@ -9,6 +9,7 @@ from typing import NamedTuple
 from urllib.parse import unquote
 
 from rosld.ontology.vocab import PREFIXES, prov, rdf, ros, td
+from rosld.server.sparql.needs import tells_of_members
 from rosld.server.sparql.syntax.tree import Iri, Pattern, Term, Variable
 
 
@@ -262,6 +263,10 @@ class VocabularyView:
     def is_of_parameters(self, iri: str) -> bool:
         """Whether an IRI is that of a parameter or of a tree of them."""
         return iri.startswith(self.base + "parameters/")
+
+    def tells_of_members(self, iri: str) -> bool:
+        """Whether an IRI is that of a container that tells what its members say of themselves, where it is named."""
+        return iri.startswith(self.base) and tells_of_members(iri)
 
     def resource_terms(self, iris: Iterable[str]) -> frozenset[str]:
         """Those of the terms that name resources below `resources/`."""

@@ -1,0 +1,69 @@
+"""The members of namespaces in brief: as RDF tells them in a listing, and as the cells of its table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from pyoxigraph import NamedNode
+
+from rosld.adapters.model import Action, Node, Service, Topic, names
+from rosld.ontology.describe_members import MemberOutline
+from rosld.ontology.namespaces import Members
+from rosld.ontology.urls import Space
+from rosld.ontology.vocab import ros
+from rosld.server.html.brief import brief_text
+from rosld.server.html.page import Cell
+from rosld.server.hypermedia.latest_values import LatestValue
+from rosld.server.resources.context import Robot
+
+
+def member_outlines(
+    robot: Robot, things: Mapping[str, object], room: str, namespace: tuple[str, ...], members: Members
+) -> tuple[MemberOutline, ...]:
+    """What is told in brief of these members of a namespace, which are among `things`.
+
+    Names, types, and of topics rate and value as far as they are at hand.
+    """
+    space = robot.space
+    leaves = ((*namespace, leaf) for leaf in members.leaves)
+    below = ((*namespace, inner) for inner in members.namespaces)
+    return (
+        *(_outline(robot, things, names.join(path), space.url(room, path)) for path in leaves),
+        *(MemberOutline(space.container(room, path), None, names.join(path)) for path in below),
+    )
+
+
+def _outline(robot: Robot, things: Mapping[str, object], name: str, url: str) -> MemberOutline:
+    match things.get(name):
+        case Topic() as thing:
+            latest = robot.latest_values.of_topic(name)
+            types = tuple(ref.name for ref in thing.types)
+            rate, value = (None, None) if latest is None else (latest.rate, latest.json)
+            return MemberOutline(url, ros.Topic, name, types, rate, value)
+        case Service() as thing:
+            return MemberOutline(url, ros.Service, name, () if thing.type is None else (thing.type.name,))
+        case Action() as thing:
+            return MemberOutline(url, ros.Action, name, () if thing.type is None else (thing.type.name,))
+        case Node():
+            return MemberOutline(url, ros.Node, name)
+    return MemberOutline(url, None, name)
+
+
+def topic_cells(topic: Topic, latest: LatestValue | None, space: Space) -> tuple[Cell, ...]:
+    """The cells of a topic: its type, its latest value and rate as far as they are at hand, its endpoints."""
+    kind = NamedNode(space.class_of(topic.type.name)) if topic.type else ", ".join(ref.name for ref in topic.types)
+    value = "" if latest is None or latest.json is None else brief_text(latest.json)
+    rate = "" if latest is None or latest.rate is None else f"{latest.rate:.3g} Hz"
+    return (kind, value, rate, str(len(topic.publishers)), str(len(topic.subscribers)))
+
+
+def service_cells(service: Service, space: Space) -> tuple[Cell, ...]:
+    """The cells of a service: its type and who provides it."""
+    kind = NamedNode(space.class_of(service.type.name)) if service.type else ""
+    return (kind, NamedNode(space.node(service.providers[0])) if service.providers else "")
+
+
+def action_cells(action: Action, space: Space) -> tuple[Cell, ...]:
+    """The cells of an action: its type and who serves it."""
+    kind = NamedNode(space.class_of(action.type.name)) if action.type else ""
+    return (kind, NamedNode(space.node(action.servers[0])) if action.servers else "")

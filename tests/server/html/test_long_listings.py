@@ -1,0 +1,118 @@
+"""Pages of hundreds of members: three screens at most, folded by namespace, filtered while one types."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import Any
+
+import httpx
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rosld.server.html.name_groups import MAX_ROWS, group_names
+from tests.server.robots.made_up import MadeUp, Serving, robot, serving
+from tests.server.robots.many import COUNT, furnish
+
+__all__ = ["robot", "serving"]
+
+WIDTH, SCREEN = 1400, 900
+TALL = "document.documentElement.scrollHeight"
+SHOWN = "[...document.querySelectorAll('details.group tbody tr')].filter((each) => each.checkVisibility())"
+NAMES = st.lists(st.text("ab/", min_size=1, max_size=6), max_size=200)
+
+
+@given(NAMES)
+def test_groups_hold_every_item_once_in_a_bounded_number(names: list[str]) -> None:
+    groups = group_names(names, str)
+    if len(names) <= MAX_ROWS:
+        assert groups == ()
+        return
+    assert sorted(item for group in groups for item in group.items) == sorted(names)
+    assert len(groups) <= 80
+    assert all(group.items for group in groups)
+
+
+def test_names_in_no_namespace_come_first_in_parts_of_one_size() -> None:
+    names = [f"x{number:03}" for number in range(100)] + ["arm/a", "arm/b", "leg/a"]
+    groups = group_names(names, str)
+    assert [(group.title, len(group.items)) for group in groups] == [
+        ("x000 … x033", 34), ("x034 … x067", 34), ("x068 … x099", 32), ("arm/", 2), ("leg/", 1),
+    ]  # fmt: skip
+    assert not any(group.is_open for group in groups)
+
+
+def test_of_very_many_namespaces_several_are_one_group_and_few_names_are_unfolded() -> None:
+    names = ["odom", *(f"robot{number:03}/pose" for number in range(400))]
+    first, *others = group_names(names, str)
+    assert (first.items, first.is_open) == (("odom",), True)
+    assert (len(others), others[0].title, len(others[0].items)) == (40, "robot000/ … robot009/", 10)
+
+
+@pytest.fixture
+def http(robot: MadeUp, serving: Serving) -> httpx.Client:
+    """A robot of 330 topics and 60 services, all topics subscribed to."""
+    furnish(robot)
+    for number in range(60):
+        robot.offer(f"/service_{number:02}/do", "std_srvs/srv/Trigger", lambda _: {"success": True})
+    client = serving(subscribe=("/*",))
+    client.timeout = 60
+    return client
+
+
+def wide(tab: Any) -> None:
+    tab.send("Emulation.setDeviceMetricsOverride", width=WIDTH, height=SCREEN, deviceScaleFactor=1, mobile=False)
+
+
+@pytest.mark.parametrize(
+    "path", ["topics/", "services/", "parameters/", "resources/", "nodes/robot", "types/", "queries/"]
+)
+def test_a_page_of_hundreds_is_three_screens_at_most(tab: Any, http: httpx.Client, path: str) -> None:
+    wide(tab)
+    tab.open(f"{http.base_url}{path}")
+    assert tab.run(TALL) <= 3 * SCREEN
+
+
+def test_a_fleet_and_a_flat_robot_are_three_screens_at_most(tab: Any, robot: MadeUp, serving: Serving) -> None:
+    for number in range(COUNT):
+        robot.topic(f"/robot_{number:03}/odom", "nav_msgs/msg/Odometry")
+        robot.offer(f"/service_{number:03}", "std_srvs/srv/Trigger", lambda _: {"success": True})
+    url = serving().base_url
+    wide(tab)
+    for path in ("topics/", "services/", "resources/"):
+        tab.open(f"{url}{path}")
+        assert tab.run(TALL) <= 3 * SCREEN, path
+
+
+def test_all_rows_are_there_without_scripts_and_none_is_shown_twice(http: httpx.Client) -> None:
+    page = http.get("/topics/", headers={"Accept": "text/html"}).text
+    keys = re.findall(r'<tr data-key="([^"]+)"', page)
+    assert (len(keys), len(set(keys))) == (COUNT, COUNT)
+    assert '<p class="filter" hidden>' in page
+
+
+def test_what_is_typed_unfolds_what_has_it_while_values_go_on(tab: Any, robot: MadeUp, http: httpx.Client) -> None:
+    wide(tab)
+    tab.open(f"{http.base_url}topics/")
+    tab.until("document.querySelector('.liveness').dataset.state === 'live'")
+    assert tab.run(f"{SHOWN}.length") == 0
+    tab.run("document.querySelector('.filter input').focus()")
+    tab.type("battery_2 state")
+    tab.until(f"{SHOWN}.length === 1")
+    robot.publishes("/battery_2/state", {"percentage": 0.25, "voltage": 11.5})
+    tab.until(f"{SHOWN}[0].textContent.includes('voltage 11.5')")  # the page is looked at anew, and stays filtered
+    assert tab.run(f"{SHOWN}.length") == 1
+    assert tab.run("document.querySelector('.filter').checkVisibility()")
+    tab.run("document.querySelector('.filter input').select()")
+    tab.type("no such topic")
+    tab.until(f"{SHOWN}.length === 0")
+    assert (
+        tab.run("[...document.querySelectorAll('details.group')].filter((each) => each.checkVisibility()).length") == 0
+    )
+
+
+def test_few_members_are_not_folded(http: httpx.Client, serve: Callable[..., Any]) -> None:
+    page = serve("aircraft").http.get("/topics/", headers={"Accept": "text/html"}).text
+    assert 'class="group"' not in page
+    assert "filter.js" not in page

@@ -6,16 +6,16 @@ import re
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from functools import partial
 from itertools import count, islice
 from typing import NamedTuple, cast
 
-from pyoxigraph import Literal, NamedNode, Quad, RdfFormat, Store, Triple, parse
+from pyoxigraph import BlankNode, DefaultGraph, Literal, NamedNode, Quad, RdfFormat, Store, Triple, parse
 
 from rosld.server.dataset.base import Edit, Function, QueryError, Results, Term
 from rosld.server.dataset.encoding import decode_ntriples, decode_triple, encode_ntriples
 from rosld.server.dataset.garbage_estimate import GarbageEstimate
 from rosld.server.dataset.private_functions import FUNCTIONS
+from rosld.server.dataset.shared_triples import Lookup, SharedTriples, may_share
 from rosld.server.runtime.process_memory import trim
 
 _LARGE = 1024 * 1024
@@ -42,9 +42,11 @@ class _Step(NamedTuple):
     graph: NamedNode
     drop: bool
     removed: Sequence[Quad]
-    add: Callable[[Store], None]
+    added: Callable[[], Iterable[Quad]]
     lost: int
     gained: int
+    text: bytes | None = None
+    """What is added, where the store can read it itself."""
 
 
 class MemoryStore:
@@ -62,6 +64,7 @@ class MemoryStore:
         self._versions = count(1)
         self._version = 0
         self._wear = GarbageEstimate()
+        self._shared = SharedTriples()
         self._lines: dict[str, frozenset[str]] = {}
         self._new_lines: dict[str, frozenset[str]] = {}
         self._size = 0
@@ -81,7 +84,28 @@ class MemoryStore:
     @property
     def dataset(self) -> Store:
         """The dataset itself. Whoever changes it must be a process that ends afterwards."""
+        self._shared.give_up()
         return self._store
+
+    def may_repeat(self, lookups: Iterable[Lookup]) -> bool:
+        """Whether patterns of the default graph may match a triple that several graphs have, once for each."""
+        return self._shared.may_match(lookups)
+
+    def merge(self, default_graphs: Sequence[str], *, keep_names: bool) -> bool:
+        """Have the union of these graphs (none: of all) be a set for the next query; whether it is `is_merged`.
+
+        `keep_names`: what is told of named graphs is as before. Whoever calls this must be a process that ends
+        afterwards.
+        """
+        store = self._store
+        if not keep_names and not default_graphs and self._shared.is_known:
+            for quad in [*self._shared.copies(store)]:
+                store.remove(quad)
+            return False
+        store.remove_graph(DefaultGraph())
+        for graph in [*map(NamedNode, default_graphs)] or (None,):
+            store.extend(Quad(*quad.triple) for quad in store.quads_for_pattern(None, None, None, graph))
+        return True
 
     def lookup(self, subject: Term | None, predicate: NamedNode | None, object: Term | None, limit: int) -> list[Quad]:
         """At most so many statements with this subject, predicate and object."""
@@ -185,15 +209,19 @@ class MemoryStore:
         functions: Mapping[str, Function] = {},
         default_graphs: Sequence[str] = (),
         named_graphs: Sequence[str] = (),
+        is_merged: bool = False,
     ) -> Results:
         chosen = bool(default_graphs or named_graphs)
+        default: list[NamedNode | BlankNode | DefaultGraph] = [*map(NamedNode, default_graphs)]
+        if is_merged:
+            default = [DefaultGraph()]
         try:
             return self._store.query(
                 text,
                 base_iri=base,
                 prefixes=dict(prefixes),
-                use_default_graph_as_union=not chosen,
-                default_graph=[*map(NamedNode, default_graphs)] if chosen else None,
+                use_default_graph_as_union=not chosen and not is_merged,
+                default_graph=default if chosen else None,
                 named_graphs=[*map(NamedNode, named_graphs)] if chosen else None,
                 custom_functions=self._named(functions),
             )
@@ -215,33 +243,32 @@ class MemoryStore:
         """What makes a graph say what a text says. Raises ValueError."""
         graph = NamedNode(name)
         if not text:
-            return _Step(graph, True, (), _add_nothing, self._wear.size(name), 0)
+            return _Step(graph, True, (), tuple, self._wear.size(name), 0)
         before = self._lines.get(name)
         if before is None:
-            add = self._adder(graph, text)
-            return _Step(graph, True, (), add, self._wear.size(name), text.count("\n"))
+            added, data = self._reader(graph, text)
+            return _Step(graph, True, (), added, self._wear.size(name), text.count("\n"), data)
         now = self._new_lines[name] = _lines(text)
         gone, come = before - now, now - before
         removed = [*self._read(graph, "\n".join(gone))]
         quads = [*self._read(graph, "\n".join(come))]
-        return _Step(graph, False, removed, partial(_extend, quads), len(gone), len(come))
+        return _Step(graph, False, removed, lambda: quads, len(gone), len(come))
 
     def _edit(self, edit: Edit) -> _Step:
         """Raises ValueError."""
         graph = NamedNode(edit.graph)
         removed = [*self._read(graph, edit.removed)]
-        add = self._adder(graph, edit.added)
-        return _Step(graph, False, removed, add, len(removed), edit.added.count("\n"))
+        added, data = self._reader(graph, edit.added)
+        return _Step(graph, False, removed, added, len(removed), edit.added.count("\n"), data)
 
-    def _adder(self, graph: NamedNode, text: str) -> Callable[[Store], None]:
-        """What adds a text that has been checked. Raises ValueError."""
+    def _reader(self, graph: NamedNode, text: str) -> tuple[Callable[[], Iterable[Quad]], bytes | None]:
+        """What reads a text that has been checked, and what the store may read itself. Raises ValueError."""
         if len(text) < _LARGE:
-            return partial(_extend, [*self._read(graph, text)])
+            quads = [*self._read(graph, text)]
+            return lambda: quads, None
         data = self._encode(graph, text)
         deque(_parse(graph, data), maxlen=0)
-        if "_:" in text:
-            return lambda store: store.extend(_quads(graph, data))
-        return lambda store: store.load(data, RdfFormat.N_TRIPLES, to_graph=graph)
+        return lambda: _quads(graph, data), None if "_:" in text else data
 
     def _read(self, graph: NamedNode, text: str) -> Iterator[Quad]:
         """The quads of N-Triples within a graph. Raises ValueError."""
@@ -262,7 +289,14 @@ class MemoryStore:
         return _LABEL.sub(lambda match: label if match[0] == "_:" else match[0], text)
 
     def _carry_out(self, step: _Step) -> None:
-        _apply(self._store, step)
+        shared, store = self._shared, self._store
+        if step.drop:
+            shared.drop(step.graph, store)
+        shared.remove(step.removed, store)
+        _take(store, step)
+        if step.text is None or may_share(step.text, store):
+            shared.add(step.added(), store, is_new=step.drop)
+        _give(store, step)
         self._wear.note(step.graph.value, step.lost, step.gained)
         if self._renewal is not None:
             self._renewal.note(step)
@@ -319,11 +353,22 @@ class _Renewal:
 
 
 def _apply(store: Store, step: _Step) -> None:
+    _take(store, step)
+    _give(store, step)
+
+
+def _take(store: Store, step: _Step) -> None:
     if step.drop:
         store.remove_graph(step.graph)
     for quad in step.removed:
         store.remove(quad)
-    step.add(store)
+
+
+def _give(store: Store, step: _Step) -> None:
+    if step.text is None:
+        store.extend(step.added())
+    else:
+        store.load(step.text, RdfFormat.N_TRIPLES, to_graph=step.graph)
 
 
 def _parse(graph: NamedNode, data: bytes) -> Iterator[Quad]:
@@ -337,14 +382,6 @@ def _parse(graph: NamedNode, data: bytes) -> Iterator[Quad]:
 def _quads(graph: NamedNode, data: bytes) -> Iterator[Quad]:
     """The quads of N-Triples within a graph. Raises ValueError."""
     return (Quad(subject, predicate, object, graph) for subject, predicate, object, _ in _parse(graph, data))
-
-
-def _extend(quads: Iterable[Quad], store: Store) -> None:
-    store.extend(quads)
-
-
-def _add_nothing(store: Store) -> None:
-    pass
 
 
 def _lines(text: str) -> frozenset[str]:

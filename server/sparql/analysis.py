@@ -10,7 +10,9 @@ from functools import lru_cache
 from rosld.ontology.vocab import PREFIXES
 from rosld.server.dataset import QueryError
 from rosld.server.dataset.encoding import NAMESPACE
+from rosld.server.dataset.shared_triples import Lookup
 from rosld.server.http.problem import Problem
+from rosld.server.sparql.default_graph import default_lookups, names_graphs
 from rosld.server.sparql.narrowing import needs_of
 from rosld.server.sparql.needs import Needs
 from rosld.server.sparql.process.cost import JoinPlan, join_plan
@@ -42,7 +44,8 @@ class Analysis:
     FROM and FROM NAMED being `default_graphs` and `named_graphs`. `prefixes`: those of the server that its names use.
     `enclosed` are the graphs that all its patterns stand in (GRAPH), None where one may match in others. `plan` is how
     to find out whether it takes long over a dataset, None where it may. `asks_age`: it calls ros:age, as far as is
-    known. `functions` are those that it calls by IRI.
+    known. `functions` are those that it calls by IRI, `lookups` what its patterns look for in the default graph.
+    `names_graphs`: there is a GRAPH.
     """
 
     text: str
@@ -55,6 +58,8 @@ class Analysis:
     plan: JoinPlan | None = None
     asks_age: bool = True
     functions: frozenset[str] = frozenset()
+    lookups: tuple[Lookup, ...] = ()
+    names_graphs: bool = False
 
 
 class Analyser:
@@ -113,6 +118,8 @@ class Analyser:
             join_plan(query.where, words, len(checked.tokens)),
             AGE in query.functions,
             query.functions,
+            default_lookups(query),
+            names_graphs(query.where),
         )
 
     def _used_prefixes(self, checked: CheckedText) -> Mapping[str, str]:

@@ -159,6 +159,11 @@ class _Look(NamedTuple):
         """Graphs that are there only because they were named."""
         return [entry.iri for entry in self.entries if entry.is_transient or entry.iri not in self.described]
 
+    @property
+    def unnamed(self) -> list[str]:
+        """Those of them that a look at everything brings although nobody names them."""
+        return [iri for iri in self.extras if iri not in self.needs.documents]
+
 
 class SeenVersions(NamedTuple):
     """The tokens of the graphs with live values, and the version of what clients keep, that a query sees."""
@@ -354,10 +359,20 @@ class Synchroniser:
             return True
         if not needs.demands:
             return False
+        last = self._recent
+        return last is None or not needs.is_everything or not last.needs.covers(needs) or not self._holds(last)
+
+    @property
+    def _recent(self) -> _Look | None:
+        """The last look at everything, where it is still good enough."""
         last = self._state.everything
-        if last is None or not needs.is_everything or not last.needs.covers(needs):
-            return True
-        return last.writes != self._source.writes or time.monotonic() - last.ended >= self._interval
+        if last is None or last.writes != self._source.writes or time.monotonic() - last.ended >= self._interval:
+            return None
+        return last
+
+    def _holds(self, last: _Look) -> bool:
+        """Whether what is there for looks at everything alone is there."""
+        return self._state.extras.issuperset(last.unnamed)
 
     # --- what differs
 
@@ -391,7 +406,8 @@ class Synchroniser:
         if not self._state.extras and not look.needs.is_everything:
             return
         found = {entry.iri for entry in look.entries}
-        for iri in self._state.extras - found:
+        recent = self._recent
+        for iri in self._state.extras.difference(found, () if recent is None else recent.unnamed):
             if iri not in self._pinned and self._state.held[iri].look < look.number:
                 entry = look.described.get(iri)
                 yield iri, _Change(entry, entry and entry.token, False, 0)

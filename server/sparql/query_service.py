@@ -177,7 +177,7 @@ class QueryService:
     def prepare(self, text: str, default_graphs: tuple[str, ...] = (), named_graphs: tuple[str, ...] = ()) -> QueryWork:
         """A query as the process takes it now: the ages of topics are of this moment. Raises Problem 400."""
         request = QueryRequest(text, default_graphs, named_graphs)
-        return self._query(self._analyser.analyse(text), request, ALLOW_ALL)
+        return self._query(self._analyser.analyse(text), request, ALLOW_ALL)._replace(names_graphs=True)
 
     def _begun(self, request: QueryRequest) -> tuple[Limits, float]:
         """The limits of a request, and when its time is over."""
@@ -215,7 +215,18 @@ class QueryService:
         if analysis.asks_age:
             ages = {topic: age for topic, age in self._ages().items() if permissions.may_read(topic)}
         base, prefixes = self._analyser.base, analysis.prefixes
-        return QueryWork(analysis.text, base, prefixes, default, named, analysis.plan, ages, analysis.functions)
+        return QueryWork(
+            analysis.text,
+            base,
+            prefixes,
+            default,
+            named,
+            analysis.plan,
+            ages,
+            analysis.functions,
+            analysis.lookups,
+            analysis.names_graphs,
+        )
 
     async def _done(
         self,

@@ -17,8 +17,7 @@ import httpx
 import pytest
 from pyoxigraph import Literal, NamedNode, RdfFormat, parse
 
-from tests.server.sparql.processes import children_of, query_processes
-from tests.waiting import until
+from tests.server.sparql.processes import children_of, query_processes, until_ready
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="it looks at /proc")
 
@@ -35,10 +34,10 @@ ACCEPT = "text/csv, application/problem+json;q=0.9, text/turtle;q=0.8"
 @pytest.fixture(scope="module")
 def single(start_server: Callable[..., Served]) -> Served:
     """A server that answers one query at a time, for a minute; one more may wait."""
-    return start_server(
+    return until_ready(start_server(
         "aircraft", "--setting", "query_time_limit", "60", "--setting", "query_concurrency", "1",
         "--setting", "query_queue", "1", "--query-row-limit", "30000",
-    )  # fmt: skip
+    ))  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -174,8 +173,7 @@ def test_a_time_that_is_none_is_refused(http: httpx.Client, given: str) -> None:
 
 
 def test_a_time_beyond_the_limit_is_the_limit(serve: Callable[..., Served]) -> None:
-    served = serve("aircraft", "--setting", "query_time_limit", "0.3")
-    until(lambda: get(served, "ASK { ?s ?p ?o }").status_code == 200, "the dataset is there")
+    served = until_ready(serve("aircraft", "--setting", "query_time_limit", "0.3"))
     answer = get(served, HEAVY, timeout="100000")
     stopped(answer, "time")
     assert "0.3 s" in answer.json()["detail"]

@@ -9,6 +9,8 @@ import json
 import httpx
 import pytest
 
+from tests.server.sparql.processes import until_ready
+
 TYPES = "https://w3id.org/rosld/types/"
 DISPLAY = "/topics/cockpit/display"
 LATEST = f"""PREFIX ros: <https://w3id.org/rosld#>
@@ -149,7 +151,7 @@ def test_a_wrong_use_of_the_protocol_is_a_4xx(http: httpx.Client, content_type: 
 
 def test_a_query_that_takes_too_long_is_503_and_the_server_goes_on(serve: object) -> None:
     assert callable(serve)
-    served = serve("aircraft", "--setting", "query_time_limit", "0.5")
+    served = until_ready(serve("aircraft", "--setting", "query_time_limit", "0.5"))
     heavy = "SELECT (COUNT(*) AS ?n) WHERE { ?a ?b ?c . ?d ?e ?f . ?g ?h ?i . ?j ?k ?l }"
     answer = served.http.get("/sparql", params={"query": heavy})
     assert answer.status_code == 503

@@ -25,6 +25,7 @@ from pyoxigraph import (
 from rosld.server.dataset.base import Function, Results
 from rosld.server.dataset.encoding import decode_term
 from rosld.server.dataset.memory_store import MemoryStore
+from rosld.server.dataset.shared_triples import Lookup
 from rosld.server.http.problem import Problem
 from rosld.server.sparql import results, row_limit
 from rosld.server.sparql.process.cost import JoinPlan, may_take_long
@@ -68,7 +69,8 @@ class Work(Protocol):
 class QueryWork(NamedTuple):
     """A query as the store takes it. `ages` are the seconds since the newest message of topics, where it asks.
 
-    `plan` tells how to find out whether it takes long, None where it may. `functions` are those that it calls by IRI.
+    `plan` tells how to find out whether it takes long, None where it may. `functions` are those that it calls by IRI,
+    `lookups` what it looks for in the default graph. `names_graphs`: it is also told of named graphs.
     """
 
     text: str
@@ -79,9 +81,12 @@ class QueryWork(NamedTuple):
     plan: JoinPlan | None
     ages: Mapping[str, float] | None = None
     functions: frozenset[str] = frozenset()
+    lookups: tuple[Lookup, ...] = ()
+    names_graphs: bool = True
 
     def results(self, store: MemoryStore) -> Results:
         """Its results. Raises QueryError."""
+        is_merged = self._may_repeat(store) and store.merge(self.default_graphs, keep_names=self.names_graphs)
         return store.query(
             self.text,
             base=self.base,
@@ -89,6 +94,7 @@ class QueryWork(NamedTuple):
             functions=self._known(),
             default_graphs=self.default_graphs,
             named_graphs=self.named_graphs,
+            is_merged=is_merged,
         )
 
     def _known(self) -> Mapping[str, Function]:
@@ -100,7 +106,12 @@ class QueryWork(NamedTuple):
     def may_take_long(self, store: MemoryStore) -> bool:
         """Whether it may look at more than some hundred statements."""
         many = len(self.default_graphs) + len(self.named_graphs) > _MAX_GRAPHS
-        return many or may_take_long(self.plan, store)
+        return many or self._may_repeat(store) or may_take_long(self.plan, store)
+
+    def _may_repeat(self, store: MemoryStore) -> bool:
+        """Whether a triple that several graphs have might be found once for each: one graph, or none, is a set."""
+        is_union = len(self.default_graphs) > 1 or not (self.default_graphs or self.named_graphs)
+        return is_union and store.may_repeat(self.lookups)
 
 
 class AnswerWork(NamedTuple):

@@ -54,6 +54,9 @@ class LocalProcess(QueryProcess):
         pass
 
     async def result(self, work: Work, limits: Limits, until: float, disconnected: Disconnected | None = None) -> bytes:
-        output = io.BytesIO()
-        work(self.store, cast("BinaryIO", output))
+        output, store = io.BytesIO(), self.store
+        if work.may_take_long(store):  # it may change the dataset, which is a fork's own
+            store = LocalStore()
+            store.replace({graph: self.store.ntriples(graph) for graph in self.store.graphs()})
+        work(store, cast("BinaryIO", output))
         return output.getvalue()

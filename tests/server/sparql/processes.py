@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from tests.waiting import until
+
 # `Served` of conftest.py arrives as what its fixture starts.
 Served = Any
 
@@ -31,3 +33,9 @@ def command_of(pid: int) -> str:
 def query_processes(served: Served) -> set[int]:
     """The query process of a server, if it has one now."""
     return {pid for pid in children_of(served.process.pid) if "sparql.process" in command_of(pid)}
+
+
+def until_ready(served: Served) -> Served:
+    """The server, when its dataset is there, which within a short limit of time it may not be."""
+    until(lambda: served.http.get("/sparql", params={"query": "ASK {}"}).status_code == 200, "queries are answered")
+    return served

@@ -1,0 +1,93 @@
+"""The default graph is a set, the union of all graphs: over HTTP, whatever else a query or an update names."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import httpx
+import pytest
+
+TURTLE, UPDATE = {"Content-Type": "text/turtle"}, {"Content-Type": "application/sparql-update"}
+PATHS = ("a", "b", "c/d")
+TEXT = "<urn:s> <urn:p> 10 ; <urn:q> <urn:o> . <urn:o> <urn:p> 5 ."
+
+
+@pytest.fixture(scope="module")
+def http(start_server: Callable[..., Any]) -> Iterator[httpx.Client]:
+    """A server with three documents that say the same, and one that says something else."""
+    served = start_server("aircraft")
+    for path in PATHS:
+        assert served.http.put(f"/data/{path}", content=TEXT, headers=TURTLE).status_code == 201
+    other = "<urn:s> <urn:p> 20 . <urn:t> <urn:p> 10 ."
+    assert served.http.put("/data/other", content=other, headers=TURTLE).status_code == 201
+    yield served.http
+    assert served.stop() == 0
+
+
+def rows(http: httpx.Client, query: str, **dataset: Any) -> list[list[str]]:
+    answer = http.get("/sparql", params={"query": query, **dataset}, headers={"Accept": "text/csv"})
+    assert answer.status_code == 200, answer.text
+    return sorted(csv.reader(io.StringIO(answer.text)))
+
+
+@pytest.mark.parametrize(
+    ("query", "found"),
+    [
+        ("SELECT ?o { <urn:s> <urn:q> ?o }", [["o"], ["urn:o"]]),
+        ("SELECT (COUNT(*) AS ?n) (SUM(?o) AS ?sum) { ?s <urn:p> ?o }", [["4", "45"], ["n", "sum"]]),
+        ("SELECT (COUNT(*) AS ?n) { <urn:s> <urn:p>|<urn:q> ?o }", [["3"], ["n"]]),
+        ("SELECT (COUNT(*) AS ?n) { ?s <urn:p> ?v ; <urn:q>/<urn:p> ?o }", [["2"], ["n"]]),
+        ("SELECT (COUNT(*) AS ?n) { { SELECT * { ?s <urn:q> ?o } } UNION { ?s <urn:q> ?o } }", [["2"], ["n"]]),
+        ("SELECT (COUNT(*) AS ?n) { GRAPH ?g { <urn:s> <urn:q> ?o } }", [["3"], ["n"]]),
+        ("SELECT (COUNT(*) AS ?n) { ?s <urn:q> ?o GRAPH ?g { ?s <urn:q> ?o } }", [["3"], ["n"]]),
+        ("SELECT (SUM(?o) AS ?n) FROM <data/a> FROM <data/b> { <urn:s> <urn:p> ?o }", [["10"], ["n"]]),
+        ("SELECT (SUM(?o) AS ?n) FROM <data/a> FROM <data/other> { ?s <urn:p> ?o }", [["45"], ["n"]]),
+    ],
+)
+def test_a_triple_of_several_graphs_is_found_once(http: httpx.Client, query: str, found: list[list[str]]) -> None:
+    assert rows(http, query) == found
+
+
+def test_the_dataset_of_the_request_is_a_set_too(http: httpx.Client) -> None:
+    graphs = {"default-graph-uri": [f"{http.base_url}data/{path}" for path in PATHS]}
+    assert rows(http, "SELECT (COUNT(*) AS ?n) { ?s <urn:p> ?o }", **graphs) == [["2"], ["n"]]
+
+
+def test_nothing_is_there_twice(http: httpx.Client) -> None:
+    query = "SELECT ?s ?p ?o { ?s ?p ?o } GROUP BY ?s ?p ?o HAVING (COUNT(*) > 1)"
+    assert rows(http, query) == [["s", "p", "o"]]
+
+
+@pytest.mark.parametrize("using", ["", "USING <data/a> USING <data/b> USING <data/other>"])
+def test_an_update_counts_it_once_also_after_another_operation(http: httpx.Client, using: str) -> None:
+    for first in ("", "INSERT DATA { GRAPH <data/sum> { <urn:x> <urn:p> 10 } } ; "):
+        where = "{ SELECT (SUM(?o) AS ?sum) { ?s <urn:p> ?o FILTER(?s != <urn:x>) } }"
+        text = f"{first}INSERT {{ GRAPH <data/sum> {{ <urn:all> <urn:sum> ?sum }} }} {using} WHERE {{ {where} }}"
+        assert http.post("/sparql", content=text, headers=UPDATE).status_code == 204
+        assert rows(http, "SELECT ?sum { <urn:all> <urn:sum> ?sum }") == [["45"], ["sum"]]
+        assert http.delete("/data/sum").status_code == 204
+
+
+def test_it_is_there_for_as_long_as_any_graph_says_so(http: httpx.Client) -> None:
+    query = "SELECT ?o { <urn:u> <urn:p> ?o }"
+    for path in ("u", "v", "w"):
+        http.put(f"/data/{path}", content="<urn:u> <urn:p> 1 .", headers=TURTLE)
+        assert rows(http, query) == [["1"], ["o"]]
+    http.patch("/data/u", content="DELETE DATA { <urn:u> <urn:p> 1 }", headers=UPDATE)
+    assert rows(http, query) == [["1"], ["o"]]
+    http.delete("/data/v")
+    assert rows(http, query) == [["1"], ["o"]]
+    http.put("/data/w", content="<urn:u> <urn:p> 2 .", headers=TURTLE)
+    assert rows(http, query) == [["2"], ["o"]]
+
+
+def test_what_is_there_for_looks_at_everything_alone_is_there_every_time(http: httpx.Client) -> None:
+    status = f"{http.base_url}status"
+    for query in ("ASK {}", "SELECT * { GRAPH <resources/aircraft/power> { ?s ?p ?o } }", "ASK { ?s ?p ?o }"):
+        for _ in range(4):
+            rows(http, "SELECT ?n { <topics/cockpit/display> ros:name ?n }")
+            assert http.get("/sparql", params={"query": query}).status_code == 200
+            assert f"<{status}> ." in http.get("/graphs?all").text

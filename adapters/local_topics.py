@@ -14,7 +14,7 @@ _MAX_ADVERTISED = 10_000
 
 
 @dataclass(slots=True)
-class Advertised:
+class AdvertisedTopic:
     """A topic that rosld advertises; `epoch` tells one advertising from the next, `sequence` counts its messages."""
 
     type: TypeRef
@@ -41,7 +41,7 @@ class LocalTopics:
         resolve: Callable[[TypeRef], TypeRef],
         changed: Callable[[], None],
     ) -> None:
-        self.advertised: dict[str, Advertised] = {}
+        self.advertised: dict[str, AdvertisedTopic] = {}
         self._types = types
         self._heard = heard
         self._encoding = encoding
@@ -91,7 +91,7 @@ class LocalTopics:
     def _slot(self, topic: str) -> Slot:
         return self._slots.setdefault(topic, Slot())
 
-    def _advertise(self, topic: str, type: TypeRef, latch: bool) -> Advertised:
+    def _advertise(self, topic: str, type: TypeRef, latch: bool) -> AdvertisedTopic:
         """Advertise a topic, or take note of another way of publishing on it."""
         kind = self._resolve(type)
         own = self.advertised.get(topic)
@@ -103,7 +103,7 @@ class LocalTopics:
         if own is None and len(self.advertised) >= _MAX_ADVERTISED:
             raise Refused(f"rosld advertises {_MAX_ADVERTISED} topics already: DELETE one first")
         self._advertisings += 1
-        own = Advertised(kind, latch, epoch=self._advertisings, matched=int(topic in self._heard))
+        own = AdvertisedTopic(kind, latch, epoch=self._advertisings, matched=int(topic in self._heard))
         self.advertised[topic] = own
         self._changed()
         return own

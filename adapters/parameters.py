@@ -20,7 +20,7 @@ _MAX_NESTED = 64
 _INT32 = range(-(2**31), 2**31)
 
 
-def read(tree: Tree, name: str) -> ParameterValue | None:
+def read_name(tree: Tree, name: str) -> ParameterValue | None:
     """The value of a name, a dict where it is a tree; None where there is nothing."""
     found: ParameterValue = tree
     for step in _path(name):
@@ -52,12 +52,12 @@ def _with(tree: Tree, path: Sequence[str], value: ParameterValue) -> Tree:
     return {**tree, step: _with(below if isinstance(below, dict) else {}, rest, value)}
 
 
-def without(tree: Tree, name: str) -> Tree:
+def without_name(tree: Tree, name: str) -> Tree:
     """The tree without `name` and all below it. Raises NotFound, and Refused for the root."""
     path = _path(name)
     if not path:
         raise Refused("the root of the parameter tree, '/', cannot be deleted")
-    if read(tree, name) is None:
+    if read_name(tree, name) is None:
         raise NotFound(f"there is no parameter {name!r}")
     return _without(tree, path)
 
@@ -98,12 +98,12 @@ def check(name: str, value: object, depth: int = 0) -> None:
         raise Refused(f"the parameter {name} cannot be {value!r}: it is no value that ROS 1 parameters hold")
 
 
-def copied(value: ParameterValue) -> ParameterValue:
+def deep_copy(value: ParameterValue) -> ParameterValue:
     """A value that shares no list and no dict with `value`."""
     if isinstance(value, dict):
-        return {key: copied(below) for key, below in value.items()}
+        return {key: deep_copy(below) for key, below in value.items()}
     if isinstance(value, list):
-        return [copied(item) for item in value]
+        return [deep_copy(item) for item in value]
     return value
 
 

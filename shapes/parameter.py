@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from pyoxigraph import Literal, NamedNode, Triple
 
-from rosld.adapters.model import Descriptor, ParameterType, ParameterValue, Primitive, Range, fitted
+from rosld.adapters.model import Descriptor, ParameterType, ParameterValue, Primitive, Range, coerce
 from rosld.ontology.parameters import parameter_literal, plain_value
 from rosld.ontology.triples import boolean, double, integer, text, triples_about
 from rosld.ontology.urls import Space
@@ -104,7 +104,7 @@ def _range(descriptor: Descriptor) -> Range | None:
 def _bounds(range: Range | None) -> Bounds:
     if range is None:
         return Bounds()
-    return Bounds(minimum=_number(range.least), maximum=_number(range.greatest), step=_number(range.step))
+    return Bounds(minimum=_number(range.minimum), maximum=_number(range.maximum), step=_number(range.step))
 
 
 def _number(value: int | float | None) -> Literal | None:
@@ -134,7 +134,7 @@ def violations(descriptor: Descriptor, name: str, url: str, value: ParameterValu
     type = descriptor.type
     if type is None:
         return ()
-    fit = fitted(value, type)
+    fit = coerce(value, type)
     term = None if isinstance(value, dict) else parameter_literal(value)
     written = brief_value(plain_value(value) if term is None else phrase(term)) or ""
     broken: tuple[NamedNode, str] | None = None
@@ -163,12 +163,12 @@ def violations(descriptor: Descriptor, name: str, url: str, value: ParameterValu
 
 def _outside(range: Range, value: int | float, written: str) -> tuple[NamedNode, str] | None:
     """What a number breaks of a range, and the words for it."""
-    if not value >= range.least:
-        return component(sh.minInclusive), f"must be at least {_said(range.least)}, not {written}"
-    if not value <= range.greatest:
-        return component(sh.maxInclusive), f"must be at most {_said(range.greatest)}, not {written}"
-    if not range.on_step(value):
-        steps = f"{_said(range.least)} and steps of {_said(range.step)} from there, up to {_said(range.greatest)}"
+    if not value >= range.minimum:
+        return component(sh.minInclusive), f"must be at least {_said(range.minimum)}, not {written}"
+    if not value <= range.maximum:
+        return component(sh.maxInclusive), f"must be at most {_said(range.maximum)}, not {written}"
+    if not range.is_on_step(value):
+        steps = f"{_said(range.minimum)} and steps of {_said(range.step)} from there, up to {_said(range.maximum)}"
         return ros.StepConstraintComponent, f"must be on a step ({steps}), which {written} is not"
     return None
 

@@ -17,7 +17,7 @@ from types import MappingProxyType
 
 from rosld.adapters import parameters
 from rosld.adapters.aircraft.flight import Declined, Flight
-from rosld.adapters.aircraft.fly import ACTION, Fly, accept, cancel, ended
+from rosld.adapters.aircraft.fly import ACTION, FlyGoal, accept, cancel, end_of
 from rosld.adapters.aircraft.fly import TYPE as FLY
 from rosld.adapters.aircraft.graph import AIRCRAFT, DISPLAY, ROSLD, SPEED, aircraft_graph
 from rosld.adapters.aircraft.services import SERVICES
@@ -98,7 +98,7 @@ class Aircraft:
         )
         self._parameters = initial_parameters()
         self._flight = Flight()
-        self._fly: Fly | None = None
+        self._fly: FlyGoal | None = None
         self._sink: Sink | None = None
         self._timer: asyncio.TimerHandle | None = None
         self._graph = self._as_it_is(1)
@@ -148,7 +148,7 @@ class Aircraft:
         if ref.kind is Kind.ACTION:
             return frozenset({Operation.SEND_GOAL}) if ref.name in self._graph.actions else frozenset()
         if ref.kind is Kind.PARAMETER:
-            known = parameters.read(self._parameters, ref.name) is not None
+            known = parameters.read_name(self._parameters, ref.name) is not None
             deletable = _KNOWN_PARAMETER if ref.name != "/" else _KNOWN_PARAMETER - {Operation.DELETE_PARAMETER}
             return deletable if known else frozenset({Operation.SET_PARAMETER})
         return frozenset()
@@ -241,8 +241,8 @@ class Aircraft:
     async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
         """The values of those names that exist."""
         self._reachable(deadline)
-        found = {name: parameters.read(self._parameters, name) for name in names}
-        return {name: parameters.copied(value) for name, value in found.items() if value is not None}
+        found = {name: parameters.read_name(self._parameters, name) for name in names}
+        return {name: parameters.deep_copy(value) for name, value in found.items() if value is not None}
 
     async def set_parameters(self, values: Mapping[str, ParameterValue], *, deadline: float) -> None:
         """Set all of them or, when one is refused, none."""
@@ -250,7 +250,7 @@ class Aircraft:
         tree = self._parameters
         for name, value in values.items():
             parameters.check(name, value)
-            tree = parameters.with_value(tree, name, parameters.copied(value))
+            tree = parameters.with_value(tree, name, parameters.deep_copy(value))
         self._replace_parameters(tree, values)
 
     async def delete_parameters(self, names: Sequence[str], *, deadline: float) -> None:
@@ -258,7 +258,7 @@ class Aircraft:
         self._reachable(deadline)
         tree = self._parameters
         for name in names:
-            tree = parameters.without(tree, name)
+            tree = parameters.without_name(tree, name)
         self._replace_parameters(tree, names)
 
     def _replace_parameters(self, tree: parameters.Tree, names: Sequence[str] | Mapping[str, ParameterValue]) -> None:
@@ -285,7 +285,7 @@ class Aircraft:
         assert isinstance(schema, ActionSchema)
         return schema
 
-    def _told(self, fly: Fly, event: GoalEvent) -> None:
+    def _told(self, fly: FlyGoal, event: GoalEvent) -> None:
         if self._sink is not None:
             self._sink.goal_changed(GoalId(ACTION, fly.id), event)
 
@@ -295,7 +295,7 @@ class Aircraft:
         if fly is None:
             return
         schema = self._action(ACTION)
-        flown, end = fly.flown_at(now_ns), ended(fly, self._flight, now_ns)
+        flown, end = fly.flown_at(now_ns), end_of(fly, self._flight, now_ns)
         codec = schema.feedback.codec
         feedback = codec.encode(codec.build(schema.feedback.ref.name, {"flown": flown}), Encoding.ROS1)
         event = GoalEvent(time.time_ns(), GoalStatus.EXECUTING, feedback=feedback, own=True)

@@ -41,14 +41,14 @@ class Declined(Exception):
     """The aircraft does not do this now; its text is what it answers."""
 
 
-def started(flight: Flight, now_ns: int) -> Flight:
+def start(flight: Flight, now_ns: int) -> Flight:
     """Switched on. Declined when it is on already."""
     if flight.on:
         raise Declined("the aircraft is already started")
     return replace(flight, on=True, since_ns=now_ns)
 
 
-def stopped(flight: Flight, now_ns: int) -> Flight:
+def stop(flight: Flight, now_ns: int) -> Flight:
     """Switched off; nothing changes when it is off already. Declined while it moves."""
     speed = flight.speed_at(now_ns)
     if flight.on and speed > 0:
@@ -56,12 +56,12 @@ def stopped(flight: Flight, now_ns: int) -> Flight:
     return replace(flight, on=False, speed=0.0, commanded=0.0, since_ns=now_ns)
 
 
-def powered(flight: Flight, power: str, now_ns: int) -> Flight:
+def set_power(flight: Flight, power: str, now_ns: int) -> Flight:
     """Switched "on" or "off", which is to start or to stop. Declined for other words."""
     if power == "on":
-        return started(flight, now_ns)
+        return start(flight, now_ns)
     if power == "off":
-        return stopped(flight, now_ns)
+        return stop(flight, now_ns)
     raise Declined(f"the power is 'on' or 'off', not {power!r}")
 
 

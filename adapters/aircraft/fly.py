@@ -18,7 +18,7 @@ PACE = 100.0
 
 
 @dataclass(frozen=True, slots=True)
-class Fly:
+class FlyGoal:
     """A goal that was taken at `since_ns`: so far to fly; `canceling` once it was asked to be canceled."""
 
     id: str
@@ -32,14 +32,14 @@ class Fly:
 
 
 @dataclass(frozen=True, slots=True)
-class Ended:
+class GoalEnd:
     """How a goal ended, and what is told of it."""
 
     status: GoalStatus
     message: str
 
 
-def accept(flight: Flight, underway: Fly | None, id: str, distance: float, now_ns: int) -> Fly:
+def accept(flight: Flight, underway: FlyGoal | None, id: str, distance: float, now_ns: int) -> FlyGoal:
     """A goal that is taken. Declined while off, while another is underway, and outside 0 to 100000."""
     if not flight.on:
         raise Declined("the aircraft is off: start it before it is to fly")
@@ -47,20 +47,20 @@ def accept(flight: Flight, underway: Fly | None, id: str, distance: float, now_n
         raise Declined("the aircraft flies already: cancel that goal first, or wait for its end")
     if not 0 <= distance <= MAX_DISTANCE:  # NaN is within nothing
         raise Declined(f"the distance must be between 0 and {MAX_DISTANCE:g}, not {distance:g}")
-    return Fly(id, distance, now_ns)
+    return FlyGoal(id, distance, now_ns)
 
 
-def cancel(fly: Fly) -> Fly:
+def cancel(fly: FlyGoal) -> FlyGoal:
     """The goal, to be canceled."""
     return replace(fly, canceling=True)
 
 
-def ended(fly: Fly, flight: Flight, now_ns: int) -> Ended | None:
+def end_of(fly: FlyGoal, flight: Flight, now_ns: int) -> GoalEnd | None:
     """How the goal has ended, None while it is pursued."""
     if fly.canceling:
-        return Ended(GoalStatus.CANCELED, "canceled")
+        return GoalEnd(GoalStatus.CANCELED, "canceled")
     if not flight.on:
-        return Ended(GoalStatus.ABORTED, "the aircraft was switched off")
+        return GoalEnd(GoalStatus.ABORTED, "the aircraft was switched off")
     if fly.flown_at(now_ns) >= fly.distance:
-        return Ended(GoalStatus.SUCCEEDED, "arrived")
+        return GoalEnd(GoalStatus.SUCCEEDED, "arrived")
     return None

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import NamedTuple, Protocol, TypeAlias, cast
 
-from rosld.adapters.aircraft.flight import Declined, Flight, powered, set_heading, set_speed, started, stopped
+from rosld.adapters.aircraft.flight import Declined, Flight, set_heading, set_power, set_speed, start, stop
 from rosld.adapters.model import Message
 
 Values: TypeAlias = Mapping[str, object]
@@ -56,14 +56,14 @@ def _number(request: Message) -> float:
 SERVICES: Mapping[str, AircraftService] = MappingProxyType(
     {
         "/aircraft/start": AircraftService(
-            "std_srvs/srv/Trigger", _command(lambda flight, _, now: started(flight, now), "started")
+            "std_srvs/srv/Trigger", _command(lambda flight, _, now: start(flight, now), "started")
         ),
         "/aircraft/stop": AircraftService(
-            "std_srvs/srv/Trigger", _command(lambda flight, _, now: stopped(flight, now), "stopped")
+            "std_srvs/srv/Trigger", _command(lambda flight, _, now: stop(flight, now), "stopped")
         ),
         "/aircraft/set_power": AircraftService(
             "rosld_aircraft/srv/SetText",
-            _command(lambda flight, request, now: powered(flight, _text(request), now), "power set"),
+            _command(lambda flight, request, now: set_power(flight, _text(request), now), "power set"),
         ),
         "/aircraft/get_power": AircraftService("rosld_aircraft/srv/GetText", _question(lambda flight: flight.power)),
         "/aircraft/engine/set_speed": AircraftService(

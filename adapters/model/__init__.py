@@ -15,10 +15,10 @@ from rosld.adapters.model.graph import (
     Service,
     Stale,
     Topic,
-    frozen,
+    freeze,
 )
 from rosld.adapters.model.lifecycle import Lifecycle, LifecycleState, Transition, without_lifecycle
-from rosld.adapters.model.parameter import Choice, Descriptor, ParameterType, ParameterValue, Range, fitted
+from rosld.adapters.model.parameter import Choice, Descriptor, ParameterType, ParameterValue, Range, coerce
 from rosld.adapters.model.qos import Mismatch, Qos, mismatch_count, mismatches, read_profile
 from rosld.adapters.model.sample import Encoding, Sample
 from rosld.adapters.model.schema import (
@@ -91,8 +91,8 @@ __all__ = [
     "TypeRef",
     "UnknownType",
     "Unreachable",
-    "fitted",
-    "frozen",
+    "coerce",
+    "freeze",
     "halves_of",
     "mismatch_count",
     "mismatches",

@@ -39,7 +39,7 @@ _PARTED = ("srv", "action")
 _MAX_DEPTH = 64
 
 
-def sections(name: str, definition: str) -> dict[str, str]:
+def split_sections(name: str, definition: str) -> dict[str, str]:
     """The texts in a concatenated definition: the type itself first, then those after `===` and `MSG:` lines.
 
     The old `roslib/Header` is read as `std_msgs/Header`, of which it is the former name.
@@ -57,7 +57,7 @@ def sections(name: str, definition: str) -> dict[str, str]:
     return texts
 
 
-def halves(definition: str) -> tuple[str, str]:
+def split_service(definition: str) -> tuple[str, str]:
     """Request and response of a service definition; raises ValueError unless exactly one `---` line parts them."""
     parts = _SERVICE.split(definition)
     if len(parts) != 2:
@@ -65,7 +65,7 @@ def halves(definition: str) -> tuple[str, str]:
     return parts[0].strip("\n"), parts[1].strip("\n")
 
 
-def thirds(definition: str) -> tuple[str, str, str]:
+def split_action(definition: str) -> tuple[str, str, str]:
     """Goal, result and feedback of an action definition; raises ValueError unless two `---` lines part them."""
     parts = _SERVICE.split(definition)
     if len(parts) != 3:

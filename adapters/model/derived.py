@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal, TypeAlias
 
-Written: TypeAlias = Literal["msg", "srv", "action"]
+WrittenType: TypeAlias = Literal["msg", "srv", "action"]
 
 _UUID = "unique_identifier_msgs/UUID goal_id"
 _OF_ACTIONS = {
@@ -41,7 +41,7 @@ def derived_from(name: str) -> tuple[str, str] | None:
     return None
 
 
-def written_as(name: str) -> Written:
+def written_form(name: str) -> WrittenType:
     """How the definition of a type is written: that of an action's service is a service's."""
     kind = _folder(name)
     if kind == "action" and derived_from(name) is None:
@@ -50,7 +50,7 @@ def written_as(name: str) -> Written:
     return "srv" if is_service else "msg"
 
 
-def whole_of(name: str) -> str | None:
+def enclosing_type(name: str) -> str | None:
     """The service or action type that a message is a part of, None for all others."""
     kind = _folder(name)
     if kind == "action":

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Protocol
 
-from rosld.adapters.model.derived import written_as
+from rosld.adapters.model.derived import written_form
 from rosld.adapters.model.library import SEPARATOR
 
 _NESTED, _BLOCK = 1, 48
@@ -70,7 +70,7 @@ def definition_of(name: str, described: Iterable[IndividualTypeMessage]) -> str:
     `described` are the type and all that it refers to. Raises ValueError naming what lacks, or has no name in .msg.
     """
     fields = {each.type_name: each.fields for each in described}
-    parts = [f"{name}{end}" for end in _PARTS[written_as(name)]]
+    parts = [f"{name}{end}" for end in _PARTS[written_form(name)]]
     lacking = [part for part in parts if part not in fields]
     if lacking:
         raise ValueError(f"the description of {name} lacks {lacking[0]}")

@@ -145,7 +145,7 @@ class Parameter:
     descriptor: Descriptor | None = None
 
 
-def frozen(mapping: Mapping[str, _V]) -> Mapping[str, _V]:
+def freeze(mapping: Mapping[str, _V]) -> Mapping[str, _V]:
     """A read-only copy of `mapping`."""
     return MappingProxyType(dict(mapping))
 

@@ -16,8 +16,16 @@ from typing import Literal
 from rosbags.typesys import Stores, get_typestore
 
 from rosld.adapters.model.codec import RosbagsCodec, message_types, typestore_of
-from rosld.adapters.model.definition import action_md5, halves, md5, references, sections, service_md5, thirds
-from rosld.adapters.model.derived import derived_from, whole_of, written_as
+from rosld.adapters.model.definition import (
+    action_md5,
+    md5,
+    references,
+    service_md5,
+    split_action,
+    split_sections,
+    split_service,
+)
+from rosld.adapters.model.derived import derived_from, enclosing_type, written_form
 from rosld.adapters.model.errors import UnknownType
 from rosld.adapters.model.rihs import action_hash, message_hash, service_hash
 from rosld.adapters.model.schema import ActionSchema, MessageSchema, Schema, ServiceSchema, TypeRef, halves_of
@@ -64,7 +72,7 @@ class TypeLibrary:
         with self._lock:
             if hash is not None and isinstance(known := self._learnt.get(name, {}).get(hash), MessageSchema):
                 return known
-            schema = self._message(name, sections(name, definition), definition, hash)
+            schema = self._message(name, split_sections(name, definition), definition, hash)
             self._keep(schema)
             return schema
 
@@ -110,7 +118,7 @@ class TypeLibrary:
         if (half := self._part(ref.name)) is not None:
             return half
         reason = "its definition is neither shipped with rosld nor in the folders given; name one with --types DIR"
-        written = written_as(ref.name) if self._ros_version == 2 else ref.name.partition("/")[2].partition("/")[0]
+        written = written_form(ref.name) if self._ros_version == 2 else ref.name.partition("/")[2].partition("/")[0]
         learn = self._learn_as.get(written, self.learn_message)
         hash = ref.hash or self._nested_hash(ref.name)
         for text in chain(self._candidates(ref.name), self._nested_texts(ref.name)):
@@ -153,11 +161,11 @@ class TypeLibrary:
     def _nested_hash(self, name: str) -> str | None:
         """The hash of a message as it was nested in what was learnt last; None where it was in nothing."""
         text = next(self._nested_texts(name), None)
-        return None if text is None else self._message(name, sections(name, text), text, None).ref.hash
+        return None if text is None else self._message(name, split_sections(name, text), text, None).ref.hash
 
     def _part(self, name: str) -> MessageSchema | None:
         """A message as the service or action has it that it is a part of; None for all others. Raises UnknownType."""
-        whole = whole_of(name)
+        whole = enclosing_type(name)
         halves = () if whole is None else halves_of(self.find(TypeRef(whole)))
         return next((half for half in halves if half.ref.name == name), None)
 
@@ -173,7 +181,7 @@ class TypeLibrary:
             found = [self.find(TypeRef(f"{package}/msg/{short}{part}")) for part in ("Goal", "Result", "Feedback")]
         except UnknownType:
             return None
-        texts = [sections(schema.ref.name, schema.definition) for schema in found]
+        texts = [split_sections(schema.ref.name, schema.definition) for schema in found]
         own = [texts_of.pop(schema.ref.name) for schema, texts_of in zip(found, texts, strict=True)]
         nested = {name: text for texts_of in texts for name, text in texts_of.items()}
         return "\n".join(["\n---\n".join(own), *_append(nested)])
@@ -200,7 +208,7 @@ class TypeLibrary:
                 found = next(chain(self._candidates(current), self._nested_texts(current)), None)
             if found is None:
                 raise ValueError(f"{name} needs {current}, whose definition is not known")
-            own = sections(current, found)
+            own = split_sections(current, found)
             closed[current] = own[current]
             texts = {**own, **texts}
             wanted.extend(references(current, own[current]) - closed.keys())
@@ -221,9 +229,9 @@ class TypeLibrary:
         return MessageSchema(ref, types, _full_text(name, closed, definition), RosbagsCodec(name, store, types))
 
     def _service(self, name: str, definition: str, hash: str | None) -> ServiceSchema:
-        first, second = halves(definition.partition("\n===")[0])
+        first, second = split_service(definition.partition("\n===")[0])
         texts = {f"{name}_Request": first, f"{name}_Response": second}
-        shared = sections(name, definition)
+        shared = split_sections(name, definition)
         closed = {each: self._closure(each, {**shared, **texts}) for each in texts}
         if self._ros_version == 1:
             found = service_md5(name, {**closed[f"{name}_Request"], **closed[f"{name}_Response"]})
@@ -234,9 +242,9 @@ class TypeLibrary:
         return ServiceSchema(TypeRef(name, hash), request, response, definition)
 
     def _action(self, name: str, definition: str, hash: str | None) -> ActionSchema:
-        parts = thirds(definition.partition("\n===")[0])
+        parts = split_action(definition.partition("\n===")[0])
         texts = dict(zip((f"{name}{end}" for end in _THIRDS), parts, strict=True))
-        shared = sections(name, definition)
+        shared = split_sections(name, definition)
         closed = {each: self._closure(each, {**shared, **texts}) for each in texts}
         if self._ros_version == 1:
             actionlib = {part: text for each in _ACTIONLIB for part, text in self._closure(each, {}).items()}
@@ -265,7 +273,7 @@ def _prove(name: str, found: str, wanted: str | None) -> str:
 
 def _full_text(name: str, closed: Mapping[str, str], definition: str) -> str:
     """The concatenated definition: as given where it is whole, else with the dependencies appended as ROS 1 does."""
-    given = sections(name, definition)
+    given = split_sections(name, definition)
     lacking = [each for each in closed if each not in given and each not in _BUILTIN]
     return "\n".join([definition.rstrip("\n"), *_append({each: closed[each] for each in lacking})]) + "\n"
 
@@ -294,5 +302,5 @@ def _stored_texts(ros_version: Literal[1, 2]) -> Mapping[str, str]:
     texts: dict[str, str] = {}
     for name in store.fielddefs:
         text, _ = store.generate_msgdef(name, ros_version=ros_version)
-        texts[name] = sections(name, text)[name]
+        texts[name] = split_sections(name, text)[name]
     return texts

@@ -39,24 +39,24 @@ class Range:
     With a `step` (above 0) they are counted from `least`; `greatest` is always among them. No end is NaN.
     """
 
-    least: int | float
-    greatest: int | float
+    minimum: int | float
+    maximum: int | float
     step: int | float | None = None
 
-    def has(self, value: int | float) -> bool:
+    def contains(self, value: int | float) -> bool:
         """Whether a number lies within, on a step or not."""
-        return self.least <= value <= self.greatest
+        return self.minimum <= value <= self.maximum
 
-    def on_step(self, value: int | float) -> bool:
+    def is_on_step(self, value: int | float) -> bool:
         """Whether a number within lies on a step; floats nearly so, as ROS 2 takes them."""
-        if self.step is None or value == self.greatest:
+        if self.step is None or value == self.maximum:
             return True
-        if isinstance(value, int) and isinstance(self.least, int) and isinstance(self.step, int):
-            return (value - self.least) % self.step == 0
-        steps = (value - self.least) / self.step
+        if isinstance(value, int) and isinstance(self.minimum, int) and isinstance(self.step, int):
+            return (value - self.minimum) % self.step == 0
+        steps = (value - self.minimum) / self.step
         if not math.isfinite(steps):
             return True
-        nearest = self.least + round(steps) * self.step
+        nearest = self.minimum + round(steps) * self.step
         return math.isclose(nearest, value, rel_tol=_CLOSE, abs_tol=_CLOSE * self.step)
 
 
@@ -87,7 +87,7 @@ class Descriptor:
     choices: tuple[Choice, ...] = ()
 
 
-def fitted(value: ParameterValue, type: ParameterType) -> ParameterValue | None:
+def coerce(value: ParameterValue, type: ParameterType) -> ParameterValue | None:
     """The value as one of this type, None where it is none: 1 is a double too, and 1.0 an integer."""
     element = _ELEMENTS.get(type)
     if element is None:

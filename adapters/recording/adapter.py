@@ -37,7 +37,7 @@ from rosld.adapters.model import (
     TypeRef,
     UnknownType,
     Unreachable,
-    frozen,
+    freeze,
     without_lifecycle,
 )
 from rosld.adapters.model.library import TypeLibrary
@@ -210,10 +210,10 @@ def recorded_graph(bag: Bag, revision: int) -> Graph:
     return Graph(
         revision,
         simulated_time="/clock" in bag.topics,
-        nodes=frozen({name: Node(name) for name in sorted(publishers)}),
-        topics=frozen({name: _topic(bag, name) for name in sorted(bag.topics)}),
-        services=frozen({}),
-        parameters=frozen({}),
+        nodes=freeze({name: Node(name) for name in sorted(publishers)}),
+        topics=freeze({name: _topic(bag, name) for name in sorted(bag.topics)}),
+        services=freeze({}),
+        parameters=freeze({}),
     )
 
 

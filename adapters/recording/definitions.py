@@ -10,8 +10,8 @@ from rosbags.typesys.base import TypesysError
 
 from rosld.adapters.model import MessageSchema, TypeRef, UnknownType
 from rosld.adapters.model.codec import store_name
-from rosld.adapters.model.definition import halves, thirds
-from rosld.adapters.model.derived import derived_from, written_as
+from rosld.adapters.model.definition import split_action, split_service
+from rosld.adapters.model.derived import derived_from, written_form
 from rosld.adapters.model.library import SEPARATOR, TypeLibrary
 from rosld.adapters.recording.storage import RecordedConnection, RosVersion
 
@@ -71,10 +71,10 @@ def _parts(of: str, definition: str) -> Mapping[str, str]:
     derived = derived_from(of)
     if derived is not None:
         action, text = derived
-        return {**_parts(action, definition), **_parts_named(of, ("_Request", "_Response"), halves(text))}
-    if written_as(of) == "action":
-        return _parts_named(of, ("_Goal", "_Result", "_Feedback"), thirds(definition))
-    return _parts_named(of, ("_Request", "_Response"), halves(definition))
+        return {**_parts(action, definition), **_parts_named(of, ("_Request", "_Response"), split_service(text))}
+    if written_form(of) == "action":
+        return _parts_named(of, ("_Goal", "_Result", "_Feedback"), split_action(definition))
+    return _parts_named(of, ("_Request", "_Response"), split_service(definition))
 
 
 def _parts_named(of: str, ends: Sequence[str], texts: Sequence[str]) -> Mapping[str, str]:

@@ -17,15 +17,15 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from rosld.adapters.model import Encoding
-from rosld.adapters.recording.octets import ChunkCache, Octets, RandomFile, Source, exactly, inflate
+from rosld.adapters.recording.octets import ByteSource, BytesSource, ChunkCache, RandomFile, decompress, read_exactly
 from rosld.adapters.recording.storage import (
     Contents,
     Damaged,
     MessageTable,
     RecordedConnection,
     RosVersion,
-    joined,
-    table,
+    concatenate,
+    message_table,
 )
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -110,9 +110,9 @@ class _Scan:
         self.tables: list[MessageTable] = []
         self.notes: list[str] = []
 
-    def describe(self, record: _Record, source: Source) -> None:
+    def describe(self, record: _Record, source: ByteSource) -> None:
         """Take in a schema or a channel."""
-        fields = _Fields(exactly(source, record.data_at, record.size))
+        fields = _Fields(read_exactly(source, record.data_at, record.size))
         number = fields.uint(2)
         if record.op == _SCHEMA:
             self.schemas.setdefault(number, _Schema(fields.text(), fields.text(), fields.text()))
@@ -151,11 +151,11 @@ class Mcap:
 
     def read(self, place: int, offset: int) -> bytes:
         """The bytes of the message record at `offset` of the file or of a chunk. Raises Damaged."""
-        source: Source = self._cache.get(place - 1) if place else self._file
+        source: ByteSource = self._cache.get(place - 1) if place else self._file
         record = _record_at(source, offset)
         if record.op != _MESSAGE or record.size < _MESSAGE_HEAD.size:
             raise Damaged(f"there is no message at {offset}")
-        return exactly(source, record.data_at + _MESSAGE_HEAD.size, record.size - _MESSAGE_HEAD.size)
+        return read_exactly(source, record.data_at + _MESSAGE_HEAD.size, record.size - _MESSAGE_HEAD.size)
 
     def close(self) -> None:
         """Close the file."""
@@ -169,7 +169,7 @@ def _read(file: RandomFile) -> tuple[Contents, list[_Chunk]]:
     header = _record_at(file, len(MAGIC))
     if header.op != _HEADER:
         raise Damaged("it does not begin with a header")
-    profile = _Fields(exactly(file, header.data_at, header.size)).text()
+    profile = _Fields(read_exactly(file, header.data_at, header.size)).text()
     try:
         scan = _by_summary(file)
     except Damaged as damage:
@@ -178,7 +178,7 @@ def _read(file: RandomFile) -> tuple[Contents, list[_Chunk]]:
         if not scan.connections:
             raise Damaged(f"{damage}, and no whole channel was found in it either") from damage
     version: RosVersion = 1 if profile == "ros1" else 2
-    messages = joined(scan.tables)
+    messages = concatenate(scan.tables)
     return Contents("MCAP", version, scan.connections, messages, 1 + len(scan.chunks), tuple(scan.notes)), scan.chunks
 
 
@@ -191,9 +191,9 @@ def _by_summary(file: RandomFile) -> _Scan:
         if record.op in (_SCHEMA, _CHANNEL):
             scan.describe(record, file)
         elif record.op == _CHUNK_INDEX:
-            indexes.append(_Fields(exactly(file, record.data_at, record.size)))
+            indexes.append(_Fields(read_exactly(file, record.data_at, record.size)))
         elif record.op == _STATISTICS:
-            counted = _Fields(exactly(file, record.data_at, record.size)).uint(8)
+            counted = _Fields(read_exactly(file, record.data_at, record.size)).uint(8)
     for index in indexes:
         _chunk_by_index(file, index, scan)
     found = sum(len(each.times) for each in scan.tables)
@@ -203,7 +203,7 @@ def _by_summary(file: RandomFile) -> _Scan:
 
 
 def _summary(file: RandomFile) -> int:
-    footer = exactly(file, file.size - _FOOTER_SIZE, _FOOTER_SIZE)
+    footer = read_exactly(file, file.size - _FOOTER_SIZE, _FOOTER_SIZE)
     if not footer.endswith(MAGIC):
         raise Damaged("the recording was never finished")
     at = int.from_bytes(footer[9:17], "little")
@@ -225,11 +225,11 @@ def _chunk_by_index(file: RandomFile, index: _Fields, scan: _Scan) -> None:
             raise Damaged("a message index is not where its chunk says")
         scan.tables.append(_index_table(file, record, place, scan))
     if len(scan.tables) == before:
-        _walk(Octets(_inflate(file, scan.chunks[place - 1])), 0, place, scan)
+        _walk(BytesSource(_inflate(file, scan.chunks[place - 1])), 0, place, scan)
 
 
 def _index_table(file: RandomFile, record: _Record, place: int, scan: _Scan) -> MessageTable:
-    fields = _Fields(exactly(file, record.data_at, record.size))
+    fields = _Fields(read_exactly(file, record.data_at, record.size))
     connection = scan.connection(fields.uint(2))
     data = fields.octets()
     entries = np.frombuffer(data[: len(data) // _ENTRY.itemsize * _ENTRY.itemsize], _ENTRY)
@@ -247,7 +247,7 @@ def _by_walking(file: RandomFile, at: int) -> _Scan:
     return scan
 
 
-def _walk(source: Source, at: int, place: int, scan: _Scan) -> None:
+def _walk(source: ByteSource, at: int, place: int, scan: _Scan) -> None:
     """Find everything from `at` on; stops, with a note, where the records break off."""
     rows: list[tuple[int, int, int, int]] = []
     try:
@@ -257,30 +257,30 @@ def _walk(source: Source, at: int, place: int, scan: _Scan) -> None:
             if record.op in (_SCHEMA, _CHANNEL):
                 scan.describe(record, source)
             elif record.op == _MESSAGE:
-                channel, _, time, _ = _MESSAGE_HEAD.unpack(exactly(source, record.data_at, _MESSAGE_HEAD.size))
+                channel, _, time, _ = _MESSAGE_HEAD.unpack(read_exactly(source, record.data_at, _MESSAGE_HEAD.size))
                 rows.append((time, scan.connection(channel), place, record.data_at - 9))
             elif record.op == _CHUNK and place == 0:
                 _walk_chunk(source, record, scan)
     except Damaged as damage:
         scan.notes.append(f"it ends early: {damage}")
     if rows:
-        scan.tables.append(table(*zip(*rows, strict=True)))
+        scan.tables.append(message_table(*zip(*rows, strict=True)))
 
 
-def _walk_chunk(source: Source, record: _Record, scan: _Scan) -> None:
+def _walk_chunk(source: ByteSource, record: _Record, scan: _Scan) -> None:
     place = _place(source, record, scan)
     try:
         data = _inflate(source, scan.chunks[place - 1])
     except Damaged as damage:
         scan.notes.append(f"a chunk of it is damaged: {damage}")
     else:
-        _walk(Octets(data), 0, place, scan)
+        _walk(BytesSource(data), 0, place, scan)
 
 
-def _place(source: Source, record: _Record, scan: _Scan) -> int:
+def _place(source: ByteSource, record: _Record, scan: _Scan) -> int:
     if record.op != _CHUNK:
         raise Damaged("there is no chunk where the index says")
-    head = _Fields(source.some(record.data_at, min(record.size, 256)))
+    head = _Fields(source.read_up_to(record.data_at, min(record.size, 256)))
     head.uint(8), head.uint(8)
     inflated, crc, compression, size = head.uint(8), head.uint(4), head.text(), head.uint(8)
     at = record.data_at + 8 + 8 + 8 + 4 + 4 + len(compression.encode()) + 8
@@ -288,22 +288,22 @@ def _place(source: Source, record: _Record, scan: _Scan) -> int:
     return len(scan.chunks)
 
 
-def _inflate(source: Source, chunk: _Chunk) -> bytes:
-    data = inflate(chunk.compression, exactly(source, chunk.at, chunk.size), chunk.inflated)
+def _inflate(source: ByteSource, chunk: _Chunk) -> bytes:
+    data = decompress(chunk.compression, read_exactly(source, chunk.at, chunk.size), chunk.inflated)
     if chunk.crc and zlib.crc32(data) != chunk.crc:
         raise Damaged(f"the checksum of the chunk at {chunk.at} is wrong")
     return data
 
 
-def _records(source: Source, at: int, end: int) -> Iterator[_Record]:
+def _records(source: ByteSource, at: int, end: int) -> Iterator[_Record]:
     while at < end:
         record = _record_at(source, at)
         yield record
         at = record.end
 
 
-def _record_at(source: Source, at: int) -> _Record:
-    head = exactly(source, at, 9)
+def _record_at(source: ByteSource, at: int) -> _Record:
+    head = read_exactly(source, at, 9)
     record = _Record(head[0], at + 9, int.from_bytes(head[1:], "little"))
     if record.end > source.size:
         raise Damaged(f"the record at {at} is cut off")

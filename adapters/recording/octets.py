@@ -25,7 +25,7 @@ _MAX_INFLATED = 1 << 31
 """Bytes that one chunk may claim to hold: what a real recorder never comes near."""
 
 
-class Source(Protocol):
+class ByteSource(Protocol):
     """Bytes that can be read at any offset."""
 
     @property
@@ -33,16 +33,16 @@ class Source(Protocol):
         """How many there are."""
         ...
 
-    def some(self, at: int, size: int) -> bytes:
+    def read_up_to(self, at: int, size: int) -> bytes:
         """Up to `size` bytes from `at`; fewer at the end."""
         ...
 
 
-def exactly(source: Source, at: int, size: int) -> bytes:
+def read_exactly(source: ByteSource, at: int, size: int) -> bytes:
     """`size` bytes from `at`. Raises Damaged where the source ends before."""
     if at < 0 or size < 0 or at + size > source.size:
         raise Damaged(f"{size} bytes are missing at {at}: it ends at {source.size}")
-    data = source.some(at, size)
+    data = source.read_up_to(at, size)
     if len(data) != size:
         raise Damaged(f"only {len(data)} of {size} bytes could be read at {at}")
     return data
@@ -56,7 +56,7 @@ class RandomFile:
         self._lock = threading.Lock()
         self.size = path.stat().st_size
 
-    def some(self, at: int, size: int) -> bytes:
+    def read_up_to(self, at: int, size: int) -> bytes:
         """Up to `size` bytes from `at`. Raises Damaged once the file is closed."""
         try:
             with self._lock:
@@ -71,14 +71,14 @@ class RandomFile:
             self._file.close()
 
 
-class Octets:
+class BytesSource:
     """Bytes in memory as a `Source`."""
 
     def __init__(self, data: bytes) -> None:
         self._data = data
         self.size = len(data)
 
-    def some(self, at: int, size: int) -> bytes:
+    def read_up_to(self, at: int, size: int) -> bytes:
         """Up to `size` bytes from `at`."""
         return self._data[at : at + size]
 
@@ -94,7 +94,7 @@ _DECOMPRESSORS: dict[str, Callable[[], _Decompressor]] = {
 }
 
 
-def inflate(compression: str, data: bytes, size: int) -> bytes:
+def decompress(compression: str, data: bytes, size: int) -> bytes:
     """The `size` bytes that `data` was compressed from; never makes more than that. Raises Damaged."""
     if compression in ("", "none"):
         return data
@@ -111,7 +111,7 @@ def inflate(compression: str, data: bytes, size: int) -> bytes:
     return inflated
 
 
-def inflate_zstd(data: bytes) -> bytes:
+def decompress_zstd(data: bytes) -> bytes:
     """What one zstd frame of unknown size was compressed from. Raises Damaged."""
     decompressor = zstd.ZstdDecompressor()
     try:
@@ -133,10 +133,10 @@ class ChunkCache:
         self._load = load
         self._limit = max_bytes
         self._held = 0
-        self._chunks: OrderedDict[int, Octets | Damaged] = OrderedDict()
+        self._chunks: OrderedDict[int, BytesSource | Damaged] = OrderedDict()
         self._lock = threading.Lock()
 
-    def get(self, chunk: int) -> Octets:
+    def get(self, chunk: int) -> BytesSource:
         """The chunk. Raises Damaged."""
         with self._lock:
             found = self._chunks.get(chunk)
@@ -148,13 +148,13 @@ class ChunkCache:
             raise Damaged(str(found))
         return found
 
-    def _loaded(self, chunk: int) -> Octets | Damaged:
+    def _loaded(self, chunk: int) -> BytesSource | Damaged:
         try:
-            return Octets(self._load(chunk))
+            return BytesSource(self._load(chunk))
         except Damaged as damage:
             return damage
 
-    def _keep(self, chunk: int, found: Octets | Damaged) -> Octets | Damaged:
+    def _keep(self, chunk: int, found: BytesSource | Damaged) -> BytesSource | Damaged:
         with self._lock:
             if chunk not in self._chunks:
                 self._chunks[chunk] = found
@@ -165,5 +165,5 @@ class ChunkCache:
         return found
 
 
-def _weight(found: Octets | Damaged) -> int:
-    return found.size if isinstance(found, Octets) else 0
+def _weight(found: BytesSource | Damaged) -> int:
+    return found.size if isinstance(found, BytesSource) else 0

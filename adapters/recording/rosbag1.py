@@ -14,8 +14,15 @@ from typing import NamedTuple
 import numpy as np
 
 from rosld.adapters.model import Encoding
-from rosld.adapters.recording.octets import ChunkCache, Octets, RandomFile, Source, exactly, inflate
-from rosld.adapters.recording.storage import Contents, Damaged, MessageTable, RecordedConnection, joined, table
+from rosld.adapters.recording.octets import ByteSource, BytesSource, ChunkCache, RandomFile, decompress, read_exactly
+from rosld.adapters.recording.storage import (
+    Contents,
+    Damaged,
+    MessageTable,
+    RecordedConnection,
+    concatenate,
+    message_table,
+)
 
 MAGIC = b"#ROSBAG V"
 _MESSAGE, _BAG, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = 2, 3, 4, 5, 6, 7
@@ -99,17 +106,17 @@ class Rosbag1:
 
     def read(self, place: int, offset: int) -> bytes:
         """The bytes of the message at `offset` of the file or of a chunk. Raises Damaged."""
-        source: Source = self._cache.get(place - 1) if place else self._file
-        head = source.some(offset, 256)
+        source: ByteSource = self._cache.get(place - 1) if place else self._file
+        head = source.read_up_to(offset, 256)
         if (size := _header_size(head)) and _IS_MESSAGE in head[4 : size + 4] and len(head) >= size + 8:
             # what nearly every message is, without taking its header apart
-            return exactly(source, offset + size + 8, _UINT32.unpack_from(head, size + 4)[0])
+            return read_exactly(source, offset + size + 8, _UINT32.unpack_from(head, size + 4)[0])
         record = _record_at(source, offset)
         while record.op == _CONNECTION:
             record = _record_at(source, record.end)
         if record.op != _MESSAGE:
             raise Damaged(f"there is no message at {offset}")
-        return exactly(source, record.data_at, record.size)
+        return read_exactly(source, record.data_at, record.size)
 
     def close(self) -> None:
         """Close the file."""
@@ -120,7 +127,7 @@ class Rosbag1:
 
 
 def _read(file: RandomFile) -> tuple[Contents, list[_Chunk]]:
-    line = file.some(0, 32).partition(b"\n")[0] + b"\n"
+    line = file.read_up_to(0, 32).partition(b"\n")[0] + b"\n"
     version = line.strip()[len(MAGIC) :].decode("ascii", "replace")
     if version != "2.0":
         raise Damaged(f"it is a bag of version {version}, and only 2.0 is read: convert it with `rosbag fix`")
@@ -135,7 +142,9 @@ def _read(file: RandomFile) -> tuple[Contents, list[_Chunk]]:
         if not scan.connections:
             raise Damaged(f"{damage}, and it holds no whole chunk either") from damage
     return (
-        Contents("ROS 1 bag 2.0", 1, scan.connections, joined(scan.tables), 1 + len(scan.chunks), tuple(scan.notes)),
+        Contents(
+            "ROS 1 bag 2.0", 1, scan.connections, concatenate(scan.tables), 1 + len(scan.chunks), tuple(scan.notes)
+        ),
         scan.chunks,
     )
 
@@ -177,7 +186,7 @@ def _chunk_by_index(file: RandomFile, info: _Record, scan: _Scan) -> None:
 
 
 def _index_table(file: RandomFile, index: _Record, place: int, base: int, scan: _Scan) -> MessageTable:
-    entries = np.frombuffer(exactly(file, index.data_at, index.size), _ENTRY)
+    entries = np.frombuffer(read_exactly(file, index.data_at, index.size), _ENTRY)
     return MessageTable(
         entries["sec"].astype(np.int64) * 10**9 + entries["nsec"],
         np.full(len(entries), scan.connection(index.uint32(b"conn")), np.int32),
@@ -214,8 +223,8 @@ def _walk_chunk(file: RandomFile, record: _Record, place: int, base: int, scan: 
     """Find the messages and connections of one chunk by walking through it; a damaged one is left, with a note."""
     rows: list[tuple[int, int, int, int]] = []
     try:
-        data = _inflate(file, scan.chunks[place - 1]) if place else exactly(file, record.data_at, record.size)
-        source = Octets(data)
+        data = _inflate(file, scan.chunks[place - 1]) if place else read_exactly(file, record.data_at, record.size)
+        source = BytesSource(data)
         at = 0
         while at < source.size:
             inner = _record_at(source, at)
@@ -227,27 +236,27 @@ def _walk_chunk(file: RandomFile, record: _Record, place: int, base: int, scan: 
     except Damaged as damage:
         scan.notes.append(f"a chunk of it is damaged: {damage}")
     if rows:
-        scan.tables.append(table(*zip(*rows, strict=True)))
+        scan.tables.append(message_table(*zip(*rows, strict=True)))
 
 
 def _inflate(file: RandomFile, chunk: _Chunk) -> bytes:
-    return inflate(chunk.compression, exactly(file, chunk.at, chunk.size), chunk.inflated)
+    return decompress(chunk.compression, read_exactly(file, chunk.at, chunk.size), chunk.inflated)
 
 
-def _records(source: Source, at: int) -> Iterator[_Record]:
+def _records(source: ByteSource, at: int) -> Iterator[_Record]:
     while at < source.size:
         record = _record_at(source, at)
         yield record
         at = record.end
 
 
-def _record_at(source: Source, at: int) -> _Record:
-    head = source.some(at, 256)
+def _record_at(source: ByteSource, at: int) -> _Record:
+    head = source.read_up_to(at, 256)
     size = _header_size(head)
     if not 0 < size <= _MAX_HEADER:
         raise Damaged(f"there is no record at {at}")
     if len(head) < size + 8:
-        head = exactly(source, at, size + 8)
+        head = read_exactly(source, at, size + 8)
     header = _fields(head[4 : 4 + size])
     (data_size,) = _UINT32.unpack_from(head, 4 + size)
     data_at = at + size + 8
@@ -276,11 +285,11 @@ def _fields(data: bytes) -> dict[bytes, bytes]:
     return fields
 
 
-def _connection(source: Source, record: _Record) -> tuple[int, RecordedConnection]:
+def _connection(source: ByteSource, record: _Record) -> tuple[int, RecordedConnection]:
     """A connection's number and description. What its header lacks makes it odd, never the file unreadable."""
     number = record.uint32(b"conn")
     try:
-        said = _fields(exactly(source, record.data_at, record.size))
+        said = _fields(read_exactly(source, record.data_at, record.size))
         odd = None
     except Damaged as damage:
         said, odd = {}, f"its connection header cannot be read: {damage}"

@@ -12,8 +12,8 @@ import numpy as np
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
-from rosld.adapters.recording.octets import ZstdError, ZstdFile, inflate_zstd
-from rosld.adapters.recording.storage import Damaged, MessageTable, RecordedConnection, RosVersion, Storage, joined
+from rosld.adapters.recording.octets import ZstdError, ZstdFile, decompress_zstd
+from rosld.adapters.recording.storage import Damaged, MessageTable, RecordedConnection, RosVersion, Storage, concatenate
 
 METADATA = "metadata.yaml"
 _SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
@@ -59,7 +59,7 @@ class Rosbag2:
         """The bytes of the message there, decompressed where each message was compressed. Raises Damaged."""
         number = bisect_right(self._starts, place) - 1
         data = self._files[number].read(place - self._starts[number], offset)
-        return inflate_zstd(data) if self._per_message else data
+        return decompress_zstd(data) if self._per_message else data
 
     def close(self) -> None:
         """Close all files, and remove what was decompressed."""
@@ -77,7 +77,7 @@ class Rosbag2:
             connections = (found.connections + first).astype(np.int32)
             tables.append(found._replace(connections=connections, places=(found.places + start).astype(np.int32)))
             first += len(file.connections)
-        return joined(tables)
+        return concatenate(tables)
 
     def _plain(self, path: Path) -> Path:
         """The file itself, or where it was compressed as a whole, a decompressed copy of it."""

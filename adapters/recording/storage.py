@@ -54,7 +54,7 @@ class MessageTable(NamedTuple):
         return MessageTable(self.times[order], self.connections[order], self.places[order], self.offsets[order])
 
 
-def table(
+def message_table(
     times: Sequence[int], connections: Sequence[int], places: Sequence[int], offsets: Sequence[int]
 ) -> MessageTable:
     """The table of these columns."""
@@ -66,9 +66,9 @@ def table(
     )
 
 
-def joined(tables: Iterable[MessageTable]) -> MessageTable:
+def concatenate(tables: Iterable[MessageTable]) -> MessageTable:
     """These tables one below the other."""
-    parts = [table([], [], [], []), *tables]
+    parts = [message_table([], [], [], []), *tables]
     return MessageTable(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 

@@ -100,7 +100,7 @@ def read_statuses(data: bytes) -> list[Status]:
     return reader.array(reader.status, _MAX_STATUSES)
 
 
-def read_told(data: bytes) -> tuple[Status, bytes]:
+def read_feedback_or_result(data: bytes) -> tuple[Status, bytes]:
     """What an XActionFeedback or an XActionResult tells: of which goal, and the message within. Raises ValueError."""
     reader = _Reader(data)
     reader.header()

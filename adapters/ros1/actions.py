@@ -34,12 +34,12 @@ from rosld.adapters.ros1.actionlib import (
     actions_of,
     cancel_message,
     goal_message,
+    read_feedback_or_result,
     read_goal,
     read_statuses,
-    read_told,
 )
 from rosld.adapters.ros1.graph import SystemState
-from rosld.adapters.ros1.publication import Link, Publication
+from rosld.adapters.ros1.publication import Publication, SubscriberConnection
 from rosld.adapters.ros1.publications import Publications
 from rosld.adapters.ros1.sources import Nodes, TopicReader
 from rosld.adapters.ros1.subscription import MessageFeed
@@ -69,7 +69,7 @@ class _Sending:
 
     message: bytes
     publication: Publication
-    links: frozenset[Link]
+    links: frozenset[SubscriberConnection]
 
 
 @dataclass(slots=True)
@@ -150,7 +150,7 @@ class Actions:
         for action in list(self._followed):
             self._stop(action)
 
-    async def look(self, action: str, until: float) -> None:
+    async def start_following(self, action: str, until: float) -> None:
         """Tell of all goals of an action until `leave`; returns once its server was heard. Raises NotFound."""
         self._require(action)
         followed = self._begin(action)
@@ -161,7 +161,7 @@ class Actions:
         except asyncio.TimeoutError:
             pass
 
-    def leave(self, action: str) -> None:
+    def stop_following(self, action: str) -> None:
         """One who looked does so no longer."""
         followed = self._followed.get(action)
         if followed is not None:
@@ -316,7 +316,7 @@ class Actions:
             followed.heard.set()
 
     def _take_result(self, action: str, data: bytes) -> None:
-        status, result = read_told(data)
+        status, result = read_feedback_or_result(data)
         known = self._note(action, status, asyncio.get_running_loop().time())
         if known is not None:
             known.has_result = True
@@ -325,7 +325,7 @@ class Actions:
             self._tell(action, status.id, known, event)
 
     def _take_feedback(self, action: str, data: bytes) -> None:
-        status, feedback = read_told(data)
+        status, feedback = read_feedback_or_result(data)
         known = self._note(action, status, asyncio.get_running_loop().time())
         if known is not None:
             self._tell(action, status.id, known, GoalEvent(time.time_ns(), feedback=feedback))

@@ -207,7 +207,7 @@ class Ros1Adapter:
         if publication is None or not publication.carries(type):
             publication = await self._advertise(topic, type, deadline)
         elif not publication.matched:
-            await thread.run(publication.matching(1, _until(deadline), 0.0))
+            await thread.run(publication.wait_matched(1, _until(deadline), 0.0))
         self._keep_own(publication, data, latch)
         thread.post(partial(publication.send, data, latch))
         return Published(publication.matched)
@@ -246,8 +246,8 @@ class Ros1Adapter:
     async def follow_goals(self, action: str, *, deadline: float) -> Watch:
         """Read what the server tells of goals, without a trace at the master, until the watch is closed."""
         thread, client = self._running()
-        await thread.run(client.actions.look(action, _until(deadline)))
-        return _Following(lambda: thread.post(partial(client.actions.leave, action)))
+        await thread.run(client.actions.start_following(action, _until(deadline)))
+        return _Following(lambda: thread.post(partial(client.actions.stop_following, action)))
 
     async def change_state(self, node: str, transition: str, *, deadline: float) -> None:
         """ROS 1 has no managed nodes."""
@@ -320,7 +320,7 @@ class Ros1Adapter:
             return
         del self._feeds[feed.topic]
         if self._thread is not None and self._client is not None:
-            self._thread.post(partial(self._client.unread, feed))
+            self._thread.post(partial(self._client.stop_reading, feed))
 
     def _set_depth(self, feed: Feed) -> None:
         depth = max(each.depth for each in feed.subscriptions)

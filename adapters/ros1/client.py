@@ -12,15 +12,15 @@ from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.ros1.actions import Actions
 from rosld.adapters.ros1.graph import Observation, SystemState, compose, stale
 from rosld.adapters.ros1.hosts import Hosts
-from rosld.adapters.ros1.leftovers import Leftovers
-from rosld.adapters.ros1.master import Looked, MasterApi
+from rosld.adapters.ros1.leftovers import StaleRegistrations
+from rosld.adapters.ros1.master import MasterApi, MasterSnapshot
 from rosld.adapters.ros1.parameters import Parameters, parts_of, with_parts
 from rosld.adapters.ros1.publications import Publications, addresses
 from rosld.adapters.ros1.reconfigurable import Reconfigurables
 from rosld.adapters.ros1.services import Services
 from rosld.adapters.ros1.sources import Nodes, TopicReader
 from rosld.adapters.ros1.subscription import Feed
-from rosld.adapters.ros1.type_cache import EndpointFacts, Learnt
+from rosld.adapters.ros1.type_cache import EndpointFacts, LearntFacts
 from rosld.adapters.ros1.types import Types
 from rosld.adapters.ros1.xmlrpc import XmlRpcClient
 
@@ -46,14 +46,14 @@ class Client:
         self._hosts = Hosts(options.host_map, host)
         client = XmlRpcClient(f"http://{host}:{port}", "/RPC2", self._dial(host, port), keep_alive=True)
         self.master = MasterApi(client, own_node)
-        self.learnt = Learnt(self.refresh_soon)
+        self.facts = LearntFacts(self.refresh_soon)
         self.types = Types(library, self.refresh_soon)
         self.parameters = Parameters(self.master, self._parameters_changed)
-        self.services = Services(own_node, self.master, self._hosts, self.types, self.learnt, options.message_limit)
+        self.services = Services(own_node, self.master, self._hosts, self.types, self.facts, options.message_limit)
         self.publications = Publications(
             self.master, own_node, self.types, lambda: addresses(options.ros_ip, self._local), self.look_soon
         )
-        self._nodes = Nodes(own_node, self._hosts, self.learnt, self.master.lookup_node, options.message_limit)
+        self._nodes = Nodes(own_node, self._hosts, self.facts, self.master.lookup_node, options.message_limit)
         self.actions = Actions(
             own_node, self._nodes, self.types, self.publications, lambda: self._system, publish_graph
         )
@@ -61,11 +61,11 @@ class Client:
             self._nodes, self.types, self.services, self.refresh_soon, self._parameters_changed
         )
         self._removing: asyncio.Task[None] | None = None
-        self._leftovers = Leftovers(self.master, self._hosts, own_node, lambda: self.publications.uri)
+        self._leftovers = StaleRegistrations(self.master, self._hosts, own_node, lambda: self.publications.uri)
         self._readers: dict[str, TopicReader] = {}
         self._epochs: dict[str, int] = {}
         self._local: str | None = None
-        self._looked: Looked | None = None
+        self._looked: MasterSnapshot | None = None
         self._system = SystemState()
         self._identity: tuple[int, ParameterValue | None] | None = None
         self._wanted = asyncio.Event()
@@ -82,7 +82,7 @@ class Client:
         await self.parameters.look()
         self.refresh()
         await self.services.asked(1.0)
-        await self.reconfigurables.heard(_FIRST_PATIENCE)
+        await self.reconfigurables.wait_described(_FIRST_PATIENCE)
         self.refresh()
         loop = asyncio.get_running_loop()
         self._tasks += [loop.create_task(self._watch_system()), loop.create_task(self._watch_parameters())]
@@ -131,7 +131,7 @@ class Client:
         """Make the graph anew and tell of it where it changed. A graph that is stale stays as it is."""
         self._refreshing = False
         if self._identity is not None:
-            self._show(compose(self.graph, self._observation(), self.learnt, self.types.unreadable))
+            self._show(compose(self.graph, self._observation(), self.facts, self.types.unreadable))
 
     def read(self, feed: Feed) -> None:
         """Begin to read a topic."""
@@ -147,7 +147,7 @@ class Client:
         if reader := self._readers.get(topic):
             reader.deepen()
 
-    def unread(self, feed: Feed) -> None:
+    def stop_reading(self, feed: Feed) -> None:
         """Stop reading a topic."""
         reader = self._readers.get(feed.topic)
         if reader is not None and reader.feed is feed:
@@ -193,7 +193,7 @@ class Client:
     async def _look(self) -> None:
         async with self._looking:
             asked_at = asyncio.get_running_loop().time()
-            looked = await self.master.look()
+            looked = await self.master.snapshot()
             if self._looked is None or (looked.state, looked.types) != (self._looked.state, self._looked.types):
                 self._system = self.master.system_state(looked)
             if self._looked is None or looked.pid != self._looked.pid:
@@ -227,18 +227,18 @@ class Client:
         self.publications.register_again(system.publishers, asked_at)
         nodes = system.nodes()
         endpoints = {(topic, node) for topic, of in system.publishers.items() for node in of}
-        self.learnt.forget_all_but(nodes, endpoints, set(system.services))
+        self.facts.retain(nodes, endpoints, set(system.services))
         self._note_own(system)
         self._look_up_some(nodes)
-        if due := self._leftovers.due(system.publishers):
+        if due := self._leftovers.nodes_to_check(system.publishers):
             self._removing = self._begin(self._remove_leftovers(due))
 
     def _note_own(self, system: SystemState) -> None:
         for topic, publication in self.publications.by_topic.items():
             if self._own_node in system.publishers.get(topic, ()):
                 facts = EndpointFacts(publication.ref, publication.latched is not None)
-                self.learnt.endpoint(topic, self._own_node, facts)
-                self.learnt.node_at(self._own_node, self.publications.uri or "")
+                self.facts.set_endpoint(topic, self._own_node, facts)
+                self.facts.set_node_uri(self._own_node, self.publications.uri or "")
 
     def _look_up_some(self, nodes: set[str]) -> None:
         """Ask where new nodes are, all of them, and a few of the others again: a restart keeps the name."""
@@ -281,7 +281,7 @@ class Client:
             Master(self.master.uri, str(run_id) if run_id is not None else None),
             self._own_node,
             self._system,
-            self.reconfigurables.among(self.parameters.graph_parameters),
+            self.reconfigurables.with_descriptors(self.parameters.graph_parameters),
             self.parameters.value("/use_sim_time") is True,
         )
 

@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
-from rosld.adapters.model import Endpoint, Graph, Live, Master, Node, Parameter, Service, Stale, Topic, TypeRef, frozen
+from rosld.adapters.model import Endpoint, Graph, Live, Master, Node, Parameter, Service, Stale, Topic, TypeRef, freeze
 from rosld.adapters.ros1.actionlib import actions_of
-from rosld.adapters.ros1.type_cache import EndpointFacts, Learnt, ServiceFacts
+from rosld.adapters.ros1.type_cache import EndpointFacts, LearntFacts, ServiceFacts
 from rosld.adapters.ros1.types import message_type
 
 _V = TypeVar("_V")
@@ -43,7 +43,7 @@ class Observation:
     simulated_time: bool = False
 
 
-def compose(previous: Graph, seen: Observation, learnt: Learnt, unreadable: Mapping[TypeRef, str]) -> Graph:
+def compose(previous: Graph, seen: Observation, learnt: LearntFacts, unreadable: Mapping[TypeRef, str]) -> Graph:
     """The graph of an observation; `previous` itself where nothing changed."""
     system = seen.system
 
@@ -84,7 +84,7 @@ def _topic_names(system: SystemState) -> set[str]:
     return {*system.publishers, *system.subscribers}  # the master never forgets the type of a topic that has gone
 
 
-def _topic(name: str, system: SystemState, learnt: Learnt, unreadable: Mapping[TypeRef, str]) -> Topic:
+def _topic(name: str, system: SystemState, learnt: LearntFacts, unreadable: Mapping[TypeRef, str]) -> Topic:
     nodes = system.publishers.get(name, ())
     facts = [learnt.endpoints.get((name, node), _NOTHING) for node in nodes]
     publishers = tuple(
@@ -116,4 +116,4 @@ def _shared(previous: Mapping[str, _V], names: Iterable[str], make: Callable[[st
         made[name] = old if old is not None and old == new else new
     if len(made) == len(previous) and all(previous.get(name) is value for name, value in made.items()):
         return previous
-    return frozen(made)
+    return freeze(made)

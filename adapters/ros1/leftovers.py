@@ -42,7 +42,7 @@ def pids(node: str) -> frozenset[int]:
     return frozenset(int(each) for each in (found["pid"], found["number"]) if each)
 
 
-class Leftovers:
+class StaleRegistrations:
     """Looks for dead registrations of rosld's. All methods run on the reading thread.
 
     `own_uri` gives the URI of our own Slave API while it runs.
@@ -55,7 +55,7 @@ class Leftovers:
         self._own_uri = own_uri
         self._looked_at: dict[str, float] = {}
 
-    def due(self, publishers: Mapping[str, tuple[str, ...]]) -> Mapping[str, tuple[str, ...]]:
+    def nodes_to_check(self, publishers: Mapping[str, tuple[str, ...]]) -> Mapping[str, tuple[str, ...]]:
         """The topics of each node that is to be looked at now; `publishers` are the nodes by topic."""
         named = {node for nodes in publishers.values() for node in nodes if pids(node)}
         if self._own_uri() is not None:

@@ -15,7 +15,7 @@ LOOK = 5.0  # seconds after which a master that does not answer a look counts as
 
 
 @dataclass(frozen=True)
-class Looked:
+class MasterSnapshot:
     """A look at the master's state: its process, and the documents of its answers, for telling if they changed."""
 
     pid: int
@@ -39,14 +39,14 @@ class MasterApi:
         """Drop idle connections."""
         self._client.close()
 
-    async def look(self) -> Looked:
+    async def snapshot(self) -> MasterSnapshot:
         """Its process and its state. Raises Unreachable, TimedOut."""
         pid = await self._client.call("getPid", self._caller, timeout=LOOK)
         state = await self._client.request(encode_call("getSystemState", self._caller), timeout=LOOK)
         types = await self._client.request(encode_call("getTopicTypes", self._caller), timeout=LOOK)
-        return Looked(pid.value if isinstance(pid.value, int) else 0, state, types)
+        return MasterSnapshot(pid.value if isinstance(pid.value, int) else 0, state, types)
 
-    def system_state(self, looked: Looked) -> SystemState:
+    def system_state(self, looked: MasterSnapshot) -> SystemState:
         """The state in a look. Raises Unreachable for what is no ROS master's."""
         state = self._client.decode(looked.state)
         types = self._client.decode(looked.types)

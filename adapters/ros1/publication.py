@@ -75,7 +75,7 @@ class Publication:
         self.registered_at: float | None = None
         self._schema = schema
         self._node = node
-        self._links: set[Link] = set()
+        self._links: set[SubscriberConnection] = set()
         self._pending = Outbox(_MAX_PENDING)
         self._flushing = False
         self._changed = asyncio.Event()
@@ -110,7 +110,7 @@ class Publication:
             self._flushing = True
             asyncio.get_running_loop().call_soon(self._flush)
 
-    async def matching(self, wanted: int, until: float, patience: float) -> None:
+    async def wait_matched(self, wanted: int, until: float, patience: float) -> None:
         """Wait until `wanted` subscribers are connected, or one has been for `patience` seconds, or `until`."""
         now = asyncio.get_running_loop().time
         patient: float | None = None
@@ -126,11 +126,11 @@ class Publication:
             except asyncio.TimeoutError:
                 return
 
-    def links_to(self, nodes: Collection[str]) -> frozenset[Link]:
+    def links_to(self, nodes: Collection[str]) -> frozenset[SubscriberConnection]:
         """The connections to these nodes, and to subscribers that do not say who they are."""
         return frozenset(link for link in self._links if not link.node or link.node in nodes)
 
-    async def connected_to(self, nodes: Collection[str], until: float) -> frozenset[Link]:
+    async def connected_to(self, nodes: Collection[str], until: float) -> frozenset[SubscriberConnection]:
         """Wait until one of these nodes is connected, or `until`; its connections."""
         now = asyncio.get_running_loop().time
         while not (links := self.links_to(nodes)) and now() < until:
@@ -141,14 +141,14 @@ class Publication:
                 break
         return links
 
-    def join(self, link: Link) -> None:
+    def join(self, link: SubscriberConnection) -> None:
         """A subscriber is connected."""
         self._links.add(link)
         self._count()
         if self.latched is not None:
             link.send([self.latched])
 
-    def leave(self, link: Link) -> None:
+    def leave(self, link: SubscriberConnection) -> None:
         """A subscriber has gone."""
         self._links.discard(link)
         self._count()
@@ -158,7 +158,7 @@ class Publication:
         self._flush()
         until = asyncio.get_running_loop().time() + patience
         for link in tuple(self._links):
-            await link.written(until)
+            await link.wait_written(until)
         for link in tuple(self._links):
             link.close()
 
@@ -174,7 +174,7 @@ class Publication:
                 link.send(frames)
 
 
-class Link(asyncio.Protocol):
+class SubscriberConnection(asyncio.Protocol):
     """A subscriber's connection. A slow one loses the oldest messages that wait for it, never our memory.
 
     `node` is the subscriber's name, as its connection header says it.
@@ -190,7 +190,7 @@ class Link(asyncio.Protocol):
         self._drained: asyncio.Future[None] | None = None
         self._transport: asyncio.Transport
 
-    async def written(self, until: float) -> None:
+    async def wait_written(self, until: float) -> None:
         """Wait until the subscriber has taken what waits for it, at most `until`."""
         left = until - asyncio.get_running_loop().time()
         if self._waiting and left > 0:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from rosld.adapters.model import MessageSchema, NotFound, Refused, RosError, TypeRef, UnknownType
 from rosld.adapters.ros1.hosts import Hosts
 from rosld.adapters.ros1.master import MasterApi
-from rosld.adapters.ros1.publication import Link, Publication
+from rosld.adapters.ros1.publication import Publication, SubscriberConnection
 from rosld.adapters.ros1.slave import SlaveApi, XmlRpcServer
 from rosld.adapters.ros1.types import Types
 from rosld.adapters.ros1.xmlrpc import XmlRpcClient
@@ -87,7 +87,7 @@ class Publications:
                     f"rosld publishes {topic} as {publication.ref.name} ({publication.ref.hash}), not {type.name}"
                 )
         # Outside the lock: a topic whose subscribers never connect must not hold up the others.
-        await publication.matching(wanted, until, _PATIENCE)
+        await publication.wait_matched(wanted, until, _PATIENCE)
         return publication
 
     async def unadvertise(self, topic: str) -> None:
@@ -176,7 +176,9 @@ class Publications:
         slave = XmlRpcServer(SlaveApi(self._master.uri, address, self, self._asked_to_leave).answer)
         try:
             bind, port = await _bind(slave, address)
-            tcpros = await asyncio.get_running_loop().create_server(lambda: Link(self.by_topic), bind, 0)
+            tcpros = await asyncio.get_running_loop().create_server(
+                lambda: SubscriberConnection(self.by_topic), bind, 0
+            )
         except OSError:
             slave.close()
             return None

@@ -59,14 +59,14 @@ def enlarge(sock: socket.socket, size: int) -> None:
                 sock.setsockopt(socket.SOL_SOCKET, _FORCE, size)
                 return
             except PermissionError:
-                size = min(size, permitted())
+                size = min(size, max_permitted_bytes())
         if 2 * size > sock.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF):
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, size)
     except OSError:
         pass  # the connection has just ended
 
 
-def permitted() -> int:
+def max_permitted_bytes() -> int:
     """The largest buffer that anybody may ask for (net.core.rmem_max), in bytes; `MAX_BYTES` where that is not told."""
     try:
         return int(_PERMITTED.read_text())

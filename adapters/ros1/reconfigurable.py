@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from rosld.adapters.base import ParameterValue
-from rosld.adapters.model import Descriptor, Parameter, Refused, Sent, fitted
+from rosld.adapters.model import Descriptor, Parameter, Refused, Sent, coerce
 from rosld.adapters.ros1.graph import SystemState
 from rosld.adapters.ros1.reconfiguration import (
     DESCRIPTIONS,
@@ -86,7 +86,7 @@ class Reconfigurables:
         for namespace in list(self._followed):
             self._stop(namespace)
 
-    async def heard(self, patience: float) -> None:
+    async def wait_described(self, patience: float) -> None:
         """Wait until every server has described its parameters, for at most `patience` seconds."""
         waiting = [asyncio.ensure_future(each.heard.wait()) for each in self._followed.values()]
         if waiting:
@@ -94,7 +94,7 @@ class Reconfigurables:
             for each in late:
                 each.cancel()
 
-    def among(self, parameters: Mapping[str, Parameter]) -> Mapping[str, Parameter]:
+    def with_descriptors(self, parameters: Mapping[str, Parameter]) -> Mapping[str, Parameter]:
         """The parameters of a graph, those that nodes declare with what these say."""
         declared = {name: parameter for name, parameter in self._parameters.items() if name in parameters}
         return {**parameters, **declared} if declared else parameters
@@ -123,7 +123,7 @@ class Reconfigurables:
             own = name.removeprefix(f"{namespace}/")
             descriptor = descriptors.get(own) if own != name else None
             if descriptor is not None and descriptor.type is not None:
-                fit = fitted(value, descriptor.type)
+                fit = coerce(value, descriptor.type)
                 if not isinstance(fit, bool | int | float | str):
                     raise Refused(
                         f"the parameter {name} cannot be {value!r}: its node declares a {descriptor.type.value}"

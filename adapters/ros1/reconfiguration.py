@@ -14,7 +14,7 @@ import struct
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import NamedTuple, TypeAlias
 
-from rosld.adapters.model import Choice, Descriptor, ParameterType, Range, TypeRef, fitted
+from rosld.adapters.model import Choice, Descriptor, ParameterType, Range, TypeRef, coerce
 from rosld.adapters.ros1.wire_reader import WireReader
 
 Scalar: TypeAlias = "bool | int | float | str"
@@ -143,7 +143,7 @@ def _choices(type: ParameterType, edit_method: str) -> Iterator[Choice]:
         if not isinstance(each, dict):
             continue
         value = each.get("value")
-        fit = fitted(value, type) if isinstance(value, bool | int | float | str) else None
+        fit = coerce(value, type) if isinstance(value, bool | int | float | str) else None
         if isinstance(fit, bool | int | float | str):
             yield Choice(fit, _words(each.get("name")), _words(each.get("description")))
 

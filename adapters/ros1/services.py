@@ -9,7 +9,7 @@ from rosld.adapters.model import NotFound, Refused, RosError, Sent, TimedOut, Ty
 from rosld.adapters.ros1.hosts import Hosts, host_and_port
 from rosld.adapters.ros1.master import MasterApi
 from rosld.adapters.ros1.tcpros import MAX_HEADER, BadFrame, Header, decode_header, encode_header, frame, read_frame
-from rosld.adapters.ros1.type_cache import Learnt, ServiceFacts
+from rosld.adapters.ros1.type_cache import LearntFacts, ServiceFacts
 from rosld.adapters.ros1.types import Types, service_type
 
 _AT_ONCE = 4
@@ -24,7 +24,7 @@ class Services:
     """
 
     def __init__(
-        self, caller: str, master: MasterApi, hosts: Hosts, types: Types, learnt: Learnt, message_limit: int
+        self, caller: str, master: MasterApi, hosts: Hosts, types: Types, learnt: LearntFacts, message_limit: int
     ) -> None:
         self._message_limit = message_limit
         self._caller = caller
@@ -119,7 +119,7 @@ class Services:
                 words = str(error) or "no answer in time"
                 facts = ServiceFacts(before.type, f"its node does not tell its type: {words}")
             if service in self._asked:
-                self._learnt.service(service, facts)
+                self._learnt.set_service(service, facts)
 
     async def _facts(self, service: str) -> ServiceFacts:
         reader, writer = await self._connect(service)

@@ -10,7 +10,7 @@ from rosld.adapters.ros1.hosts import Hosts, host_and_port
 from rosld.adapters.ros1.samples import Slot
 from rosld.adapters.ros1.subscription import Feed
 from rosld.adapters.ros1.tcpros import Deliver, Frame, FrameReceiver, Header, encode_header
-from rosld.adapters.ros1.type_cache import EndpointFacts, Learnt
+from rosld.adapters.ros1.type_cache import EndpointFacts, LearntFacts
 from rosld.adapters.ros1.types import Types, message_type
 from rosld.adapters.ros1.xmlrpc import XmlRpcClient
 
@@ -30,7 +30,7 @@ class Nodes:
         self,
         caller: str,
         hosts: Hosts,
-        learnt: Learnt,
+        learnt: LearntFacts,
         look_up: Callable[[str], Awaitable[str]],
         message_limit: int,
     ) -> None:
@@ -43,7 +43,7 @@ class Nodes:
     async def address(self, node: str) -> str:
         """A node's URI, asked of the master anew, for a restarted node has another one."""
         uri = await self._look_up(node)
-        self.learnt.node_at(node, uri)
+        self.learnt.set_node_uri(node, uri)
         return uri
 
     async def request_topic(self, uri: str, topic: str) -> tuple[str, int]:
@@ -58,7 +58,7 @@ class Nodes:
                 raise Refused(f"{uri} does not offer {topic} over TCPROS: {answer.words}", words=answer.words)
 
 
-class Source:
+class PublisherReader:
     """One publisher of one topic: found, connected to, read, and found again when it is lost."""
 
     def __init__(self, feed: Feed, slot: Slot, nodes: Nodes, types: Types, next_epoch: Callable[[], int]) -> None:
@@ -95,7 +95,7 @@ class Source:
             if now() - began > _LONG_ENOUGH or words is None:
                 wait = _FIRST_WAIT
             if words is not None:
-                self._nodes.learnt.endpoint_unreachable(self._feed.topic, self.slot.publisher, words)
+                self._nodes.learnt.set_endpoint_unreachable(self._feed.topic, self.slot.publisher, words)
             await asyncio.sleep(wait)
             wait = min(2 * wait, _LONGEST_WAIT)
 
@@ -106,15 +106,15 @@ class Source:
             receiver = await self._connect(uri)
         except (RosError, OSError, ValueError, asyncio.TimeoutError) as error:
             if isinstance(error, Unreachable):
-                self._nodes.learnt.node_answers(self.slot.publisher, str(error))
+                self._nodes.learnt.set_node_reachable(self.slot.publisher, str(error))
             return str(error) or f"{self.slot.publisher} did not answer in time"
-        self._nodes.learnt.node_answers(self.slot.publisher, None)
+        self._nodes.learnt.set_node_reachable(self.slot.publisher, None)
         try:
             await receiver.closed
         finally:
             receiver.close()
             self._receiver = None
-        return receiver.trouble
+        return receiver.failure
 
     async def _connect(self, uri: str) -> FrameReceiver:
         host, port = await self._nodes.request_topic(uri, self._feed.topic)
@@ -160,7 +160,7 @@ class Source:
         self._types.learn(ref, header.get("message_definition", ""))
         latched = header.get("latching") == "1"
         self.slot.schema, self.slot.latched = ref, latched
-        self._nodes.learnt.endpoint(self._feed.topic, self.slot.publisher, EndpointFacts(ref, latched))
+        self._nodes.learnt.set_endpoint(self._feed.topic, self.slot.publisher, EndpointFacts(ref, latched))
         return self._deliver
 
     def _deliver(self, frames: Sequence[Frame], count: int) -> None:
@@ -177,7 +177,7 @@ class TopicReader:
         self.next_epoch = first_epoch
         self._nodes = nodes
         self._types = types
-        self._sources: dict[str, tuple[Source, asyncio.Task[None]]] = {}
+        self._sources: dict[str, tuple[PublisherReader, asyncio.Task[None]]] = {}
         self._left: list[Slot] = []
 
     def follow(self, publishers: Iterable[str]) -> None:
@@ -216,7 +216,7 @@ class TopicReader:
     def _begin(self, publisher: str) -> None:
         returned = next((slot for slot in self._left if slot.publisher == publisher), None)
         slot = returned or Slot(publisher, self._epoch())
-        source = Source(self.feed, slot, self._nodes, self._types, self._epoch)
+        source = PublisherReader(self.feed, slot, self._nodes, self._types, self._epoch)
         self._sources[publisher] = source, asyncio.get_running_loop().create_task(source.run())
 
     def _epoch(self) -> int:

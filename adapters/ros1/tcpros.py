@@ -81,16 +81,16 @@ class LargeFrame:
         self._filled = 0
         self._next_piece(max(FIRST_PIECE, trusted))
 
-    def room(self) -> memoryview:
+    def writable_view(self) -> memoryview:
         """Where the next bytes belong."""
         return memoryview(self._pieces[-1])[self._filled :]
 
     def put(self, data: memoryview) -> None:
         """Take bytes that were received elsewhere; no more than there is room for."""
-        self.room()[: len(data)] = data
-        self.received(len(data))
+        self.writable_view()[: len(data)] = data
+        self.advance(len(data))
 
-    def received(self, count: int) -> None:
+    def advance(self, count: int) -> None:
         """Heed that so many bytes were written into `room`."""
         self._filled += count
         self._missing -= count
@@ -145,7 +145,7 @@ class FrameBuffer:
         self.view = memoryview(self.data)
         self.end = 0
 
-    def room(self) -> memoryview:
+    def writable_view(self) -> memoryview:
         """Where the kernel may write."""
         return self.view[self.end :]
 
@@ -176,7 +176,7 @@ class FrameReceiver(asyncio.BufferedProtocol):
     def __init__(self, hello: bytes, accept: Accept, limit: int) -> None:
         self.depth = 1
         self.received = 0
-        self.trouble: str | None = None
+        self.failure: str | None = None
         self.ready: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self.closed: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._hello = hello
@@ -216,8 +216,8 @@ class FrameReceiver(asyncio.BufferedProtocol):
     def get_buffer(self, sizehint: int) -> memoryview:
         """Where the kernel may write: the rest of the buffer, or of the large frame being received."""
         if self._large is not None:
-            return self._large.room()
-        return self._buffer.room()
+            return self._large.writable_view()
+        return self._buffer.writable_view()
 
     def buffer_updated(self, nbytes: int) -> None:
         """Take what was written."""
@@ -271,7 +271,7 @@ class FrameReceiver(asyncio.BufferedProtocol):
         return buffer.end
 
     def _refuse(self, error: Exception) -> None:
-        self.trouble = str(error)
+        self.failure = str(error)
         if not self.ready.done():
             self.ready.set_exception(error)
         self._buffer.end = 0
@@ -299,7 +299,7 @@ class FrameReceiver(asyncio.BufferedProtocol):
 
     def _fill_large(self, nbytes: int) -> None:
         assert self._large is not None
-        self._large.received(nbytes)
+        self._large.advance(nbytes)
         whole = self._large.whole()
         if whole is not None:
             self._large = None

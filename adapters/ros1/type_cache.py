@@ -25,7 +25,7 @@ class ServiceFacts(NamedTuple):
 
 
 @dataclass
-class Learnt:
+class LearntFacts:
     """Facts by name; written on the reading thread alone. `changed` is called after each change."""
 
     changed: Callable[[], None]
@@ -34,14 +34,14 @@ class Learnt:
     endpoints: dict[tuple[str, str], EndpointFacts] = field(default_factory=dict)
     services: dict[str, ServiceFacts] = field(default_factory=dict)
 
-    def node_at(self, node: str, uri: str) -> None:
+    def set_node_uri(self, node: str, uri: str) -> None:
         """A node has this address."""
         if self.uris.get(node) != uri:
             self.uris[node] = uri
             self.unreachable.pop(node, None)
             self.changed()
 
-    def node_answers(self, node: str, words: str | None) -> None:
+    def set_node_reachable(self, node: str, words: str | None) -> None:
         """A node answers (None), or does not, as these words say."""
         if self.unreachable.get(node) != words:
             if words is None:
@@ -50,24 +50,24 @@ class Learnt:
                 self.unreachable[node] = words
             self.changed()
 
-    def endpoint(self, topic: str, node: str, facts: EndpointFacts) -> None:
+    def set_endpoint(self, topic: str, node: str, facts: EndpointFacts) -> None:
         """A publisher said this of itself."""
         if self.endpoints.get((topic, node)) != facts:
             self.endpoints[topic, node] = facts
             self.changed()
 
-    def endpoint_unreachable(self, topic: str, node: str, words: str) -> None:
+    def set_endpoint_unreachable(self, topic: str, node: str, words: str) -> None:
         """A publisher could not be read from; what it said before still holds."""
         before = self.endpoints.get((topic, node), EndpointFacts())
-        self.endpoint(topic, node, before._replace(unreachable=words))
+        self.set_endpoint(topic, node, before._replace(unreachable=words))
 
-    def service(self, name: str, facts: ServiceFacts) -> None:
+    def set_service(self, name: str, facts: ServiceFacts) -> None:
         """A service's type is this."""
         if self.services.get(name) != facts:
             self.services[name] = facts
             self.changed()
 
-    def forget_all_but(self, nodes: set[str], endpoints: set[tuple[str, str]], services: set[str]) -> None:
+    def retain(self, nodes: set[str], endpoints: set[tuple[str, str]], services: set[str]) -> None:
         """Forget what the master no longer lists."""
         for gone in self.uris.keys() - nodes:
             del self.uris[gone]

@@ -17,7 +17,7 @@ from typing import Any, cast
 
 from rosld.adapters.model import Action, GoalEvent, GoalId, GoalStatus, NotFound, Qos, Refused, RosError, Sent
 from rosld.adapters.ros2.calls import Calls
-from rosld.adapters.ros2.middleware import Participant, Reader, deserialized, make_message, serialized
+from rosld.adapters.ros2.middleware import Participant, Reader, deserialize, make_message, serialize
 from rosld.adapters.ros2.wait_set import Waiter
 
 _STATUS = "action_msgs/msg/GoalStatusArray"
@@ -93,7 +93,7 @@ class Actions:
         """Send a goal. Raises Refused where it is rejected, TimedOut, Unreachable, UnknownType."""
         type = _type_of(action)
         try:
-            asked = deserialized(f"{type}_Goal", goal)
+            asked = deserialize(f"{type}_Goal", goal)
         except ValueError as error:
             raise Refused(f"no goal was sent to {action.name}: {error}") from error
         line = self._listen(action.name, type)
@@ -169,7 +169,7 @@ class Actions:
 
         return stop
 
-    def look(self, actions: Mapping[str, Action]) -> None:
+    def drop_gone_servers(self, actions: Mapping[str, Action]) -> None:
         """Give up the goals of servers that have gone."""
         for line in list(self._lines.values()):
             action = actions.get(line.name)
@@ -237,7 +237,7 @@ class Actions:
         if taken is None:
             return
         line.heard = True
-        for each in cast(Any, deserialized(_STATUS, taken.data)).status_list:
+        for each in cast(Any, deserialize(_STATUS, taken.data)).status_list:
             status = _STATUSES.get(each.status)
             if status is not None:
                 self._heard(line, bytes(each.goal_info.goal_id.uuid).hex(), status)
@@ -276,7 +276,7 @@ class Actions:
             name = f"{line.name}/_action/get_result"
             answer = cast(Any, await self._calls.call(name, f"{line.type}_GetResult", request, until))
             if answer.status in _STATUSES:
-                status, result = _STATUSES[answer.status], serialized(answer.result)
+                status, result = _STATUSES[answer.status], serialize(answer.result)
             elif known is None:
                 words = "its action server no longer knows it"
         except (RosError, ValueError) as error:

@@ -196,7 +196,7 @@ class Ros2Adapter:
             feed = self._feeds[topic] = Feed(topic, self.graph.own_node, epoch, system.waiter)
             feed.deepen(depth)
             for sample in self._own[topic].kept if topic in self._own else ():
-                feed.published(sample)
+                feed.add_own_sample(sample)
             thread.post(partial(system.read, feed))
         subscription = TopicSubscription(feed, depth, self._release)
         feed.subscriptions.append(subscription)
@@ -220,7 +220,7 @@ class Ros2Adapter:
         if publication is None or not publication.carries(type) or not system.publications.suits(publication, latch):
             publication = await self._advertise(topic, type, latch, deadline)
         elif not publication.matched:
-            await thread.run(publication.matching(1, _until(deadline), 0.0))
+            await thread.run(publication.wait_matched(1, _until(deadline), 0.0))
         self._keep_own(publication, data)
         thread.post(partial(publication.send, data))
         return Published(publication.matched)
@@ -309,7 +309,7 @@ class Ros2Adapter:
         own.kept.append(sample)
         if feed:
             feed.own = node
-            feed.published(sample)
+            feed.add_own_sample(sample)
 
     def _release(self, subscription: TopicSubscription) -> None:
         feed = subscription.feed
@@ -319,7 +319,7 @@ class Ros2Adapter:
         self._feeds.pop(feed.topic, None)
         self._epochs[feed.topic] = feed.epoch
         if self._thread is not None and self._system is not None:
-            self._thread.post(partial(self._system.unread, feed))
+            self._thread.post(partial(self._system.stop_reading, feed))
 
     def _set_depth(self, feed: Feed) -> None:
         depth = max(each.depth for each in feed.subscriptions)

@@ -54,7 +54,7 @@ class Calls:
             line.users -= 1
             line.used = self._loop.time()
 
-    def look(self) -> None:
+    def drop_gone_servers(self) -> None:
         """Give up on servers that have gone, and on clients that nobody uses any more."""
         now = self._loop.time()
         for key, line in list(self._lines.items()):

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 from rosld.adapters.base import Watch
 from rosld.adapters.model import Encoding, Sample, TypeRef
-from rosld.adapters.ros2.middleware import Reader, Taken
+from rosld.adapters.ros2.middleware import Reader, TakenMessage
 from rosld.adapters.ros2.wait_set import Waiter
 from rosld.adapters.slots import LoopWatch, Watches
 
@@ -47,7 +47,7 @@ class _Stream:
     number: int | None = None
     identities: deque[tuple[int, int | None]] = field(default_factory=lambda: deque(maxlen=_REMEMBERED))
 
-    def count(self, taken: Taken, *, alone: bool) -> int:
+    def count(self, taken: TakenMessage, *, alone: bool) -> int:
         """The number of the next message, as the publisher counts from the first we saw; one further otherwise."""
         if taken.number is not None and alone and self.number is not None:
             step = taken.number - self.number
@@ -82,7 +82,7 @@ class _Streams:
         if self._by_publisher.pop(self.own, None) is not None:
             self._views.clear()
 
-    def put(self, taken: Taken, name: str, publishers: Publishers, latched: bool) -> bool:
+    def put(self, taken: TakenMessage, name: str, publishers: Publishers, latched: bool) -> bool:
         """Keep what the publisher of this name sent; whether it is new."""
         stream = self._stream(name, self.epoch)
         if latched:
@@ -162,7 +162,7 @@ class _Echoes:
         """Expect an echo of this."""
         self._published.append((sample.received_ns, sample.data))
 
-    def take(self, taken: Taken) -> bool:
+    def take(self, taken: TakenMessage) -> bool:
         """Whether it is what we published ourselves: the same bytes, written just when we wrote them."""
         for published in self._published:
             written, data = published
@@ -220,7 +220,7 @@ class Feed:
         self._soon(self._rearm)
         return before
 
-    def published(self, sample: Sample) -> None:
+    def add_own_sample(self, sample: Sample) -> None:
         """We published this: it is a sample, and its echo is none. Called on the server's loop."""
         self._echoes.note(sample)
         self._streams.put_own(sample)
@@ -268,13 +268,13 @@ class Feed:
                 new = self._put(taken, publishers, latched) or new
         return new
 
-    def _put(self, taken: Taken, publishers: Publishers, latched: bool) -> bool:
+    def _put(self, taken: TakenMessage, publishers: Publishers, latched: bool) -> bool:
         name = self._who(taken, publishers)
         if name == self.own or self._echoes.take(taken):
             return False
         return self._streams.put(taken, name, publishers, latched)
 
-    def _who(self, taken: Taken, publishers: Publishers) -> str:
+    def _who(self, taken: TakenMessage, publishers: Publishers) -> str:
         """Who sent it: told by its gid where the middleware tells that, else known where only one node publishes."""
         if taken.gid is not None and (found := publishers.gids.get(taken.gid)) is not None:
             return found

@@ -18,10 +18,10 @@ from rosld.adapters.model import (
     Stale,
     Topic,
     TypeRef,
-    frozen,
+    freeze,
 )
 from rosld.adapters.model.names import action_of
-from rosld.adapters.ros2.middleware import Names, Seen
+from rosld.adapters.ros2.middleware import Names, SeenEndpoint
 
 _V = TypeVar("_V")
 _SEND_GOAL = "/_action/send_goal"
@@ -35,14 +35,14 @@ class Observation:
     nodes: tuple[str, ...] = ()
     topics: Names = field(default_factory=dict)
     services: Names = field(default_factory=dict)
-    publishers: Mapping[str, tuple[Seen, ...]] = field(default_factory=dict)
-    subscribers: Mapping[str, tuple[Seen, ...]] = field(default_factory=dict)
+    publishers: Mapping[str, tuple[SeenEndpoint, ...]] = field(default_factory=dict)
+    subscribers: Mapping[str, tuple[SeenEndpoint, ...]] = field(default_factory=dict)
     providers: Mapping[str, Names] = field(default_factory=dict)
     callers: Mapping[str, Names] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
-class Known:
+class GraphInputs:
     """What the graph is made of beside the observation.
 
     `problems` says of types' names why they cannot be used here.
@@ -63,7 +63,7 @@ class Known:
         return frozenset((self.hidden_node, self.own_node))
 
 
-def compose(previous: Graph, seen: Observation, known: Known) -> Graph:
+def compose(previous: Graph, seen: Observation, known: GraphInputs) -> Graph:
     """The graph of an observation; `previous` itself where nothing changed."""
     providers = _by_service(seen.providers, known)
     callers = _by_service(seen.callers, known)
@@ -106,7 +106,7 @@ def foreign_nodes(seen: Observation, hidden_node: str) -> tuple[str, ...]:
     return tuple(name for name in dict.fromkeys(seen.nodes) if name != hidden_node)
 
 
-def _topics(seen: Observation, known: Known) -> dict[str, Topic]:
+def _topics(seen: Observation, known: GraphInputs) -> dict[str, Topic]:
     made: dict[str, Topic] = {}
     for name, types in seen.topics.items():
         ours = known.ours if name not in known.advertised else {known.hidden_node}
@@ -117,7 +117,13 @@ def _topics(seen: Observation, known: Known) -> dict[str, Topic]:
     return made
 
 
-def _topic(name: str, types: tuple[str, ...], publishers: list[Seen], subscribers: list[Seen], known: Known) -> Topic:
+def _topic(
+    name: str,
+    types: tuple[str, ...],
+    publishers: list[SeenEndpoint],
+    subscribers: list[SeenEndpoint],
+    known: GraphInputs,
+) -> Topic:
     refs = dict.fromkeys(each.type for each in (*publishers, *subscribers))
     hashed = {ref.name for ref in refs if ref.hash is not None}
     used = tuple(ref for ref in refs if ref.hash is not None or ref.name not in hashed)
@@ -125,7 +131,7 @@ def _topic(name: str, types: tuple[str, ...], publishers: list[Seen], subscriber
     return Topic(name, used, _endpoints(publishers, publish=True), _endpoints(subscribers, publish=False), words)
 
 
-def _endpoints(seen: list[Seen], *, publish: bool) -> tuple[Endpoint, ...]:
+def _endpoints(seen: list[SeenEndpoint], *, publish: bool) -> tuple[Endpoint, ...]:
     """The endpoints whose nodes are known; only what publishes can keep messages for those who come late."""
     found = [
         Endpoint(each.node, each.type, publish and each.qos.durability == "transient_local", None, each.qos)
@@ -135,7 +141,7 @@ def _endpoints(seen: list[Seen], *, publish: bool) -> tuple[Endpoint, ...]:
     return tuple(found if len(found) < 2 else sorted(found, key=lambda each: (each.node, repr(each.qos))))
 
 
-def _service(name: str, types: tuple[str, ...], providers: tuple[str, ...], known: Known) -> Service:
+def _service(name: str, types: tuple[str, ...], providers: tuple[str, ...], known: GraphInputs) -> Service:
     if len(types) != 1:
         return Service(name, None, providers, f"it has several types: {', '.join(types)}")
     return Service(name, TypeRef(types[0]), providers, of_action(name) or known.problems(types[0]))
@@ -148,7 +154,10 @@ def of_action(service: str) -> str | None:
 
 
 def _actions(
-    seen: Observation, providers: Mapping[str, tuple[str, ...]], callers: Mapping[str, tuple[str, ...]], known: Known
+    seen: Observation,
+    providers: Mapping[str, tuple[str, ...]],
+    callers: Mapping[str, tuple[str, ...]],
+    known: GraphInputs,
 ) -> dict[str, Action]:
     typed = {name.removesuffix(_FEEDBACK): types for name, types in seen.topics.items() if name.endswith(_FEEDBACK)}
     typed |= {
@@ -169,7 +178,7 @@ def _action_type(types: tuple[str, ...]) -> str | None:
     return found.pop() if len(found) == 1 else None
 
 
-def _by_service(by_node: Mapping[str, Names], known: Known) -> dict[str, tuple[str, ...]]:
+def _by_service(by_node: Mapping[str, Names], known: GraphInputs) -> dict[str, tuple[str, ...]]:
     found: dict[str, list[str]] = {}
     for node in sorted(by_node):
         if node not in known.ours:
@@ -186,7 +195,7 @@ def _shared(previous: Mapping[str, _V], made: Mapping[str, _V]) -> Mapping[str, 
         kept[name] = old if old is not None and old == new else new
     if len(kept) == len(previous) and all(previous.get(name) is value for name, value in kept.items()):
         return previous
-    return frozen(kept)
+    return freeze(kept)
 
 
 def type_in_use(graph: Graph, ref: TypeRef) -> TypeRef:

@@ -21,10 +21,10 @@ from rosld.adapters.model import (
     Sent,
     Transition,
     UnknownType,
-    frozen,
+    freeze,
 )
 from rosld.adapters.ros2.calls import Calls
-from rosld.adapters.ros2.middleware import Names, Participant, Reader, class_problem, deserialized, make_message
+from rosld.adapters.ros2.middleware import Names, Participant, Reader, class_problem, deserialize, make_message
 from rosld.adapters.ros2.wait_set import Waiter
 
 _STATE = "lifecycle_msgs/srv/GetState"
@@ -88,7 +88,7 @@ class Lifecycles:
                 self._ask_soon(node, one)
         self._list_anew()
 
-    async def settled(self, seconds: float) -> None:
+    async def wait_settled(self, seconds: float) -> None:
         """Wait until those being asked have answered, at most so long."""
         if self._tasks:
             await asyncio.wait(tuple(self._tasks), timeout=seconds)
@@ -232,7 +232,7 @@ class Lifecycles:
     def _list_anew(self) -> None:
         lifecycles = {node: one.lifecycle for node, one in sorted(self._managed.items())}
         if lifecycles != self.by_node:
-            self.by_node = frozen(lifecycles)
+            self.by_node = freeze(lifecycles)
             self.changed()
 
 
@@ -247,7 +247,7 @@ def _heard(one: _Managed) -> bool:
     heard = False
     while one.reader is not None and (taken := one.reader.take()) is not None:
         try:
-            event = cast(Any, deserialized(_EVENT, taken.data))
+            event = cast(Any, deserialize(_EVENT, taken.data))
         except (ValueError, UnknownType):
             continue
         heard = True

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from rosld.adapters.base import Sink
 from rosld.adapters.model import Graph, Live, Stale
-from rosld.adapters.ros2.graph import Known, Observation, compose, stale
+from rosld.adapters.ros2.graph import GraphInputs, Observation, compose, stale
 
 _LEAVING = 5.0
 """Seconds that a robot may take to go away node by node."""
@@ -24,7 +24,7 @@ class LiveGraph:
         self._sink = sink
         self._before_leaving: tuple[Graph, float] | None = None
 
-    def update(self, seen: Observation, known: Known, *, has_robot: bool) -> None:
+    def update(self, seen: Observation, known: GraphInputs, *, has_robot: bool) -> None:
         """Make the graph anew from what was seen; where all nodes of the robot have gone it is stale."""
         if has_robot or not self.has_robot:
             self.has_robot = has_robot

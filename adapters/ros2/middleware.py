@@ -38,7 +38,7 @@ class Handle(Protocol):
     def __exit__(self, *_: object) -> None: ...
 
 
-class Seen(NamedTuple):
+class SeenEndpoint(NamedTuple):
     """An endpoint as the middleware knows it; `node` is empty while it does not know whose it is."""
 
     node: str
@@ -47,7 +47,7 @@ class Seen(NamedTuple):
     gid: bytes
 
 
-class Taken(NamedTuple):
+class TakenMessage(NamedTuple):
     """A message as taken: times in nanoseconds of the wall clock, 0 where the middleware does not tell.
 
     `number` is the publisher's own count of it, and `gid` who sent it; None where the middleware does not tell.
@@ -81,7 +81,7 @@ class Reader:
         self._type = subscription.msg_type
         self._take = subscription.handle.take_message
 
-    def take(self) -> Taken | None:
+    def take(self) -> TakenMessage | None:
         """The next message in the history; None where there is none, or no longer a subscription."""
         try:
             with self.handle:
@@ -92,7 +92,7 @@ class Reader:
             return None
         data, info = taken
         gid = info.get("publisher_gid")
-        return Taken(
+        return TakenMessage(
             bytes(data),
             info.get("source_timestamp") or 0,
             info.get("received_timestamp") or time.time_ns(),
@@ -292,11 +292,11 @@ class Participant:
         except Exception:  # each ROS has an error of its own for a name that another's middleware let through
             return 0, 0
 
-    def publishers(self, topic: str) -> tuple[Seen, ...]:
+    def publishers(self, topic: str) -> tuple[SeenEndpoint, ...]:
         """The publishers of a topic."""
         return _endpoints(self._hidden.get_publishers_info_by_topic, topic)
 
-    def subscribers(self, topic: str) -> tuple[Seen, ...]:
+    def subscribers(self, topic: str) -> tuple[SeenEndpoint, ...]:
         """The subscribers of a topic, our own included."""
         return _endpoints(self._hidden.get_subscriptions_info_by_topic, topic)
 
@@ -362,12 +362,12 @@ def request_of(type: str, data: bytes) -> object:
     return _deserialize(_class(type).Request, data)
 
 
-def deserialized(type: str, data: bytes) -> object:
+def deserialize(type: str, data: bytes) -> object:
     """A message from its bytes. Raises UnknownType, ValueError."""
     return _deserialize(_class(type), data)
 
 
-def serialized(message: object) -> bytes:
+def serialize(message: object) -> bytes:
     """The bytes of a message or of a half of a service."""
     return bytes(importlib.import_module("rclpy.serialization").serialize_message(message))
 
@@ -473,17 +473,17 @@ def _no_events(name: str) -> Any:
     return getattr(events, name)(use_default_callbacks=False)
 
 
-def _endpoints(ask: Any, topic: str) -> tuple[Seen, ...]:
+def _endpoints(ask: Any, topic: str) -> tuple[SeenEndpoint, ...]:
     try:
         return tuple(map(_seen, ask(topic)))
     except Exception:  # as for `counts`
         return ()
 
 
-def _seen(info: Any) -> Seen:
+def _seen(info: Any) -> SeenEndpoint:
     stated = str(getattr(info, "topic_type_hash", ""))
     known = info.node_name != _UNKNOWN
-    return Seen(
+    return SeenEndpoint(
         _full_name(info.node_name, info.node_namespace) if known else "",
         TypeRef(info.topic_type, stated if stated.startswith("RIHS") else None),
         _qos(info.qos_profile),

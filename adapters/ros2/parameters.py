@@ -21,8 +21,8 @@ from rosld.adapters.model import (
     Sent,
     TimedOut,
     Unreachable,
-    fitted,
-    frozen,
+    coerce,
+    freeze,
 )
 from rosld.adapters.model.names import segments
 from rosld.adapters.ros2.calls import Calls
@@ -106,7 +106,7 @@ class Parameters:
                 self._begin(self._list(node, owner))
         self._list_anew()
 
-    async def settled(self, seconds: float) -> None:
+    async def wait_settled(self, seconds: float) -> None:
         """Wait until those being asked have answered, at most so long."""
         if self._tasks:
             await asyncio.wait(tuple(self._tasks), timeout=seconds)
@@ -174,7 +174,7 @@ class Parameters:
         """The value in the type that is declared, where it fits; the node judges all others."""
         known = self._listed.get(name)
         type = None if known is None or known.descriptor is None else known.descriptor.type
-        fit = None if type is None else fitted(value, type)
+        fit = None if type is None else coerce(value, type)
         return value if fit is None else fit
 
     def _owner(self, name: str) -> tuple[str, str]:
@@ -362,7 +362,7 @@ class Parameters:
             for parameter in sorted(owner.names)
         }
         if names != self._listed:
-            self._listed = frozen(names)
+            self._listed = freeze(names)
 
     def _begin(self, coroutine: Any) -> None:
         task = asyncio.get_running_loop().create_task(coroutine)

@@ -26,7 +26,7 @@ def reading_profile(publishers: Sequence[Endpoint], depth: int, override: Qos = 
     profile = Qos("best_effort", "volatile", "keep_last", depth)
     if known and all(qos.durability == "transient_local" and qos.reliability == "reliable" for qos in known):
         profile = Qos("reliable", "transient_local", "keep_last", max(depth, _LATCHED_DEPTH))
-    return overridden(profile, override)
+    return apply_override(profile, override)
 
 
 def publishing_profile(subscribers: Sequence[Endpoint], *, latch: bool, override: Qos = Qos()) -> Qos:  # noqa: B008
@@ -45,16 +45,16 @@ def publishing_profile(subscribers: Sequence[Endpoint], *, latch: bool, override
         liveliness="manual_by_topic" if any(qos.liveliness == "manual_by_topic" for qos in known) else "automatic",
         lease_ns=_least(qos.lease_ns for qos in known),
     )
-    return overridden(profile, override)
+    return apply_override(profile, override)
 
 
-def overridden(profile: Qos, override: Qos) -> Qos:
+def apply_override(profile: Qos, override: Qos) -> Qos:
     """The profile, but for what the override says."""
     said = {each.name: value for each in fields(Qos) if (value := getattr(override, each.name)) not in (None, 0)}
     return replace(profile, **said)
 
 
-def hears(reader: Qos, writer: Qos) -> bool:
+def is_compatible(reader: Qos, writer: Qos) -> bool:
     """Whether a reader of ours matches a writer of ours."""
     if reader.reliability == "reliable" and writer.reliability != "reliable":
         return False

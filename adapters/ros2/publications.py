@@ -14,7 +14,7 @@ from rosld.adapters.base import AdapterOptions
 from rosld.adapters.model import Graph, NotFound, Qos, Refused, TypeRef, UnknownType
 from rosld.adapters.ros2.graph import nodes_using
 from rosld.adapters.ros2.middleware import Participant, Reader, Writer
-from rosld.adapters.ros2.profiles import hears, override_for, publishing_profile
+from rosld.adapters.ros2.profiles import is_compatible, override_for, publishing_profile
 from rosld.adapters.ros2.types import Types
 
 _PAUSE = 0.005
@@ -47,14 +47,14 @@ class Publication:
     def matched(self) -> int:
         """How many subscribers are connected."""
         reader = self._ours()
-        own = reader is not None and hears(reader.qos, self.qos)
+        own = reader is not None and is_compatible(reader.qos, self.qos)
         return max(0, self.writer.subscribers() - own)
 
     def carries(self, type: TypeRef) -> bool:
         """Whether messages of this type can be published here."""
         return type.name == self.ref.name and type.hash in (None, self.ref.hash)
 
-    async def matching(self, wanted: int, until: float, patience: float) -> None:
+    async def wait_matched(self, wanted: int, until: float, patience: float) -> None:
         """Wait for one subscriber until then, and for as many as are wanted no longer than `patience` seconds."""
         loop = asyncio.get_running_loop()
         while self.matched == 0 and loop.time() < until:  # noqa: ASYNC110 - the middleware tells of no match
@@ -63,7 +63,7 @@ class Publication:
         while self.matched < wanted and loop.time() < enough:  # noqa: ASYNC110
             await asyncio.sleep(_PAUSE)
 
-    async def settled(self, until: float) -> None:
+    async def wait_settled(self, until: float) -> None:
         """Wait until matched subscribers know of us too."""
         left = until - asyncio.get_running_loop().time()
         if left > 0 and self.matched:
@@ -122,8 +122,8 @@ class Publications:
                 known = self._graph().topics.get(topic)
                 wanted = max(1, len(known.subscribers) if known else 0)
         # Outside the lock: a topic whose subscribers never match must not hold up the others.
-        await publication.matching(wanted, until, _PATIENCE)
-        await publication.settled(until)
+        await publication.wait_matched(wanted, until, _PATIENCE)
+        await publication.wait_settled(until)
         return publication
 
     def suits(self, publication: Publication, latch: bool) -> bool:

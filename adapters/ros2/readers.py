@@ -11,7 +11,7 @@ from rosld.adapters.base import AdapterOptions
 from rosld.adapters.model import Endpoint, Graph, Qos, TypeRef, UnknownType
 from rosld.adapters.ros2.feeds import Feed, Publishers
 from rosld.adapters.ros2.graph import nodes_using
-from rosld.adapters.ros2.middleware import Participant, Reader, Seen
+from rosld.adapters.ros2.middleware import Participant, Reader, SeenEndpoint
 from rosld.adapters.ros2.profiles import override_for, reading_profile
 from rosld.adapters.ros2.types import Types
 
@@ -55,12 +55,12 @@ class Readers:
             if (reader := feed.read_with(None)) is not None:
                 reader.close()
 
-    def follow_all(self, graph: Graph, seen: Callable[[str], Sequence[Seen]]) -> None:
+    def follow_all(self, graph: Graph, seen: Callable[[str], Sequence[SeenEndpoint]]) -> None:
         """Read all topics with the profiles that fit their publishers now, which `seen` tells of each topic."""
         for feed in list(self._feeds.values()):
             self.follow(feed, graph, seen(feed.topic))
 
-    def follow(self, feed: Feed, graph: Graph, seen: Sequence[Seen]) -> None:
+    def follow(self, feed: Feed, graph: Graph, seen: Sequence[SeenEndpoint]) -> None:
         """Read a feed's topic with the profile that fits its publishers now."""
         if self._feeds.get(feed.topic) is not feed:
             return
@@ -107,7 +107,7 @@ class Readers:
         if (before := feed.read_with(reader)) is not None:
             before.close()
 
-    def _publishers(self, name: str, graph: Graph, seen: Sequence[Seen]) -> Publishers:
+    def _publishers(self, name: str, graph: Graph, seen: Sequence[SeenEndpoint]) -> Publishers:
         topic = graph.topics.get(name)
         types = {each.node: self._types.with_hash(each.type) for each in seen}
         first = next(iter(types.values()), None)

@@ -24,10 +24,10 @@ from rosld.adapters.ros2.actions import Actions
 from rosld.adapters.ros2.calls import Calls
 from rosld.adapters.ros2.discovery import Discovery
 from rosld.adapters.ros2.feeds import Feed
-from rosld.adapters.ros2.graph import Known, foreign_nodes, of_action
+from rosld.adapters.ros2.graph import GraphInputs, foreign_nodes, of_action
 from rosld.adapters.ros2.lifecycle import Lifecycles
 from rosld.adapters.ros2.live_graph import LiveGraph
-from rosld.adapters.ros2.middleware import ParameterChange, Participant, request_of, serialized
+from rosld.adapters.ros2.middleware import ParameterChange, Participant, request_of, serialize
 from rosld.adapters.ros2.parameters import Parameters
 from rosld.adapters.ros2.publications import Publications
 from rosld.adapters.ros2.readers import Readers
@@ -84,8 +84,8 @@ class System:
             if self._graph.has_robot and loop.time() - changed > _STABLE:
                 break
             await asyncio.sleep(_SOON)
-        await self.parameters.settled(min(_PATIENCE, max(0.0, until - loop.time())))
-        await self.lifecycles.settled(min(_PATIENCE, max(0.0, until - loop.time())))
+        await self.parameters.wait_settled(min(_PATIENCE, max(0.0, until - loop.time())))
+        await self.lifecycles.wait_settled(min(_PATIENCE, max(0.0, until - loop.time())))
         self.refresh()
         self._task = loop.create_task(self._watch())
 
@@ -109,7 +109,7 @@ class System:
         self._readers.add(feed)
         self._follow(feed)
 
-    def unread(self, feed: Feed) -> None:
+    def stop_reading(self, feed: Feed) -> None:
         """Stop reading a topic."""
         self._readers.remove(feed)
 
@@ -138,7 +138,7 @@ class System:
             asked = request_of(type.name, request)
         except ValueError as error:
             raise Refused(f"{service} was not called: {error}") from error
-        return serialized(await self.calls.call(service, type.name, asked, until))
+        return serialize(await self.calls.call(service, type.name, asked, until))
 
     # Actions
 
@@ -209,14 +209,14 @@ class System:
             await self._discovery.pause()
             try:
                 await self.look()
-                self.calls.look()
-                self.actions.look(self.graph.actions)
+                self.calls.drop_gone_servers()
+                self.actions.drop_gone_servers(self.graph.actions)
             except Exception as error:  # whatever the middleware provokes: the next look tries again
                 self._graph.mark_stale(f"the system cannot be looked at: {error}")
                 await asyncio.sleep(_EVERY)
 
-    def _known(self) -> Known:
-        return Known(
+    def _known(self) -> GraphInputs:
+        return GraphInputs(
             self._participant.hidden_name,
             self.graph.own_node,
             frozenset(self.publications.by_topic),

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Protocol, cast
 
 from rosld.adapters.model import RosError, Schema, TypeRef, UnknownType
-from rosld.adapters.model.derived import written_as
+from rosld.adapters.model.derived import written_form
 from rosld.adapters.model.description import IndividualTypeMessage, definition_of
 from rosld.adapters.model.library import SEPARATOR, TypeLibrary
 from rosld.adapters.ros2.calls import Calls
@@ -135,7 +135,7 @@ class Types:
         Raises ValueError where neither can be read, or has the hash.
         """
         sources = {each.type_name: (each.encoding, each.raw_file_contents) for each in answer.type_sources}
-        kind = written_as(ref.name)
+        kind = written_form(ref.name)
         encoding, text = sources.pop(ref.name, ("", ""))
         learn = self._learn_as[kind]
         if encoding == kind:

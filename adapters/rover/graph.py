@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from rosld.adapters.local_topics import Advertised
+from rosld.adapters.local_topics import AdvertisedTopic
 from rosld.adapters.model import (
     Action,
     Choice,
@@ -18,7 +18,7 @@ from rosld.adapters.model import (
     Service,
     Topic,
     TypeRef,
-    frozen,
+    freeze,
 )
 from rosld.adapters.rover.settings import NODE, PARAMETERS, Declaration
 from rosld.adapters.rover.topics import (
@@ -54,20 +54,20 @@ _TYPES: Mapping[type, ParameterType] = {
 }
 
 
-def rover_graph(revision: int, types: Mapping[str, TypeRef], advertised: Mapping[str, Advertised]) -> Graph:
+def rover_graph(revision: int, types: Mapping[str, TypeRef], advertised: Mapping[str, AdvertisedTopic]) -> Graph:
     """The graph: `types` holds the types of the rover's topics, services and action by the names of these."""
     return Graph(
         revision,
         own_node=ROSLD,
-        nodes=frozen({name: Node(name) for name in (NODE, *([ROSLD] if advertised else []))}),
-        topics=frozen({name: _topic(name, types, advertised) for name in (*TOPICS, *sorted(advertised))}),
-        services=frozen({name: Service(name, types[name], (NODE,)) for name in SERVICES}),
-        actions=frozen({name: Action(name, types[name], (NODE,)) for name in ACTIONS}),
+        nodes=freeze({name: Node(name) for name in (NODE, *([ROSLD] if advertised else []))}),
+        topics=freeze({name: _topic(name, types, advertised) for name in (*TOPICS, *sorted(advertised))}),
+        services=freeze({name: Service(name, types[name], (NODE,)) for name in SERVICES}),
+        actions=freeze({name: Action(name, types[name], (NODE,)) for name in ACTIONS}),
         parameters=GRAPH_PARAMETERS,
     )
 
 
-def _topic(name: str, types: Mapping[str, TypeRef], advertised: Mapping[str, Advertised]) -> Topic:
+def _topic(name: str, types: Mapping[str, TypeRef], advertised: Mapping[str, AdvertisedTopic]) -> Topic:
     own = advertised.get(name)
     kind = own.type if own else types[name]
     publishers = [Endpoint(NODE, kind, latched=name in LATCHED)] if name in TOPICS and name != CMD_VEL else []
@@ -90,6 +90,6 @@ def _descriptor(declared: Declaration) -> Descriptor:
     )
 
 
-GRAPH_PARAMETERS = frozen(
+GRAPH_PARAMETERS = freeze(
     {f"{NODE}/{name}": Parameter(f"{NODE}/{name}", NODE, _descriptor(each)) for name, each in PARAMETERS.items()}
 )

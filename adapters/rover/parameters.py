@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import cast
 
-from rosld.adapters.model import NotFound, Operation, ParameterValue, Refused, Sent, fitted
+from rosld.adapters.model import NotFound, Operation, ParameterValue, Refused, Sent, coerce
 from rosld.adapters.rover.graph import GRAPH_PARAMETERS
 from rosld.adapters.rover.settings import NODE, PARAMETERS, Value, problem_of
 
@@ -56,7 +56,7 @@ def refuse_deletion(names: Sequence[str]) -> None:
 def _fit(name: str, value: ParameterValue) -> ParameterValue:
     """The value in the type that is declared, where it fits; the node judges all others."""
     descriptor = GRAPH_PARAMETERS[name].descriptor
-    fit = None if descriptor is None or descriptor.type is None else fitted(value, descriptor.type)
+    fit = None if descriptor is None or descriptor.type is None else coerce(value, descriptor.type)
     return value if fit is None else fit
 
 

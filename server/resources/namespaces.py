@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TypeVar
 
-from rosld.adapters.model import Graph, Parameter, frozen, names
+from rosld.adapters.model import Graph, Parameter, freeze, names
 from rosld.ontology.describe_containers import namespace_document
 from rosld.ontology.describe_members import MemberOutline, member_triples
 from rosld.ontology.document import Document
@@ -72,7 +72,7 @@ def is_of_hidden(parameter: Parameter) -> bool:
 
 def _kept_if(is_kept: Callable[[str, _V], bool], things: Mapping[str, _V]) -> Mapping[str, _V]:
     found = {name: thing for name, thing in things.items() if is_kept(name, thing)}
-    return things if len(found) == len(things) else frozen(found)
+    return things if len(found) == len(things) else freeze(found)
 
 
 def _unhidden(graph: Graph) -> Graph:

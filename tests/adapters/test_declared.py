@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rosld.adapters.model import ParameterType, ParameterValue, Range, fitted
+from rosld.adapters.model import ParameterType, ParameterValue, Range, coerce
 
 FITS = [
     (True, ParameterType.BOOLEAN, True),
@@ -44,14 +44,14 @@ MISFITS = [
 
 @pytest.mark.parametrize(("value", "type", "fit"), FITS)
 def test_a_value_fits_a_type_that_can_hold_it(value: ParameterValue, type: ParameterType, fit: ParameterValue) -> None:
-    found = fitted(value, type)
+    found = coerce(value, type)
     assert found == fit
     assert _types(found) == _types(fit)
 
 
 @pytest.mark.parametrize(("value", "type"), MISFITS)
 def test_a_value_fits_no_type_that_would_change_it(value: ParameterValue, type: ParameterType) -> None:
-    assert fitted(value, type) is None
+    assert coerce(value, type) is None
 
 
 def _types(value: object) -> object:
@@ -63,10 +63,10 @@ def test_whole_numbers_are_on_a_step_where_counting_from_the_least_comes_to_them
     least: int, length: int, step: int, value: int
 ) -> None:
     bounds = Range(least, least + length, step)
-    assert bounds.on_step(least)
-    assert bounds.on_step(least + length)
-    assert bounds.on_step(least + step)
-    assert bounds.on_step(value) is (value in (least, least + length) or (value - least) % step == 0)
+    assert bounds.is_on_step(least)
+    assert bounds.is_on_step(least + length)
+    assert bounds.is_on_step(least + step)
+    assert bounds.is_on_step(value) is (value in (least, least + length) or (value - least) % step == 0)
 
 
 @given(st.floats(-1e6, 1e6), st.floats(1e-3, 1e3), st.integers(0, 1000))
@@ -75,18 +75,18 @@ def test_doubles_are_on_a_step_however_they_were_reckoned(least: float, step: fl
     summed = least
     for _ in range(times):
         summed += step
-    assert bounds.on_step(summed)
-    assert bounds.on_step(least + times * step)
+    assert bounds.is_on_step(summed)
+    assert bounds.is_on_step(least + times * step)
 
 
 @pytest.mark.parametrize("value", [0.05, 0.249, 0.95])
 def test_doubles_between_steps_are_not_on_one(value: float) -> None:
-    assert not Range(0.0, 1.0, 0.1).on_step(value)
+    assert not Range(0.0, 1.0, 0.1).is_on_step(value)
 
 
 @given(st.floats(allow_nan=True), st.floats(allow_nan=False), st.floats(allow_nan=False), st.floats(min_value=5e-324))
 def test_no_number_upsets_a_range(value: float, one: float, other: float, step: float) -> None:
     bounds = Range(min(one, other), max(one, other), step if math.isfinite(step) else None)
-    if bounds.has(value):
-        assert bounds.on_step(value) in (True, False)
-    assert not bounds.has(math.nan)
+    if bounds.contains(value):
+        assert bounds.is_on_step(value) in (True, False)
+    assert not bounds.contains(math.nan)

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rosld.adapters.model import NotFound, Refused
-from rosld.adapters.parameters import Tree, check, copied, leaves, read, with_value, without
+from rosld.adapters.parameters import Tree, check, deep_copy, leaves, read_name, with_value, without_name
 
 names = st.lists(st.sampled_from("abc"), min_size=1, max_size=4).map(lambda steps: "/" + "/".join(steps))
 values = st.one_of(st.integers(-9, 9), st.booleans(), st.text(max_size=3), st.lists(st.integers(0, 9), max_size=2))
@@ -20,12 +20,12 @@ values = st.one_of(st.integers(-9, 9), st.booleans(), st.text(max_size=3), st.li
 def test_what_was_set_last_is_read_and_nothing_given_is_changed(settings: list[tuple[str, Any]]) -> None:
     tree: Tree = {}
     for name, value in settings:
-        before = copied(tree)
+        before = deep_copy(tree)
         changed = with_value(tree, name, value)
         assert tree == before
         tree = changed
-        assert read(tree, name) == value
-    assert all(read(tree, name) is not None for name in leaves(tree))
+        assert read_name(tree, name) == value
+    assert all(read_name(tree, name) is not None for name in leaves(tree))
 
 
 @given(st.lists(st.tuples(names, values), min_size=1, max_size=8))
@@ -34,8 +34,8 @@ def test_what_is_deleted_is_gone_with_all_below_it(settings: list[tuple[str, Any
     for name, value in settings:
         tree = with_value(tree, name, value)
     name = settings[-1][0]
-    tree = without(tree, name)
-    assert read(tree, name) is None
+    tree = without_name(tree, name)
+    assert read_name(tree, name) is None
     assert not any(leaf == name or leaf.startswith(name + "/") for leaf in leaves(tree))
 
 
@@ -44,27 +44,27 @@ def test_a_scalar_on_the_way_becomes_a_namespace() -> None:
 
 
 def test_empty_segments_count_for_nothing() -> None:
-    assert read({"a": {"b": 1}}, "//a//b/") == 1
+    assert read_name({"a": {"b": 1}}, "//a//b/") == 1
 
 
 def test_an_empty_tree_is_there_but_no_leaf() -> None:
     tree = with_value({}, "/a", {})
-    assert read(tree, "/a") == {}
+    assert read_name(tree, "/a") == {}
     assert list(leaves(tree)) == []
 
 
 def test_the_root_can_be_read_and_replaced_by_a_dict_but_not_deleted() -> None:
-    assert read({"a": 1}, "/") == {"a": 1}
+    assert read_name({"a": 1}, "/") == {"a": 1}
     assert with_value({"a": 1}, "/", {"b": 2}) == {"b": 2}
     with pytest.raises(Refused, match="dict"):
         with_value({}, "/", 1)
     with pytest.raises(Refused, match="cannot be deleted"):
-        without({"a": 1}, "/")
+        without_name({"a": 1}, "/")
 
 
 def test_deleting_what_is_not_there_names_it() -> None:
     with pytest.raises(NotFound, match="/a/c"):
-        without({"a": {"b": 1}}, "/a/c")
+        without_name({"a": {"b": 1}}, "/a/c")
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from rosld.adapters.ros1.receive_buffer import MAX_BYTES, enlarge, permitted
+from rosld.adapters.ros1.receive_buffer import MAX_BYTES, enlarge, max_permitted_bytes
 from rosld.adapters.ros1.tcpros import decode_header, encode_header
 from tests.adapters.ros1.system import RosSystem, running
 from tests.waiting import until
@@ -107,7 +107,7 @@ def held_megabytes() -> int:
     with socket.socket() as probe:
         enlarge(probe, MAX_BYTES)
         granted = probe.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2
-    return max(granted, permitted(), 2 * MEGABYTE) // MEGABYTE
+    return max(granted, max_permitted_bytes(), 2 * MEGABYTE) // MEGABYTE
 
 
 def longest(lines: Sequence[str]) -> float:

@@ -17,7 +17,7 @@ import httpx
 import pytest
 
 from rosld.adapters.ros1.hosts import Hosts
-from rosld.adapters.ros1.leftovers import Leftovers, own_name, pids
+from rosld.adapters.ros1.leftovers import StaleRegistrations, own_name, pids
 from rosld.adapters.ros1.master import MasterApi
 from rosld.adapters.ros1.xmlrpc import XmlRpcClient
 from tests.adapters.ros1.system import RosSystem, free_port, running
@@ -72,8 +72,8 @@ async def removed(ros: RosSystem, node: str, own_uri: str | None = None) -> bool
     hosts = Hosts({}, "127.0.0.1")
     uri = f"http://127.0.0.1:{ros.port}"
     client = XmlRpcClient(uri, "/RPC2", lambda: hosts.streams("127.0.0.1", ros.port), keep_alive=False)
-    leftovers = Leftovers(MasterApi(client, "/rosld_test_1"), hosts, "/rosld_test_1", lambda: own_uri)
-    due = leftovers.due({"/cmd_vel": (node,)})
+    leftovers = StaleRegistrations(MasterApi(client, "/rosld_test_1"), hosts, "/rosld_test_1", lambda: own_uri)
+    due = leftovers.nodes_to_check({"/cmd_vel": (node,)})
     return [await leftovers.remove(each, topics) for each, topics in due.items()] == [True]
 
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pyoxigraph import Literal, NamedNode
 from rdflib.namespace import RDF, SH
 
-from rosld.adapters.model import Descriptor, ParameterType, ParameterValue, Range, fitted
+from rosld.adapters.model import Descriptor, ParameterType, ParameterValue, Range, coerce
 from rosld.ontology.document import Document
 from rosld.ontology.parameters import parameter_document
 from rosld.ontology.serialize import Syntax, serialize
@@ -125,7 +125,7 @@ def test_the_shape_and_the_check_agree_about_every_value_that_a_node_would_have(
     descriptor: Descriptor, value: ParameterValue
 ) -> None:
     assert descriptor.type is not None
-    fit = fitted(value, descriptor.type)
+    fit = coerce(value, descriptor.type)
     if fit is None:
         assert broken(descriptor, value)
         if not isinstance(value, list):  # the elements of a list are none of the datatype's business

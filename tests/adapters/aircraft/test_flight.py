@@ -12,11 +12,11 @@ from rosld.adapters.aircraft.flight import (
     ACCELERATION,
     Declined,
     Flight,
-    powered,
     set_heading,
+    set_power,
     set_speed,
-    started,
-    stopped,
+    start,
+    stop,
 )
 
 SECOND = 10**9
@@ -31,7 +31,7 @@ def test_at_start_it_is_off_at_rest_and_heads_north() -> None:
 
 
 def test_speed_changes_by_a_hundred_a_second_and_reaches_the_commanded_one_exactly() -> None:
-    flight = set_speed(started(Flight(), 0), 250.0, 0)
+    flight = set_speed(start(Flight(), 0), 250.0, 0)
     assert flight.speed_at(SECOND) == 100.0
     assert flight.speed_at(2 * SECOND) == 200.0
     assert flight.speed_at(5 * SECOND // 2) == 250.0
@@ -39,14 +39,14 @@ def test_speed_changes_by_a_hundred_a_second_and_reaches_the_commanded_one_exact
 
 
 def test_speed_falls_as_it_rises() -> None:
-    flight = set_speed(set_speed(started(Flight(), 0), 300.0, 0), 50.0, 10 * SECOND)
+    flight = set_speed(set_speed(start(Flight(), 0), 300.0, 0), 50.0, 10 * SECOND)
     assert flight.speed_at(11 * SECOND) == 200.0
     assert flight.speed_at(13 * SECOND) == 50.0
 
 
 @given(speeds, speeds, moments, moments)
 def test_no_command_makes_the_speed_jump(first: float, second: float, told: int, later: int) -> None:
-    flight = set_speed(started(Flight(), 0), first, 0)
+    flight = set_speed(start(Flight(), 0), first, 0)
     again = set_speed(flight, second, told)
     assert again.speed_at(told) == pytest.approx(flight.speed_at(told))
     gone = abs(again.speed_at(told + later) - flight.speed_at(told))
@@ -55,13 +55,13 @@ def test_no_command_makes_the_speed_jump(first: float, second: float, told: int,
 
 @given(speeds, moments)
 def test_the_speed_is_the_commanded_one_after_ten_seconds_at_most(speed: float, told: int) -> None:
-    flight = set_speed(started(Flight(), 0), speed, told)
+    flight = set_speed(start(Flight(), 0), speed, told)
     assert flight.speed_at(told + 10 * SECOND) == speed
 
 
 @given(directions, moments)
 def test_turning_leaves_the_speed_as_it_is(direction: float, told: int) -> None:
-    flight = set_speed(started(Flight(), 0), 700.0, 0)
+    flight = set_speed(start(Flight(), 0), 700.0, 0)
     turning = set_heading(flight, direction, told)
     assert turning.direction == direction
     assert turning.speed_at(told) == flight.speed_at(told)
@@ -71,18 +71,18 @@ def test_turning_leaves_the_speed_as_it_is(direction: float, told: int) -> None:
 @pytest.mark.parametrize("value", [-0.1, 1000.1, math.nan, math.inf, -math.inf, 1e308])
 def test_a_speed_out_of_range_is_declined_naming_it(value: float) -> None:
     with pytest.raises(Declined, match=f"between 0 and 1000, not {value:g}".replace("+", r"\+")):
-        set_speed(started(Flight(), 0), value, 0)
+        set_speed(start(Flight(), 0), value, 0)
 
 
 @pytest.mark.parametrize("value", [-1.0, 360.1, math.nan, math.inf])
 def test_a_direction_out_of_range_is_declined(value: float) -> None:
     with pytest.raises(Declined, match="between 0 and 360"):
-        set_heading(started(Flight(), 0), value, 0)
+        set_heading(start(Flight(), 0), value, 0)
 
 
 @pytest.mark.parametrize("value", [0.0, 1000.0])
 def test_the_ends_of_the_range_belong_to_it(value: float) -> None:
-    assert set_speed(started(Flight(), 0), value, 0).commanded == value
+    assert set_speed(start(Flight(), 0), value, 0).commanded == value
 
 
 def test_nothing_is_set_while_off() -> None:
@@ -93,39 +93,39 @@ def test_nothing_is_set_while_off() -> None:
 
 
 def test_starting_twice_is_declined_in_either_way() -> None:
-    flight = started(Flight(), 0)
+    flight = start(Flight(), 0)
     with pytest.raises(Declined, match="already started"):
-        started(flight, 1)
+        start(flight, 1)
     with pytest.raises(Declined, match="already started"):
-        powered(flight, "on", 1)
+        set_power(flight, "on", 1)
 
 
 def test_it_is_not_switched_off_while_it_moves_but_once_it_stands() -> None:
-    flight = set_speed(started(Flight(), 0), 100.0, 0)
-    for off in (lambda now: stopped(flight, now), lambda now: powered(flight, "off", now)):
+    flight = set_speed(start(Flight(), 0), 100.0, 0)
+    for off in (lambda now: stop(flight, now), lambda now: set_power(flight, "off", now)):
         with pytest.raises(Declined, match="still moves at 50"):
             off(SECOND // 2)
     braked = set_speed(flight, 0.0, SECOND)
     with pytest.raises(Declined):
-        stopped(braked, 3 * SECOND // 2)
-    assert not stopped(braked, 2 * SECOND).on
+        stop(braked, 3 * SECOND // 2)
+    assert not stop(braked, 2 * SECOND).on
 
 
 def test_a_speed_that_is_only_commanded_does_not_keep_it_from_stopping() -> None:
-    flight = set_speed(started(Flight(), 0), 100.0, 7)
-    off = stopped(flight, 7)
+    flight = set_speed(start(Flight(), 0), 100.0, 7)
+    off = stop(flight, 7)
     assert off.speed_at(3600 * SECOND) == 0.0
 
 
 def test_stopping_what_is_off_changes_nothing() -> None:
-    assert stopped(Flight(), 5).power == "off"
+    assert stop(Flight(), 5).power == "off"
 
 
 @pytest.mark.parametrize("word", ["", "On", "ON", "true", "1", "o\nn"])
 def test_other_words_for_the_power_are_declined(word: str) -> None:
     with pytest.raises(Declined, match="'on' or 'off'"):
-        powered(Flight(), word, 0)
+        set_power(Flight(), word, 0)
 
 
 def test_minus_nought_is_nought() -> None:
-    assert math.copysign(1, set_speed(started(Flight(), 0), -0.0, 0).commanded) == 1
+    assert math.copysign(1, set_speed(start(Flight(), 0), -0.0, 0).commanded) == 1

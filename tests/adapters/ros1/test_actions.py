@@ -25,7 +25,14 @@ from rosld.adapters.model import (
     TypeRef,
     Unreachable,
 )
-from rosld.adapters.ros1.actionlib import STATUSES, actions_of, goal_message, read_goal, read_statuses, read_told
+from rosld.adapters.ros1.actionlib import (
+    STATUSES,
+    actions_of,
+    goal_message,
+    read_feedback_or_result,
+    read_goal,
+    read_statuses,
+)
 from tests.adapters.ros1.conftest import Opening
 from tests.adapters.ros1.system import RosSystem
 from tests.adapters.session import Session
@@ -228,7 +235,7 @@ def test_every_state_of_actionlib_has_one_of_the_model() -> None:
 def test_what_is_cut_off_is_no_message() -> None:
     whole = goal_message("/me-1", 1_500_000_000_000_000_001, b"goal")
     assert read_goal(whole) == ("/me-1", b"goal")
-    for read in (read_goal, read_statuses, read_told):
+    for read in (read_goal, read_statuses, read_feedback_or_result):
         for end in range(20):
             with pytest.raises(ValueError, match="cut off"):
                 read(whole[:end])

@@ -13,7 +13,7 @@ from rosld.adapters.ros1 import Ros1Adapter
 from rosld.adapters.ros1.adapter import master_address, node_name
 from rosld.adapters.ros1.graph import Observation, SystemState, compose, stale
 from rosld.adapters.ros1.publications import addresses
-from rosld.adapters.ros1.type_cache import EndpointFacts, Learnt
+from rosld.adapters.ros1.type_cache import EndpointFacts, LearntFacts
 
 
 @pytest.mark.parametrize(
@@ -62,8 +62,8 @@ def observed(**topics: tuple[str, ...]) -> Observation:
     return Observation(Master("http://m:1"), "/rosld", system)
 
 
-def nothing_learnt() -> Learnt:
-    return Learnt(lambda: None)
+def nothing_learnt() -> LearntFacts:
+    return LearntFacts(lambda: None)
 
 
 def test_the_same_observation_is_the_same_graph() -> None:
@@ -84,7 +84,7 @@ def test_a_change_shares_all_that_did_not_change() -> None:
 def test_what_all_publishers_say_of_themselves_is_believed_before_the_masters_word() -> None:
     learnt = nothing_learnt()
     said = TypeRef("std_msgs/msg/Int32", "da5909fbe378aeaf85e547e830cc1bb7")
-    learnt.endpoint("/a", "/n", EndpointFacts(said, True))
+    learnt.set_endpoint("/a", "/n", EndpointFacts(said, True))
     graph = compose(Graph(0), observed(a=("/n",)), learnt, {said: "odd"})
     assert graph.topics["/a"].types == (said,)
     assert graph.topics["/a"].publishers[0].latched

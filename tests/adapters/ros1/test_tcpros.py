@@ -244,8 +244,8 @@ def test_a_message_longer_than_the_limit_ends_the_connection_and_says_the_settin
             await peer.sends(struct.pack("<I", limit + 1))
             await asyncio.wait_for(peer.receiver.closed, 5)
             assert peer.delivered == [b"a" * limit]
-            assert f"{limit + 1} bytes" in (peer.receiver.trouble or "")
-            assert "--setting message_limit" in (peer.receiver.trouble or "")
+            assert f"{limit + 1} bytes" in (peer.receiver.failure or "")
+            assert "--setting message_limit" in (peer.receiver.failure or "")
 
     asyncio.run(attempt())
 

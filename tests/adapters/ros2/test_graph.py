@@ -5,20 +5,20 @@ from __future__ import annotations
 from dataclasses import replace
 
 from rosld.adapters.model import Action, Endpoint, Graph, Live, Parameter, Qos, Stale, TypeRef
-from rosld.adapters.ros2.graph import Known, Observation, compose, stale
-from rosld.adapters.ros2.middleware import Seen
+from rosld.adapters.ros2.graph import GraphInputs, Observation, compose, stale
+from rosld.adapters.ros2.middleware import SeenEndpoint
 
 STRING = TypeRef("std_msgs/msg/String", "RIHS01_aa")
 FEEDBACK = TypeRef("pkg/action/Fly_FeedbackMessage", "RIHS01_cc")
-KNOWN = Known("/_rosld_1", "/rosld")
+KNOWN = GraphInputs("/_rosld_1", "/rosld")
 SEEN = Observation(
     nodes=("/talker", "/_rosld_1", "/talker"),
     topics={"/chatter": (STRING.name,), "/asked": (STRING.name,)},
     services={"/talker/go": ("std_srvs/srv/Trigger",), "/gone": ("std_srvs/srv/Trigger",)},
-    publishers={"/chatter": (Seen("/talker", STRING, Qos("reliable", "transient_local"), b"1"),)},
+    publishers={"/chatter": (SeenEndpoint("/talker", STRING, Qos("reliable", "transient_local"), b"1"),)},
     subscribers={
-        "/chatter": (Seen("/_rosld_1", STRING, Qos("best_effort"), b"2"),),
-        "/asked": (Seen("/_rosld_1", STRING, Qos("best_effort"), b"3"),),
+        "/chatter": (SeenEndpoint("/_rosld_1", STRING, Qos("best_effort"), b"2"),),
+        "/asked": (SeenEndpoint("/_rosld_1", STRING, Qos("best_effort"), b"3"),),
     },
     providers={"/talker": {"/talker/go": ("std_srvs/srv/Trigger",)}},
 )
@@ -45,7 +45,7 @@ def test_the_same_look_gives_the_same_graph_and_another_shares_what_did_not_chan
 
 
 def test_rosld_is_a_node_while_it_advertises_and_only_with_what_it_advertises() -> None:
-    ours = Seen("/rosld", STRING, Qos("reliable"), b"4")
+    ours = SeenEndpoint("/rosld", STRING, Qos("reliable"), b"4")
     seen = replace(
         SEEN,
         nodes=(*SEEN.nodes, "/rosld"),
@@ -59,7 +59,7 @@ def test_rosld_is_a_node_while_it_advertises_and_only_with_what_it_advertises() 
 
 
 def test_only_publishers_keep_messages_for_those_who_come_late() -> None:
-    late = Seen("/late", STRING, Qos("reliable", "transient_local"), b"8")
+    late = SeenEndpoint("/late", STRING, Qos("reliable", "transient_local"), b"8")
     graph = compose(Graph(0), replace(SEEN, subscribers={"/chatter": (late,)}), KNOWN)
     [publisher], [subscriber] = graph.topics["/chatter"].publishers, graph.topics["/chatter"].subscribers
     assert (publisher.latched, subscriber.latched) == (True, False)
@@ -76,8 +76,8 @@ def test_the_inner_names_of_an_action_are_there_and_its_services_say_why_they_ar
         services={"/fly/_action/send_goal": ("pkg/action/Fly_SendGoal",)},
         providers={"/pilot": {"/fly/_action/send_goal": ("pkg/action/Fly_SendGoal",)}},
         callers={"/tower": {"/fly/_action/send_goal": ("pkg/action/Fly_SendGoal",)}},
-        publishers={"/fly/_action/feedback": (Seen("/pilot", FEEDBACK, Qos(), b"5"),)},
-        subscribers={"/fly/_action/status": (Seen("/_rosld_1", STRING, Qos(), b"9"),)},
+        publishers={"/fly/_action/feedback": (SeenEndpoint("/pilot", FEEDBACK, Qos(), b"5"),)},
+        subscribers={"/fly/_action/status": (SeenEndpoint("/_rosld_1", STRING, Qos(), b"9"),)},
     )
     graph = compose(Graph(0), seen, KNOWN)
     assert graph.actions == {"/fly": Action("/fly", TypeRef("pkg/action/Fly"), ("/pilot",), ("/tower",))}
@@ -96,8 +96,8 @@ def test_a_type_that_cannot_be_used_is_named_with_the_reason() -> None:
 
 
 def test_two_types_of_a_topic_are_a_conflict_but_one_without_its_hash_is_none() -> None:
-    other = Seen("/other", TypeRef("std_msgs/msg/Int8", "RIHS01_bb"), Qos(), b"6")
-    bare = Seen("/humble", TypeRef(STRING.name), Qos(), b"7")
+    other = SeenEndpoint("/other", TypeRef("std_msgs/msg/Int8", "RIHS01_bb"), Qos(), b"6")
+    bare = SeenEndpoint("/humble", TypeRef(STRING.name), Qos(), b"7")
     both = replace(SEEN, publishers={"/chatter": (*SEEN.publishers["/chatter"], other)})
     assert compose(Graph(0), both, KNOWN).topics["/chatter"].type is None
     same = replace(SEEN, publishers={"/chatter": (*SEEN.publishers["/chatter"], bare)})

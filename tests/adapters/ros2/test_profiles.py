@@ -6,7 +6,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rosld.adapters.model import Endpoint, Qos, mismatches
-from rosld.adapters.ros2.profiles import hears, overridden, override_for, publishing_profile, reading_profile
+from rosld.adapters.ros2.profiles import (
+    apply_override,
+    is_compatible,
+    override_for,
+    publishing_profile,
+    reading_profile,
+)
 
 PROFILES = st.builds(
     Qos,
@@ -56,7 +62,7 @@ def test_the_first_glob_that_fits_overrides_what_it_says_and_nothing_else() -> N
     assert override_for("/camera/image", overrides) == Qos("best_effort")
     assert override_for("/odom", overrides) == Qos("reliable", depth=7)
     assert override_for("/odom", ()) == Qos()
-    assert overridden(Qos("reliable", "volatile", depth=1), Qos("best_effort")) == Qos(
+    assert apply_override(Qos("reliable", "volatile", depth=1), Qos("best_effort")) == Qos(
         "best_effort", "volatile", depth=1
     )
 
@@ -64,8 +70,8 @@ def test_the_first_glob_that_fits_overrides_what_it_says_and_nothing_else() -> N
 def test_our_own_reader_counts_as_a_subscriber_only_where_it_matches() -> None:
     reliable, best = Qos("reliable", "volatile"), Qos("best_effort", "volatile")
     kept = Qos("reliable", "transient_local")
-    assert hears(best, reliable)
-    assert hears(best, best)
-    assert hears(kept, kept)
-    assert not hears(reliable, best)
-    assert not hears(kept, reliable)
+    assert is_compatible(best, reliable)
+    assert is_compatible(best, best)
+    assert is_compatible(kept, kept)
+    assert not is_compatible(reliable, best)
+    assert not is_compatible(kept, reliable)

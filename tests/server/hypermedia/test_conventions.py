@@ -30,7 +30,7 @@ from rosld.adapters.model import (
     Topic,
     TypeRef,
     UnknownType,
-    frozen,
+    freeze,
 )
 from rosld.adapters.model.library import TypeLibrary
 from rosld.ontology.lift import lifter
@@ -116,9 +116,9 @@ def graph(
     own = [each if isinstance(each, Parameter) else Parameter(each) for each in parameters]
     return Graph(
         1,
-        topics=frozen({name: Topic(name, _refs(types)) for name, types in (topics or {}).items()}),
-        services=frozen({name: Service(name, _service(kind)) for name, kind in (services or {}).items()}),
-        parameters=frozen({each.name: each for each in own}),
+        topics=freeze({name: Topic(name, _refs(types)) for name, types in (topics or {}).items()}),
+        services=freeze({name: Service(name, _service(kind)) for name, kind in (services or {}).items()}),
+        parameters=freeze({each.name: each for each in own}),
     )
 
 
@@ -739,7 +739,7 @@ def test_the_order_in_which_a_graph_was_made_means_nothing(whole: Graph, random:
 def _shuffled(mapping: Mapping[str, _V], random: Random) -> Mapping[str, _V]:
     items = list(mapping.items())
     random.shuffle(items)
-    return frozen(dict(items))
+    return freeze(dict(items))
 
 
 @given(GRAPHS)

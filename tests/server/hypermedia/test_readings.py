@@ -28,7 +28,7 @@ from rosld.adapters.model import (
     TypeRef,
     UnknownType,
     Unreachable,
-    frozen,
+    freeze,
 )
 from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.slots import Slot
@@ -293,7 +293,7 @@ class Fake:
 
     @property
     def graph(self) -> Graph:
-        return Graph(1, topics=frozen(self.topics))
+        return Graph(1, topics=freeze(self.topics))
 
     async def call(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
         assert request == b""

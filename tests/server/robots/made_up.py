@@ -42,7 +42,7 @@ from rosld.adapters.model import (
     Topic,
     TypeRef,
     Unreachable,
-    frozen,
+    freeze,
 )
 from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.ros2.descriptors import operations_on
@@ -268,8 +268,8 @@ class MadeUp:
 
     async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
         self.reads.update(names)
-        found = {name: trees.read(self._parameters, name) for name in names}
-        return {name: trees.copied(value) for name, value in found.items() if value is not None}
+        found = {name: trees.read_name(self._parameters, name) for name in names}
+        return {name: trees.deep_copy(value) for name, value in found.items() if value is not None}
 
     async def set_parameters(self, values: Mapping[str, ParameterValue], *, deadline: float) -> None:
         self.sets.append(values)
@@ -283,7 +283,7 @@ class MadeUp:
     async def delete_parameters(self, names: Sequence[str], *, deadline: float) -> None:
         tree = self._parameters
         for name in names:
-            tree = trees.without(tree, name)
+            tree = trees.without_name(tree, name)
         self._parameters_are(tree)
 
     # How it is done
@@ -316,14 +316,14 @@ class MadeUp:
         change(*arguments)
         self.graph = Graph(
             self.graph.revision + 1,
-            nodes=frozen({name: Node(name) for name in (ROBOT, LISTENER)}),
-            topics=frozen({name: _told(name, one) for name, one in self._topics.items()} | self._odd(Topic)),
-            services=frozen(
+            nodes=freeze({name: Node(name) for name in (ROBOT, LISTENER)}),
+            topics=freeze({name: _told(name, one) for name, one in self._topics.items()} | self._odd(Topic)),
+            services=freeze(
                 {name: Service(name, one.ref, (ROBOT,)) for name, (one, _) in self._services.items()}
                 | self._odd(Service)
             ),
-            actions=frozen(self._odd(Action)),
-            parameters=frozen(
+            actions=freeze(self._odd(Action)),
+            parameters=freeze(
                 {
                     name: Parameter(name, self._owner(name), self.declared.get(name))
                     for name in trees.leaves(self._parameters)

@@ -25,7 +25,7 @@ from rosld.adapters.model import (
     Topic,
     Transition,
     TypeRef,
-    frozen,
+    freeze,
     without_lifecycle,
 )
 from tests.server.robots.made_up import MadeUp
@@ -116,10 +116,10 @@ class Managed(MadeUp):
         self.graph = replace(
             self.graph,
             revision=self.graph.revision + 1,
-            nodes=frozen({"/camera": Node("/camera", lifecycle=self._lifecycle), "/plain": Node("/plain")}),
-            topics=frozen({CHATTER.name: CHATTER}),
-            services=frozen({service: Service(service, TypeRef(CHANGE), ("/camera",))}),
-            parameters=frozen({own: Parameter(own, "/camera")}),
+            nodes=freeze({"/camera": Node("/camera", lifecycle=self._lifecycle), "/plain": Node("/plain")}),
+            topics=freeze({CHATTER.name: CHATTER}),
+            services=freeze({service: Service(service, TypeRef(CHANGE), ("/camera",))}),
+            parameters=freeze({own: Parameter(own, "/camera")}),
         )
         if self._sink is not None:
             self._sink.graph_changed(self.graph)

@@ -17,7 +17,14 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from rosld.adapters.model import Encoding
-from rosld.adapters.recording.octets import ByteSource, BytesSource, ChunkCache, RandomFile, decompress, read_exactly
+from rosld.adapters.recording.byte_source import (
+    ByteSource,
+    BytesSource,
+    ChunkCache,
+    RandomFile,
+    decompress,
+    read_exactly,
+)
 from rosld.adapters.recording.storage import (
     Contents,
     Damaged,

@@ -14,7 +14,14 @@ from typing import NamedTuple
 import numpy as np
 
 from rosld.adapters.model import Encoding
-from rosld.adapters.recording.octets import ByteSource, BytesSource, ChunkCache, RandomFile, decompress, read_exactly
+from rosld.adapters.recording.byte_source import (
+    ByteSource,
+    BytesSource,
+    ChunkCache,
+    RandomFile,
+    decompress,
+    read_exactly,
+)
 from rosld.adapters.recording.storage import (
     Contents,
     Damaged,

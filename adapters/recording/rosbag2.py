@@ -12,7 +12,7 @@ import numpy as np
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
-from rosld.adapters.recording.octets import ZstdError, ZstdFile, decompress_zstd
+from rosld.adapters.recording.byte_source import ZstdError, ZstdFile, decompress_zstd
 from rosld.adapters.recording.storage import Damaged, MessageTable, RecordedConnection, RosVersion, Storage, concatenate
 
 METADATA = "metadata.yaml"

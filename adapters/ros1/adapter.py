@@ -29,9 +29,9 @@ from rosld.adapters.model import (
 )
 from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.ros1.client import Client
-from rosld.adapters.ros1.leftovers import own_name
 from rosld.adapters.ros1.publication import Publication
 from rosld.adapters.ros1.samples import Slot
+from rosld.adapters.ros1.stale_registrations import own_name
 from rosld.adapters.ros1.subscription import Feed, TopicSubscription
 from rosld.adapters.ros1.types import definition_folders
 from rosld.adapters.thread import IoThread

@@ -12,13 +12,13 @@ from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.ros1.actions import Actions
 from rosld.adapters.ros1.graph import Observation, SystemState, compose, stale
 from rosld.adapters.ros1.hosts import Hosts
-from rosld.adapters.ros1.leftovers import StaleRegistrations
 from rosld.adapters.ros1.master import MasterApi, MasterSnapshot
 from rosld.adapters.ros1.parameters import Parameters, parts_of, with_parts
 from rosld.adapters.ros1.publications import Publications, addresses
 from rosld.adapters.ros1.reconfigurable import Reconfigurables
 from rosld.adapters.ros1.services import Services
 from rosld.adapters.ros1.sources import Nodes, TopicReader
+from rosld.adapters.ros1.stale_registrations import StaleRegistrations
 from rosld.adapters.ros1.subscription import Feed
 from rosld.adapters.ros1.type_cache import EndpointFacts, LearntFacts
 from rosld.adapters.ros1.types import Types

@@ -25,6 +25,7 @@ from rosld.server.openapi.components import (
     schema_of,
 )
 from rosld.server.openapi.described_path import DescribedPath
+from rosld.server.openapi.description_parts import sections
 from rosld.server.rest.path_item import QueryParameter
 
 VERSION = "3.1.1"
@@ -48,8 +49,13 @@ def description(
     about: str,
     described: Iterable[DescribedPath],
     schemas: Mapping[str, Schema],
+    *,
+    query: str = "",
 ) -> bytes:
-    """The description of a server at `base`, as JSON; `schemas` are those that places refer to by name."""
+    """The description of a server at `base`, as JSON; `schemas` are those that places refer to by name.
+
+    `query` is that of its URL, which the URLs of its parts have too.
+    """
     ordered = sorted({path.template: path for path in described}.values(), key=lambda path: path.template)
     names, shared = _Names(), _Shared()
     paths = {
@@ -66,6 +72,7 @@ def description(
             },
             "servers": [{"url": base.rstrip("/")}],
             "tags": [{"name": tag} for tag in dict.fromkeys(path.tag for path in ordered)],
+            "x-parts": sections(f"{base}openapi.json{query}", paths),
             "paths": paths,
             "components": {**components(schemas), "pathItems": shared.items},
         }

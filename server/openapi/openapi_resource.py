@@ -18,16 +18,19 @@ from rosld.server.auth.permissions import Permissions
 from rosld.server.http import negotiation
 from rosld.server.http.conditional import ETag, digest
 from rosld.server.http.link import Link
+from rosld.server.http.link import render as render_links
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import OBJECT, Schema
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.openapi.described_path import DescribedPath
 from rosld.server.openapi.description import description
+from rosld.server.openapi.description_parts import description_parts
 from rosld.server.openapi.path_collector import PathCollector
 from rosld.server.openapi.permitted_paths import add_security, permitted_paths
 from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.namespaces import listing_parameters
 from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.parts import PART_QUERY, parse_part
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.raw_response import bytes_response
 from rosld.server.rest.resource import LDP, RESOURCE, Resource
@@ -48,6 +51,10 @@ _PATIENCE = 3.0
 """How long to wait for types that must be asked for; those that come later are in the next description."""
 _MANY = 500
 """Paths from which a description is written by a worker process: to write one holds the interpreter's lock."""
+_HIDDEN = "?hidden=true"
+"""The query of the description that has hidden names, too."""
+_LARGE = 1_000_000
+"""Bytes from which a description is cut by a worker process."""
 _AT_ONCE = 25
 """Paths that are found before the loop has its turn: some milliseconds."""
 _digest = lru_cache(maxsize=4)(digest)
@@ -77,22 +84,43 @@ class OpenApiResource(Resource):
         self._resolve = resolve
         self._kept: dict[bool, _Described] = {}
         self._of_agents: dict[tuple[bool, str, str], tuple[_Described, bytes]] = {}
+        self._part_sets: dict[tuple[str, str, str], tuple[bytes, ...]] = {}
         self._making = asyncio.Lock()
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem("This description", MEDIA_TYPES, OBJECT, listing_parameters(self.robot)[1:], streams=False)
+        query = (*PART_QUERY, *listing_parameters(self.robot)[1:])
+        return PathItem("This description", MEDIA_TYPES, OBJECT, query, streams=False)
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
         media_type = negotiation.choose(exchange.accept, MEDIA_TYPES)
         if media_type is None:
             raise Problem(406, f"None of {exchange.accept!r} is offered; there are {', '.join(MEDIA_TYPES)}.")
+        part = parse_part(exchange.query)
         hidden = exchange.query_flag("hidden") and self.robot.adapter.capabilities.hidden_names
         kept = await self._describe(hidden)
         data = kept.data
         if exchange.auth is not UNRESTRICTED:
             data = await self._for_agent(kept, hidden, exchange.permissions, exchange.auth.public)
+        headers = resource_headers(self)
+        if part is not None:
+            url = f"{self.url}{_HIDDEN}" if hidden else self.url
+            parts = await self._parts(data, url, part.below)
+            data = part.choose(parts)
+            headers["link"] = render_links((*self.links, *part.links(url, len(parts))))
         etag = ETag(f"{self.robot.instance_id}-{_digest(data)}", media_type.partition("/")[2].replace(".", "-"))
-        return bytes_response(exchange, data, media_type, etag, resource_headers(self).items())
+        return bytes_response(exchange, data, media_type, etag, headers.items())
+
+    async def _parts(self, data: bytes, url: str, below: str) -> tuple[bytes, ...]:
+        """The parts of a description, kept while others of them are likely to be asked for."""
+        key = (_digest(data), url, below)
+        found = self._part_sets.get(key)
+        if found is None:
+            work = partial(description_parts, data, url, below)
+            found = await (self.robot.workers.run(work) if len(data) > _LARGE else asyncio.to_thread(work))
+            if len(self._part_sets) >= _MAX_VARIANTS:
+                self._part_sets.pop(next(iter(self._part_sets)))
+            self._part_sets[key] = found
+        return found
 
     async def _for_agent(self, kept: _Described, hidden: bool, permissions: Permissions, public: Permissions) -> bytes:
         """The description as it is for an agent, kept for as long as it is the same."""
@@ -101,16 +129,18 @@ class OpenApiResource(Resource):
         if known is None or known[0] is not kept:
             if len(self._of_agents) >= _MAX_VARIANTS:
                 self._of_agents.clear()
-            made = await asyncio.to_thread(self._made_for, kept, permissions, public)
+            made = await asyncio.to_thread(self._made_for, kept, hidden, permissions, public)
             known = self._of_agents[key] = (kept, made)
         return known[1]
 
-    def _made_for(self, kept: _Described, permissions: Permissions, public: Permissions) -> bytes:
+    def _made_for(self, kept: _Described, hidden: bool, permissions: Permissions, public: Permissions) -> bytes:
         """What is described to an agent is described anew, so that not even a number tells of anything else."""
         data = kept.data
         if not permissions.is_unrestricted:
             data = self._write(
-                permitted_paths(kept.paths, partial(self._may, permissions), permissions.may_read), kept.schemas
+                permitted_paths(kept.paths, partial(self._may, permissions), permissions.may_read),
+                kept.schemas,
+                hidden,
             )
         return add_security(data, partial(self._may, public), whole=permissions.is_unrestricted)
 
@@ -153,17 +183,19 @@ class OpenApiResource(Resource):
         schemas = MessageSchemas(partial(_known_type, robot), robot.lifting)
         paths = await _in_turns(PathCollector(robot, tree, self._resolve, schemas, hidden).all())
         if len(paths) > _MANY:
-            data = await robot.workers.run(self._writing(paths, schemas.by_key))
+            data = await robot.workers.run(self._writing(paths, schemas.by_key, hidden))
         else:
-            data = await asyncio.to_thread(self._write, paths, schemas.by_key)
+            data = await asyncio.to_thread(self._write, paths, schemas.by_key, hidden)
         return _Described(version, data, paths, schemas.by_key)
 
-    def _writing(self, paths: Iterable[DescribedPath], schemas: Mapping[str, Schema]) -> Callable[[], bytes]:
-        title, base = f"rosld: {self.robot.name}", self.robot.space.base
-        return partial(description, title, base, __version__, _ABOUT, paths, schemas)
+    def _writing(
+        self, paths: Iterable[DescribedPath], schemas: Mapping[str, Schema], hidden: bool
+    ) -> Callable[[], bytes]:
+        title, base, query = f"rosld: {self.robot.name}", self.robot.space.base, _HIDDEN if hidden else ""
+        return partial(description, title, base, __version__, _ABOUT, paths, schemas, query=query)
 
-    def _write(self, paths: Iterable[DescribedPath], schemas: Mapping[str, Schema]) -> bytes:
-        return self._writing(paths, schemas)()
+    def _write(self, paths: Iterable[DescribedPath], schemas: Mapping[str, Schema], hidden: bool) -> bytes:
+        return self._writing(paths, schemas, hidden)()
 
 
 async def _in_turns(paths: Iterable[DescribedPath]) -> tuple[DescribedPath, ...]:

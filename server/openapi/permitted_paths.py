@@ -10,6 +10,7 @@ import orjson
 
 from rosld.server.hypermedia.json_schema import Schema
 from rosld.server.openapi.described_path import DescribedPath
+from rosld.server.openapi.references import chosen, references
 
 _Json: TypeAlias = "dict[str, object]"
 May: TypeAlias = Callable[[str, str], bool]
@@ -90,28 +91,7 @@ def _object(found: object) -> _Json:
 
 def _referred_to(said: _Json) -> _Json:
     """The components that something refers to, and what these refer to."""
-    components = _object(said["components"])
-    wanted = list(_references({name: part for name, part in said.items() if name != "components"}))
-    kept: dict[str, dict[str, object]] = {"securitySchemes": _object(components["securitySchemes"])}
-    while wanted:
-        _, _, kind, name = wanted.pop().split("/", 3)
-        if name in kept.setdefault(kind, {}):
-            continue
-        part = _object(components[kind]).get(name)
-        if part is None:
-            continue
-        kept[kind][name] = part
-        wanted += _references(part)
-    return dict(kept)
-
-
-def _references(part: object) -> Iterable[str]:
-    if isinstance(part, dict):
-        reference = part.get("$ref")
-        if isinstance(reference, str) and reference.startswith("#/components/"):
-            yield reference
-        for inner in part.values():
-            yield from _references(inner)
-    elif isinstance(part, list):
-        for inner in part:
-            yield from _references(inner)
+    components = said["components"]
+    assert isinstance(components, dict)
+    found = references({name: part for name, part in said.items() if name != "components"}, components)
+    return chosen(components, found | {("securitySchemes", name) for name in _SCHEMES})

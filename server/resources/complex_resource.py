@@ -39,15 +39,19 @@ from rosld.server.resources.bulk_write import (
 from rosld.server.resources.command import CommandResource
 from rosld.server.resources.context import Robot
 from rosld.server.resources.preconditions import read_fresh_state
+from rosld.server.resources.things import FORMAT as TD
 from rosld.server.resources.things import complex_thing, thing_response, wants_thing
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import FORMATS, MERGE_PATCH, OFFERS, SPARQL_UPDATE
+from rosld.server.rest.parts import PART_QUERY
 from rosld.server.rest.path_item import FORMAT, PathItem, WriteMethod
 from rosld.server.rest.plan import Plan, RobotWrite
 from rosld.server.rest.resource import ABSENT, BASIC_CONTAINER, RDF_SOURCE, READ, RESOURCE, Answer, permanent_redirect
 from rosld.server.rest.state import State
 
-_FORMAT = replace(FORMAT, schema={"type": "string", "enum": [*FORMATS, "td"]})
+_MANY_MEMBERS = 40
+"""Members from which messages among them are described at their own URLs alone: hundreds of them are megabytes."""
+_FORMAT = replace(FORMAT, schema={"type": "string", "enum": [*FORMATS, TD]})
 
 
 class ComplexResource(CommandResource):
@@ -65,7 +69,7 @@ class ComplexResource(CommandResource):
             RESOURCE,
             RDF_SOURCE,
             BASIC_CONTAINER,
-            Link(f"{self.url}?format=td", "describedby", type=MEDIA_TYPE),
+            Link(f"{self.url}?format={TD}", "describedby", type=MEDIA_TYPE),
         )
 
     @property
@@ -93,9 +97,12 @@ class ComplexResource(CommandResource):
         read: dict[str, Json] = {}
         sent: dict[str, Json] = {}
         members: dict[str, str] = {}
-        for one in () if plan is None else plan.members:
+        described = () if plan is None else plan.members
+        for one in described:
             shown = offers.member_affordance(one, write=True)
             value = value_schema(shown.shape, schemas.lifting)
+            if len(described) > _MANY_MEMBERS and "properties" in value:
+                value = {"type": "object", "description": f"As {shown.url} has it."}
             members[one.name], read[one.name] = shown.url, nullable(read_schema(value))
             if offers.is_writable(one.source):
                 sent[one.name] = patch_schema(value)
@@ -104,7 +111,7 @@ class ComplexResource(CommandResource):
             f"The resource {self.path}",
             (*OFFERS, MEDIA_TYPE),
             {"type": "object", "properties": read},
-            (_FORMAT,),
+            (_FORMAT, *(replace(one, about=f"Of a Thing Description. {one.about}") for one in PART_QUERY)),
             {"PATCH": WriteMethod(sends=patch, done=(200, 204))},
             members=members,
         )
@@ -174,7 +181,8 @@ class ComplexResource(CommandResource):
         if not wants_thing(exchange):
             return None
         _, plan = await self._plan()  # it tells what there ever is, also while the resource is not there
-        return thing_response(exchange, self.robot, self.url, complex_thing(self.robot, plan))
+        data = complex_thing(self.robot, plan)
+        return thing_response(exchange, self.robot, self.url, f"{self.url}?format={TD}", data)
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:
         tree = await self.robot.affordances.tree()

@@ -34,7 +34,8 @@ class EntryResource(Resource):
         self.robot = robot
         described = Link(f"{robot.space.base}openapi.json", "service-desc", type="application/openapi+json")  # RFC 8631
         search = Link(f"{robot.space.base}find", "search")  # of the IANA registry: what is found by words
-        self.links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER, described, search)
+        guide = Link(f"{robot.space.base}llms.txt", "help", type="text/plain")  # of the IANA registry
+        self.links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER, described, search, guide)
 
     def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
         graph, space = listed_graph(self.robot), self.robot.space

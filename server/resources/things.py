@@ -21,8 +21,10 @@ from rosld.server.hypermedia.thing_description import MEDIA_TYPE, ThingLink, thi
 from rosld.server.hypermedia.thing_graph import thing_document
 from rosld.server.hypermedia.views import ActionAffordance, PropertyAffordance
 from rosld.server.resources.context import Robot
+from rosld.server.resources.thing_parts import add_part_link, thing_parts
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import RDF_BODIES, VARIANTS
+from rosld.server.rest.parts import PART_QUERY, parse_part
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.raw_response import bytes_response
 from rosld.server.rest.resource import RESOURCE, Resource
@@ -39,10 +41,18 @@ def wants_thing(exchange: Exchange) -> bool:
     return accept is not None and MEDIA_TYPE in accept and negotiation.choose(accept, _OFFERS) == MEDIA_TYPE
 
 
-def thing_response(exchange: Exchange, robot: Robot, url: str, data: bytes) -> Response:
-    """The answer with the Thing Description at a URL, as it is for who asks, in the syntax that is asked for."""
+def thing_response(exchange: Exchange, robot: Robot, url: str, own: str, data: bytes) -> Response:
+    """The answer with a Thing Description, or a part of it, as it is for who asks, in the syntax that is asked for.
+
+    `url` is that of the resource that answers, `own` that of the description.
+    """
     if exchange.auth is not UNRESTRICTED:
         data = redact_thing_description(data, exchange.permissions)
+    part = parse_part(exchange.query)
+    if part is None:
+        data = add_part_link(data, own)
+    else:
+        data = part.choose(thing_parts(data, robot.space.base, own, part.below))
     tag, media_type = f"{robot.instance_id}-{digest(data)}", _choose_syntax(exchange)
     if media_type == MEDIA_TYPE:
         return bytes_response(exchange, data, MEDIA_TYPE, ETag(tag, FORMAT))
@@ -144,9 +154,11 @@ class RobotThing(Resource):
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem(
-            "The Thing Description of the whole robot", (MEDIA_TYPE, *RDF_BODIES), OBJECT, (), streams=False
+            "The Thing Description of the whole robot", (MEDIA_TYPE, *RDF_BODIES), OBJECT, PART_QUERY, streams=False
         )
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
         tree = await self.robot.affordances.tree()
-        return thing_response(exchange, self.robot, self.url, robot_thing(self.robot, tree, exchange.permissions))
+        return thing_response(
+            exchange, self.robot, self.url, self.url, robot_thing(self.robot, tree, exchange.permissions)
+        )

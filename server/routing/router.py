@@ -23,6 +23,7 @@ from rosld.server.resources.entry_point import EntryResource
 from rosld.server.resources.find import FindResource
 from rosld.server.resources.finder import Finder
 from rosld.server.resources.graph_store import GraphStore
+from rosld.server.resources.guide import GuideResource
 from rosld.server.resources.holds import HoldResource
 from rosld.server.resources.ldp.routes import stored_route
 from rosld.server.resources.namespaces import NamespaceContainer
@@ -139,6 +140,7 @@ ROUTES: Mapping[str, Route] = {
     "mappings": stored_route,
     ".well-known": _well_known,
     "stop": _single(StopResource),
+    "llms.txt": _single(GuideResource),
     "ontology": ontology_room,
 } | {name: _single(make) for name, make in FILES.items()}
 

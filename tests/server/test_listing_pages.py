@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 
 import httpx
 import pytest
 
-from rosld.adapters.slots import Slot
 from tests.server.robots.made_up import MadeUp, Serving
 
 HTML = {"Accept": "text/html"}
@@ -24,18 +22,15 @@ def counted(http: httpx.Client, path: str) -> tuple[int, int]:
 
 def filled(robot: MadeUp, per_namespace: int) -> None:
     """Topics in 51 namespaces."""
-    robot.topic("/t", "geometry_msgs/msg/Vector3")
-    whole = robot._topics.pop("/t")
-    for namespace in range(51):
-        for number in range(per_namespace):
-            robot._topics[f"/n{namespace}/t{number}"] = replace(whole, slot=Slot())
+    names = [f"/n{namespace}/t{number}" for namespace in range(51) for number in range(per_namespace)]
+    robot.topics(names, "geometry_msgs/msg/Vector3")
 
 
 @pytest.mark.parametrize("per_namespace", [7, 30])
 def test_a_listing_counts_every_name_and_not_the_namespaces_that_they_are_in(
     robot: MadeUp, serving: Serving, per_namespace: int
 ) -> None:
-    others = len(robot._topics)
+    others = len(robot.graph.topics)
     filled(robot, per_namespace)
     http = serving()
     total, shown = counted(http, "/topics/")

@@ -8,7 +8,6 @@ import io
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from typing import Any
 
 import httpx
@@ -16,7 +15,6 @@ import pytest
 
 from rosld.adapters.base import ParameterValue
 from rosld.adapters.model import Sample
-from rosld.adapters.slots import Slot
 from rosld.ontology.document import Document
 from rosld.server.resources import topics as topic_resources
 from rosld.server.robot.live_topics import LiveTopics
@@ -32,11 +30,6 @@ def rows(http: httpx.Client, query: str) -> list[list[str]]:
     answer = http.get("/sparql", params={"query": PREFIX + query}, headers={"Accept": "text/csv"})
     assert answer.status_code == 200, answer.text
     return list(csv.reader(io.StringIO(answer.text)))[1:]
-
-
-def subscribed(robot: MadeUp) -> set[str]:
-    """The topics that somebody is subscribed to."""
-    return {name for name, topic in robot._topics.items() if topic.slot.subscriptions}
 
 
 @contextmanager
@@ -99,8 +92,7 @@ def test_topics_that_change_together_are_seen_together(robot: MadeUp, serving: S
     http = serving()
 
     def publish_all(count: int) -> None:
-        data = robot._encoded(names[0], all_equal(count))
-        robot._do(lambda: [robot._put(name, "/robot", data) for name in names])
+        robot.run(lambda: [robot.publishes(name, all_equal(count)) for name in names])
 
     query = "SELECT ?t ?x { ?t ros:latest ?m . ?m v:x ?x }"
     assert len(rows(http, query)) == len(names)
@@ -126,8 +118,7 @@ def test_a_query_pays_for_the_topics_it_names_and_not_for_the_size_of_the_robot(
     robot: MadeUp, serving: Serving, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     every = 200
-    robot.topic("/t0", "geometry_msgs/msg/Vector3")
-    robot._topics.update({f"/t{number}": replace(robot._topics["/t0"], slot=Slot()) for number in range(1, 2000)})
+    robot.topics((f"/t{number}" for number in range(2000)), "geometry_msgs/msg/Vector3")
     for number in range(2000):
         robot.publishes(f"/t{number}", all_equal(number))
     lifted: list[str] = []
@@ -140,13 +131,13 @@ def test_a_query_pays_for_the_topics_it_names_and_not_for_the_size_of_the_robot(
     monkeypatch.setattr(topic_resources, "topic_document", counted)
     http = serving()
     assert len(rows(http, "SELECT ?t { ?t a ros:Topic ; ros:hasMessageType <" + VECTOR + "> }")) == 2000
-    assert subscribed(robot) == set()
+    assert robot.subscribed() == set()
     assert lifted == []  # what is asked of the graph needs no value
     wanted = {f"/t{number}" for number in range(0, 2000, every)}
     each = (f"{{ <topics{topic}> ros:latest ?m . ?m v:x ?x }}" for topic in sorted(wanted))
     query = f"SELECT ?m ?x {{ {' UNION '.join(each)} }}"
     assert {float(x) for _, x in rows(http, query)} == set(map(float, range(0, 2000, every)))
-    assert subscribed(robot) == wanted
+    assert robot.subscribed() == wanted
     assert sorted(lifted) == sorted(wanted)
     lifted.clear()
     rows(http, query)
@@ -155,7 +146,7 @@ def test_a_query_pays_for_the_topics_it_names_and_not_for_the_size_of_the_robot(
     robot.publishes("/t401", all_equal(-1))
     assert "-1.0" in [x for _, x in rows(http, query)]
     assert lifted == ["/t400"]
-    assert subscribed(robot) == wanted
+    assert robot.subscribed() == wanted
 
 
 def test_silent_topics_are_waited_for_together_and_once(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -124,14 +126,24 @@ def test_an_address_is_known_by_its_machine(address: str | None, name: str | Non
     assert client_name(address, loopback=False) == name
 
 
-def test_no_number_of_clients_fills_the_memory() -> None:
+def test_no_number_of_clients_fills_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rate_limit, "_MAX_KNOWN", 1000)
     clock = Clock()
     limiter = limiter_for(clock)
-    for number in range(30_000):
-        limiter.release(limiter.acquire(ANONYMOUS, f"10.{number >> 16}.{number >> 8 & 255}.{number & 255}"))
-        clock.now += 0.01
-    assert len(limiter._known) <= 10_001
-    assert len(limiter._names) <= 10_001
+
+    def peak(numbers: range) -> int:
+        tracemalloc.reset_peak()
+        for number in numbers:
+            limiter.release(limiter.acquire(ANONYMOUS, f"10.{number >> 16}.{number >> 8 & 255}.{number & 255}"))
+            clock.now += 0.01
+        return tracemalloc.get_traced_memory()[1]
+
+    tracemalloc.start()
+    try:
+        few = peak(range(3000))
+        assert peak(range(3000, 20_000)) < 1.5 * few
+    finally:
+        tracemalloc.stop()
 
 
 def test_a_client_with_an_open_connection_is_not_forgotten_however_many_others_come(

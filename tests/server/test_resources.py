@@ -215,7 +215,7 @@ def test_a_topic_is_read_before_the_getter_and_the_setter_writes_before_paramete
 
 def test_a_switch_of_std_srvs_writes_the_topic_of_its_name(robot: MadeUp, serving: Serving) -> None:
     def switch(request: dict[str, Any]) -> dict[str, Any]:
-        robot._put("/arm/enabled", "/robot", robot._encoded("/arm/enabled", {"data": request["data"]}))
+        robot.publishes("/arm/enabled", {"data": request["data"]})
         return {"success": True}
 
     robot.topic("/arm/enabled", "std_msgs/msg/Bool", {"data": False})

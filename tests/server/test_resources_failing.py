@@ -141,7 +141,7 @@ def test_a_parameter_that_has_gone_is_told(robot: MadeUp, serving: Serving) -> N
     robot.parameter("/arm/name", "Bob")
     robot.parameter("/arm/size", 3)
     http = serving(freshness=0)
-    robot._do(lambda: setattr(robot, "_parameters", {"arm": {"size": 3}}))  # and nobody has noticed
+    robot.lose_parameter("/arm/name")
     assert value(http, "/resources/arm/") == {"name": None, "size": 3}
     assert "there is no parameter /arm/name any more" in unreadable(http, "/resources/arm/", "/arm/name")
 

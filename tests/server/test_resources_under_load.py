@@ -250,7 +250,7 @@ def test_an_answer_from_before_a_write_is_not_shown_after_it() -> None:
             await asyncio.to_thread(robot.until, lambda: robot.calls["/arm/get_grip"])
             assert (await client.ask("PUT", "/resources/arm/grip", b"2")).status == 204
             after = await client.ask("GET", "/resources/arm/grip")
-            robot._do(slow.set)
+            robot.run(slow.set)
             return after
 
         before, after = at_once(http.base_url, early, write)

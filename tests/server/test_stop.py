@@ -189,7 +189,7 @@ def test_what_is_under_way_is_cut_off(robot: Stoppable, http: httpx.Client) -> N
         assert "may have been carried out" in slow.result().json()["detail"]
         assert call.result(10).status_code == 423
         assert call.result().json()["state"] == "OutcomeUnknown"
-    robot._do(robot.let_go.set)
+    robot.run(robot.let_go.set)
     robot.release("/arm/aim")
     time.sleep(0.05)
     assert "/slow" not in robot.sent

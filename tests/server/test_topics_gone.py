@@ -70,7 +70,7 @@ def test_what_is_allowed_is_what_is_answered(http: httpx.Client) -> None:
 
 
 def test_once_a_node_has_it_again_it_is_read_as_a_new_one(robot: MadeUp) -> None:
-    slot = robot._topics[NAME].slot
+    slot = robot.slot(NAME)
     with served(robot, first_value_wait=0.1) as http:
         assert http.get(TOPIC, headers={"Accept": "application/json"}).json() == {"data": "x"}
         robot.forget(NAME)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import bz2
 import os
 import socket
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from itertools import islice
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -24,6 +26,8 @@ from rosld.adapters.recording.files import open_storage
 
 Opened = Callable[[Path], Any]
 Said = Callable[[Any, Any], str]
+MESSAGE, CHUNK = 2, 5
+"""Ops of records of a bag."""
 
 OLD_HEADER = """Header header
 string[] name
@@ -214,15 +218,26 @@ def test_a_folder_with_a_missing_or_broken_file_gives_the_others(
         assert any("broken.mcap" in note for note in bag.notes)
 
 
+def records(data: bytes | bytearray, at: int) -> Iterator[tuple[int, slice]]:
+    """The op and the place of the data of each record of a bag, from a place on (ROS bag format 2.0)."""
+    while at < len(data):
+        (length,) = struct.unpack_from("<I", data, at)
+        header, at = data[at + 4 : at + 4 + length], at + 4 + length
+        (length,) = struct.unpack_from("<I", data, at)
+        yield header[header.index(b"op=") + 3], slice(at + 4, at + 4 + length)
+        at += 4 + length
+
+
 def test_a_damaged_chunk_costs_only_its_own_messages(
     recorder: ModuleType, tmp_path: Path, opened: Opened, said: Said, play: Any, clock: Any
 ) -> None:
     path = recorder.write_rosbag1(tmp_path / "run.bag", recorder.lines(count=100), compression="bz2", chunk=1000)
-    with opened(path) as bag:
-        chunk = bag._storage._chunks[1]
-        positions = [each for each, place in enumerate(bag._table.places.tolist()) if place == 2]
     data = bytearray(path.read_bytes())
-    data[chunk.at + 20 : chunk.at + 60] = bytes(40)
+    first, second = islice((span for op, span in records(data, 13) if op == CHUNK), 2)
+    counts = [sum(op == MESSAGE for op, _ in records(bz2.decompress(data[at]), 0)) for at in (first, second)]
+    positions = range(counts[0], sum(counts))
+    assert len(positions) > 1
+    data[second.start + 20 : second.start + 60] = bytes(40)
     path.write_bytes(data)
     with opened(path) as bag:
         texts = [said(bag, each) for each in bag.messages()]

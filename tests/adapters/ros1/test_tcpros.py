@@ -184,7 +184,7 @@ class Peer:
         here.setblocking(False)
         self._there.setblocking(False)
         receiving = asyncio.get_running_loop().create_connection(
-            lambda: FrameReceiver(b"", lambda _: self._deliver, self._limit), sock=here
+            lambda: FrameReceiver(b"", lambda _: self.deliver, self._limit), sock=here
         )
         self._transport, self.receiver = await receiving
         await self.sends(encode_header({"a": "b"}))
@@ -198,7 +198,7 @@ class Peer:
     async def sends(self, data: bytes) -> None:
         await asyncio.wait_for(asyncio.get_running_loop().sock_sendall(self._there, data), 20)
 
-    def _deliver(self, frames: Sequence[Frame], _: int) -> None:
+    def deliver(self, frames: Sequence[Frame], _: int) -> None:
         self.delivered += map(bytes, frames)
 
 
@@ -224,7 +224,7 @@ def test_a_header_that_is_announced_costs_what_arrives() -> None:
             here, there = socket.socketpair()
             here.setblocking(False)
             transport, receiver = await asyncio.get_running_loop().create_connection(
-                lambda: FrameReceiver(b"", lambda _: other._deliver, MOST), sock=here
+                lambda: FrameReceiver(b"", lambda _: other.deliver, MOST), sock=here
             )
             with there:
                 there.setblocking(False)

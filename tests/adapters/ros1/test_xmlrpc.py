@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Callable
 from datetime import datetime
+from typing import TypeAlias
 
 import pytest
 from hypothesis import given
@@ -24,6 +25,8 @@ from rosld.adapters.ros1.xmlrpc import (
     encode_call,
     encode_fault,
 )
+
+Streams: TypeAlias = tuple[asyncio.StreamReader, asyncio.StreamWriter]
 
 text = st.text(st.characters(min_codepoint=32, blacklist_categories=["Cs"], blacklist_characters="\ufffe\uffff\x7f"))
 scalars = (
@@ -85,19 +88,26 @@ async def _serving(answer: Callable[[str, object], Answer]) -> AsyncIterator[tup
         server.close()
 
 
-def _client(port: int) -> XmlRpcClient:
-    return XmlRpcClient(
-        f"http://127.0.0.1:{port}", "/RPC2", lambda: asyncio.open_connection("127.0.0.1", port), keep_alive=True
-    )
+def _client(port: int, connections: list[Streams] | None = None) -> XmlRpcClient:
+    """A client that notes its `connections`."""
+
+    async def connect() -> Streams:
+        streams = await asyncio.open_connection("127.0.0.1", port)
+        if connections is not None:
+            connections.append(streams)
+        return streams
+
+    return XmlRpcClient(f"http://127.0.0.1:{port}", "/RPC2", connect, keep_alive=True)
 
 
 def test_our_client_speaks_with_our_server_over_one_connection() -> None:
     async def talk() -> None:
         async with _serving(lambda method, arguments: Answer(1, method, list(arguments))) as (_, port):  # type: ignore[call-overload]
-            client = _client(port)
+            connections: list[Streams] = []
+            client = _client(port, connections)
             for number in range(3):
                 assert await client.call("add", number, timeout=5) == Answer(1, "add", [number])
-            assert len(client._idle) == 1
+            assert len(connections) == 1
             client.close()
 
     asyncio.run(talk())
@@ -106,10 +116,12 @@ def test_our_client_speaks_with_our_server_over_one_connection() -> None:
 def test_a_kept_connection_that_died_is_replaced() -> None:
     async def talk() -> None:
         async with _serving(lambda method, arguments: Answer(1, "", 0)) as (_, port):
-            client = _client(port)
+            connections: list[Streams] = []
+            client = _client(port, connections)
             await client.call("a", timeout=5)
-            client._idle[0][1].transport.abort()
+            connections[0][1].transport.abort()
             assert (await client.call("b", timeout=5)).code == 1
+            assert len(connections) == 2
             client.close()
 
     asyncio.run(talk())

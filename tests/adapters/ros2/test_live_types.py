@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from rosld.adapters.model import MessageSchema, Primitive, TypeRef, library
-from rosld.adapters.ros2 import middleware, types
+from rosld.adapters.ros2 import types
 
 SHARE = Path(sys.prefix) / "share"
 
@@ -42,7 +42,6 @@ def test_a_topic_whose_package_is_not_installed_here_is_listed_with_the_reason(
     lone_ros.node("odd.py", "foreign", "foreign")
     for name in ("visualization_msgs", "visualization_msgs.msg", "visualization_msgs.srv"):
         monkeypatch.setitem(sys.modules, name, None)
-    monkeypatch.setattr(middleware._classes, "known", {})
 
     async def scenario() -> None:
         async with opened(lone_ros) as session:

@@ -228,9 +228,9 @@ def test_what_is_replaced_while_a_store_renews_itself_is_in_the_new_one() -> Non
     store = MemoryStore()
     others = {f"http://h/{number}": f'<{G}> {P} _:b .\n_:b {P} "{number}" .\n' for number in range(3000)}
     store.replace(others)
-    inner = store._store
+    inner = store.dataset
     turn = 0
-    while store._store is inner or turn < 500:
+    while store.dataset is inner or turn < 500:
         turn += 1
         line = f'<{G}> {P} "{turn}" .\n'
         before = f'<{G}> {P} "{turn - 1}" .\n'

@@ -35,7 +35,7 @@ class Reader:
         self.takes = asyncio.Event()
         self.takes.set()
         self._came = asyncio.Condition()
-        self._left = asyncio.Event()
+        self.left = asyncio.Event()
         self._asked = False
         self.task = asyncio.get_running_loop().create_task(app(self._scope, self._receive, self._send))
 
@@ -43,7 +43,7 @@ class Reader:
         if not self._asked:
             self._asked = True
             return {"type": "http.request", "body": b"", "more_body": False}
-        await self._left.wait()
+        await self.left.wait()
         return {"type": "http.disconnect"}
 
     async def _send(self, message: Any) -> None:
@@ -72,21 +72,22 @@ class Reader:
 
     async def leave(self) -> None:
         """Hang up."""
-        self._left.set()
+        self.left.set()
         await asyncio.wait_for(self.task, 60)
 
 
 @contextlib.asynccontextmanager
-async def aircraft_app() -> AsyncIterator[Application]:
+async def aircraft_app(**settings: Any) -> AsyncIterator[Application]:
     """The aircraft's app, started, and stopped at the end."""
-    app = create_app(adapter_for("aircraft", AdapterOptions()), Settings(max_publish_rate=1e9, client_streams=1000))
+    chosen = Settings(**{"max_publish_rate": 1e9, "client_streams": 1000, **settings})
+    app = create_app(adapter_for("aircraft", AdapterOptions()), chosen)
     async with lifespan(app):
         yield app
 
 
 @pytest.fixture
-def opened() -> Callable[[], Any]:
-    """`async with opened() as app`."""
+def opened() -> Callable[..., Any]:
+    """`async with opened(setting=...) as app`."""
     return aircraft_app
 
 

@@ -96,15 +96,15 @@ def test_who_hangs_up_leaves_nothing_behind(opened: Any, reader: Any) -> None:
             await stuck.until(lambda one: bool(one.events))
             stuck.takes.clear()
             await show(app, "for one that takes nothing")
-            assert len(broadcasters._broadcasters) == 3
+            assert len(broadcasters.resources) == broadcasters.readers == 3
             await slow.leave()
             await waiting.leave()
-            stuck._left.set()
+            stuck.left.set()
             stuck.takes.set()
             await stuck.leave()
-            assert not broadcasters._broadcasters
-            assert not broadcasters._held
-            assert all(look.watches == 0 for look in app.robot.topics._looks.values())
+            assert not broadcasters.resources
+            assert not broadcasters.readers
+            assert not app.robot.topics.always_subscribed()
             assert asyncio.all_tasks() <= before
 
     asyncio.run(main())
@@ -119,8 +119,7 @@ async def tag(app: Any, reader: Any) -> str:
 
 def test_a_topic_that_is_watched_stays_subscribed_and_no_longer(opened: Any, reader: Any) -> None:
     async def main() -> None:
-        async with opened() as app:
-            app.robot.topics._settings = type(app.robot.topics._settings)(idle=0.0, budget=1)
+        async with opened(idle_time=0.0, subscription_budget=1) as app:
             watched = reader(app, SPEED)
             await watched.until(lambda one: bool(one.events))
             other = reader(app, DISPLAY, "application/json")
@@ -193,24 +192,26 @@ def test_ending_ends_streams_and_waits_and_lets_none_begin(opened: Any, reader: 
     asyncio.run(main())
 
 
-def test_what_changes_unseen_is_not_read(opened: Any, reader: Any) -> None:
+def test_what_changes_unseen_is_not_read(opened: Any, reader: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """A reader at 1 Hz of a topic at 10 Hz costs one rendering a second."""
-    reads: list[float] = []
+    reads = 0
 
     async def main() -> None:
+        nonlocal reads
         async with opened() as app:
             slow = reader(app, f"{SPEED}?rate=1")
             await slow.until(lambda one: bool(one.events))
-            (followed,) = app.broadcasters._broadcasters.values()
-            read = followed._read
+            (followed,) = app.broadcasters.resources
+            state = followed.state
 
-            async def counted() -> Any:
-                reads.append(time.monotonic())
-                return await read()
+            async def counted() -> State:
+                nonlocal reads
+                reads += 1
+                return await state()
 
-            followed._read = counted
+            monkeypatch.setattr(followed, "state", counted)
             await slow.until(lambda one: len(one.events) >= 3)
-            assert len(reads) <= 4
+            assert reads <= 4
             await slow.leave()
 
     asyncio.run(main())

@@ -99,7 +99,7 @@ class Site:
         """The page as it is now."""
         self.tell(page(content, live))
 
-    def _stream(self, handler: BaseHTTPRequestHandler) -> None:
+    def stream(self, handler: BaseHTTPRequestHandler) -> None:
         told: queue.Queue[bytes | None] = queue.Queue()
         with self._came:
             self._told.append(told)
@@ -141,7 +141,7 @@ class Site:
                     self.wfile.write(body)
                 elif site.status == 200:
                     site.asked.append(parse_qs(url.query))
-                    site._stream(self)
+                    site.stream(self)
 
             def log_message(self, format: str, *args: object) -> None:
                 pass

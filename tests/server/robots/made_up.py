@@ -8,7 +8,7 @@ import json
 import threading
 import time
 from collections import Counter
-from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -93,7 +93,8 @@ class MadeUp:
 
     `calls` counts the calls of each service, `reads` those for the value of each parameter; `sent` is what was
     published, as plain JSON; `sets` are the parameters that were set together, `owners` the nodes whose they are, where
-    they are not the system's, and `declared` what those declare. Everything may be called from the test's thread.
+    they are not the system's, and `declared` what those declare. Everything may be called from the test's thread, and
+    on the loop.
     """
 
     capabilities = Capabilities("made-up", Encoding.ROS1, writes=True, creates_topics=False, parameter_trees=True)
@@ -117,6 +118,7 @@ class MadeUp:
         self._held: dict[str, asyncio.Event] = {}
         self._sink: Sink | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
+        self._loop_thread = 0
         self._happened = threading.Condition()
 
     # What a test does
@@ -125,7 +127,7 @@ class MadeUp:
         """A service of this name, from now on."""
         schema = self._library.find(TypeRef(type))
         assert isinstance(schema, ServiceSchema)
-        self._do(lambda: self._revised(self._services.__setitem__, name, (schema, act)))
+        self.run(lambda: self._revised(self._services.__setitem__, name, (schema, act)))
 
     def answer(self, name: str, type: str, **values: Any) -> None:
         """A service that always answers the same."""
@@ -149,52 +151,68 @@ class MadeUp:
 
     def withdraw(self, name: str) -> None:
         """The service is gone, and is known to be."""
-        self._do(lambda: self._revised(self._services.pop, name))
+        self.run(lambda: self._revised(self._services.pop, name))
 
     def break_off(self, name: str) -> None:
         """The service is gone, and nobody has noticed."""
-        self._do(lambda: self._services.pop(name))
+        self.run(lambda: self._services.pop(name))
 
     def topic(self, name: str, type: str, value: Any = None, *, published: bool = True, heard: bool = False) -> None:
         """A topic that the robot publishes, that a node listens to, or both; and its first message, if there is one."""
-        self._do(
-            lambda: self._revised(self._topics.__setitem__, name, _Topic(self._message(type).ref, published, heard))
-        )
+        self.topics([name], type, published=published, heard=heard)
         if value is not None:
             self.publishes(name, value)
 
+    def topics(self, names: Iterable[str], type: str, *, published: bool = True, heard: bool = False) -> None:
+        """Topics of one type, all with one change of the graph."""
+        ref = self._message(type).ref
+        added = {name: _Topic(ref, published, heard) for name in names}
+        self.run(lambda: self._revised(self._topics.update, added))
+
+    def slot(self, name: str) -> Slot:
+        """The slot of a topic, which counts its subscriptions."""
+        return self._topics[name].slot
+
+    def subscribed(self) -> set[str]:
+        """The topics that somebody is subscribed to."""
+        return {name for name, topic in self._topics.items() if topic.slot.subscriptions}
+
     def forget(self, name: str) -> None:
         """The topic is gone: no node has it any more."""
-        self._do(lambda: self._revised(self._topics.pop, name))
+        self.run(lambda: self._revised(self._topics.pop, name))
 
     def publishes(self, name: str, value: Any) -> None:
         """The robot sends a message."""
-        self._do(lambda: self._put(name, ROBOT, self._encoded(name, value)))
+        self.run(lambda: self._put(name, ROBOT, self._encoded(name, value)))
 
     def strange(self, *things: Topic | Service | Action) -> None:
         """What is in the graph, and of which nothing more is known than that says."""
-        self._do(lambda: self._revised(self._strange.extend, things))
+        self.run(lambda: self._revised(self._strange.extend, things))
 
     def parameter(self, name: str, value: ParameterValue) -> None:
         """A parameter has this value."""
-        self._do(lambda: self._parameters_are(trees.with_value(self._parameters, name, value)))
+        self.run(lambda: self._parameters_are(trees.with_value(self._parameters, name, value)))
+
+    def lose_parameter(self, name: str) -> None:
+        """The parameter is gone, and nobody has noticed."""
+        self._parameters = trees.without_name(self._parameters, name)
 
     def hold(self, name: str) -> None:
         """Calls of this service hang until `release`."""
-        self._do(lambda: self._held.__setitem__(name, asyncio.Event()))
+        self.run(lambda: self._held.__setitem__(name, asyncio.Event()))
 
     def release(self, name: str) -> None:
         """Those that hang get their answer."""
-        self._do(lambda: self._held.pop(name).set())
+        self.run(lambda: self._held.pop(name).set())
 
     def until(self, true: Callable[[], object], what: str = "what was waited for") -> None:
         """Wait for something about the calls."""
         with self._happened:
             assert self._happened.wait_for(true, PATIENCE), f"never came: {what}"
 
-    def _do(self, act: Callable[[], T]) -> T:
-        """Do it on the loop that serves the robot, or here before it is served."""
-        if self._loop is None or not self._loop.is_running():
+    def run(self, act: Callable[[], T]) -> T:
+        """Do it on the loop that serves the robot: at once where this is called there, or before it is served."""
+        if self._loop is None or not self._loop.is_running() or self._loop_thread == threading.get_ident():
             return act()
 
         async def on_the_loop() -> T:
@@ -205,7 +223,7 @@ class MadeUp:
     # What an adapter does
 
     async def open(self, sink: Sink, *, deadline: float) -> None:
-        self._sink, self._loop = sink, asyncio.get_running_loop()
+        self._sink, self._loop, self._loop_thread = sink, asyncio.get_running_loop(), threading.get_ident()
         self._revised(lambda: None)
 
     async def close(self) -> None:

@@ -84,7 +84,7 @@ class Managed(MadeUp):
     def stands(self, lifecycle: str | Lifecycle) -> None:
         """The lifecycle of `/camera` is in this state, or is this."""
         self._lifecycle = standing("/camera", lifecycle) if isinstance(lifecycle, str) else lifecycle
-        self._do(lambda: self._revised(lambda: None))
+        self.run(lambda: self._revised(lambda: None))
 
     async def change_state(self, node: str, transition: str, *, deadline: float) -> None:
         await asyncio.sleep(0)

@@ -46,6 +46,7 @@ class RobotSource:
         self.looks: list[Needs] = []
         self.rendered: list[str] = []
         self.pause: Callable[[], Coroutine[Any, Any, None]] | None = None
+        self.delay: Callable[[], Coroutine[Any, Any, None]] | None = None
 
     def url(self, topic: int) -> str:
         return f"{BASE}topics/t{topic}"
@@ -70,7 +71,10 @@ class RobotSource:
             for topic in self._named(needs)
             if topic not in self.silent and needs.wants_topic(self.url(topic), {f"p/msg/T{topic % 10}"})
         ]
-        return [*found, *(self._bag(iri) for iri in self.bags if iri in needs.documents)]
+        found += [self._bag(iri) for iri in self.bags if iri in needs.documents]
+        if self.delay is not None:
+            await self.delay()
+        return found
 
     def _named(self, needs: Needs) -> Sequence[int]:
         if needs.graphs is None:
@@ -87,7 +91,7 @@ class RobotSource:
 
         def ntriples() -> str:
             self.rendered.append(url)
-            return self._described(url) + (self._message(url, topic, value) if live else "")
+            return self._described(url) + (self.message(url, topic, value) if live else "")
 
         return GraphEntry(url, (self.revision, value) if live else self.revision, ntriples)
 
@@ -98,7 +102,7 @@ class RobotSource:
             f"<{url}> <{ROS}namespace> <{BASE}revisions/{self.revision}> .\n"
         )
 
-    def _message(self, url: str, topic: int, value: int) -> str:
+    def message(self, url: str, topic: int, value: int) -> str:
         fields = "".join(
             f'<{url}#message> <{TYPES}p/msg/T{topic % 10}#f{at}> "{value + at}.5"^^<{DOUBLE}> .\n'
             for at in range(self.fields)

@@ -187,11 +187,20 @@ def test_a_slow_look_does_not_bring_back_older_values(make_source: Make, make_en
         source = make_source()
         endpoint = make_endpoint(source)
         await endpoint.rows(value(3))
-        needs = endpoint.service.check(value(3)).needs
-        old = await endpoint.synchroniser._look(needs, 0.0)
+        is_read, may_return = asyncio.Event(), asyncio.Event()
+
+        async def delay() -> None:
+            source.delay = None
+            is_read.set()
+            await may_return.wait()
+
+        source.delay = delay
+        slow = asyncio.ensure_future(endpoint.rows(value(3)))
+        await is_read.wait()
         source.tick()
         assert await endpoint.rows(value(3)) == ["1.5"]
-        await endpoint.synchroniser._apply(old)
+        may_return.set()
+        await slow
         assert '"1.5"^^' in await endpoint.graph("http://robot/topics/t3")
 
     run(scenario())
@@ -237,14 +246,14 @@ def test_one_graph_that_cannot_be_rendered_or_stored_hides_no_other(
     async def scenario() -> None:
         source = make_source()
         endpoint = make_endpoint(source)
-        whole = source._message
+        whole = source.message
 
         def broken(url: str, topic: int, value: int) -> str:
             if topic == 3:
                 raise RuntimeError("no such field")
             return "} ; DROP ALL" if topic == 13 else whole(url, topic, value)
 
-        monkeypatch.setattr(source, "_message", broken)
+        monkeypatch.setattr(source, "message", broken)
         query = "SELECT ?m ?x { ?m <https://w3id.org/rosld/types/p/msg/T3#f0> ?x }"
         assert await endpoint.rows(query) == []
         assert await endpoint.rows(value(4)) == ["0.5"]

@@ -9,7 +9,7 @@ import threading
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import AbstractAsyncContextManager, closing, contextmanager
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import pytest
 
@@ -32,6 +32,20 @@ RDF = Model.RDF_SOURCE
 async def chunks(*parts: bytes) -> AsyncIterator[bytes]:
     for part in parts:
         yield part
+
+
+@pytest.fixture
+def connections(monkeypatch: pytest.MonkeyPatch) -> list[sqlite3.Connection]:
+    """The connections to databases that were made, in their order."""
+    made: list[sqlite3.Connection] = []
+    connect = sqlite3.connect
+
+    def noted(*arguments: Any, **options: Any) -> sqlite3.Connection:
+        made.append(connect(*arguments, **options))
+        return made[-1]
+
+    monkeypatch.setattr(sqlite3, "connect", noted)
+    return made
 
 
 class Disk:
@@ -134,10 +148,12 @@ def test_a_disk_that_fails_acknowledges_nothing_and_the_next_write_is_tried_anew
     asyncio.run(run())
 
 
-def test_a_full_database_refuses_what_does_not_fit_and_goes_on(records: Opened) -> None:
+def test_a_full_database_refuses_what_does_not_fit_and_goes_on(
+    records: Opened, connections: list[sqlite3.Connection]
+) -> None:
     async def run() -> None:
         async with records() as kept:
-            connection = kept._connection
+            connection = connections[-1]
             pages = connection.execute("PRAGMA page_count").fetchone()[0]
             connection.execute(f"PRAGMA max_page_count = {pages + 20}")
             await kept.write(Put("data/a", RDF, b"a"))
@@ -278,12 +294,14 @@ def test_a_corrupt_database_answers_what_it_can_and_says_what_it_cannot(tmp_path
 
 
 @pytest.mark.parametrize("folder", [True, False])
-def test_a_container_of_many_members_is_as_quick_as_a_small_one(tmp_path: Path, folder: bool) -> None:
+def test_a_container_of_many_members_is_as_quick_as_a_small_one(
+    tmp_path: Path, folder: bool, connections: list[sqlite3.Connection]
+) -> None:
     """Counted in pages that SQLite touches, as time tells little on a machine that does something else too."""
 
     async def run() -> None:
         kept = open_records(tmp_path if folder else None)
-        connection, steps = kept._connection, 0
+        connection, steps = connections[-1], 0
 
         def step() -> None:
             nonlocal steps

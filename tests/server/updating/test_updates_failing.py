@@ -177,7 +177,7 @@ def test_topics_that_an_update_does_not_name_go_on_meanwhile(arm: MadeUp, servin
     arm.topic("/place", "geometry_msgs/msg/Vector3", {"x": 1, "y": 0, "z": 0})
 
     def moving(_: Any) -> dict[str, int]:
-        arm._put("/place", "/robot", arm._encoded("/place", {"x": 1, "y": 0, "z": 0}))
+        arm.publishes("/place", {"x": 1, "y": 0, "z": 0})
         return {"value": 1}
 
     arm.offer("/arm/get_first", "made_up/srv/GetByte", moving)

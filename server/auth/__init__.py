@@ -1,1 +1,1 @@
-"""Who asks, and what they may do: agents, rights, the file that says both (Web Access Control, RFC 6750)."""
+"""Authentication and authorization: agents, their rights, and the file that declares both (WAC, RFC 6750)."""

@@ -1,4 +1,4 @@
-"""Agents: whoever a request comes from."""
+"""The agent that a request comes from."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Agent:
-    """Somebody who asks. `name` is what pages and receipts call them; `webid` is their URL where they have one."""
+    """An agent. `name` is what pages and receipts call them; `webid` is their URL where they have one."""
 
     name: str
     webid: str | None = None

@@ -1,4 +1,4 @@
-"""The door: from the Authorization field of a request to who that is, and what they may do. Keeps up with its file."""
+"""Authenticator: from the Authorization field of a request to its agent and their rights; reads its file again."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _Stamp: TypeAlias = tuple[int, int, int]
 
 @dataclass(frozen=True, slots=True)
 class AuthContext:
-    """One who asks: what they may do, and whether they still may after a while (streams last); what anybody may do."""
+    """The agent of a request, with their permissions, whether these still hold (streams last), and those of anybody."""
 
     permissions: Permissions
     is_valid: Callable[[], bool]
@@ -47,7 +47,7 @@ UNRESTRICTED = AuthContext(ALLOW_ALL, _always, ALLOW_ALL)
 
 
 class Authenticator:
-    """The door of one server. Belongs to one loop. Raises ValueError where its file cannot be read to begin with."""
+    """Authenticates the requests of one server. Belongs to one loop. Raises ValueError on an unreadable file."""
 
     def __init__(self, path: Path, space: Space, types: TypesAt) -> None:
         self._path = path

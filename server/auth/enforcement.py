@@ -1,4 +1,4 @@
-"""Enforcement: a request is judged at its path, then on the resource that is there; answers say what may be done."""
+"""Enforcement of rights: on the path of a request, then on its resource; answers tell what the agent may do."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _WORDS = {"PUT": "write this", "POST": "post to this", "PATCH": "change this", "
 
 
 class Protected(Protocol):
-    """What is judged of a resource."""
+    """What enforcement needs to know of a resource."""
 
     @property
     def changes_subtree(self) -> bool:

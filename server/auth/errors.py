@@ -1,4 +1,4 @@
-"""Refusals for want of rights: 401 to those who have not said who they are, 403 and 404 to those who have.
+"""Refusals for lack of rights: 401 to anonymous clients, 403 and 404 to authenticated ones.
 
 What an agent may not know of is refused in the same bytes whether it is there or not.
 """

@@ -28,11 +28,11 @@ _LONGEST_TOKEN = 16 * 1024
 
 
 class InvalidToken(Exception):
-    """A token that does not count; its words are for whoever sent it, and tell nothing of keys."""
+    """A token that is not accepted; its message is for the sender, and tells nothing of keys."""
 
 
 class Claims(NamedTuple):
-    """What a token that counts says; `expires` in seconds of the epoch."""
+    """The claims of an accepted token; `expires` in seconds of the epoch."""
 
     issuer: str
     subject: str

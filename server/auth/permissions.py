@@ -1,4 +1,4 @@
-"""Judges: what one agent may do with the URLs of one server. One a set of rights; no judgement has an effect."""
+"""Permissions: what one agent may do with the URLs of one server. Deciding has no effect."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rate limits of clients: what one may ask at a time, so that one at its limit leaves the others their speed."""
+"""Rate limits of clients, so that a client at its limit does not slow the others."""
 
 from __future__ import annotations
 

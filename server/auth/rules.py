@@ -1,4 +1,4 @@
-"""Rules: who may do what, where. Pure.
+"""Access rules: which agents may do what at which paths. Pure.
 
 Nothing is allowed that no rule allows, and what one rule denies no other allows. A rule is about paths (`globs.py`)
 and, where it says so, about message types: of topics, services and actions, and of the resources made of them.
@@ -28,7 +28,7 @@ UNTYPED: Types = frozenset()
 
 
 class Mode(Enum):
-    """What may be done: reading; writing what is kept; commanding the robot; saying who may."""
+    """Access modes: read, write documents, command the robot, change access rules."""
 
     READ = "read"
     WRITE = "write"
@@ -61,7 +61,7 @@ def mode_of(method: str, path: Path) -> Mode:
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """That agents may, or (`deny`) must not, do something at paths.
+    """A rule that agents may, or (`deny`) may not, use modes at paths.
 
     `types` are globs, and where there are any the rule is about resources of such types alone. `agents` are names or
     WebIDs, `anybody` or `authenticated`.

@@ -1,4 +1,4 @@
-"""Bearer tokens (RFC 6750): made, told once, kept as digests, recognised. Pure but for the making.
+"""Bearer tokens (RFC 6750): generated, shown once, stored as digests, recognised. Pure except for generation.
 
 A token is 256 random bits, so its digest cannot be guessed back and needs no salt. Who is looked for is found by the
 digest of what was sent: nothing is compared with a token itself, so no comparison can tell how much of one was right.
@@ -52,7 +52,7 @@ class TokenTable:
 
 @dataclass(frozen=True, slots=True)
 class Credentials:
-    """What a request proves itself with: a token, and the name that came with it where it came as a password."""
+    """The credentials of a request: a token, and the user name where it came as a password."""
 
     token: str
     name: str = ""

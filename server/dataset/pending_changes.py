@@ -1,4 +1,4 @@
-"""What a mirror has still to tell: at most one entry a graph, for what a graph says newest is all that counts."""
+"""Changes that a mirror has yet to send: at most one entry a graph, its newest state."""
 
 from __future__ import annotations
 

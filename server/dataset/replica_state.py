@@ -1,4 +1,4 @@
-"""What another store was told of graphs last, so that only the triples that differ are told again."""
+"""What a replica holds, so that only the triples that differ are sent."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _ALL = 32 * 1024 * 1024
 
 
 class ReplicaState:
-    """Holds as long as nothing failed: then it must forget."""
+    """The state is valid until a request fails; then it must be forgotten."""
 
     def __init__(self) -> None:
         self._texts: dict[str, str] = {}

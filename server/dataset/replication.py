@@ -1,4 +1,4 @@
-"""The mirror: another store is told, in the background, whatever the dataset of this server holds.
+"""Replication: copies the dataset of this server to another store, in the background.
 
 The dataset here stays what queries are answered from; the other store follows at a rate, and may hold the graphs of
 other servers too: which graphs are ours their IRIs tell, and no other is ever touched. What is to be told is kept as

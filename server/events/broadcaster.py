@@ -1,4 +1,4 @@
-"""Feeds: one resource followed for all who read its changes. Its state is read once a change, whoever looks."""
+"""Broadcasters: each follows one resource for all clients that read its changes, and reads its state once a change."""
 
 from __future__ import annotations
 

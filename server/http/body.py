@@ -119,7 +119,7 @@ _CLOSE = {"Connection": "close"}
 
 
 class _TooLarge(Exception):
-    """More came than is read."""
+    """The body is larger than its limit."""
 
 
 async def _collect(receive: Receive, limit: int) -> bytes:

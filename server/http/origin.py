@@ -1,4 +1,4 @@
-"""Who may talk to this server by which name: Host (RFC 9110 7.2), Origin (RFC 6454) and sharing (the Fetch standard).
+"""Hosts and origins that may use this server: Host (RFC 9110 7.2), Origin (RFC 6454) and CORS (the Fetch standard).
 
 A robot on somebody's own machine is reached by every page their browser shows. So a request must name this server
 (which stops DNS rebinding), and one that may change something must not come from a foreign page.

@@ -1,4 +1,4 @@
-"""Problems: every refusal and failure that the web sees (RFC 9457), raised as an exception.
+"""Problem (RFC 9457): the exception for every refusal and failure that clients see.
 
 `problem_details.py` renders them. A body says what the client sent and what to do next, and never how the server is
 made: no traceback, no path of a file, no class.

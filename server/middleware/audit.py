@@ -1,4 +1,4 @@
-"""The audit: every write leaves a receipt, also one that is refused, and its answer links it."""
+"""Audit: every write leaves a receipt, also a refused one, and its answer links to it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _REFUSED = frozenset({403, *ABSENT})
 
 
 class Audit:
-    """Notes writes when their answers are ready, before they are sent."""
+    """Records a write when its answer is ready, before it is sent."""
 
     def __init__(self, next: Handler, recorder: Recorder, space: Space) -> None:
         self._next = next

@@ -1,4 +1,4 @@
-"""Authentication and authorization: who asks, what the path alone forbids, and what an answer says of rights."""
+"""Authentication, authorization by the path, and the headers that tell rights."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class AccessHeaders:
 
 
 class Authentication:
-    """Finds out who asks, and refuses what the path alone forbids (401, 403, 404)."""
+    """Authenticates the agent, and refuses what the path alone forbids (401, 403, 404)."""
 
     def __init__(self, next: Handler, authenticator: Authenticator, space: Space) -> None:
         self._next = next

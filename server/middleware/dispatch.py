@@ -1,4 +1,4 @@
-"""The end of the stack: the resource that a path leads to answers."""
+"""The end of the middleware stack: the resource at the path answers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Errors: what handlers raise, as answers."""
+"""Error responses: the exceptions of handlers as answers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rate limits: what one client may ask at a time. Stopping the robot is never too much."""
+"""Rate limits of clients, from which the stop is exempt."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rosld.server.rest.exchange import Exchange
 
 
 class Admission:
-    """Lets requests pass, each client's as many as it may have. `stop` is the path that stops the robot."""
+    """Admits requests within the limits of their client. `stop` is the path that stops the robot."""
 
     def __init__(self, clients: ClientLimiter, stop: bytes) -> None:
         self._clients = clients
@@ -49,7 +49,7 @@ class Admission:
 
 
 class RateLimits:
-    """Refuses what is more than a client may ask (429)."""
+    """Refuses requests above the limits of a client (429)."""
 
     def __init__(self, next: Handler, admission: Admission) -> None:
         self._next = next

@@ -1,4 +1,4 @@
-"""The recorder: the one place where writes are noted, when their answers are ready and before they are sent."""
+"""Recorder: the one place that records writes, when their answers are ready and before they are sent."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Header = tuple[bytes, bytes]
 
 
 class Recorder:
-    """Notes the writes of one server in its journal."""
+    """Records the writes of one server in its journal."""
 
     def __init__(self, journal: Journal, space: Space) -> None:
         self._journal = journal

@@ -1,4 +1,4 @@
-"""Scheduling: few requests begin in one turn of the loop, so that the stop never waits for long."""
+"""Scheduling: few requests begin in one iteration of the loop, so that the stop never waits for long."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rosld.server.runtime.scheduler import RequestScheduler
 
 
 class Scheduling:
-    """Has requests wait for their turn, all but the stop, whose path is `stop`."""
+    """Schedules requests, all but the stop, whose path is `stop`."""
 
     def __init__(self, next: Handler, stop: bytes) -> None:
         self._next = next

@@ -1,1 +1,1 @@
-"""What is in force: limits, stored queries and mappings that people keep and this server acts on."""
+"""Documents of clients that this server acts on: limits, stored queries and mappings."""

@@ -1,4 +1,4 @@
-"""Limits on what is written: those that a server begins with, and those that clients keep under `/shapes/`."""
+"""The limits in force: those that a server begins with, and those that clients keep under `/shapes/`."""
 
 from __future__ import annotations
 

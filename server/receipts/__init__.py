@@ -1,1 +1,1 @@
-"""Receipts: what was asked of the server that would change something, by whom, and what became of it."""
+"""Receipts: each write that was requested, by whom, and its outcome."""

@@ -1,4 +1,4 @@
-"""Accounts: what a request tells of its write while it is planned and carried out. Its receipt is made of it.
+"""The audit context of a request: what it did so far, of which its receipt is made.
 
 Whatever tells the robot something tells the account `under_way` of it, so that a resource can forget neither to tell
 what it touches nor what came of it. What a resource has to say beyond that it says to its exchange's.
@@ -15,7 +15,7 @@ _MAX_STEPS = 100
 
 
 class AuditContext:
-    """What one request has told of its write. Of a request that writes nothing it stays as it is.
+    """What one request did so far; empty for a request that writes nothing.
 
     `started_ns` is when the request was taken up, `sent` the SHA-256 of a body that was read as it came, of `length`.
     """

@@ -1,4 +1,4 @@
-"""What was asked and answered, as it is noted while the answer waits, and the receipt that is made of it later.
+"""A request and its answer, as recorded before the answer is sent, and the receipt that is made of them later.
 
 Noting is quick. Looking through what was sent for secrets is not, so it is done when somebody first looks at the
 receipt, or when it is written to the disk: before that it is nowhere but here.

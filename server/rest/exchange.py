@@ -1,4 +1,4 @@
-"""One request being answered, as resources see it: its query, its headers and its body, each checked when asked for."""
+"""The request that a resource answers: its query, headers and body, each checked when it is read."""
 
 from __future__ import annotations
 

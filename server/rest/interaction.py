@@ -1,4 +1,4 @@
-"""Interaction models: which one a request asks for, how it is told, and what members of containers are (LDP 4, 5).
+"""Interaction models (LDP 4, 5): the one that a request asks for, its Link headers, and the members of containers.
 
 Pure: links, triples and names go in, values come out; what cannot be is a Problem.
 """

@@ -1,4 +1,4 @@
-"""Alone: what depends on a state is judged and carried out with no other such write in between."""
+"""A lock per URL that serialises conditional writes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rosld.server.http.problem import Problem
 
 
 class KeyedLock:
-    """Lets one write that depends on the state at a time at each URL (RFC 9110 13.1.1: no update is lost)."""
+    """Serialises the conditional writes at each URL (RFC 9110 13.1.1: no update is lost)."""
 
     def __init__(self, timeout: float) -> None:
         self._patience = timeout

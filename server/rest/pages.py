@@ -48,7 +48,7 @@ _SHORT_PAGE = 300
 
 
 class PageRenderer:
-    """Draws the pages of one robot's resources."""
+    """Renders the pages of one robot's resources."""
 
     headers: Mapping[str, str] = {name.lower(): value for name, value in html.HEADERS.items()}
 

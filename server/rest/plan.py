@@ -1,4 +1,4 @@
-"""Plans: writes of which all that could be refused has been looked at, and nothing has been done."""
+"""Plans: writes that are fully checked and not yet carried out."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rosld.server.storage import Write
 
 @dataclass(frozen=True, slots=True)
 class RobotWrite:
-    """The robot is to be told something: `does` says what, `carry_out` does it and tells whether it was heard.
+    """A write to the robot: `does` describes it, `carry_out` performs it and returns whether it was received.
 
     `carry_out` raises RosError, and Problems where the robot declines.
     """
@@ -22,7 +22,7 @@ class RobotWrite:
 
 @dataclass(frozen=True, slots=True)
 class StorageWrite:
-    """Something is to be kept, or to be kept no longer: these writes together do it."""
+    """Writes to the storage, done together in one transaction."""
 
     description: str
     writes: tuple[Write, ...]

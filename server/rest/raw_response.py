@@ -1,4 +1,4 @@
-"""Responses whose every byte is ready."""
+"""Responses whose bytes are all rendered."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The contract of resources: everything that has a URL is one of these.
+"""Base class of resources: everything that has a URL.
 
 A resource is made for a request and holds no state of its own: `state()` tells what it is like now. Verbs it lists in
 `methods` are its coroutines of the same names; `verbs.py` has done negotiation, `Allow` and preconditions before them.

@@ -1,4 +1,4 @@
-"""What every answer about a resource says of it, whatever state it is in: Allow, Link, Accept-*."""
+"""Headers that every answer about a resource has, whatever its state: Allow, Link, Accept-*."""
 
 from __future__ import annotations
 

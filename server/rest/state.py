@@ -1,4 +1,4 @@
-"""The state of a resource at one moment, and its renderings, each made once."""
+"""The state of a resource at one moment, and its renderings, each cached."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from rosld.server.runtime.signals import Signal
 
 
 class CallState(Enum):
-    """What became of a call; the values are terms of the vocabulary."""
+    """The state of a call; the values are terms of the vocabulary."""
 
     RUNNING = "Running"
     SUCCEEDED = "Succeeded"
@@ -59,7 +59,7 @@ class IdempotencyKeyReused(ValueError):
 
 
 class Gone(LookupError):
-    """The call was there and is no more."""
+    """The call existed and is no longer kept."""
 
 
 _REMEMBERED_IDS = 10_000

@@ -1,4 +1,4 @@
-"""The gate: whatever tells the robot to do something passes here last, and nothing does while the robot is stopped."""
+"""Write interlock: the last check of every write to the robot, which refuses all of them while it is stopped."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class TopicHeld(RosError):
 
 
 class WriteInterlock:
-    """Where writes pass, one by one: all while it is open, none while the robot is stopped.
+    """Runs writes to the robot, none of them while it is stopped.
 
     What is under way when the robot is stopped is cut off. A topic in `held` is published to by its hold only.
     """

@@ -1,4 +1,4 @@
-"""Live topics: subscribed to when somebody looks, kept a while, within a budget."""
+"""Live topics: subscribed on demand, kept for a while, within a budget."""
 
 from __future__ import annotations
 

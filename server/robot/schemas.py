@@ -1,4 +1,4 @@
-"""Schemas as the server needs them: asked of the adapter once, then at hand."""
+"""Schemas of message types, asked of the adapter once and then cached."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The stop: what moves is ended at once, and nothing that would move the robot passes until the stop is lifted."""
+"""Software stop: ends all motion at once, and refuses writes that would move the robot until it is lifted."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _NOTHING = "no topic of a velocity type has a subscriber (--stop-zero names othe
 
 
 class StepStatus(Enum):
-    """What became of a step; the values are terms of the vocabulary."""
+    """The outcome of a step; the values are terms of the vocabulary."""
 
     PLANNED = "NotSent"
     RUNNING = "Running"

@@ -1,4 +1,4 @@
-"""Which topics and parameters may be written to: safety before comfort.
+"""Which topics and parameters may be written to.
 
 A robot's sensors are published by its nodes; to publish there too is to lie to it. So a topic is writable when no
 other node publishes it and somebody else listens (or rosld itself advertised it); more needs an explicit permission.

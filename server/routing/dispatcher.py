@@ -1,4 +1,4 @@
-"""The verbs on any resource: Allow, negotiation, preconditions, preferences, the same for all (RFC 9110, LDP 4.2)."""
+"""HTTP methods on any resource: Allow, negotiation, preconditions, preferences (RFC 9110, LDP 4.2)."""
 
 from __future__ import annotations
 

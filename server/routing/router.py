@@ -1,4 +1,4 @@
-"""From a path to its resource: one line a room."""
+"""Router: from a path to its resource, one line for each URL template."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The time by which deadlines are told."""
+"""The clock of deadlines."""
 
 from __future__ import annotations
 

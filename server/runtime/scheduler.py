@@ -1,4 +1,4 @@
-"""Turns: how many requests are begun in one turn of the loop, so that what cannot wait never waits for long."""
+"""Request scheduler: how many requests begin in one iteration of the loop, so that urgent ones never wait for long."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ MAX_STARTS = 4
 
 
 class RequestScheduler:
-    """Lets the first requests of a turn begin at once, and the others in the turns after it, in their order.
+    """Starts the first requests of an iteration at once, and the others in the following ones, in their order.
 
     Belongs to one loop.
     """

@@ -1,4 +1,4 @@
-"""Watches: how something tells that it may have changed. A watch carries nothing and may wake for nothing."""
+"""Watches: notification that something may have changed, without a payload; it may be spurious."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A cache with a version per entry: what was made for another version is not found."""
+"""A cache with a version per entry: an entry of another version is not found."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The open connections of one server: how many there may be, which end first, and room for what stops the robot."""
+"""The open connections of one server: their limit, which are closed first, and a reserve for the stop."""
 
 from __future__ import annotations
 

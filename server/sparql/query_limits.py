@@ -1,4 +1,4 @@
-"""What a query may take, and how whoever asked is told that it took too much."""
+"""Limits of a query, and the problems that tell which one it exceeded."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _RETRY_AFTER = {"Retry-After": "1"}
 
 
 class Limits(NamedTuple):
-    """What queries may take.
+    """Limits of queries.
 
     `seconds` for a whole answer, `memory` in bytes beyond the dataset, `rows` of an answer (triples of a graph);
     `concurrency` queries are answered at a time, and `queue` more may wait.

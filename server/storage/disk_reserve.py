@@ -1,4 +1,4 @@
-"""A reserve: room on the disk that is set aside, so that on a full one something can be deleted."""
+"""A reserve of disk space, so that deletes still work on a full disk."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Drawing: what operations make of the graphs they touch, on a canvas beside the dataset. Nothing else changes.
+"""Evaluation of an update over copies of the graphs that it changes; the dataset stays as it is.
 
 Each operation sees what those before it have done; what comes out is the net effect, one change a graph.
 """
@@ -37,7 +37,7 @@ GraphLookup: TypeAlias = "Callable[[str], Sequence[Triple] | None]"
 
 
 class GraphChange(NamedTuple):
-    """What becomes of a graph, which may not have been there before; `after` None: it is there no more."""
+    """The change of a graph, which may not have existed before; `after` None: it no longer exists."""
 
     graph: str
     was_there: bool

@@ -1,4 +1,4 @@
-"""The drawer: has updates drawn in the query process, over a dataset synchronised as for a query."""
+"""Update evaluator: has updates evaluated in the query process, over a dataset synchronised as for a query."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _INLINE_BYTES = 128 * 1024
 
 
 class Delta(NamedTuple):
-    """What operations come to.
+    """The changes that operations make.
 
     It holds for as long as the graphs with live values in `seen` have these tokens, and what clients keep of the graphs
     that change is not of a later version than `kept`. Those in `named` it names.
@@ -43,7 +43,7 @@ class _Asked(NamedTuple):
 
 
 class UpdateEvaluator:
-    """Draws updates. Belongs to one loop."""
+    """Evaluates updates. Belongs to one loop."""
 
     def __init__(self, service: QueryService, analyser: Analyser) -> None:
         self._service = service

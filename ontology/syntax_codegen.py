@@ -1,4 +1,4 @@
-r"""Notations: how each syntax writes the pieces of a message, as source for the generated lifters.
+r"""Code generation for lifters: how each syntax writes the parts of a message, as Python source.
 
 A *fragment* is the inside of an f-string: what is constant in it has passed `const`, the rest are names that the
 generated function binds. All notations share these names: `n` is the node (an absolute IRI in N-Triples, `#message`

@@ -1,4 +1,4 @@
-"""SHACL node shapes as they judge one node: compiled where they are simple, judged by pyshacl where they are not.
+"""SHACL node shapes that validate one node: compiled where they are simple, run by pyshacl where they are not.
 
 The verdict is pyshacl's, with its defaults: sh:Warning and sh:Info count as well. It differs in two things, both
 stricter, as SHACL's own words are: NaN is within no bounds, and what pyshacl fails to judge does not conform. Nothing

@@ -1,4 +1,4 @@
-"""Patterns: regular expressions of strangers, taken only where they cannot take for ever.
+"""Safe regular expressions: patterns of clients, accepted only where their matching time is bounded.
 
 Python's `re` backtracks: on some texts some patterns need a time that grows with a power of the text's length, or
 doubles with each character, and nothing can stop them. So a pattern is looked at first. A repetition whose turns could

@@ -1,4 +1,4 @@
-"""What shapes graphs are written with: named nodes of one document, and blank nodes that no other document has."""
+"""Writer of shapes graphs: named nodes of one document, and blank nodes unique to it."""
 
 from __future__ import annotations
 

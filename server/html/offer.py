@@ -1,4 +1,4 @@
-"""What is on offer, drawn: complex resources, properties and actions as values for the templates.
+"""Views of affordances: complex resources, properties and actions as values for the templates.
 
 The forms of a page are placed where they belong: beside the property that they set, as the button of the action.
 """

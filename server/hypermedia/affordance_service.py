@@ -1,4 +1,4 @@
-"""Offers: what the resources below `/resources/` are like now, and what may be done with them.
+"""Affordances: the present state of the resources below `/resources/`, and what may be done with them.
 
 The layout says what there is, the readings what state it is in, the verdicts what follows from that. All three are
 values; here they are kept in step with the robot.

@@ -1,4 +1,4 @@
-"""Conditions judged: does the state of a resource, as it was read, fulfil what a mapping asks of it? Pure."""
+"""Conditions of mappings, evaluated on the state of a resource as it was read. Pure."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rosld.server.hypermedia.value import MessageValue, Reading, lift_value, val
 
 
 class ConditionResults:
-    """The verdicts on the conditions of one layout, given one set of readings; each is made once."""
+    """The results of the conditions of one resource tree for one set of readings, each evaluated once."""
 
     def __init__(
         self, tree: ResourceTree, readings: Mapping[str, Reading], space: Space, lifting: LiftSettings

@@ -1,4 +1,4 @@
-"""The mappings in force: documents by URL, and what they arrange together; lookups in that are pure."""
+"""The mappings in force: documents by URL, and the mapping set that they make; lookups are pure."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def _claims(document: MappingDocument) -> tuple[set[str], set[str]]:
 
 @dataclass(frozen=True, slots=True)
 class _Index:
-    """What is looked up in an arrangement."""
+    """The indexes of a mapping set."""
 
     guards: Mapping[str, tuple[Condition, ...]]
     services: Mapping[str, list[tuple[ComplexResource, MappedAction]]]

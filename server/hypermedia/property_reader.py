@@ -1,4 +1,4 @@
-"""Readings: the values of properties, read from topics, getters and parameters, and kept while they are good."""
+"""Property reader: the values of properties, read from topics, getters and parameters, cached while they are valid."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Writing: a property is written by the first of its writers that may write now, planned first and carried out last."""
+"""Property writer: plans a write by the first of the property's writers that may write now, then carries it out."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class PlannedWrite:
 
 
 class WriteOutcome(Enum):
-    """What became of a write."""
+    """The outcome of a write."""
 
     DONE = "done"
     UNHEARD = "unheard"

@@ -1,4 +1,4 @@
-"""Answers: each is kept a while, and each question is asked once however many wait for its answer."""
+"""Single-flight cache: an answer is cached for a while, and concurrent requests for it share one fetch."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _MAX_ENTRIES = 65536
 
 @dataclass(frozen=True, slots=True)
 class CacheEntry(Generic[V]):
-    """What was answered to a question begun at the turn `begun`; kept until the loop time `until`."""
+    """The answer to a fetch that began at turn `begun`; valid until the loop time `until`."""
 
     value: V
     started: int
@@ -30,7 +30,7 @@ class CacheEntry(Generic[V]):
 
 
 class PendingFetch(Generic[K, V]):
-    """A question under way. It goes on whoever stops waiting; `begun` is its turn, 0 while it waits for room."""
+    """A fetch under way, which goes on when its callers stop waiting; `begun` is its turn, 0 while it is queued."""
 
     def __init__(self, keys: Sequence[K]) -> None:
         self.keys = keys
@@ -46,7 +46,7 @@ class PendingFetch(Generic[K, V]):
 
 
 class SingleFlightCache(Generic[K, V]):
-    """The answers to questions by their keys, each fresh for `freshness` seconds after it came.
+    """Answers by key, each fresh for `freshness` seconds.
 
     Whenever a question begins it takes a number from `turns`, which tell before from after.
     """

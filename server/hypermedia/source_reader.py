@@ -1,4 +1,4 @@
-"""Sources: one question to a topic, a getter or the parameters, and whatever comes of it as a value."""
+"""Reads one source of a property: a topic, a getter service or a parameter."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _log = logging.getLogger("rosld.hypermedia")
 
 
 class ReadResult(NamedTuple):
-    """What came of a question: a value, or why there is none; both None where there is simply none yet."""
+    """The result of a read: a value, or why there is none; both None where there is none yet."""
 
     value: Value | None
     failure: str | None
@@ -87,7 +87,7 @@ def goal_value(source: GoalSource, goal: Goal | None, origin: str) -> ReadResult
 
 
 class SourceReader:
-    """The sources of one robot. Nothing here raises: what goes wrong is a failure that names the ROS thing."""
+    """Reads the sources of one robot. Nothing here raises: a failure is a result that names the ROS thing."""
 
     def __init__(self, adapter: Adapter, topics: LiveTopics, schemas: Schemas, patience: float) -> None:
         self._adapter = adapter

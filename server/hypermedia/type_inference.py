@@ -1,4 +1,4 @@
-"""Signatures: what a service's or a topic's type says that it can be. Pure.
+"""Type inference: what the type of a service or topic says about its use as a property or action. Pure.
 
 A name only proposes a getter or a setter; these functions decide. A GET must be safe (RFC 9110 9.2.1), so nothing is a
 getter that could be a command: what answers with no more than a status has been told to do something.

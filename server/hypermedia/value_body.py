@@ -1,4 +1,4 @@
-"""Content: what a body wants the value of a property to be. Pure.
+"""Bodies of writes to a property, parsed to its new value. Pure.
 
 It is plain JSON (as `parse_json` gives it) or, where RDF says it with a literal, that `Literal`: its datatype tells
 what a JSON value could not.

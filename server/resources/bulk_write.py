@@ -1,4 +1,4 @@
-"""Changes of several members of a complex resource: planned whole, carried out one after the other, told one by one."""
+"""Writes of several members of a complex resource: planned together, carried out and reported one by one."""
 
 from __future__ import annotations
 

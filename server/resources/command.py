@@ -1,4 +1,4 @@
-"""Resources by whose writes the robot is told to do something."""
+"""Resources whose writes command the robot."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ WRITES = frozenset({"PUT", "POST", "PATCH", "DELETE"})
 
 
 class CommandResource(Resource):
-    """Base of the resources whose writes tell the robot something: none is on offer while it is stopped."""
+    """Base of the resources whose writes command the robot: none is offered while it is stopped."""
 
     robot: Robot
 

@@ -1,4 +1,4 @@
-"""The robot as the server has it: the session with it, and everything that one run of the server remembers."""
+"""The context of resources: the session with the robot, and the state of one run of the server."""
 
 from __future__ import annotations
 

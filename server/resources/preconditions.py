@@ -1,4 +1,4 @@
-"""Guards of writes: the conditions of mappings, judged on what is read anew before anything moves."""
+"""Preconditions of writes: the conditions of mappings, evaluated on values that are read again before the write."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Writes of properties: planned, held against the limits, carried out, told."""
+"""Writes of properties: planned, checked against the limits, carried out, reported."""
 
 from __future__ import annotations
 

@@ -104,7 +104,7 @@ def _query_item(purpose: str, parameters: Iterable[QueryParameterDeclaration]) -
 
 @dataclass(frozen=True, slots=True)
 class QueryRunner:
-    """Runs stored queries, and draws the pages that show what they find."""
+    """Runs stored queries, and renders the pages of their results."""
 
     service: QueryService
     pages: PageRenderer

@@ -1,4 +1,4 @@
-"""Writes of several rooms at once: each judged by its own, all done or none."""
+"""Transactions: writes below several routes at once, each validated by its own route, all done or none."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Judges: rooms whose documents mean something are kept like any others, once they are found good.
+"""Validators of documents that have an effect: mappings, stored queries and limits are stored once they are valid.
 
 A judge is asked before a write is done, and told what to do with it afterwards; its writes take turns.
 """
@@ -26,7 +26,7 @@ MAX_BYTES = 4 * 1024 * 1024
 
 
 class Validator(Protocol):
-    """Says what may be kept in a room."""
+    """Says which documents may be stored below a route."""
 
     shape: str
     """The name, below `/shapes/`, of what constrains it."""
@@ -49,7 +49,7 @@ class Validator(Protocol):
 
 
 class MappingValidator:
-    """Keeps mapping documents: what is kept is in force."""
+    """Validates mapping documents, which are in force once they are stored."""
 
     shape = "mapping"
     media_types: Sequence[str] = RDF_BODIES
@@ -87,7 +87,7 @@ class MappingValidator:
 
 
 class QueryValidator:
-    """Keeps stored queries, byte for byte; they are read anew when they are run."""
+    """Validates stored queries, which are stored byte for byte and parsed when they are run."""
 
     shape = "query"
     media_types: Sequence[str] = (QUERY_MEDIA_TYPE,)
@@ -126,7 +126,7 @@ class QueryValidator:
 
 
 class LimitsValidator:
-    """Keeps limits: what is kept bounds what may be written, from then on."""
+    """Validates limits, which bound what may be written once they are stored."""
 
     shape = "limits"
     media_types: Sequence[str] = RDF_BODIES

@@ -1,4 +1,4 @@
-"""Updates carried out: drawn over the dataset, planned graph by graph, judged whole, and only then done."""
+"""SPARQL updates: evaluated over the dataset, planned graph by graph, authorized as a whole, then carried out."""
 
 from __future__ import annotations
 

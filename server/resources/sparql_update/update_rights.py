@@ -1,4 +1,4 @@
-"""Whether who asks for an update may have it: judged by the names in it first, then on each graph that it changes."""
+"""Authorization of an update: by the names in its text first, then on each graph that it changes."""
 
 from __future__ import annotations
 

@@ -7,8 +7,6 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-import pytest
-
 HERE = Path(__file__).parent
 PAGE = HERE.parents[2] / "docs" / "reference" / "conformance.md"
 CASES = frozenset(
@@ -91,7 +89,7 @@ def test_every_case_has_one_row() -> None:
     assert sorted(told()) == sorted(CASES)
 
 
-@pytest.mark.parametrize("case", sorted(CASES))
-def test_every_case_has_a_test(case: str) -> None:
+def test_every_case_has_a_test() -> None:
     """Those for GET and POST are one test for both."""
-    assert re.sub(r"_(get|post)$", "", case) in written() or case in written()
+    tests = set(written())
+    assert not [case for case in CASES if not tests & {case, re.sub(r"_(get|post)$", "", case)}]

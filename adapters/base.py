@@ -126,16 +126,48 @@ class RecordedMessage:
 class Recording(Protocol):
     """A recording (a ROS bag) that can be read message by message."""
 
-    name: str
-    path: Path
-    format: str
-    count: int
-    start_ns: int
-    end_ns: int
-    topics: Mapping[str, RecordedTopic]
+    @property
+    def name(self) -> str:
+        """Its name in URLs."""
+        ...
+
+    @property
+    def path(self) -> Path:
+        """Where it lies."""
+        ...
+
+    @property
+    def format(self) -> str:
+        """The format of its file, for people."""
+        ...
+
+    @property
+    def first(self) -> int:
+        """The index of the first message that it still holds: 0 but where the oldest are removed."""
+        ...
+
+    @property
+    def count(self) -> int:
+        """How many messages it holds from the first on."""
+        ...
+
+    @property
+    def start_ns(self) -> int:
+        """When the first was recorded; 0 where there is none."""
+        ...
+
+    @property
+    def end_ns(self) -> int:
+        """When the last was recorded; 0 where there is none."""
+        ...
+
+    @property
+    def topics(self) -> Mapping[str, RecordedTopic]:
+        """Its topics by name."""
+        ...
 
     def message(self, index: int) -> RecordedMessage:
-        """Message `index`; raises NotFound outside 0 to count-1. Quick, but reads the disk."""
+        """Message `index`; raises NotFound outside first to first+count-1. Quick, but reads the disk."""
         ...
 
     def messages(self) -> Iterator[RecordedMessage]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Protocol
 
 from pyoxigraph import NamedNode
@@ -45,6 +46,8 @@ class Bag(Protocol):
     @property
     def format(self) -> str: ...
     @property
+    def first(self) -> int: ...
+    @property
     def count(self) -> int: ...
     @property
     def start_ns(self) -> int: ...
@@ -65,8 +68,13 @@ class BagMessage(Protocol):
     def sample(self) -> Sample: ...
 
 
-def bag_document(bag: Bag, space: Space) -> Document:
-    """A recording: how it is stored, from when to when, its topics with their types and counts."""
+def bag_document(
+    bag: Bag, space: Space, *, dropped: Mapping[str, int] = MappingProxyType({}), problem: str | None = None
+) -> Document:
+    """A recording: how it is stored, from when to when, its topics with their types and counts.
+
+    `dropped` are messages by topic that were sent and are not in it, `problem` says why it does not go on.
+    """
     url, messages = space.bag(bag.name), NamedNode(space.bag_messages(bag.name))
     tracks = {
         NamedNode(space.fragment(url, "topic", *name[1:].split("/"))): track for name, track in bag.topics.items()
@@ -78,6 +86,7 @@ def bag_document(bag: Bag, space: Space) -> Document:
         (ros.name, text(bag.name)),
         (dcterms.format, text(bag.format)),
         (ros.count, integer(bag.count)),
+        (ros.recordingProblem, text(problem)),
         (ros.start, date_time_literal(bag.start_ns) if bag.count else None),
         (ros.end, date_time_literal(bag.end_ns) if bag.count else None),
         (ldp.contains, messages),
@@ -85,7 +94,8 @@ def bag_document(bag: Bag, space: Space) -> Document:
     )
     triples += triples_about(messages, (rdfs.label, text("Messages")))
     for node, track in tracks.items():
-        triples += triples_about(node, *_track(track, space))
+        lost = dropped.get(track.name)
+        triples += triples_about(node, *_track(track, space), (ros.dropped, integer(lost) if lost else None))
     for ref in dict.fromkeys(track.type for track in bag.topics.values()):
         triples += type_url(ref, space)
     return Document(url, tuple(triples))
@@ -108,8 +118,8 @@ def bag_messages_document(bag: Bag, space: Space, page: int | None = None, size:
     LDP Paging: the members are those of the container, listed by its pages.
     """
     container = NamedNode(space.bag_messages(bag.name))
-    last = max(0, (bag.count - 1) // size)
-    pages = [NamedNode(f"{container.value}?page={number}") for number in (0, last)]
+    begin, last = bag.first // size, max(0, (bag.first + bag.count - 1) // size)
+    pages = [NamedNode(f"{container.value}?page={number}") for number in (begin, last)]
     subject = container if page is None else NamedNode(f"{container.value}?page={page}")
     triples = triples_about(
         container,
@@ -120,13 +130,13 @@ def bag_messages_document(bag: Bag, space: Space, page: int | None = None, size:
     )
     triples += triples_about(subject, (xhv.first, pages[0]), (xhv.last, pages[1]))
     if page is not None:
-        first, beyond = page * size, min((page + 1) * size, bag.count)
+        first, beyond = max(page * size, bag.first), min((page + 1) * size, bag.first + bag.count)
         members = [NamedNode(space.bag_message(bag.name, index)) for index in range(first, beyond)]
         triples += triples_about(
             subject,
             (rdf.type, ldp.Page),
             (ldp.pageSequence, container),
-            (xhv.prev, NamedNode(f"{container.value}?page={page - 1}") if page > 0 else None),
+            (xhv.prev, NamedNode(f"{container.value}?page={page - 1}") if page > begin else None),
             (xhv.next, NamedNode(f"{container.value}?page={page + 1}") if page < last else None),
         )
         triples += triples_about(container, *statements(ldp.contains, members))

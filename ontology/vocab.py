@@ -247,6 +247,8 @@ class ros(Namespace, iri="https://w3id.org/rosld#"):
     count: NamedNode
     onTopic: NamedNode
     recordedMessage: NamedNode
+    dropped: NamedNode
+    recordingProblem: NamedNode
     index: NamedNode
     recordedAt: NamedNode
 

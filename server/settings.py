@@ -73,6 +73,24 @@ class Settings:
     subscribe: tuple[str, ...] = setting(
         (), "Topics to subscribe to at once and always, such as '/camera/*'. Repeatable.", option=True, metavar="GLOB"
     )
+    history: tuple[str, ...] = setting(
+        (),
+        "Topics to record all the time, such as '*'; the recording is /bags/history/. In --data DIR, else in memory. "
+        "Repeatable.",
+        option=True,
+        metavar="GLOB",
+    )
+    history_time: float = setting(
+        86400.0, "How much of the past the history holds.", option=True, unit="s", minimum=1, metavar="SECONDS"
+    )
+    history_size: int = setting(
+        0,
+        "The most bytes of the history. Default (0): 1 GiB in --data DIR, 128 MiB in memory.",
+        option=True,
+        unit="bytes",
+        minimum=0,
+        metavar="BYTES",
+    )
     allow_publish: tuple[str, ...] = setting(
         (),
         "Topics that may be published to although other nodes publish them, or none subscribes to them. /tf and the "

@@ -157,6 +157,7 @@ LAYERS = [
     "search",
     "hypermedia",
     "robot",
+    "history",
     "dataset",
     "receipts",
     "storage",

@@ -20,6 +20,7 @@ PACKAGE = ("adapters", "ontology", "queries", "server", "shapes")
 NAMES = {
     "backports": "backports-zstd",
     "jwt": "pyjwt",
+    "mcap_ros1": "mcap-ros1-support",
     "ruamel": "ruamel-yaml",
     "xdist": "pytest-xdist",
     "SPARQLWrapper": "sparqlwrapper",

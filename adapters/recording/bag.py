@@ -44,6 +44,7 @@ class Bag:
         self.path = path
         self.format = storage.format
         self.notes = tuple(storage.notes)
+        self.first = 0
         self._storage = storage
         self._library = library
         self._connections = tuple(map(_named, storage.connections))

@@ -190,12 +190,13 @@ class PathCollector:
     def _bags(self) -> Iterator[DescribedPath]:
         space = self.robot.space
         yield self._path("/bags/")
-        for name, recording in self.robot.adapter.recordings.items():
+        for name, recording in self.robot.recordings.items():
             yield self._path(self._of(space.bag(name)))
             path = self._of(space.bag_messages(name))
             yield self._path(path)
             if recording.count:
-                yield self._template(f"{path}{{index}}", f"{path}0", index=f"From 0 to {recording.count - 1}.")
+                first, last = recording.first, recording.first + recording.count - 1
+                yield self._template(f"{path}{{index}}", f"{path}{first}", index=f"From {first} to {last}.")
 
     def _kept(self) -> Iterator[DescribedPath]:
         """What clients keep. What one URL answers depends on what is there: the template tells of all of it."""

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 from starlette.responses import Response
 
 from rosld.adapters.base import RecordedMessage, Recording
-from rosld.adapters.model import NotFound
+from rosld.adapters.model import NotFound, UnknownType
 from rosld.ontology.describe_bags import bag_document, bag_message_document, bag_messages_document
 from rosld.ontology.describe_containers import container_document
 from rosld.ontology.document import Document
@@ -50,7 +52,7 @@ class BagContainer(Resource):
         return (self.robot.space.document_shape("Container"),)
 
     async def state(self) -> State:
-        members = [self.robot.space.bag(name) for name in self.robot.adapter.recordings]
+        members = [self.robot.space.bag(name) for name in self.robot.recordings]
         return self.robot.states.get_or_make(
             self.url, len(members), lambda: State(lambda: container_document(self.url, members, "Recordings"))
         )
@@ -75,8 +77,12 @@ class BagResource(Resource):
         return (self.robot.space.document_shape("Bag"),)
 
     async def state(self) -> State:
-        recording, space = self.recording, self.robot.space
-        return self.robot.states.get_or_make(self.url, 0, lambda: State(lambda: bag_document(recording, space)))
+        recording, space, history = self.recording, self.robot.space, self.robot.history
+        is_history = recording is history.recording
+        dropped, problem = (history.dropped(), history.problem) if is_history else ({}, None)
+        version = recording.first, recording.count, problem, sum(dropped.values())
+        describe = partial(bag_document, recording, space, dropped=dropped, problem=problem)
+        return self.robot.states.get_or_make(self.url, version, lambda: State(describe))
 
 
 class BagMessages(Resource):
@@ -101,27 +107,30 @@ class BagMessages(Resource):
 
     async def state(self) -> State:
         recording, space, page = self.recording, self.robot.space, self.number
+        version = recording.first, recording.count
         return self.robot.states.get_or_make(
-            self.url, 0, lambda: State(lambda: bag_messages_document(recording, space, page, PAGE))
+            self.url, version, lambda: State(lambda: bag_messages_document(recording, space, page, PAGE))
         )
 
     def navigation_links(self) -> tuple[SequenceLink, ...]:
         base = self.robot.space.bag_messages(self.recording.name)
-        last = max(0, (self.recording.count - 1) // PAGE)
+        first, last = _pages(self.recording)
         if self.number is None:
-            places = {"first": 0, "last": last}
+            places = {"first": first, "last": last}
         else:
-            places = {"first": 0, "prev": self.number - 1, "next": self.number + 1, "last": last}
-        return tuple(SequenceLink(rel, f"{base}?page={at}") for rel, at in places.items() if 0 <= at <= last)
+            places = {"first": first, "prev": self.number - 1, "next": self.number + 1, "last": last}
+        return tuple(SequenceLink(rel, f"{base}?page={at}") for rel, at in places.items() if first <= at <= last)
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """The page that `?page=` asks for; a 404 Problem where there is none."""
         wanted = exchange.query.get("page")
         if wanted is None:
             return self
-        last = max(0, (self.recording.count - 1) // PAGE)
+        first, last = _pages(self.recording)
         if not (wanted.isascii() and wanted.isdigit()) or int(wanted) > last:
-            raise Problem(404, f"?page={wanted}: the pages of {self.recording.name} are 0 to {last}.")
+            raise Problem(404, f"?page={wanted}: the pages of {self.recording.name} are {first} to {last}.")
+        if int(wanted) < first:
+            raise Problem(410, f"?page={wanted}: the oldest messages were removed, the pages are {first} to {last}.")
         return BagMessages(self.robot, self.recording, int(wanted))
 
 
@@ -140,17 +149,23 @@ class BagMessage(Resource):
 
     def navigation_links(self) -> tuple[SequenceLink, ...]:
         """The messages before and after, first and last (RFC 8288)."""
-        last = self.recording.count - 1
-        places = {"first": 0, "prev": self.index - 1, "next": self.index + 1, "last": last}
-        url = self.robot.space.bag_message
-        return tuple(SequenceLink(rel, url(self.recording.name, at)) for rel, at in places.items() if 0 <= at <= last)
+        first, last = self.recording.first, self.recording.first + self.recording.count - 1
+        places = {"first": first, "prev": self.index - 1, "next": self.index + 1, "last": last}
+        links = ((rel, self.robot.space.bag_message(self.recording.name, at)) for rel, at in places.items())
+        there = {rel for rel, at in places.items() if first <= at <= last}
+        return tuple(SequenceLink(rel, url) for rel, url in links if rel in there)
 
     async def message(self) -> RecordedMessage:
         """The message, read off the loop; a 404 Problem where there is none."""
         try:
-            return await asyncio.to_thread(self.recording.message, self.index)
+            message = await asyncio.to_thread(self.recording.message, self.index)
         except NotFound as error:
-            raise Problem(404, error.sentence) from error
+            raise Problem(410 if self.index < self.recording.first else 404, error.sentence) from error
+        type = message.sample.schema
+        if self.robot.schemas.find_cached(type) is None:
+            with contextlib.suppress(UnknownType):
+                self.robot.schemas.add(type, await asyncio.to_thread(self.recording.schema, type))
+        return message
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem(f"A message of {self.recording.name}", FIELD_READS, ANYTHING, (FORMAT, FIELD))
@@ -199,9 +214,13 @@ def bag_route(robot: Robot, location: Location) -> Resource:
             return BagMessages(robot, recording) if location.is_container else _slash(robot, location)
         case (name, "messages", index) if not location.is_container:
             recording = _recording(robot, name)
-            if index.isascii() and index.isdigit() and str(int(index)) == index and int(index) < recording.count:
+            first, beyond = recording.first, recording.first + recording.count
+            is_number = index.isascii() and index.isdigit() and str(int(index)) == index
+            if is_number and first <= int(index) < beyond:
                 return BagMessage(robot, recording, int(index))
-            raise Problem(404, f"{name} has the messages 0 to {recording.count - 1}, not {index}.")
+            if is_number and int(index) < first:
+                raise Problem(410, f"Message {index} of {name} was removed: the oldest is {first}.")
+            raise Problem(404, f"{name} has the messages {first} to {beyond - 1}, not {index}.")
     raise Problem(404, "Under /bags/B/ there is messages/ and nothing else.")
 
 
@@ -211,7 +230,12 @@ def _slash(robot: Robot, location: Location) -> Resource:
 
 
 def _recording(robot: Robot, name: str) -> Recording:
-    found = robot.adapter.recordings.get(name)
+    found = robot.recordings.get(name)
     if found is None:
         raise Problem(404, f"There is no recording {name}.")
     return found
+
+
+def _pages(recording: Recording) -> tuple[int, int]:
+    """The first and the last page of a recording's messages."""
+    return recording.first // PAGE, max(0, (recording.first + recording.count - 1) // PAGE)

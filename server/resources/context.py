@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import gc
 import secrets
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Mapping, Sequence
+from functools import cached_property
 
-from rosld.adapters.base import Adapter
+from rosld.adapters.base import Adapter, Recording
+from rosld.adapters.model import MessageSchema, TypeRef
+from rosld.server.history.history import NAME as HISTORY
+from rosld.server.history.history import History
 from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.latest_values import LatestValues
 from rosld.server.hypermedia.mappings import Mappings
@@ -61,12 +65,17 @@ class Robot(Session):
             freshness=settings.freshness,
             patience=settings.call_deadline,
         )
-        self.latest_values = LatestValues(self.topics, self.schemas)
         self.affordances: AffordanceService[State] = AffordanceService(
             self, self.mappings, self.property_reader, self.states, lambda: self.limits
         )
         self.holds = Holds(self)
+        self.history = History(adapter, settings, self.schemas.get, self._definition_of)
         self.software_stop = SoftwareStop(self, self.holds, lambda: self.mappings.mapping_set.stop_commands())
+
+    @cached_property
+    def latest_values(self) -> LatestValues:
+        """The newest value of each topic in brief, as far as it is at hand."""
+        return LatestValues(self.topics, self.schemas)
 
     @property
     def revision(self) -> Hashable:
@@ -84,9 +93,15 @@ class Robot(Session):
         )
 
     @property
+    def recordings(self) -> Mapping[str, Recording]:
+        """The recordings by name: those of the source, and the history."""
+        own = {HISTORY: self.history.recording} if self.history.is_kept else {}
+        return {**own, **self.adapter.recordings}
+
+    @property
     def storage_problems(self) -> tuple[str, ...]:
         """Why not everything can be stored just now, in sentences; none where it can."""
-        found = (self.records.failure, self.receipts.failure)
+        found = (self.records.failure, self.receipts.failure, self.history.problem)
         return tuple(problem for problem in found if problem is not None)
 
     @property
@@ -99,6 +114,8 @@ class Robot(Session):
         await self.open()
         self.records.watch(self._kept)
         self.receipts.start()
+        await self.history.start()
+        self.changes.watch(self.history.refresh)
         self.active_limits.load_stored(self.records)
         await load_stored_mappings(self.mappings, self.records, self.settings, self.space)
         gc.collect()
@@ -113,8 +130,14 @@ class Robot(Session):
         await self.software_stop.wait_ended()
         await self.receipts.close()
         await self.property_reader.stop()
+        await self.history.stop()
         await self.close()
         await self.records.close()
+
+    def _definition_of(self, ref: TypeRef) -> str:
+        """The text of a message type as far as it is at hand, empty where it is not."""
+        found = self.schemas.find_cached(ref) or self.schemas.find_cached_by_name(ref.name)
+        return found.definition if isinstance(found, MessageSchema) else ""
 
     def _kept(self, changes: Sequence[RecordChange]) -> None:
         for each in changes:

@@ -45,7 +45,7 @@ class EntryResource(Resource):
             "actions": _seen(graph.actions, space.action, site),
             "nodes": _seen(graph.nodes, space.node, site),
             "parameters": _seen(graph.parameters, space.parameter, site),
-            "bags": _seen(self.robot.adapter.recordings, space.bag, site),
+            "bags": _seen(self.robot.recordings, space.bag, site),
         }
         first = EntryCount(SECTIONS["resources"], None, space.container("resources"), _FIRST, first=True)
         goals = ("goals",) if graph.actions else ()

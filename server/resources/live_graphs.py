@@ -162,7 +162,7 @@ class RobotGraphs:
             urls = {space.container("parameters", path) for path in namespaces(robot.graph, "parameters")}
             found["parameters"] = sum(map(permissions.may_read, urls - needs.graph_names))
         if needs.records:
-            recordings = [one for one in robot.adapter.recordings.values() if permissions.may_read(space.bag(one.name))]
+            recordings = [one for one in robot.recordings.values() if permissions.may_read(space.bag(one.name))]
             named = (space.location(url) for url in needs.documents)
             count = sum(one is not None and one.kind == "bags" and len(one.segments) == 3 for one in named)
             found["bags"] = sum(one.count for one in recordings) - count
@@ -257,8 +257,8 @@ class RobotGraphs:
             location = self._robot.space.location(url)
             match location:
                 case Location("bags", (bag, "messages", index), False) if index.isdecimal():
-                    recording = self._robot.adapter.recordings.get(bag)
-                    if recording is not None and int(index) < recording.count:
+                    recording = self._robot.recordings.get(bag)
+                    if recording is not None and recording.first <= int(index) < recording.first + recording.count:
                         yield BagMessage(self._robot, recording, int(index))
                 case Location("types" | "shapes", (_, _, _) as path, False) if not self._is_known("/".join(path)):
                     make = TypeResource if location.kind == "types" else ShapeResource
@@ -385,7 +385,7 @@ class RobotGraphs:
                 is_name = names.join(path) in things_of(graph, room)
                 describe = partial(listing_document, self._robot, room, path, members)
                 yield _described(space.container(room, path), (members, is_name, members == whole), describe)
-        recordings = tuple(map(space.bag, self._robot.adapter.recordings))
+        recordings = tuple(map(space.bag, self._robot.recordings))
         bags = partial(container_document, space.container("bags"), recordings, "Recordings")
         yield _described(space.container("bags"), recordings, bags)
         yield _described(space.container("queries"), self._robot.queries.version, queries_document(self._robot))

@@ -33,6 +33,12 @@ class Schemas:
         """A schema at hand of this name, whatever its hash."""
         return self._named.get(name)
 
+    def add(self, ref: TypeRef, schema: Schema) -> None:
+        """Have a schema at hand that was found elsewhere, such as in a recording."""
+        self._known.setdefault(schema.ref, schema)
+        self._named.setdefault(schema.ref.name, schema)
+        self._known.setdefault(ref, schema)
+
     async def get(self, ref: TypeRef) -> Schema:
         """The schema of a type; raises UnknownType (and Unreachable, TimedOut of adapters that must ask)."""
         if (known := self._known.get(ref)) is not None:

@@ -445,6 +445,7 @@ class Track:
 class Bag:
     name: str = "run 1.bag"
     format: str = "ROS 1 bag"
+    first: int = 0
     count: int = 250
     start_ns: int = 10**18
     end_ns: int = 10**18 + 5

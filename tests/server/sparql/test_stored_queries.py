@@ -95,6 +95,7 @@ class Bag:
     start_ns: int
     end_ns: int
     topics: Mapping[str, Track]
+    first: int = 0
 
 
 BAG = Bag("walk", "rosbag1", 7, SECOND, 3 * SECOND, {"/odom": Track("/odom", TypeRef(TWIST), 7)})

@@ -1,0 +1,81 @@
+"""Channels: what tells the messages of one publisher on one topic, and how MCAP says it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from rosld.adapters.model import Encoding, Sample, TypeRef
+from rosld.server.history import mcap_records as mcap
+
+_LATCHED = """- history: keep_last
+  depth: 1
+  reliability: reliable
+  durability: transient_local
+  deadline:
+    sec: 9223372036
+    nsec: 854775807
+  lifespan:
+    sec: 9223372036
+    nsec: 854775807
+  liveliness: automatic
+  liveliness_lease_duration:
+    sec: 9223372036
+    nsec: 854775807
+  avoid_ros_namespace_conventions: false"""
+"""The profile of a publisher that keeps its last message for those who come late, as rosbag2 writes it."""
+_SYNTAXES = {Encoding.ROS1: "ros1msg", Encoding.CDR: "ros2msg"}
+PROFILES = {Encoding.ROS1: "ros1", Encoding.CDR: "ros2"}
+
+
+class Channel(NamedTuple):
+    """One publisher's messages on one topic; `publisher` is empty where it is not known."""
+
+    topic: str
+    type: TypeRef
+    encoding: Encoding
+    publisher: str
+    latched: bool
+
+
+def channel_of(topic: str, sample: Sample) -> Channel:
+    """The channel of a sample of a topic."""
+    return Channel(topic, sample.schema, sample.encoding, sample.publisher, sample.latched)
+
+
+def channel_record(number: int, schema: int, one: Channel) -> bytes:
+    """The MCAP record of a channel, with what rosbag and rosbag2 say in theirs."""
+    return mcap.channel(number, schema, one.topic, one.encoding.value, _metadata(one))
+
+
+def schema_record(number: int, type: TypeRef, encoding: Encoding, definition: str) -> bytes:
+    """The MCAP record of a message type."""
+    return mcap.schema(number, _recorded_name(type.name, encoding), _SYNTAXES[encoding], definition)
+
+
+def read_channel(fields: mcap.Fields, types: Mapping[int, str]) -> tuple[int, Channel]:
+    """A channel and its number from its record; `types` are the names of schemas. Raises ValueError, KeyError."""
+    number, schema = fields.uint(2), fields.uint(2)
+    topic, encoding, said = fields.text(), Encoding(fields.text()), fields.texts()
+    is_latched = said.get("latching") == "1" or "transient_local" in said.get("offered_qos_profiles", "")
+    hash = said.get("md5sum") or said.get("topic_type_hash") or None
+    return number, Channel(topic, TypeRef(types[schema], hash), encoding, said.get("callerid", ""), is_latched)
+
+
+def model_name(recorded: str) -> str:
+    """The name of a recorded type as the model has it: ROS 1 records `pkg/Name`."""
+    package, _, name = recorded.partition("/")
+    return recorded if "/" in name else f"{package}/msg/{name}"
+
+
+def _recorded_name(name: str, encoding: Encoding) -> str:
+    return name.replace("/msg/", "/") if encoding is Encoding.ROS1 else name
+
+
+def _metadata(one: Channel) -> Mapping[str, str]:
+    said = {"callerid": one.publisher} if one.publisher else {}
+    if one.encoding is Encoding.ROS1:
+        said |= {"topic": one.topic, "latching": "1" if one.latched else "0"}
+        return said | ({"md5sum": one.type.hash} if one.type.hash else {})
+    said["offered_qos_profiles"] = _LATCHED if one.latched else ""
+    return said | ({"topic_type_hash": one.type.hash} if one.type.hash else {})

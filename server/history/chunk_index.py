@@ -1,0 +1,225 @@
+"""The index of a history: which chunk of which segment holds which messages (SQLite).
+
+It can be made again from the segments at any time, so it is never waited for: no sync, and what is damaged is deleted.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+import threading
+import zlib
+from array import array
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from rosld.adapters.model import Encoding, TypeRef
+from rosld.server.history.channel import Channel
+
+_VERSION = 1
+_TABLES = """
+CREATE TABLE IF NOT EXISTS segment (
+    id INTEGER PRIMARY KEY, name TEXT UNIQUE, first INTEGER, next INTEGER, start_ns INTEGER, end_ns INTEGER,
+    size INTEGER, finished INTEGER);
+CREATE TABLE IF NOT EXISTS channel (
+    segment INTEGER, number INTEGER, topic TEXT, type TEXT, hash TEXT, encoding TEXT, publisher TEXT, latched INTEGER,
+    PRIMARY KEY (segment, number)) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS chunk (
+    segment INTEGER, at INTEGER, length INTEGER, topic TEXT, count INTEGER, first INTEGER, last INTEGER,
+    start_ns INTEGER, end_ns INTEGER, numbers BLOB, PRIMARY KEY (segment, at)) WITHOUT ROWID;
+CREATE INDEX IF NOT EXISTS chunk_topic ON chunk (topic, end_ns);
+CREATE INDEX IF NOT EXISTS chunk_last ON chunk (last);
+CREATE TABLE IF NOT EXISTS definition (type TEXT, hash TEXT, text TEXT, PRIMARY KEY (type, hash)) WITHOUT ROWID;
+"""
+
+
+class SegmentRow(NamedTuple):
+    """A segment: messages `first` to `next` - 1, in a file of `size` bytes."""
+
+    id: int
+    name: str
+    first: int
+    next: int
+    start_ns: int
+    end_ns: int
+    size: int
+    finished: bool
+
+
+class ChunkRow(NamedTuple):
+    """A chunk: where it lies, whose messages it holds, their times (ns) and numbers, ascending."""
+
+    segment: int
+    at: int
+    length: int
+    topic: str
+    messages: int
+    first: int
+    last: int
+    start_ns: int
+    end_ns: int
+    numbers: bytes
+
+
+class ChunkIndex:
+    """The tables. Any thread may ask; one writes."""
+
+    def __init__(self, path: Path | None) -> None:
+        """Open or make it; None: in memory. Raises sqlite3.Error."""
+        self._lock = threading.Lock()
+        self._db = sqlite3.connect(path or ":memory:", check_same_thread=False, isolation_level=None)
+        self._db.execute("PRAGMA journal_mode = WAL")
+        self._db.execute("PRAGMA synchronous = OFF")
+        (found,) = self._db.execute("PRAGMA user_version").fetchone()
+        if found not in (0, _VERSION):
+            self._db.close()
+            raise sqlite3.DatabaseError(f"the index has version {found}, not {_VERSION}")
+        self._db.executescript(_TABLES)
+        self._db.execute(f"PRAGMA user_version = {_VERSION}")
+
+    def add_segment(self, name: str, first: int) -> int:
+        """A segment that is begun; its number in the tables."""
+        with self._lock:
+            row = self._db.execute(
+                "INSERT INTO segment (name, first, next, size, finished) VALUES (?, ?, ?, 0, 0)", (name, first, first)
+            )
+            assert row.lastrowid is not None
+            return row.lastrowid
+
+    def add_chunks(self, segment: int, chunks: Sequence[ChunkRow], channels: Mapping[Channel, int], size: int) -> None:
+        """Chunks that were written to a segment, which is now `size` bytes long, and channels that are new in it."""
+        if not chunks:
+            return
+        with self._lock, self._db:
+            self._db.execute("BEGIN")
+            self._db.executemany(
+                "INSERT OR IGNORE INTO channel VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+                [(segment, number, *_columns(one)) for one, number in channels.items()],
+            )
+            self._db.executemany("INSERT OR REPLACE INTO chunk VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)", chunks)
+            self._db.execute(
+                "UPDATE segment SET next = max(next, ?), size = ?, start_ns = min(coalesce(start_ns, ?), ?), "
+                "end_ns = max(coalesce(end_ns, 0), ?) WHERE id = ?",
+                (
+                    max(one.last for one in chunks) + 1,
+                    size,
+                    *(2 * (min(one.start_ns for one in chunks),)),
+                    max(one.end_ns for one in chunks),
+                    segment,
+                ),
+            )
+
+    def finish_segment(self, segment: int, size: int) -> None:
+        """A segment is complete."""
+        with self._lock:
+            self._db.execute("UPDATE segment SET size = ?, finished = 1 WHERE id = ?", (size, segment))
+
+    def remove_segment(self, segment: int) -> None:
+        """Forget a segment and all that is in it."""
+        with self._lock, self._db:
+            self._db.execute("BEGIN")
+            self._db.execute("DELETE FROM chunk WHERE segment = ?", (segment,))
+            self._db.execute("DELETE FROM channel WHERE segment = ?", (segment,))
+            self._db.execute("DELETE FROM segment WHERE id = ?", (segment,))
+
+    def segments(self) -> list[SegmentRow]:
+        """All segments, the oldest first."""
+        with self._lock:
+            rows = self._db.execute(
+                "SELECT id, name, first, next, coalesce(start_ns, 0), coalesce(end_ns, 0), size, finished "
+                "FROM segment ORDER BY first, id"
+            ).fetchall()
+        return [SegmentRow._make((*row[:7], bool(row[7]))) for row in rows]
+
+    def channels(self, segment: int) -> dict[int, Channel]:
+        """The channels of a segment by their numbers."""
+        with self._lock:
+            rows = self._db.execute(
+                "SELECT number, topic, type, hash, encoding, publisher, latched FROM channel WHERE segment = ?",
+                (segment,),
+            ).fetchall()
+        return {
+            number: Channel(topic, TypeRef(type, hash), Encoding(encoding), publisher, bool(latched))
+            for number, topic, type, hash, encoding, publisher, latched in rows
+        }
+
+    def find(self, number: int) -> ChunkRow | None:
+        """The chunk that holds message `number`."""
+        with self._lock:
+            rows = self._db.execute(
+                "SELECT * FROM chunk WHERE last >= ? AND first <= ? AND segment = "
+                "(SELECT id FROM segment WHERE first <= ? ORDER BY first DESC LIMIT 1)",
+                (number, number, number),
+            ).fetchall()
+        for row in map(ChunkRow._make, rows):
+            numbers = unpack_numbers(row)
+            at = int(np.searchsorted(numbers, number))
+            if at < len(numbers) and int(numbers[at]) == number:
+                return row
+        return None
+
+    def of_topic(self, topic: str, from_ns: int, until_ns: int) -> list[ChunkRow]:
+        """The chunks of a topic with messages from one time until another, both included, in order."""
+        with self._lock:
+            rows = self._db.execute(
+                "SELECT * FROM chunk WHERE topic = ? AND end_ns >= ? AND start_ns <= ? ORDER BY first",
+                (topic, from_ns, until_ns),
+            ).fetchall()
+        return list(map(ChunkRow._make, rows))
+
+    def counts(self) -> dict[str, tuple[int, TypeRef]]:
+        """The number of messages of each topic, and a type of it."""
+        with self._lock:
+            counts = self._db.execute("SELECT topic, sum(count) FROM chunk GROUP BY topic").fetchall()
+            types = self._db.execute("SELECT DISTINCT topic, type, hash FROM channel").fetchall()
+        typed = {topic: TypeRef(type, hash) for topic, type, hash in types}
+        return {topic: (count, typed[topic]) for topic, count in counts}
+
+    def counts_of_segment(self, segment: int) -> dict[str, int]:
+        """The number of messages of each topic in one segment."""
+        with self._lock:
+            query = "SELECT topic, sum(count) FROM chunk WHERE segment = ? GROUP BY topic"
+            return dict(self._db.execute(query, (segment,)).fetchall())
+
+    def define(self, definitions: Iterable[tuple[TypeRef, str]]) -> None:
+        """Keep the texts of types."""
+        with self._lock:
+            self._db.executemany(
+                "INSERT OR IGNORE INTO definition VALUES (?, ?, ?)",
+                [(ref.name, ref.hash or "", text) for ref, text in definitions],
+            )
+
+    def definition(self, ref: TypeRef) -> str | None:
+        """The text of a type, None where it is not known."""
+        with self._lock:
+            row = self._db.execute(
+                "SELECT text FROM definition WHERE type = ? AND (hash = ? OR ? IS NULL)",
+                (ref.name, ref.hash or "", ref.hash),
+            ).fetchone()
+        return None if row is None else str(row[0])
+
+    def close(self) -> None:
+        """Let go of the file. Idempotent."""
+        with self._lock:
+            self._db.close()
+
+
+def pack_numbers(numbers: array[int]) -> bytes:
+    """Numbers that ascend, in as few bytes as their steps take."""
+    steps = np.diff(np.frombuffer(numbers, np.uint64)).astype(np.uint32)
+    return zlib.compress(steps.tobytes(), 1)
+
+
+def unpack_numbers(row: ChunkRow) -> np.ndarray[tuple[int], np.dtype[np.uint64]]:
+    """The numbers of a chunk's messages, ascending."""
+    steps = np.frombuffer(zlib.decompress(row.numbers), np.uint32)
+    found = np.empty(len(steps) + 1, np.uint64)
+    found[0] = row.first
+    found[1:] = steps
+    return np.cumsum(found, dtype=np.uint64)
+
+
+def _columns(one: Channel) -> tuple[str, str, str | None, str, str, int]:
+    return one.topic, one.type.name, one.type.hash, one.encoding.value, one.publisher, int(one.latched)

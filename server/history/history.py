@@ -1,0 +1,194 @@
+"""The history of a robot: the recording named `history` that is being written, and has a bound."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import sqlite3
+from collections import Counter
+from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import TypeAlias
+
+from rosld.adapters.base import Adapter, RecordedMessage, RecordedTopic
+from rosld.adapters.model import Encoding, NotFound, Schema, TypeRef, UnknownType, Unreachable
+from rosld.adapters.model.library import TypeLibrary
+from rosld.server.history.history_writer import HistoryWriter
+from rosld.server.history.recorder import Recorder, Sink
+from rosld.server.history.segments import HistoryLimits, Segments
+from rosld.server.history.topic_feed import LiveFeed
+from rosld.server.settings import Settings
+
+log = logging.getLogger("rosld.history")
+NAME = "history"
+FOLDER = "history"
+_DISK_SIZE = 1024 * 1024 * 1024
+_MEMORY_SIZE = 128 * 1024 * 1024
+_MEMORY_SEGMENTS = 8
+"""Segments that memory is divided into: a whole one is removed at a time."""
+_Libraries: TypeAlias = "dict[Encoding, TypeLibrary]"
+
+
+def history_limits(settings: Settings) -> HistoryLimits:
+    """The bounds of the history: `history_size` is 0 where it is not given."""
+    if settings.data is not None:
+        return HistoryLimits(settings.history_time, settings.history_size or _DISK_SIZE)
+    size = settings.history_size or _MEMORY_SIZE
+    return HistoryLimits(settings.history_time, size, segment_size=max(size // _MEMORY_SEGMENTS, 1))
+
+
+class HistoryRecording:
+    """The history as a `Recording`: its messages are numbered from when it was begun, and the oldest are removed."""
+
+    name = NAME
+    format = "MCAP"
+
+    def __init__(self, writer: HistoryWriter, folders: Sequence[Path]) -> None:
+        self.path = writer.segments.folder or Path(NAME)
+        self._writer = writer
+        self._folders = folders
+        self._libraries: _Libraries = {}
+
+    @property
+    def first(self) -> int:
+        """The number of the oldest message that is kept."""
+        return self._writer.first
+
+    @property
+    def count(self) -> int:
+        """How many numbers there are from the first on."""
+        return self._writer.next - self._writer.first
+
+    @property
+    def start_ns(self) -> int:
+        """When the oldest message was received."""
+        return self._writer.start_ns
+
+    @property
+    def end_ns(self) -> int:
+        """When the newest message was received."""
+        return self._writer.end_ns
+
+    @property
+    def topics(self) -> Mapping[str, RecordedTopic]:
+        """The topics that messages are kept of."""
+        types = self._writer.types
+        return {
+            topic: RecordedTopic(topic, types[topic], count)
+            for topic, count in list(self._writer.counts.items())
+            if count > 0
+        }
+
+    def message(self, index: int) -> RecordedMessage:
+        """A message by its number. Raises NotFound, and Unreachable where the disk does not give it."""
+        try:
+            found = self._writer.message(index)
+        except (OSError, ValueError) as error:
+            raise Unreachable(f"message {index} of the history cannot be read: {error}") from error
+        except KeyError:  # its segment was removed in the meantime
+            found = None
+        if found is None:
+            raise NotFound(f"the history has no message {index} any more")
+        channel, sample = found
+        return RecordedMessage(index, channel.topic, sample)
+
+    def messages(self) -> Iterator[RecordedMessage]:
+        """All messages, in the order of their numbers; those that cannot be read are left out."""
+        for index in range(self._writer.first, self._writer.next):
+            try:
+                yield self.message(index)
+            except (NotFound, Unreachable):
+                continue
+
+    def schema(self, ref: TypeRef) -> Schema:
+        """The schema of a type as it was recorded. Raises UnknownType."""
+        text = self._writer.segments.index.definition(ref)
+        is_ros1 = ref.hash is not None and not ref.hash.startswith("RIHS")
+        library = self._library(Encoding.ROS1 if is_ros1 else Encoding.CDR)
+        if text is None:
+            return library.find(ref)
+        try:
+            return library.learn_message(ref.name, text, ref.hash if is_ros1 else None)
+        except ValueError as error:
+            raise UnknownType(str(error)) from error
+
+    def _library(self, encoding: Encoding) -> TypeLibrary:
+        found = self._libraries.get(encoding)
+        if found is None:
+            version = 1 if encoding is Encoding.ROS1 else 2
+            found = TypeLibrary(ros_version=1 if version == 1 else 2, folders=self._folders)
+            self._libraries[encoding] = found
+        return found
+
+
+class History:
+    """What is recorded of a robot all the time: the topics that `--history` names.
+
+    `learn` makes a type known, `definition_of` gives its text as far as it is.
+    """
+
+    def __init__(
+        self,
+        adapter: Adapter,
+        settings: Settings,
+        learn: Callable[[TypeRef], Awaitable[object]],
+        definition_of: Callable[[TypeRef], str],
+    ) -> None:
+        """Raises ValueError where there is nothing live to be recorded."""
+        if settings.history and adapter.capabilities.system == "recording":
+            raise ValueError(f"--history {settings.history[0]}: a recording is served, whose messages are kept already")
+        self.globs = settings.history
+        self.recorder = Recorder()
+        self.feed = LiveFeed(adapter, self.recorder, self._sinks_of, learn)
+        folder = None if settings.data is None else settings.data / FOLDER
+        self.writer = HistoryWriter(Segments(folder, history_limits(settings)), definition_of)
+        self.recording = HistoryRecording(self.writer, settings.types)
+        self._failure: str | None = None
+        self._sink: tuple[Sink, ...] = (self.writer,)
+
+    @property
+    def is_kept(self) -> bool:
+        """Whether anything is to be recorded, and could be begun."""
+        return bool(self.globs) and self._failure is None
+
+    @property
+    def problem(self) -> str | None:
+        """Why nothing is recorded now, in a sentence; None where it is."""
+        return self._failure or self.writer.problem
+
+    def dropped(self) -> Mapping[str, int]:
+        """Messages that came and were not recorded, by topic."""
+        found: Counter[str] = Counter()
+        for each in (self.writer.dropped, self.recorder.dropped, self.feed.lost):
+            found.update(dict(each))
+        return found
+
+    async def start(self) -> None:
+        """Open what is kept, off the loop, and begin to record; where that fails, nothing else does."""
+        if not self.is_kept:
+            return
+        try:
+            await asyncio.to_thread(self.writer.open)
+        except (OSError, sqlite3.Error) as error:
+            self._failure = f"The history is not recorded: {error}. Make room for it, then start rosld anew."
+            log.error("%s", self._failure)
+            return
+        self.recorder.add_sink(self.writer)
+        self.recorder.start()
+        self.feed.start()
+
+    def refresh(self) -> None:
+        """The graph has changed: there may be other topics to be recorded."""
+        self.feed.refresh()
+
+    async def stop(self) -> None:
+        """Record what came, and finish. Idempotent."""
+        if not self.is_kept:
+            return
+        await self.feed.stop()
+        await asyncio.to_thread(self.recorder.stop)
+        self.writer.segments.close()
+
+    def _sinks_of(self, topic: str) -> tuple[Sink, ...]:
+        return self._sink if any(fnmatchcase(topic, glob) for glob in self.globs) else ()

@@ -1,0 +1,232 @@
+"""Writes the history: numbers its messages, fills chunks, begins and finishes segments."""
+
+from __future__ import annotations
+
+import errno
+import logging
+import os
+import sqlite3
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+from rosld.adapters.model import Sample, TypeRef
+from rosld.server.history.channel import Channel, channel_of
+from rosld.server.history.chunk_index import ChunkRow, pack_numbers
+from rosld.server.history.chunk_reader import ChunkMessage
+from rosld.server.history.mcap_writer import McapWriter
+from rosld.server.history.segments import Segments, sample_of
+from rosld.server.history.topic_chunk import TopicChunk
+from rosld.server.storage.disk_reserve import free_bytes
+
+log = logging.getLogger("rosld.history")
+_RETRY = 5.0
+"""Seconds after which a disk that was full is looked at again."""
+_RESERVE = 64 * 1024 * 1024
+_RESERVED_PART = 16
+"""What is left of a disk to everything else: `_RESERVE`, or one part in so many of a small one."""
+_Failures = (OSError, sqlite3.Error)
+
+
+class HistoryWriter:
+    """What is written of the history, and what is about to be. The recorder's thread writes; any thread reads.
+
+    `dropped` counts by topic what came and could not be kept, `problem` says why nothing is kept now.
+    """
+
+    def __init__(self, segments: Segments, definition_of: Callable[[TypeRef], str]) -> None:
+        self.segments = segments
+        self.next = 0
+        self.start_ns = 0
+        self.end_ns = 0
+        self.counts: dict[str, int] = {}
+        self.types: dict[str, TypeRef] = {}
+        self.dropped: Counter[str] = Counter()
+        self.problem: str | None = None
+        self._definition_of = definition_of
+        self._lock = threading.Lock()
+        self._open: dict[str, TopicChunk] = {}
+        self._closing: tuple[TopicChunk, ...] = ()
+        self._current: tuple[int, McapWriter, float] | None = None
+        self._retry_at = 0.0
+
+    def open(self) -> None:
+        """Open what is there. Raises OSError."""
+        self.next = self.segments.open()
+        for topic, (count, type) in self.segments.index.counts().items():
+            self.counts[topic], self.types[topic] = count, type
+        self.start_ns, self.end_ns = self.segments.start_ns, self.segments.end_ns
+
+    @property
+    def first(self) -> int:
+        """The number of the oldest message that is kept."""
+        first = self.segments.first
+        return self.next if first is None else first
+
+    def add(self, topic: str, sample: Sample) -> None:
+        """Take a message; while nothing can be kept, it is counted as dropped."""
+        if self.problem is not None and time.monotonic() < self._retry_at:
+            self.dropped[topic] += 1
+            return
+        try:
+            _, writer, _ = self._current or self._begin(sample)
+        except _Failures as error:
+            self._fail(error)
+            self.dropped[topic] += 1
+            return
+        channel = writer.channel(channel_of(topic, sample))
+        with self._lock:
+            chunk = self._open.get(topic)
+            if chunk is None:
+                chunk = self._open[topic] = TopicChunk(topic, time.monotonic())
+            chunk.add(channel, self.next, sample.received_ns, sample.data)
+        self.next += 1
+        self.start_ns = self.start_ns or sample.received_ns
+        self.end_ns = max(self.end_ns, sample.received_ns)
+        self.counts[topic] = self.counts.get(topic, 0) + 1
+        self.types[topic] = sample.schema
+        if chunk.size > 2 * self.segments.limits.segment_size // 3:
+            self.write_due(time.monotonic())
+
+    def write_due(self, now: float) -> None:
+        """Write the chunks that are due, `now` by the monotonic clock; begin another segment where it is time."""
+        if self._current is None:
+            return
+        _, writer, began = self._current
+        limits = self.segments.limits
+        ends = now - began >= limits.segment_seconds or writer.file.size >= limits.segment_size
+        self._write([chunk for chunk in self._open.values() if ends or chunk.is_due(now)])
+        if (ends or not writer.has_room()) and self._current is not None:
+            self._finish()
+
+    def close(self) -> None:
+        """Write what there is, and finish the segment. Idempotent."""
+        if self._current is not None:
+            self._write(list(self._open.values()))
+        if self._current is not None:
+            self._finish()
+
+    def message(self, number: int) -> tuple[Channel, Sample] | None:
+        """The message of a number, None where there is none. Raises OSError, ValueError."""
+        for _ in range(2):  # a chunk may be written between the one look and the other
+            found = self._unwritten(number) or self.segments.message(number)
+            if found is not None:
+                return found
+        return None
+
+    def _unwritten(self, number: int) -> tuple[Channel, Sample] | None:
+        with self._lock:
+            chunks = (*self._closing, *self._open.values())
+            current = self._current
+            found = next((one for chunk in chunks if (one := chunk.message(number)) is not None), None)
+        if found is None or current is None:
+            return None
+        channel = list(current[1].channels)[found[0] - 1]
+        return channel, sample_of(channel, ChunkMessage(found[0], number, *found[1:]), number)
+
+    def _begin(self, sample: Sample) -> tuple[int, McapWriter, float]:
+        _require_room(self.segments.folder)
+        segment, file = self.segments.begin(self.next)
+        try:
+            writer = McapWriter(file, sample.encoding, self._definition, self.next)
+        except OSError:
+            self.segments.remove(segment)
+            raise
+        self._current = segment, writer, time.monotonic()
+        self.segments.refresh()
+        if self.problem is not None:
+            log.warning("the history is recorded again")
+            self.problem = None
+        return self._current
+
+    def _write(self, chunks: list[TopicChunk]) -> None:
+        if not chunks or self._current is None:
+            return
+        segment, writer, _ = self._current
+        with self._lock:
+            self._closing = tuple(chunks)
+            for chunk in chunks:
+                del self._open[chunk.topic]
+        rows: list[ChunkRow] = []
+        try:
+            _require_room(self.segments.folder)
+            for chunk in chunks:
+                place = writer.write(chunk)
+                rows.append(_row(segment, chunk, *place))
+            self.segments.index.add_chunks(segment, rows, dict(writer.channels), writer.file.size)
+            self.segments.refresh()
+        except _Failures as error:
+            self._fail(error)
+            for chunk in chunks[len(rows) :]:
+                self._drop(chunk)
+        with self._lock:
+            self._closing = ()
+
+    def _finish(self) -> None:
+        assert self._current is not None
+        segment, writer, _ = self._current
+        self._current = None
+        try:
+            if writer.count:
+                writer.finish()
+                self.segments.index.finish_segment(segment, writer.file.size)
+            else:
+                self.segments.remove(segment)
+            self.segments.refresh()
+            for topic, count in self.segments.remove_oldest(time.time_ns()).items():
+                self.counts[topic] -= count
+            self.start_ns = self.segments.start_ns
+        except _Failures as error:
+            self._fail(error)
+
+    def _fail(self, error: Exception) -> None:
+        """Stop for a while. What is open cannot be written; the segment is completed once there is room."""
+        if self.problem is None:
+            where = "" if self.segments.folder is None else f" in {self.segments.folder}"
+            reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+            self.problem = f"The history is not recorded: {reason}{where}. It goes on by itself once there is room."
+            log.error("%s", self.problem)
+        self._retry_at = time.monotonic() + _RETRY
+        with self._lock:
+            left, self._open = list(self._open.values()), {}
+        for chunk in left:
+            self._drop(chunk)
+        if self._current is not None:
+            self._finish()
+
+    def _drop(self, chunk: TopicChunk) -> None:
+        self.dropped[chunk.topic] += chunk.count
+        self.counts[chunk.topic] -= chunk.count
+
+    def _definition(self, ref: TypeRef) -> str:
+        """The text of a type, which is kept in the index, too."""
+        text = self._definition_of(ref)
+        if text:
+            self.segments.index.define([(ref, text)])
+        return text
+
+
+def _row(segment: int, chunk: TopicChunk, at: int, length: int) -> ChunkRow:
+    return ChunkRow(
+        segment,
+        at,
+        length,
+        chunk.topic,
+        chunk.count,
+        chunk.numbers[0],
+        chunk.numbers[-1],
+        chunk.start_ns,
+        chunk.end_ns,
+        pack_numbers(chunk.numbers),
+    )
+
+
+def _require_room(folder: Path | None) -> None:
+    """Raise OSError where the disk has no more than what is left to everything else."""
+    if folder is None:
+        return
+    found = os.statvfs(folder)
+    if free_bytes(folder) < min(_RESERVE, found.f_blocks * found.f_frsize // _RESERVED_PART):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

@@ -1,0 +1,206 @@
+"""Records of the MCAP format as bytes (https://mcap.dev/spec): little endian, an opcode and a length before each."""
+
+from __future__ import annotations
+
+import struct
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
+
+MAGIC = b"\x89MCAP0\r\n"
+HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = 1, 2, 3, 4, 5, 6, 7, 8
+STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFSET, DATA_END = 0x0B, 0x0C, 0x0D, 0x0E, 0x0F
+ZSTD = "zstd"
+RECORD_HEAD = struct.Struct("<BQ")
+MESSAGE_HEAD = struct.Struct("<BQHIQQ")
+MESSAGE_FIXED = MESSAGE_HEAD.size - RECORD_HEAD.size
+"""Bytes of a message record between its length and its data: channel, sequence, times."""
+_CHUNK_HEAD = struct.Struct("<QQQI")
+ZstdError = zstd.ZstdError
+
+
+class Record(NamedTuple):
+    """A record within bytes: its opcode, where its content begins, and where it ends."""
+
+    op: int
+    at: int
+    end: int
+
+
+class ChunkHead(NamedTuple):
+    """What a chunk record says before its records: times of its messages, size and checksum of what it inflates to."""
+
+    start_ns: int
+    end_ns: int
+    size: int
+    crc: int
+    compression: str
+    records_at: int
+
+
+class ChunkIndex(NamedTuple):
+    """Where a chunk lies in its file, and where the index of each of its channels does."""
+
+    start_ns: int
+    end_ns: int
+    at: int
+    length: int
+    index_at: Mapping[int, int]
+    index_length: int
+    compressed: int
+    size: int
+
+
+def record(op: int, content: bytes) -> bytes:
+    """A record with this content."""
+    return RECORD_HEAD.pack(op, len(content)) + content
+
+
+def text(value: str) -> bytes:
+    """A string with its length."""
+    data = value.encode("utf-8", "surrogateescape")
+    return struct.pack("<I", len(data)) + data
+
+
+def texts(values: Mapping[str, str]) -> bytes:
+    """A map of strings with its length."""
+    data = b"".join(text(key) + text(value) for key, value in values.items())
+    return struct.pack("<I", len(data)) + data
+
+
+def header(profile: str, library: str) -> bytes:
+    """The first record of a file."""
+    return record(HEADER, text(profile) + text(library))
+
+
+def schema(number: int, name: str, encoding: str, definition: str) -> bytes:
+    """A schema; its encoding is empty where the definition is (MCAP: Schema)."""
+    data = definition.encode("utf-8", "surrogateescape")
+    named = text(name) + text(encoding if data else "")
+    return record(SCHEMA, struct.pack("<H", number) + named + struct.pack("<I", len(data)) + data)
+
+
+def channel(number: int, schema: int, topic: str, encoding: str, metadata: Mapping[str, str]) -> bytes:
+    """A channel: one publisher's messages of one topic."""
+    return record(CHANNEL, struct.pack("<HH", number, schema) + text(topic) + text(encoding) + texts(metadata))
+
+
+def metadata(name: str, values: Mapping[str, str]) -> bytes:
+    """Named strings that readers may ignore."""
+    return record(METADATA, text(name) + texts(values))
+
+
+def chunk(start_ns: int, end_ns: int, size: int, crc: int, compressed: bytes) -> bytes:
+    """A chunk of records, compressed by zstd."""
+    head = _CHUNK_HEAD.pack(start_ns, end_ns, size, crc) + text(ZSTD)
+    return record(CHUNK, head + struct.pack("<Q", len(compressed)) + compressed)
+
+
+def message_index(channel: int, entries: bytes) -> bytes:
+    """The index of a channel's messages in the chunk before it: pairs of time and offset, 8 bytes each."""
+    return record(MESSAGE_INDEX, struct.pack("<HI", channel, len(entries)) + entries)
+
+
+def chunk_index(one: ChunkIndex) -> bytes:
+    """The index of a chunk, of the summary."""
+    offsets = b"".join(struct.pack("<HQ", channel, at) for channel, at in one.index_at.items())
+    return record(
+        CHUNK_INDEX,
+        struct.pack("<QQQQ", one.start_ns, one.end_ns, one.at, one.length)
+        + struct.pack("<I", len(offsets))
+        + offsets
+        + struct.pack("<Q", one.index_length)
+        + text(ZSTD)
+        + struct.pack("<QQ", one.compressed, one.size),
+    )
+
+
+def statistics(counts: Mapping[int, int], schemas: int, metadata_count: int, chunks: Sequence[ChunkIndex]) -> bytes:
+    """The statistics of a file, by the numbers of messages of each channel."""
+    by_channel = b"".join(struct.pack("<HQ", channel, count) for channel, count in counts.items())
+    start = min((one.start_ns for one in chunks), default=0)
+    end = max((one.end_ns for one in chunks), default=0)
+    numbers = struct.pack("<QHIIII", sum(counts.values()), schemas, len(counts), 0, metadata_count, len(chunks))
+    return record(
+        STATISTICS, numbers + struct.pack("<QQ", start, end) + struct.pack("<I", len(by_channel)) + by_channel
+    )
+
+
+def records_in(data: bytes, at: int = 0) -> Iterator[Record]:
+    """The whole records from `at` on; what is cut off at the end is left out."""
+    while at + RECORD_HEAD.size <= len(data):
+        op, length = RECORD_HEAD.unpack_from(data, at)
+        content = at + RECORD_HEAD.size
+        at = content + length
+        if at > len(data):
+            return
+        yield Record(op, content, at)
+
+
+def chunk_head(data: bytes, at: int = 0) -> ChunkHead:
+    """What the content of a chunk record at `at` says of it. Raises ValueError where it is cut off."""
+    try:
+        start, end, size, crc = _CHUNK_HEAD.unpack_from(data, at)
+        (length,) = struct.unpack_from("<I", data, at + _CHUNK_HEAD.size)
+        name = at + _CHUNK_HEAD.size + 4
+        compression = data[name : name + length].decode("ascii")
+    except (struct.error, UnicodeDecodeError) as error:
+        raise ValueError(f"the chunk at {at} has no head: {error}") from error
+    return ChunkHead(start, end, size, crc, compression, name + length + 8)
+
+
+class Fields:
+    """The fields of a record, read one after the other. Raises ValueError where it is too short."""
+
+    def __init__(self, data: bytes) -> None:
+        self._data = data
+        self._at = 0
+
+    def uint(self, size: int) -> int:
+        """An unsigned integer of so many bytes."""
+        return int.from_bytes(self._take(size), "little")
+
+    def text(self) -> str:
+        """A string."""
+        return self._take(self.uint(4)).decode("utf-8", "surrogateescape")
+
+    def octets(self) -> bytes:
+        """Bytes with their length before them."""
+        return self._take(self.uint(4))
+
+    def texts(self) -> dict[str, str]:
+        """A map of strings."""
+        inner = Fields(self.octets())
+        found: dict[str, str] = {}
+        while inner._at < len(inner._data):
+            key = inner.text()
+            found[key] = inner.text()
+        return found
+
+    def _take(self, size: int) -> bytes:
+        data = self._data[self._at : self._at + size]
+        if len(data) != size:
+            raise ValueError("a record is shorter than its fields")
+        self._at += size
+        return data
+
+
+def compress(data: bytes) -> bytes:
+    """Compress records; level 1, which halves the time of level 3 for 3 % more bytes of typical messages."""
+    return zstd.compress(data, level=1)
+
+
+def decompress(data: bytes, size: int) -> bytes:
+    """The records of a chunk, of which there are `size` bytes. Raises ValueError."""
+    try:
+        found = zstd.decompress(data)
+    except ZstdError as error:
+        raise ValueError(f"a chunk cannot be decompressed: {error}") from error
+    if len(found) != size:
+        raise ValueError(f"a chunk has {len(found)} bytes, not {size}")
+    return found

@@ -1,0 +1,163 @@
+"""Writes an MCAP file of topic-pure chunks; at any moment what was written of it can be recovered."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from array import array
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping
+from importlib.metadata import version
+from typing import NamedTuple
+
+import numpy as np
+
+from rosld.adapters.model import Encoding, TypeRef
+from rosld.server.history import mcap_records as mcap
+from rosld.server.history.channel import PROFILES, Channel, channel_record, schema_record
+from rosld.server.history.segment_file import SegmentFile
+from rosld.server.history.topic_chunk import TopicChunk
+
+NUMBERS = "rosld.numbers"
+"""The name of the metadata that tells the number of the first message of a file."""
+_MAX_CHANNELS = 65_535
+
+
+class Place(NamedTuple):
+    """Where a chunk lies in its file."""
+
+    at: int
+    length: int
+
+
+class McapWriter:
+    """One file. `definition_of` gives the text of a type, empty where it is not known.
+
+    Every write is one `append`; one that fails has written nothing, and the file can be written on.
+    """
+
+    def __init__(
+        self, file: SegmentFile, encoding: Encoding, definition_of: Callable[[TypeRef], str], first: int
+    ) -> None:
+        """Begin a file whose first message will have the number `first`. Raises OSError."""
+        self.file = file
+        self.channels: dict[Channel, int] = {}
+        self._definition_of = definition_of
+        self._schemas: dict[TypeRef, int] = {}
+        self._written: set[int] = set()
+        self._records: dict[int, bytes] = {}
+        self._summary = Summary()
+        begin = mcap.MAGIC + mcap.header(PROFILES[encoding], f"rosld {version('rosld')}")
+        file.append(begin + mcap.metadata(NUMBERS, {"first": str(first)}))
+
+    @property
+    def count(self) -> int:
+        """How many messages were written."""
+        return sum(self._summary.counts.values())
+
+    def has_room(self) -> bool:
+        """Whether the file can take another channel."""
+        return len(self.channels) < _MAX_CHANNELS
+
+    def channel(self, one: Channel) -> int:
+        """The number of a channel in this file, a new one where it is new."""
+        number = self.channels.get(one)
+        if number is None:
+            number = self.channels[one] = len(self.channels) + 1
+        return number
+
+    def write(self, chunk: TopicChunk) -> Place:
+        """Write a chunk with its indexes, and before its messages the channels that are new to the file."""
+        new = [number for number in chunk.entries if number not in self._written]
+        prefix = self._describe(new)
+        data = b"".join([prefix, *chunk.parts])
+        compressed = mcap.compress(data)
+        at = self.file.size
+        written = mcap.chunk(chunk.start_ns, chunk.end_ns, len(data), zlib.crc32(data), compressed)
+        parts, end, index_at = [written], at + len(written), dict[int, int]()
+        for number, entries in chunk.entries.items():
+            part = mcap.message_index(number, _shifted(entries, len(prefix)))
+            index_at[number] = end
+            parts.append(part)
+            end += len(part)
+        self.file.append(b"".join(parts))
+        self._written.update(new)
+        counts = {number: len(entries) // 2 for number, entries in chunk.entries.items()}
+        index = mcap.ChunkIndex(
+            chunk.start_ns,
+            chunk.end_ns,
+            at,
+            len(written),
+            index_at,
+            end - at - len(written),
+            len(compressed),
+            len(data),
+        )
+        self._summary.add(index, counts)
+        return Place(at, len(written))
+
+    def finish(self) -> None:
+        """Write the summary and close the file. Raises OSError; what was written can then still be recovered."""
+        self.file.append(self._summary.end_of_file(self.file.size, self._records.values()))
+        self.file.close()
+
+    def _describe(self, new: Iterable[int]) -> bytes:
+        """The records of channels and of their schemas, for the chunk that has them first."""
+        named = {number: one for one, number in self.channels.items()} if new else {}
+        found: list[bytes] = []
+        for number in new:
+            one = named[number]
+            schema = self._schemas.get(one.type)
+            if schema is None:
+                schema = self._schemas[one.type] = len(self._schemas) + 1
+                described = schema_record(schema, one.type, one.encoding, self._definition_of(one.type))
+                self._records[-schema] = described
+            found.append(self._records[-schema])
+            self._records[number] = channel_record(number, schema, one)
+            found.append(self._records[number])
+        return b"".join(found)
+
+
+class Summary:
+    """What the summary of a file tells: where its chunks are, and how many messages each channel has."""
+
+    def __init__(self) -> None:
+        self.chunks: list[mcap.ChunkIndex] = []
+        self.counts: Counter[int] = Counter()
+
+    def add(self, chunk: mcap.ChunkIndex, counts: Mapping[int, int]) -> None:
+        """Another chunk, with its numbers of messages by channel."""
+        self.chunks.append(chunk)
+        self.counts.update(counts)
+
+    def end_of_file(self, at: int, described: Iterable[bytes]) -> bytes:
+        """The end of a file that is `at` bytes long until then; `described` are its schemas and channels."""
+        records = list(described)
+        schemas = [each for each in records if each[0] == mcap.SCHEMA]
+        channels = [each for each in records if each[0] == mcap.CHANNEL]
+        groups = (
+            (mcap.SCHEMA, b"".join(schemas)),
+            (mcap.CHANNEL, b"".join(channels)),
+            (mcap.STATISTICS, mcap.statistics(self.counts, len(schemas), 1, self.chunks)),
+            (mcap.CHUNK_INDEX, b"".join(map(mcap.chunk_index, self.chunks))),
+        )
+        data_end = mcap.record(mcap.DATA_END, struct.pack("<I", 0))
+        start = offset = at + len(data_end)
+        offsets: list[bytes] = []
+        for op, group in groups:
+            if group:
+                offsets.append(mcap.record(mcap.SUMMARY_OFFSET, struct.pack("<BQQ", op, offset, len(group))))
+                offset += len(group)
+        summary = b"".join([*(group for _, group in groups), *offsets])
+        footer = mcap.RECORD_HEAD.pack(mcap.FOOTER, 20) + struct.pack("<QQ", start, offset)
+        crc = struct.pack("<I", zlib.crc32(footer, zlib.crc32(summary)))
+        return data_end + summary + footer + crc + mcap.MAGIC
+
+
+def _shifted(entries: array[int], offset: int) -> bytes:
+    """The entries of a message index whose offsets are `offset` larger."""
+    if not offset:
+        return entries.tobytes()
+    pairs = np.frombuffer(entries, np.uint64).copy()
+    pairs[1::2] += np.uint64(offset)
+    return bytes(pairs.tobytes())

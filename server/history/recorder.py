@@ -1,0 +1,134 @@
+"""The recorder: a thread that writes what comes from live topics, fed by a bounded queue."""
+
+from __future__ import annotations
+
+import logging
+import queue
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, Protocol, TypeAlias
+
+from rosld.adapters.model import Sample
+
+log = logging.getLogger("rosld.history")
+MAX_QUEUED = 64 * 1024 * 1024
+"""Bytes of messages that wait for the thread; what comes beyond is dropped and counted."""
+_OVERHEAD = 200
+"""Bytes that a message in the queue takes beside its data."""
+_PERIOD = 0.25
+"""Seconds between two writes."""
+
+
+class Sink(Protocol):
+    """Where messages are written. All is called on the recorder's thread."""
+
+    def add(self, topic: str, sample: Sample) -> None:
+        """Take a message."""
+        ...
+
+    def write_due(self, now: float) -> None:
+        """Write what is due, `now` by the monotonic clock."""
+        ...
+
+    def close(self) -> None:
+        """Write all, and end."""
+        ...
+
+
+class Arrival(NamedTuple):
+    """A message of a topic, and the sinks that it is for."""
+
+    topic: str
+    sample: Sample
+    sinks: tuple[Sink, ...]
+
+
+_Work: TypeAlias = "Sequence[Arrival] | Callable[[], None] | None"
+
+
+class Recorder:
+    """One thread for all that is recorded. `put` and `run` are called on the server's loop and never wait."""
+
+    def __init__(self) -> None:
+        self.dropped: Counter[str] = Counter()
+        """Messages that found the queue full, by topic."""
+        self._queue: queue.SimpleQueue[_Work] = queue.SimpleQueue()
+        self._put_bytes = 0
+        self._taken_bytes = 0
+        self._sinks: list[Sink] = []
+        self._thread: threading.Thread | None = None
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread = threading.Thread(target=self._work, name="rosld-recorder", daemon=True)
+        self._thread.start()
+
+    def put(self, arrivals: Sequence[Arrival]) -> None:
+        """Have messages written, as far as the queue has room."""
+        room = MAX_QUEUED - (self._put_bytes - self._taken_bytes)
+        taken: list[Arrival] = []
+        for each in arrivals:
+            size = len(each.sample.data) + _OVERHEAD
+            if size > room:
+                self.dropped[each.topic] += 1
+                continue
+            room -= size
+            self._put_bytes += size
+            taken.append(each)
+        if taken:
+            self._queue.put(taken)
+
+    def run(self, work: Callable[[], None]) -> None:
+        """Have something done by the thread, after all that was put before."""
+        self._queue.put(work)
+
+    def add_sink(self, sink: Sink) -> None:
+        """Write what is due of it, too. Called on the thread, or before it is started."""
+        self._sinks.append(sink)
+
+    def remove_sink(self, sink: Sink) -> None:
+        """Write no more of it. Called on the thread."""
+        self._sinks = [each for each in self._sinks if each is not sink]
+
+    def stop(self) -> None:
+        """Write all that was put, and end; waits for it. Idempotent."""
+        thread, self._thread = self._thread, None
+        if thread is not None:
+            self._queue.put(None)
+            thread.join()
+
+    def _work(self) -> None:
+        written = time.monotonic()
+        while True:
+            try:
+                work = self._queue.get(timeout=_PERIOD)
+                if work is None:
+                    break
+                self._do(work)
+            except queue.Empty:
+                pass
+            except Exception:  # one message, or one recording, must not end all others
+                log.exception("what was to be recorded could not be")
+            now = time.monotonic()
+            if now - written >= _PERIOD:
+                written = now
+                self._each(lambda sink: sink.write_due(time.monotonic()))
+        self._each(lambda sink: sink.close())
+
+    def _do(self, work: Sequence[Arrival] | Callable[[], None]) -> None:
+        if callable(work):
+            work()
+            return
+        for topic, sample, sinks in work:
+            self._taken_bytes += len(sample.data) + _OVERHEAD
+            for sink in sinks:
+                sink.add(topic, sample)
+
+    def _each(self, action: Callable[[Sink], None]) -> None:
+        for sink in list(self._sinks):
+            try:
+                action(sink)
+            except Exception:  # as above
+                log.exception("a recording could not be written")

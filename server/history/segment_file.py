@@ -1,0 +1,122 @@
+"""Where the bytes of a segment lie: a file, or memory."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from pathlib import Path
+from typing import Protocol
+
+
+class SegmentFile(Protocol):
+    """Bytes that are appended by one thread and read by any."""
+
+    @property
+    def size(self) -> int:
+        """How many there are."""
+        ...
+
+    def append(self, data: bytes) -> None:
+        """Append all of it, or nothing. Raises OSError."""
+        ...
+
+    def read(self, at: int, size: int) -> bytes:
+        """Up to `size` bytes from `at`. Raises OSError where they are gone."""
+        ...
+
+    def close(self) -> None:
+        """Nothing is appended any more; it can still be read. Raises OSError where it cannot be made durable."""
+        ...
+
+    def remove(self) -> None:
+        """Give its place back. Idempotent."""
+        ...
+
+
+class DiskFile:
+    """A file of a folder. It is opened for each read: segments are many, descriptors few."""
+
+    def __init__(self, path: Path) -> None:
+        """Open for appending, after what is there already. Raises OSError."""
+        self.path = path
+        self._file: int | None = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        self._size = os.lseek(self._file, 0, os.SEEK_END)
+
+    @property
+    def size(self) -> int:
+        """How many bytes there are."""
+        return self._size
+
+    def append(self, data: bytes) -> None:
+        """Append all of it; where the disk takes only a part, that is taken back."""
+        assert self._file is not None, "a closed segment is not written to"
+        left = memoryview(data)
+        try:
+            while left:
+                left = left[os.write(self._file, left) :]
+        except OSError:
+            self.truncate(self._size)
+            raise
+        self._size += len(data)
+
+    def truncate(self, size: int) -> None:
+        """Give back what lies beyond `size`."""
+        assert self._file is not None, "a closed segment is not written to"
+        with contextlib.suppress(OSError):
+            os.ftruncate(self._file, size)
+            os.lseek(self._file, size, os.SEEK_SET)
+        self._size = size
+
+    def read(self, at: int, size: int) -> bytes:
+        """Up to `size` bytes from `at`."""
+        with self.path.open("rb", buffering=0) as file:
+            file.seek(at)
+            parts: list[bytes] = []
+            while size > 0 and (data := file.read(size)):
+                parts.append(data)
+                size -= len(data)
+        return b"".join(parts)
+
+    def close(self) -> None:
+        """Make it durable."""
+        if self._file is not None:
+            file, self._file = self._file, None
+            try:
+                os.fsync(file)
+            finally:
+                os.close(file)
+
+    def remove(self) -> None:
+        """Delete it."""
+        if self._file is not None:
+            os.close(self._file)
+            self._file = None
+        with contextlib.suppress(OSError):
+            self.path.unlink()
+
+
+class MemoryFile:
+    """A segment in memory."""
+
+    def __init__(self) -> None:
+        self._data = bytearray()
+
+    @property
+    def size(self) -> int:
+        """How many bytes there are."""
+        return len(self._data)
+
+    def append(self, data: bytes) -> None:
+        """Append all of it."""
+        self._data += data
+
+    def read(self, at: int, size: int) -> bytes:
+        """Up to `size` bytes from `at`."""
+        return bytes(self._data[at : at + size])
+
+    def close(self) -> None:
+        """Nothing is to be done."""
+
+    def remove(self) -> None:
+        """Forget it."""
+        self._data = bytearray()

@@ -1,0 +1,138 @@
+"""Reads an MCAP file of ours through: for an index that is lost, and for a file that was never finished."""
+
+from __future__ import annotations
+
+import zlib
+from array import array
+from collections import Counter
+from dataclasses import dataclass, field
+
+from rosld.server.history import mcap_records as mcap
+from rosld.server.history.channel import Channel, read_channel
+from rosld.server.history.mcap_writer import NUMBERS, Place, Summary
+from rosld.server.history.segment_file import DiskFile
+
+
+@dataclass(slots=True)
+class ScannedChunk:
+    """A chunk as it was found: where, whose, and the numbers of its messages."""
+
+    place: Place
+    topic: str
+    start_ns: int
+    end_ns: int
+    numbers: array[int]
+
+
+@dataclass(slots=True)
+class Scan:
+    """What a file holds, up to where it is whole; `definitions` are the texts of types by name."""
+
+    first: int = 0
+    end: int = 0
+    is_finished: bool = False
+    channels: dict[int, Channel] = field(default_factory=dict)
+    chunks: list[ScannedChunk] = field(default_factory=list)
+    definitions: dict[str, str] = field(default_factory=dict)
+    summary: Summary = field(default_factory=Summary)
+    described: dict[bytes, None] = field(default_factory=dict)
+
+
+def scan(data: bytes) -> Scan:
+    """What the bytes of a file hold, up to the last chunk that is whole. Raises ValueError for another format."""
+    if not data.startswith(mcap.MAGIC):
+        raise ValueError("it is no MCAP file")
+    found = Scan(end=len(mcap.MAGIC))
+    names: dict[int, str] = {}
+    pending: tuple[mcap.Record, ScannedChunk, Counter[int]] | None = None
+    index_at: dict[int, int] = {}
+    for record in mcap.records_in(data, len(mcap.MAGIC)):
+        begin = record.at - mcap.RECORD_HEAD.size
+        if record.op == mcap.MESSAGE_INDEX and pending is not None:
+            index_at[int.from_bytes(data[record.at : record.at + 2], "little")] = begin
+            if set(index_at) == set(pending[2]):
+                _accept(found, data, pending, index_at, record.end)
+                pending, index_at = None, {}
+        elif record.op == mcap.CHUNK and pending is None:
+            try:
+                chunk, counts = _chunk(found, data, record, names)
+            except (ValueError, KeyError):
+                break
+            pending = record, chunk, counts
+        elif record.op == mcap.DATA_END and pending is None:
+            found.is_finished = data.endswith(mcap.MAGIC) and len(data) > record.end
+            break
+        elif record.op == mcap.METADATA and pending is None:
+            fields = mcap.Fields(data[record.at : record.end])
+            if fields.text() == NUMBERS:
+                found.first = int(fields.texts()["first"])
+            found.end = record.end
+        elif record.op == mcap.HEADER:
+            found.end = record.end
+        else:
+            break
+    return found
+
+
+def recover(file: DiskFile) -> Scan:
+    """Complete a file that was never finished: what is not whole at its end is cut off. Raises ValueError, OSError."""
+    found = scan(file.read(0, file.size))
+    if not found.is_finished:
+        file.truncate(found.end)
+        file.append(found.summary.end_of_file(found.end, found.described))
+        found.is_finished = True
+    file.close()
+    return found
+
+
+def _accept(
+    found: Scan,
+    data: bytes,
+    pending: tuple[mcap.Record, ScannedChunk, Counter[int]],
+    index_at: dict[int, int],
+    end: int,
+) -> None:
+    record, chunk, counts = pending
+    head = mcap.chunk_head(data, record.at)
+    compressed = record.end - head.records_at
+    place = chunk.place
+    index = mcap.ChunkIndex(
+        head.start_ns,
+        head.end_ns,
+        place.at,
+        place.length,
+        index_at,
+        end - place.at - place.length,
+        compressed,
+        head.size,
+    )
+    found.summary.add(index, counts)
+    found.chunks.append(chunk)
+    found.end = end
+
+
+def _chunk(found: Scan, data: bytes, record: mcap.Record, names: dict[int, str]) -> tuple[ScannedChunk, Counter[int]]:
+    """A chunk with the number of messages of each channel. Raises ValueError, KeyError where it is damaged."""
+    head = mcap.chunk_head(data, record.at)
+    inner = mcap.decompress(data[head.records_at : record.end], head.size)
+    if zlib.crc32(inner) != head.crc:
+        raise ValueError("its checksum is wrong")
+    numbers, counts, topic = array("Q"), Counter[int](), ""
+    for each in mcap.records_in(inner):
+        if each.op == mcap.SCHEMA:
+            fields = mcap.Fields(inner[each.at : each.end])
+            number, name, _, text = fields.uint(2), fields.text(), fields.text(), fields.text()
+            names[number] = name
+            found.definitions[name] = text
+            found.described[inner[each.at - mcap.RECORD_HEAD.size : each.end]] = None
+        elif each.op == mcap.CHANNEL:
+            number, channel = read_channel(mcap.Fields(inner[each.at : each.end]), names)
+            found.channels[number] = channel
+            found.described[inner[each.at - mcap.RECORD_HEAD.size : each.end]] = None
+        elif each.op == mcap.MESSAGE:
+            _, _, number, sequence, _, _ = mcap.MESSAGE_HEAD.unpack_from(inner, each.at - mcap.RECORD_HEAD.size)
+            topic = found.channels[number].topic
+            counts[number] += 1
+            numbers.append(found.first + ((sequence - found.first) & 0xFFFFFFFF))
+    begin = record.at - mcap.RECORD_HEAD.size
+    return ScannedChunk(Place(begin, record.end - begin), topic, head.start_ns, head.end_ns, numbers), counts

@@ -1,0 +1,221 @@
+"""The segments of a history: MCAP files of a minute each with an index, the oldest of which are removed."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import sqlite3
+import time
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from rosld.adapters.model import Sample, TypeRef
+from rosld.server.history.channel import Channel, model_name
+from rosld.server.history.chunk_index import ChunkIndex, ChunkRow, SegmentRow, pack_numbers
+from rosld.server.history.chunk_reader import ChunkMessage, read_chunk
+from rosld.server.history.segment_file import DiskFile, MemoryFile, SegmentFile
+from rosld.server.history.segment_scan import Scan, recover
+
+log = logging.getLogger("rosld.history")
+_INDEX = "index.sqlite"
+_SUFFIX = ".mcap"
+
+
+@dataclass(frozen=True, slots=True)
+class HistoryLimits:
+    """How much is kept: `seconds` of the past in `size` bytes, in files of `segment_seconds` or `segment_size`."""
+
+    seconds: float
+    size: int
+    segment_seconds: float = 60.0
+    segment_size: int = 64 * 1024 * 1024
+
+
+class Segments:
+    """The files and their index; `folder` is None where they are in memory. One thread writes, any reads."""
+
+    def __init__(self, folder: Path | None, limits: HistoryLimits) -> None:
+        self.folder = folder
+        self.limits = limits
+        self._index: ChunkIndex | None = None
+        self._files: dict[int, SegmentFile] = {}
+        self._rows: list[SegmentRow] = []
+
+    @property
+    def index(self) -> ChunkIndex:
+        """The index, once open."""
+        assert self._index is not None, "the history is not open"
+        return self._index
+
+    @property
+    def first(self) -> int | None:
+        """The number of the oldest message that is kept; None where there is no segment."""
+        return self._rows[0].first if self._rows else None
+
+    @property
+    def start_ns(self) -> int:
+        """When the oldest message that is kept was received; 0 where there is none."""
+        return next((row.start_ns for row in self._rows if row.start_ns), 0)
+
+    @property
+    def end_ns(self) -> int:
+        """When the newest message that is kept was received; 0 where there is none."""
+        return max((row.end_ns for row in self._rows), default=0)
+
+    @property
+    def size(self) -> int:
+        """Bytes of all segments."""
+        return sum(file.size for file in list(self._files.values()))
+
+    def open(self) -> int:
+        """Open what is there, complete what was never finished; the number of the next message. Raises OSError."""
+        if self.folder is None:
+            self._index = ChunkIndex(None)
+            return 0
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self._index = _open_index(self.folder / _INDEX)
+        known = {row.name: row for row in self._index.segments()}
+        for path in sorted(self.folder.glob(f"*{_SUFFIX}")):
+            row = known.pop(path.name, None)
+            file = DiskFile(path)
+            if row is not None and row.finished and row.size == file.size:
+                file.close()
+                self._files[row.id] = file
+            else:
+                self._recover(file, row)
+        for gone in known.values():
+            self._index.remove_segment(gone.id)
+        self.refresh()
+        return self._rows[-1].next if self._rows else 0
+
+    def begin(self, first: int) -> tuple[int, SegmentFile]:
+        """A new segment whose first message will have this number. Raises OSError, sqlite3.Error."""
+        name = f"{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}-{first:012d}{_SUFFIX}"
+        if self.folder is None:
+            file: SegmentFile = MemoryFile()
+        else:
+            (self.folder / name).unlink(missing_ok=True)  # of a beginning that failed: no message has this number
+            file = DiskFile(self.folder / name)
+        segment = self.index.add_segment(name, first)
+        self._files[segment] = file
+        return segment, file
+
+    def file(self, segment: int) -> SegmentFile:
+        """The file of a segment. Raises KeyError where it was removed."""
+        return self._files[segment]
+
+    def refresh(self) -> None:
+        """Take note of what the index tells of the segments now."""
+        self._rows = self.index.segments()
+
+    def remove_oldest(self, now_ns: int) -> Counter[str]:
+        """Remove what is too old, or too much: whole segments, never the last; what each topic has lost by it."""
+        removed: Counter[str] = Counter()
+        horizon = now_ns - int(self.limits.seconds * 1e9)
+        excess = self.size - self.limits.size
+        for row in self._rows[:-1]:
+            if not row.finished or (excess <= 0 and row.end_ns >= horizon):
+                break
+            excess -= self._files[row.id].size
+            removed.update(self.index.counts_of_segment(row.id))
+            self.index.remove_segment(row.id)
+            self._files.pop(row.id).remove()
+        if removed:
+            self.refresh()
+        return removed
+
+    def remove(self, segment: int) -> None:
+        """Remove a segment that holds nothing."""
+        self.index.remove_segment(segment)
+        self._files.pop(segment).remove()
+
+    def message(self, number: int) -> tuple[Channel, Sample] | None:
+        """The message of a number, None where no chunk has it. Raises OSError, ValueError."""
+        row = self.index.find(number)
+        return None if row is None else next(self.messages_of(row, number), None)
+
+    def messages_of(self, row: ChunkRow, number: int | None = None) -> Iterator[tuple[Channel, Sample]]:
+        """The messages of a chunk, or the one of a number. Raises OSError, ValueError; KeyError where it is gone."""
+        channels = self.index.channels(row.segment)
+        wanted = None if number is None else number & 0xFFFFFFFF
+        for each in read_chunk(self._files[row.segment], row.at, row.length):
+            if wanted is None or each.sequence == wanted:
+                channel = channels[each.channel]
+                yield channel, sample_of(channel, each, row.first + ((each.sequence - row.first) & 0xFFFFFFFF))
+
+    def close(self) -> None:
+        """Let go of the index. Idempotent."""
+        if self._index is not None:
+            self._index.close()
+
+    def _recover(self, file: DiskFile, row: SegmentRow | None) -> None:
+        """Take in a file that the index does not know whole."""
+        if row is not None:
+            self.index.remove_segment(row.id)
+        try:
+            found = recover(file)
+        except (ValueError, KeyError, OSError) as error:
+            log.warning("%s of the history cannot be used: %s", file.path.name, error)
+            with contextlib.suppress(OSError):
+                file.close()
+            return
+        if not found.chunks:
+            file.remove()
+            return
+        segment = self.index.add_segment(file.path.name, found.first)
+        self._files[segment] = file
+        _index_scan(self.index, segment, found, file.size)
+
+
+def sample_of(channel: Channel, message: ChunkMessage, number: int) -> Sample:
+    """A recorded message as a sample; its sequence is its number, counted from 1."""
+    return Sample(
+        message.data,
+        channel.encoding,
+        channel.type,
+        channel.publisher,
+        message.time_ns,
+        number + 1,
+        latched=channel.latched,
+    )
+
+
+def _index_scan(index: ChunkIndex, segment: int, found: Scan, size: int) -> None:
+    rows = [
+        ChunkRow(
+            segment,
+            *chunk.place,
+            chunk.topic,
+            len(chunk.numbers),
+            min(chunk.numbers),
+            max(chunk.numbers),
+            chunk.start_ns,
+            chunk.end_ns,
+            pack_numbers(chunk.numbers),
+        )
+        for chunk in found.chunks
+    ]
+    channels = {
+        one._replace(type=TypeRef(model_name(one.type.name), one.type.hash)): number
+        for number, one in found.channels.items()
+    }
+    texts = {model_name(name): text for name, text in found.definitions.items() if text}
+    index.add_chunks(segment, rows, channels, size)
+    index.define((one.type, texts[one.type.name]) for one in channels if one.type.name in texts)
+    index.finish_segment(segment, size)
+
+
+def _open_index(path: Path) -> ChunkIndex:
+    """The index at `path`; one that cannot be read is made anew from the segments. Raises OSError."""
+    try:
+        return ChunkIndex(path)
+    except sqlite3.Error as error:
+        log.warning("the index of the history is made anew: %s", error)
+    for each in path.parent.glob(f"{path.name}*"):
+        each.unlink()
+    try:
+        return ChunkIndex(path)
+    except sqlite3.Error as error:
+        raise OSError(f"the index {path} cannot be made: {error}") from error

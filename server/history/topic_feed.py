@@ -1,0 +1,195 @@
+"""Takes every message of live topics to the recorder: subscriptions deep enough, looked at ten times a second."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+from collections import Counter
+from collections.abc import Awaitable, Callable, Iterable, Sequence
+
+from rosld.adapters.base import Adapter, Subscription
+from rosld.adapters.model import RosError, Sample, TypeRef
+from rosld.server.history.recorder import Arrival, Recorder, Sink
+
+log = logging.getLogger("rosld.history")
+PERIOD = 0.1
+"""Seconds between two looks."""
+_DEPTH = 32
+_MAX_DEPTH = 4096
+_MAX_BYTES = 32 * 1024 * 1024
+"""Bytes that a subscription may keep: a deep one of large messages would take the memory of the robot."""
+_MAX_HELD = 1000
+
+
+class TopicFeed:
+    """One topic: what of it was taken already, and how deep its subscription must be."""
+
+    def __init__(self, topic: str, subscription: Subscription, depth: int) -> None:
+        self.topic = topic
+        self.depth = depth
+        self.subscription = subscription
+        self.lost = 0
+        """Messages that were sent, and gone before they were looked at."""
+        self._latest: Sequence[Sample] = ()
+        self._taken: dict[str, tuple[int, int]] = {}
+
+    def take(self) -> list[Sample]:
+        """The messages that are new, in order of receipt."""
+        latest = self.subscription.latest()
+        if latest is self._latest:
+            return []
+        self._latest = latest
+        new: list[Sample] = []
+        single = len(self._taken) == 1
+        for sample in reversed(latest):
+            taken = self._taken.get(sample.publisher)
+            if taken is None or (sample.epoch, sample.sequence) > taken:
+                new.append(sample)
+            elif single:
+                break  # what lies before came before
+        new.reverse()
+        for sample in new:
+            self._note(sample)
+        return new
+
+    def wanted_depth(self, new: Sequence[Sample]) -> int:
+        """The depth that is needed where so many came since the last look: that of four looks."""
+        if len(new) * 4 < self.depth:
+            return self.depth
+        largest = max(len(sample.data) for sample in new)
+        return max(min(self.depth * 4, _MAX_DEPTH, _MAX_BYTES // max(largest, 1)), self.depth)
+
+    def _note(self, sample: Sample) -> None:
+        name, now = sample.publisher, (sample.epoch, sample.sequence)
+        taken = self._taken.get(name)
+        if taken is not None and taken[0] == now[0]:
+            self.lost += max(now[1] - taken[1] - 1, 0)
+        if taken is None and name and "" in self._taken:
+            del self._taken[""]  # it is known by now who that was
+        self._taken[name] = now
+
+
+class LiveFeed:
+    """All topics that are recorded. `sinks_of` tells for which sinks a topic is recorded: none, and it is not.
+
+    `learn` makes the type of a message known before the first message of it is recorded.
+    """
+
+    def __init__(
+        self,
+        adapter: Adapter,
+        recorder: Recorder,
+        sinks_of: Callable[[str], tuple[Sink, ...]],
+        learn: Callable[[TypeRef], Awaitable[object]],
+    ) -> None:
+        self.lost: Counter[str] = Counter()
+        """Messages that were gone before they were looked at, by topic."""
+        self._adapter = adapter
+        self._recorder = recorder
+        self._sinks_of = sinks_of
+        self._learn = learn
+        self._feeds: dict[str, TopicFeed] = {}
+        self._sinks: dict[str, tuple[Sink, ...]] = {}
+        self._known: set[TypeRef] = set()
+        self._held: dict[TypeRef, list[Arrival]] = {}
+        self._learning: set[asyncio.Task[None]] = set()
+        self._task: asyncio.Task[None] | None = None
+        self._changed = True
+
+    def start(self) -> None:
+        """Begin to look."""
+        self._task = asyncio.get_running_loop().create_task(self._run())
+
+    def refresh(self) -> None:
+        """Find out at the next look which topics are recorded: the graph, or what is recorded, has changed."""
+        self._changed = True
+
+    async def stop(self) -> None:
+        """Take what is there, and give every subscription back. Idempotent."""
+        task, self._task = self._task, None
+        if task is None:
+            return
+        for each in (task, *self._learning):
+            each.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await each
+        self._look()
+        for feed in self._feeds.values():
+            feed.subscription.close()
+        self._feeds.clear()
+
+    async def _run(self) -> None:
+        while True:
+            if self._changed:
+                self._changed = False
+                await self._follow(self._adapter.graph.topics)
+            for feed, depth in self._look():
+                await self._deepen(feed, depth)
+            await asyncio.sleep(PERIOD)
+
+    async def _follow(self, topics: Iterable[str]) -> None:
+        """Subscribe to what is recorded, and no longer to what is not."""
+        self._sinks = {topic: sinks for topic in topics if (sinks := self._sinks_of(topic))}
+        for topic in self._sinks.keys() - self._feeds.keys():
+            try:
+                self._feeds[topic] = TopicFeed(topic, await self._adapter.subscribe(topic, depth=_DEPTH), _DEPTH)
+            except RosError as error:
+                log.warning("%s cannot be recorded: %s", topic, error)
+                self._changed = True
+        for topic in self._feeds.keys() - self._sinks.keys():
+            self._feeds.pop(topic).subscription.close()
+
+    async def _deepen(self, feed: TopicFeed, depth: int) -> None:
+        """Subscribe more deeply, before the subscription until now is given back."""
+        deeper = await self._adapter.subscribe(feed.topic, depth=depth)
+        feed.subscription.close()
+        feed.subscription, feed.depth = deeper, depth
+
+    def _look(self) -> list[tuple[TopicFeed, int]]:
+        """Take what is new to the recorder; the topics whose subscriptions should be deeper."""
+        arrivals: list[Arrival] = []
+        deeper: list[tuple[TopicFeed, int]] = []
+        for topic, feed in self._feeds.items():
+            new = feed.take()
+            if not new:
+                continue
+            sinks = self._sinks.get(topic, ())
+            for sample in new:
+                arrival = Arrival(topic, sample, sinks)
+                if sample.schema in self._known:
+                    arrivals.append(arrival)
+                else:
+                    self._hold(arrival)
+            if feed.lost:
+                self.lost[topic] += feed.lost
+                feed.lost = 0
+            depth = feed.wanted_depth(new)
+            if depth > feed.depth:
+                deeper.append((feed, depth))
+        if arrivals:
+            self._recorder.put(arrivals)
+        return deeper
+
+    def _hold(self, arrival: Arrival) -> None:
+        """Have a message wait until its type is known."""
+        type = arrival.sample.schema
+        held = self._held.get(type)
+        if held is None:
+            held = self._held[type] = []
+            task = asyncio.get_running_loop().create_task(self._learn_type(type))
+            self._learning.add(task)
+            task.add_done_callback(self._learning.discard)
+        if len(held) < _MAX_HELD:
+            held.append(arrival)
+        else:
+            self.lost[arrival.topic] += 1
+
+    async def _learn_type(self, type: TypeRef) -> None:
+        try:
+            await self._learn(type)
+        except RosError:
+            pass  # it is recorded without its definition
+        finally:
+            self._known.add(type)
+            self._recorder.put(self._held.pop(type, []))

@@ -1,0 +1,163 @@
+"""The history over HTTP: robots of every kind recorded, also through kills and on a full disk."""
+
+from __future__ import annotations
+
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.rover.conftest import EACH
+from tests.rover.rovers import Rover, running
+from tests.server.disks.server import Server, server_on
+from tests.server.disks.test_full_disk import disk
+from tests.server.history.mcap_files import decode, profile, read
+from tests.waiting import until
+
+__all__ = ["disk"]
+"""A fixture that belongs to other tests."""
+JSON = {"Accept": "application/json"}
+NTRIPLES = {"Accept": "application/n-triples"}
+SPEED = "/aircraft/engine/speed"
+LOST_NS = 2_000_000_000
+
+
+def number(http: Any, term: str) -> int:
+    """A number that the history says of itself."""
+    text = http.get("/bags/history/", headers=NTRIPLES).text
+    subject = f"<{http.base_url}bags/history/> <https://w3id.org/rosld#{term}> "
+    return next(int(line.split('"')[1]) for line in text.splitlines() if line.startswith(subject))
+
+
+def segments(folder: Path) -> list[Path]:
+    return sorted((folder / "history").glob("*.mcap"))
+
+
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("name", EACH)
+def test_every_kind_of_robot_is_recorded_as_others_read_it(
+    name: str, serve: Callable[..., Any], tmp_path: Path
+) -> None:
+    folder, started = tmp_path / "data", list[Any]()
+
+    def start(*arguments: str, **how: Any) -> Any:
+        started.append(serve(*arguments, **how))
+        return started[-1]
+
+    recorded = [word for topic in ("/odom", "/scan", "/map") for word in ("--history", topic)]
+    with running(name, start, tmp_path, "", "--data", str(folder), *recorded) as rover:
+        check_recorded(rover, started[0], folder)
+
+
+def check_recorded(rover: Rover, server: Any, folder: Path) -> None:
+    """A rover's history, over HTTP and as its file is read by others."""
+    until(lambda: number(rover.http, "count") >= 60, "sixty messages")
+    first = rover.json("/bags/history/messages/0")
+    assert {"header"} <= set(first)
+    turtle = rover.http.get("/bags/history/messages/0", headers={"Accept": "text/turtle"})
+    assert "recordedMessage" in turtle.text
+    described = rover.http.get("/bags/history/", headers={"Accept": "text/turtle"}).text
+    for topic in ("/odom", "/scan", "/map"):
+        assert f'ros:name "{topic}"' in described
+    assert "/tf" not in described
+    assert server.stop() == 0
+    (path,) = segments(folder)
+    assert profile(path) == ("ros1" if rover.name == "rospy" else "ros2")
+    messages = read(path)
+    decoded = decode(path)
+    assert {one.topic for one in messages} == {"/odom", "/scan", "/map"}
+    assert len(decoded) == len(messages) >= 60
+    odometry: list[Any] = [message for topic, message in decoded if topic == "/odom"]
+    assert all(message.header.frame_id == "odom" for message in odometry)
+
+
+def test_the_history_in_memory_is_bounded_and_what_was_removed_is_gone(serve: Callable[..., Any]) -> None:
+    served = serve("aircraft", "--history", "*", "--history-size", "4000")
+    first = until(lambda: number_of_first(served.http), "the first message to be removed")
+    assert served.http.get("/bags/history/messages/0", headers=JSON).status_code == 410
+    assert served.http.get(f"/bags/history/messages/{first + 10}", headers=JSON).json() == {"data": 0.0}
+    assert served.http.get("/bags/history/messages/999999999").status_code == 404
+
+
+def number_of_first(http: Any) -> int:
+    """The number of a message on the first page that is left."""
+    text = http.get("/bags/history/messages/", headers=NTRIPLES).text
+    page = next(line.split("?page=")[1].split(">")[0] for line in text.splitlines() if "xhtml/vocab#first" in line)
+    return int(page) * 100
+
+
+def test_a_query_reads_messages_of_the_history_it_names(serve: Callable[..., Any]) -> None:
+    served = serve("aircraft", "--history", SPEED)
+    until(lambda: number(served.http, "count") >= 5, "messages")
+    query = f"""PREFIX ros: <https://w3id.org/rosld#>
+    SELECT ?topic {{ GRAPH <{served.url}bags/history/messages/3> {{ ?r ros:onTopic ?topic ; ros:recordedAt ?at }} }}"""
+    answer = served.http.get("/sparql", params={"query": query}, headers=JSON | {"Accept": "text/csv"})
+    assert f"{served.url}topics{SPEED}" in answer.text
+    named = f"SELECT ?n {{ <{served.url}bags/history/> <https://w3id.org/rosld#count> ?n }}"
+    count = served.http.get("/sparql", params={"query": named}, headers={"Accept": "text/csv"}).text.split()[1]
+    assert int(count) >= 5
+
+
+@pytest.mark.timeout(300)
+def test_a_kill_loses_no_more_than_two_seconds_and_leaves_files_that_are_read(tmp_path: Path) -> None:
+    with server_on(tmp_path / "data", tmp_path / "log") as server:
+        for _ in range(4):
+            server.start("--history", SPEED)
+            before = number(server.http, "count")
+            until(lambda before=before: number(server.http, "count") > before + 20, "messages")
+            at = number(server.http, "count") - 1
+            last = server.http.get(f"/bags/history/messages/{at}", headers=NTRIPLES)
+            assert last.status_code == 200
+            killed = time.time_ns()
+            server.kill()
+            server.start("--history", SPEED)
+            found = [one for path in segments(tmp_path / "data")[:-1] for one in read(path)]
+            newest = max((one.time_ns for one in found), default=0)
+            assert killed - newest < LOST_NS
+            assert sorted(one.sequence for one in found) == list(range(len(found)))
+            assert server.http.get("/bags/history/messages/0", headers=JSON).json() == {"data": 0.0}
+            assert server.stop() == 0
+
+
+@pytest.fixture
+def recording(disk: Path, tmp_path: Path) -> Iterator[Server]:
+    """The aircraft recorded on a small disk."""
+    with server_on(disk / "data", tmp_path / "log") as served:
+        served.start("--history", SPEED)
+        yield served
+
+
+def test_a_full_disk_stops_the_history_alone_says_so_and_ends_by_itself(recording: Server, disk: Path) -> None:
+    http = recording.http
+    until(lambda: number(http, "count") >= 200, "messages that are on the disk")
+    filler = disk / "filler"
+    free = subprocess.run(["stat", "-f", "-c", "%a %S", disk], capture_output=True, text=True, check=True).stdout
+    blocks, size = map(int, free.split())
+    filler.write_bytes(bytes(blocks * size - 600_000))
+    until(lambda: "recordingProblem" in http.get("/bags/history/", headers=NTRIPLES).text, "the problem")
+    for path, words in (("/", NTRIPLES), ("/status", NTRIPLES), ("/status", JSON), ("/", {"Accept": "text/html"})):
+        assert "The history is not recorded" in http.get(path, headers=words).text, path
+    query = "SELECT ?p { ?s <https://w3id.org/rosld#recordingProblem> ?p }"
+    found = http.get("/sparql", params={"query": query}, headers={"Accept": "text/csv"}).text
+    assert "No space left" in found
+    assert http.get("/bags/history/messages/0", headers=JSON).json() == {"data": 0.0}
+    put = http.put("/data/note", content="<> a <#N> .", headers={"Content-Type": "text/turtle"})
+    assert put.status_code == 201
+    until(lambda: "#dropped" in http.get("/bags/history/", headers=NTRIPLES).text, "what was dropped")
+    filler.unlink()
+    until(lambda: "recordingProblem" not in http.get("/bags/history/", headers=NTRIPLES).text, "the end of it")
+    count = number(http, "count")
+    until(lambda: number(http, "count") > count, "more messages")
+    assert recording.stop() == 0
+    assert all(read(path) for path in segments(disk / "data"))
+
+
+def test_a_recording_has_no_history(serve: Callable[..., Any], tmp_path: Path) -> None:
+    from tests.adapters.recording.recorder import lines, write_rosbag1
+
+    path = write_rosbag1(tmp_path / "talk.bag", lines())
+    with pytest.raises(AssertionError, match="ended with"):
+        serve(str(path), "--history", "*")

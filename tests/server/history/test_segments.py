@@ -1,0 +1,172 @@
+"""Segments: what is written is read by others, what is cut off is recovered, what is too much goes."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from pathlib import Path
+
+import pytest
+
+from rosld.adapters.model import Encoding, Sample, TypeRef
+from rosld.server.history.history_writer import HistoryWriter
+from rosld.server.history.segment_file import DiskFile
+from rosld.server.history.segment_scan import recover
+from rosld.server.history.segments import HistoryLimits, Segments
+from tests.server.history.mcap_files import read
+
+TEXT = TypeRef("std_msgs/msg/String", "RIHS01_" + "0" * 64)
+START = 1_700_000_000_000_000_000
+LIMITS = HistoryLimits(1e9, 1 << 30)
+
+
+def sample(number: int, text: str = "", publisher: str = "/talker") -> Sample:
+    """A string as CDR, said by a node 10 ms after the one before."""
+    said = f"{text}{number}".encode() + b"\0"
+    data = b"\0\1\0\0" + len(said).to_bytes(4, "little") + said
+    return Sample(data, Encoding.CDR, TEXT, publisher, START + number * 10_000_000, number)
+
+
+def open_writer(folder: Path | None, limits: HistoryLimits = LIMITS) -> HistoryWriter:
+    writer = HistoryWriter(Segments(folder, limits), lambda ref: "string data\n")
+    writer.open()
+    return writer
+
+
+def add(writer: HistoryWriter, count: int, topics: tuple[str, ...] = ("/a", "/b")) -> None:
+    """Record so many messages on each topic in turn."""
+    for number in range(writer.next, writer.next + count * len(topics)):
+        writer.add(topics[number % len(topics)], sample(number))
+
+
+def files(folder: Path) -> list[Path]:
+    return sorted(folder.glob("*.mcap"))
+
+
+def test_a_finished_segment_is_read_by_mcap_with_every_message_under_its_number(tmp_path: Path) -> None:
+    writer = open_writer(tmp_path)
+    add(writer, 1200)
+    writer.add("/b", sample(2400, publisher="/other"))
+    writer.close()
+    (path,) = files(tmp_path)
+    found = sorted(read(path), key=lambda one: one.sequence)
+    assert [one.sequence for one in found] == list(range(2401))
+    assert [one.data for one in found] == [sample(number).data for number in range(2401)]
+    assert [one.time_ns for one in found] == [sample(number).received_ns for number in range(2401)]
+
+
+def test_a_message_is_found_by_its_number_before_and_after_it_is_written(tmp_path: Path) -> None:
+    writer = open_writer(tmp_path)
+    add(writer, 20)
+    for _ in range(2):
+        for number in (0, 7, 39):
+            found = writer.message(number)
+            assert found is not None
+            channel, message = found
+            assert (channel.topic, message.data) == (("/a", "/b")[number % 2], sample(number).data)
+            assert message.received_ns == sample(number).received_ns
+        assert writer.message(40) is None
+        writer.close()
+
+
+def test_numbers_go_on_after_a_restart_and_are_never_used_again(tmp_path: Path) -> None:
+    for run in range(3):
+        writer = open_writer(tmp_path)
+        assert writer.next == 100 * run
+        add(writer, 50)
+        writer.close()
+        writer.segments.close()
+    writer = open_writer(tmp_path)
+    assert writer.counts == {"/a": 150, "/b": 150}
+    found = writer.message(123)
+    assert found is not None
+    assert found[1].data == sample(123).data
+    assert found[0].publisher == "/talker"
+
+
+def test_an_index_that_is_lost_or_damaged_is_made_again_from_the_segments(tmp_path: Path) -> None:
+    writer = open_writer(tmp_path)
+    add(writer, 700)
+    writer.close()
+    writer.segments.close()
+    for damage in (lambda path: path.unlink(), lambda path: path.write_bytes(b"no index" * 1000)):
+        damage(tmp_path / "index.sqlite")
+        again = open_writer(tmp_path)
+        assert again.next == 1400
+        assert again.counts == {"/a": 700, "/b": 700}
+        found = again.message(1001)
+        assert found is not None
+        assert found[1].data == sample(1001).data
+        assert again.segments.index.definition(TEXT) == "string data\n"
+        again.segments.close()
+
+
+@pytest.mark.parametrize("step", [37])
+def test_a_file_that_ends_anywhere_is_completed_and_loses_only_the_chunk_it_ends_in(tmp_path: Path, step: int) -> None:
+    writer = open_writer(tmp_path / "whole")
+    for _ in range(4):
+        add(writer, 10)
+        writer.write_due(time.monotonic() + 2)
+    (path,) = files(tmp_path / "whole")
+    whole = path.read_bytes()
+    ends = [row.at for topic in ("/a", "/b") for row in writer.segments.index.of_topic(topic, 0, 1 << 62)][1:]
+    for size in range(len(whole), min(ends), -step):
+        copy = tmp_path / "copy.mcap"
+        copy.write_bytes(whole[:size])
+        found = recover(DiskFile(copy))
+        messages = read(copy)
+        assert len(messages) == sum(len(chunk.numbers) for chunk in found.chunks)
+        assert all(one.data == sample(one.sequence).data for one in messages)
+        assert len(messages) >= 10 * sum(end <= size for end in ends)
+
+
+def test_a_file_that_was_never_finished_is_completed_when_the_history_is_opened(tmp_path: Path) -> None:
+    writer = open_writer(tmp_path / "one")
+    add(writer, 300)
+    writer.write_due(time.monotonic() + 2)
+    shutil.copytree(tmp_path / "one", tmp_path / "two")  # as a kill leaves it
+    with files(tmp_path / "two")[0].open("ab") as file:
+        file.write(b"\x06\xff\x00\x00\x00\x00\x00\x00\x00 torn")
+    again = open_writer(tmp_path / "two")
+    assert again.next == 600
+    assert len(read(files(tmp_path / "two")[0])) == 600
+    add(again, 5)
+    again.close()
+    assert [len(read(path)) for path in files(tmp_path / "two")] == [600, 10]
+
+
+@pytest.mark.parametrize("on_disk", [True, False])
+def test_what_does_not_fit_goes_oldest_first_and_whole_files_at_a_time(tmp_path: Path, on_disk: bool) -> None:
+    limits = HistoryLimits(1e9, 20_000, segment_size=4_000)
+    writer = open_writer(tmp_path if on_disk else None, limits)
+    for _ in range(60):
+        add(writer, 100)
+        writer.write_due(time.monotonic() + 2)
+    assert writer.segments.size <= 24_500
+    assert 0 < writer.first < writer.next
+    assert writer.message(writer.first) is not None
+    assert writer.message(writer.first - 1) is None
+    assert sum(writer.counts.values()) == writer.next - writer.first
+    if on_disk:
+        assert sum(len(read(path)) for path in files(tmp_path)[:-1]) < writer.next - writer.first
+
+
+def test_what_is_too_old_goes(tmp_path: Path) -> None:
+    writer = open_writer(tmp_path, HistoryLimits(3600.0, 1 << 30, segment_seconds=0.0))
+    for _ in range(3):  # each is years old, and a segment of its own
+        add(writer, 10)
+        writer.write_due(time.monotonic() + 2)
+    assert writer.first == 40
+    writer.add("/a", sample(60)._replace(received_ns=time.time_ns()))
+    writer.write_due(time.monotonic() + 2)
+    assert len(files(tmp_path)) == 1
+    assert writer.first == 60
+
+
+def test_a_segment_ends_after_its_time(tmp_path: Path) -> None:
+    writer = open_writer(tmp_path)
+    add(writer, 10)
+    writer.write_due(time.monotonic() + 61)
+    add(writer, 10)
+    writer.close()
+    assert [len(read(path)) for path in files(tmp_path)] == [20, 20]

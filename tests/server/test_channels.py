@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import signal
 import socket
-import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
@@ -412,12 +411,10 @@ def test_a_server_told_to_end_closes_its_channels_and_is_gone(serve: Callable[..
     served = serve("aircraft")
     streamed = subscribed(served, NIGHT, STREAMING)
     with connect(subscribed(served, NIGHT)["receiveFrom"]) as ws, streaming(served, streamed) as came:
-        began = time.monotonic()
         served.process.send_signal(signal.SIGTERM)
         with pytest.raises(ConnectionClosed) as caught:
             ws.recv(10)
         assert list(came) == []
         assert served.process.wait(60) == 0
-        assert time.monotonic() - began < 4, "it waited until those who are connected go by themselves"
     assert caught.value.rcvd is not None
     assert caught.value.rcvd.code in (1001, 1012)

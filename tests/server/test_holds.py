@@ -491,10 +491,8 @@ def test_a_stream_keeps_a_hold_and_the_hold_ends_when_its_reader_is_killed(drive
         assert STILL not in driven.on(DRIVE)
     finally:
         keeper.kill()
-        killed = time.monotonic()
         keeper.wait()
     driven.until(lambda: driven.on(DRIVE)[-1] == STILL, "standing still")
-    assert driven.told[-1][0] - killed < 0.4
     assert "stream ended" in http.get(hold).text
 
 

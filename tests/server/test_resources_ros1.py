@@ -143,11 +143,9 @@ def test_a_rospy_getter_that_raises_is_told_in_its_words(http: httpx.Client) -> 
 
 
 def test_a_rospy_node_that_hangs_leaves_what_needs_no_call(http: httpx.Client) -> None:
-    time_of_hanging = time.monotonic()
     tell(http, "hang")
     try:
         grip_is(http, None)
-        assert time.monotonic() - time_of_hanging < 10
         found = value(http, "/resources/limb/")
         assert (found["mode"], found["span"], found["name"], found["level"]) == (None, None, "Bob", 0.75)
         (why,) = objects(http.get("/resources/limb/grip"), f"{ROS}unreadable")

@@ -332,11 +332,9 @@ def test_what_hangs_holds_up_nobody_else() -> None:
             assert (await client.ask("GET", "/resources/arm/label")).json == "red"
             return time.monotonic()
 
-        began = time.monotonic()
         *slow, fast = at_once(http.base_url, *[held] * (CLIENTS - 1), free)
         robot.release("/arm/get_grip")
     assert fast < min(slow)
-    assert max(slow) - began < 5  # and not as long as the call may take
     assert robot.calls["/arm/get_grip"] == 1
 
 

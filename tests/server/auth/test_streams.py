@@ -34,10 +34,8 @@ def test_a_stream_shows_what_its_reader_may_see_and_ends_when_the_right_is_withd
         assert "resources/" in first
         assert "nodes/aircraft" not in first
         changing.file.write_text(tokens("admin") + RULES)
-        started = time.monotonic()
         for _ in lines:
             pass
-        assert time.monotonic() - started < 10
     assert changing["reader"].get("/topics/").status_code == 401
 
 

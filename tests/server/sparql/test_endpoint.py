@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import time
 from collections.abc import AsyncIterator
 from typing import Any
 from xml.etree import ElementTree
@@ -169,12 +168,10 @@ def test_a_query_that_takes_too_long_is_503_naming_the_limit(make_source: Make, 
     async def scenario() -> None:
         endpoint = make_endpoint(make_source(100), QuerySettings(time_limit=0.3))
         await endpoint.rows(VALUE)
-        begun = time.perf_counter()
         with pytest.raises(Problem) as caught:
             await endpoint.answer(ENDLESS)
         assert caught.value.status == 503
         assert "0.3 s" in caught.value.detail
-        assert time.perf_counter() - begun < 5
         assert await endpoint.rows(VALUE) == ["0.5"]
 
     run(scenario())

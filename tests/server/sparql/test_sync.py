@@ -309,9 +309,9 @@ def test_a_wildcard_over_a_thousand_changed_topics_does_not_hold_up_the_loop(
 
         async def watch() -> None:
             while not ended.is_set():
-                begun = time.perf_counter()
+                begun = time.thread_time()
                 await asyncio.sleep(0.001)
-                held.append(time.perf_counter() - begun)
+                held.append(time.thread_time() - begun)
 
         watcher = asyncio.ensure_future(watch())
         for _ in range(5):
@@ -320,6 +320,6 @@ def test_a_wildcard_over_a_thousand_changed_topics_does_not_hold_up_the_loop(
         ended.set()
         await watcher
         held.sort()
-        assert held[len(held) * 9 // 10] < 0.05  # generous: the machine may be busy with other things
+        assert held[len(held) * 9 // 10] < 0.05  # of this thread's own time, whatever else the machine does
 
     run(scenario())

@@ -33,11 +33,12 @@ BURST = 1.25
 So the jitter of a topic as fast as its reader wishes neither delays nor loses a value. In any time t no more than
 rate * t + 1.25 events pass.
 """
-GONE, PROBLEM = "gone", "problem"
+GONE, PROBLEM, UNTIL = "gone", "problem", "until"
 """The types of the events that tell why there is no state. EventSource's own event is called "error", so these are not.
 
 After `gone` the stream goes on and tells when the resource is there again, as nodes are restarted all the time, and an
-EventSource that comes back to a 404 gives up for ever. What is deleted for good (410) ends it.
+EventSource that comes back to a 404 gives up for ever. What is deleted for good (410) ends it. `until` is the last
+event of a stream with a condition: whether that holds of the state before it, or the time is over.
 """
 Headers: TypeAlias = "list[tuple[bytes, bytes]]"
 HEADERS: Headers = [
@@ -94,6 +95,14 @@ class StreamFormat:
         return frame.event(render(problem).body, name=name)
 
 
+@dataclass(frozen=True, slots=True)
+class StreamEnd:
+    """When a stream ends by itself: once `holds`, which raises Problems, or after so many seconds if they are given."""
+
+    holds: Callable[[State], bool]
+    seconds: float | None
+
+
 class EventStream(Response):
     """A response that goes on until its reader leaves, its resource is gone for good, or the server ends."""
 
@@ -106,6 +115,7 @@ class EventStream(Response):
         known: str | None,
         headers: Headers,
         lease: contextlib.AbstractContextManager[float | None],
+        end: StreamEnd | None = None,
     ) -> None:
         """`lease` is entered for as long as the stream lasts: it gives the seconds between signs of life."""
         self.status_code = 200
@@ -120,6 +130,7 @@ class EventStream(Response):
         """The state that the reader has, as it says itself."""
         self._spoke = 0.0
         self._lease = lease
+        self._end = end
         self._quiet = KEEP_ALIVE_SECONDS
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -127,7 +138,10 @@ class EventStream(Response):
         with self._broadcasters.count_reader(scope), self._lease as seconds:
             self._quiet = seconds or KEEP_ALIVE_SECONDS
             await send({"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers})
-            await self._broadcasters.run_for_client(self._tell(send), receive)
+            seconds = None if self._end is None else self._end.seconds
+            is_done = await self._broadcasters.run_for_client(self._tell(send), receive, seconds)
+            if seconds is not None and not is_done:
+                await self._send(send, frame.event(b"false", name=UNTIL))
         await send({"type": "http.response.body", "body": b"", "more_body": False})
 
     async def _tell(self, send: Send) -> None:
@@ -142,14 +156,14 @@ class EventStream(Response):
         if not self._is_known(told.state):
             await self._event(send, told)
         with self._alarm(waiter):
-            while not told.is_final:
+            while not (told.is_final or await self._is_over(send, told.state)):
                 await broadcaster.wait(waiter, version)
                 if not self._stream_format.is_valid():
                     return
                 if broadcaster.version == version:
                     await self._keep_alive(send)
                     continue
-                if (seconds := self._bucket.wait(time.monotonic())) > 0.0:
+                if (seconds := self._bucket.wait(time.monotonic())) > 0.0 and not await self._may_end(broadcaster):
                     await asyncio.sleep(seconds)
                 version = broadcaster.version
                 moment = broadcaster.current() or await broadcaster.observe()
@@ -158,6 +172,29 @@ class EventStream(Response):
                 if moment is not told or self._stream_format.version() != edition:
                     told, edition = moment, self._stream_format.version()
                     await self._event(send, moment)
+
+    async def _may_end(self, broadcaster: Broadcaster) -> bool:
+        """Whether the resource may be in the state that ends the stream: that is told without delay."""
+        if self._end is None:
+            return False
+        state = (broadcaster.current() or await broadcaster.observe()).state
+        try:
+            return isinstance(state, State) and self._end.holds(state)
+        except Problem:
+            return True
+
+    async def _is_over(self, send: Send, state: State | Problem) -> bool:
+        """Whether this state ends the stream, which is then told."""
+        if self._end is None or not isinstance(state, State):
+            return False
+        try:
+            if not self._end.holds(state):
+                return False
+        except Problem as problem:
+            await self._send(send, frame.event(render(self._stream_format.redact_problem(problem)).body, name=PROBLEM))
+            return True
+        await self._send(send, frame.event(b"true", name=UNTIL))
+        return True
 
     def _is_known(self, state: State | Problem) -> bool:
         """Whether the reader says that it has this state."""

@@ -1,4 +1,4 @@
-"""Waiting for a change without a stream: the answer comes when there is something new, or when the time is over."""
+"""Waiting without a stream: the answer comes when there is what was waited for, or when the time is over."""
 
 from __future__ import annotations
 
@@ -6,40 +6,41 @@ from collections.abc import Callable
 
 from starlette.requests import Request
 
-from rosld.server.events import query_params
 from rosld.server.events.broadcaster import Broadcaster, Broadcasters, Waiter
 from rosld.server.http.problem import Problem
 from rosld.server.rest.resource import Resource
 from rosld.server.rest.state import State
 
 
-async def wait_for_change(
+async def wait_for_state(
     broadcasters: Broadcasters,
     resource: Resource,
-    after: str,
-    name: Callable[[State], str],
+    is_wanted: Callable[[State], bool],
     request: Request,
     seconds: float,
-) -> bool:
-    """Whether the resource is, within so many seconds, in another state than `after` (or not there any more).
+) -> State | Problem | None:
+    """The first state of the resource that is wanted, within so many seconds; the Problem where it has none.
 
-    False at once where the client has gone or the server ends. Raises a 503 or 429 Problem where too many wait already.
+    None where the time is over; at once where the client has gone or the server ends. Raises a 503 or 429 Problem where
+    too many wait already, and what `is_wanted` raises.
     """
     broadcasters.require_capacity(request.client)
+    found: list[State | Problem] = []
 
     async def changes() -> None:
         with broadcasters.subscribe(resource) as broadcaster:
-            await _until_other(broadcaster, after, name)
+            found.append(await _first(broadcaster, is_wanted))
 
     with broadcasters.count_reader(request.scope):
-        return await broadcasters.run_for_client(changes(), request.receive, seconds)
+        await broadcasters.run_for_client(changes(), request.receive, seconds)
+    return found[0] if found else None
 
 
-async def _until_other(broadcaster: Broadcaster, after: str, name: Callable[[State], str]) -> None:
+async def _first(broadcaster: Broadcaster, is_wanted: Callable[[State], bool]) -> State | Problem:
     waiter = Waiter()
     while True:
         version = broadcaster.version
         state = (await broadcaster.observe()).state
-        if isinstance(state, Problem) or not query_params.is_state(after, name(state)):
-            return
+        if isinstance(state, Problem) or is_wanted(state):
+            return state
         await broadcaster.wait(waiter, version)

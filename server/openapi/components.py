@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from http import HTTPStatus
 
 from rosld.adapters.model import Sent
+from rosld.server.events.condition import MAX_LENGTH
 from rosld.server.events.query_params import (
     DEFAULT_RATE,
     EVENT_STREAM,
@@ -66,10 +67,18 @@ PARAMETERS: Mapping[str, Json] = {
         "description": "The ETag of a state: wait until the resource is in another, or `timeout` is over (304).",
         "schema": TEXT,
     },
+    "until": {
+        "name": "until",
+        "in": "query",
+        "description": "A condition on the value, such as `data >= 300 and status = 'on'`: wait until it holds, or "
+        "`timeout` is over (204). An event stream ends with it.",
+        "schema": {"type": "string", "maxLength": MAX_LENGTH},
+    },
     "timeout": {
         "name": "timeout",
         "in": "query",
-        "description": f"With `after`: the most seconds to wait; more than {MAX_TIMEOUT:g} are {MAX_TIMEOUT:g}.",
+        "description": f"With `after` and `until`: the most seconds to wait; more than {MAX_TIMEOUT:g} are "
+        f"{MAX_TIMEOUT:g}.",
         "schema": {"type": "number", "minimum": 0},
     },
     "rate": {
@@ -226,6 +235,10 @@ def components(schemas: Mapping[str, Schema]) -> dict[str, Json]:
         "204": {
             "description": "No Content. It was done.",
             "headers": headers("Link", "Content-Location", "Preference-Applied"),
+        },
+        "unmet": {
+            "description": "No Content. The time is over, and what `until` says does not hold.",
+            "headers": headers("ETag", "Link", "Allow", "Content-Location"),
         },
         "202": {
             "description": "Accepted. It was published, but no subscriber was there to get it.",

@@ -32,6 +32,8 @@ VERSION = "3.1.1"
 _ORDER = ("GET", "HEAD", "OPTIONS", "PUT", "POST", "PATCH", "DELETE")
 _DONE = {"PUT": (200, 201, 204), "POST": (200, 201, 204), "PATCH": (200, 201, 204), "DELETE": (204,)}
 """Statuses of what was done, where a path says nothing else."""
+_WAITS = ("after", "timeout", "rate")
+"""Parameters of what can be followed and waited for."""
 _SHORT = frozenset({"HEAD", "OPTIONS"})
 _TEMPLATE = re.compile(r"\{([^{}]+)\}")
 _BY_SCHEMA = frozenset({"application/json", "application/merge-patch+json", "application/x-www-form-urlencoded"})
@@ -164,7 +166,8 @@ def _parameters(path: DescribedPath, method: str) -> Iterator[Json]:
         yield reference("parameters", "If-None-Match")
         if path.item.streams:
             own = {one.name for one in path.item.query}
-            yield from (reference("parameters", name) for name in ("after", "timeout", "rate") if name not in own)
+            names = ("until", *_WAITS) if path.item.has_value else _WAITS
+            yield from (reference("parameters", name) for name in names if name not in own)
     else:
         yield from (reference("parameters", name) for name in ("If-Match", "If-None-Match", "Prefer"))
         yield from map(_query, path.write(method).query)
@@ -197,7 +200,8 @@ def _answers(path: DescribedPath, method: str) -> dict[str, Json]:
     if method == "HEAD":
         return {"200": reference("responses", "head"), **refusals((*READING, *_ways(path)), body=False)}
     if method == "GET":
-        return {"200": _read(path), **refusals((*READING, *_ways(path)))}
+        unmet = {"204": reference("responses", "unmet")} if path.item.has_value else {}
+        return {"200": _read(path), **unmet, **refusals((*READING, *_ways(path)))}
     done = {str(status): _done(path, method, status) for status in path.write(method).done or _DONE[method]}
     return {**done, **refusals((*WRITING, *path.item.also))}
 

@@ -79,3 +79,8 @@ class PathItem:
     def is_document(self) -> bool:
         """Whether it is RDF and nothing else."""
         return self.plain is None and self.streams and self.reads == OFFERS
+
+    @property
+    def has_value(self) -> bool:
+        """Whether it has a value that changes, of which there may be a condition."""
+        return self.plain is not None and self.streams

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, NamedTuple
 
+import orjson
+
 from rosld.ontology.document import Document
 from rosld.ontology.serialize import Syntax, serialize
 from rosld.server.auth.permissions import Permissions
@@ -69,6 +71,12 @@ class State:
     def document(self) -> Document:
         """The RDF of the resource."""
         return self.describe()
+
+    @cached_property
+    def json_value(self) -> object:
+        """The plain JSON, read. Raises the Problem of `plain`."""
+        assert self.plain is not None
+        return orjson.loads(self.plain())
 
     @cached_property
     def tag(self) -> str:

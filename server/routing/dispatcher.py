@@ -20,8 +20,9 @@ from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.auth.redaction.problems import redact_problem
 from rosld.server.events import query_params
 from rosld.server.events.broadcaster import Broadcasters
-from rosld.server.events.event_stream import HEADERS, EventStream, StreamFormat
-from rosld.server.events.long_poll import wait_for_change
+from rosld.server.events.event_stream import HEADERS, EventStream, StreamEnd, StreamFormat
+from rosld.server.events.long_poll import wait_for_state
+from rosld.server.events.until import Until
 from rosld.server.http import link, negotiation
 from rosld.server.http.charset import FORM
 from rosld.server.http.conditional import ETag, check_preconditions, digest
@@ -129,7 +130,11 @@ class Dispatcher:
             return await self._stream(exchange, resource)
         state = await resource.state()
         unchanged = False
-        if b"after=" in exchange.request.scope["query_string"] and "after" in exchange.query:
+        if b"until=" in exchange.request.scope["query_string"] and "until" in exchange.query:
+            state, holds = await self._wait_until(exchange, resource, state)
+            if not holds:
+                return self._unmet(exchange, resource, state)
+        elif b"after=" in exchange.request.scope["query_string"] and "after" in exchange.query:
             await self._wait_for_another(exchange, resource, state)
             if not exchange.auth.is_valid():
                 raise invalid_token("Your rights have changed meanwhile.")
@@ -146,6 +151,34 @@ class Dispatcher:
         if unchanged or _not_modified(exchange, rendering):
             return RawResponse(304, b"", [pair for pair in headers if pair[0] not in _CONTENT])
         return RawResponse(200, rendering.body, headers)
+
+    async def _wait_until(self, exchange: Exchange, resource: Resource, state: State) -> tuple[State, bool]:
+        """The state of which `?until=` holds, once there is one; what it is like after `?timeout=`, and whether."""
+        until, seconds = self._until(exchange, resource), query_params.parse_timeout(exchange.query)
+        after = exchange.query.get("after")
+
+        def is_wanted(found: State) -> bool:
+            return until.holds(found) and not query_params.is_state(after, self._name(found))
+
+        if is_wanted(state):
+            return state, True
+        found = await wait_for_state(self.broadcasters, resource, is_wanted, exchange.request, seconds)
+        if not exchange.auth.is_valid():
+            raise invalid_token("Your rights have changed meanwhile.")
+        if isinstance(found, Problem):
+            raise found
+        return (found, True) if found is not None else (await resource.state(), False)
+
+    def _until(self, exchange: Exchange, resource: Resource) -> Until:
+        return Until(exchange.query["until"], partial(redacted_state, resource, permissions=exchange.permissions))
+
+    def _unmet(self, exchange: Exchange, resource: Resource, state: State) -> Response:
+        """204: the time is over, and this is the state that the resource is in, by its name."""
+        media_type = negotiate(exchange)
+        etag = str(ETag(self._name(state), _variant(media_type, exchange.permissions) + state.part))
+        headers = _headers(resource, state, media_type, etag)
+        del headers["content-type"]
+        return RawResponse(204, b"", _encode({**headers, "content-location": link.to_uri(resource.url)}))
 
     async def _read_large(
         self, exchange: Exchange, resource: Resource, state: State, media_type: str, *, unchanged: bool
@@ -224,7 +257,12 @@ class Dispatcher:
         async def render(state: State) -> bytes:
             return (await self.represented(resource, state, media_type, exchange.permissions)).body
 
-        await render(await resource.state())
+        first, until, seconds = await resource.state(), None, None
+        await render(first)
+        if "until" in exchange.query:
+            until = self._until(exchange, resource)
+            until.holds(first)  # for what it refuses
+            seconds = query_params.parse_timeout(exchange.query) if "timeout" in exchange.query else None
         self.broadcasters.require_capacity(exchange.request.client)
         headers = _encode(resource_headers(resource))
         if exchange.method == "HEAD":
@@ -236,13 +274,18 @@ class Dispatcher:
         if media_type == HTML:
             stream_format = replace(stream_format, version=lambda: self.pages.version)
         known, lease = exchange.header("last-event-id"), resource.keep_alive(exchange)
-        return EventStream(self.broadcasters, resource, stream_format, rate, known, headers, lease)
+        end = None if until is None else StreamEnd(until.holds, seconds)
+        return EventStream(self.broadcasters, resource, stream_format, rate, known, headers, lease, end)
 
     async def _wait_for_another(self, exchange: Exchange, resource: Resource, state: State) -> None:
         """Until the state is another than `?after=`, at most `?timeout=`."""
         after, seconds = exchange.query["after"], query_params.parse_timeout(exchange.query)
         if query_params.is_state(after, self._name(state)):
-            await wait_for_change(self.broadcasters, resource, after, self._name, exchange.request, seconds)
+
+            def is_another(found: State) -> bool:
+                return not query_params.is_state(after, self._name(found))
+
+            await wait_for_state(self.broadcasters, resource, is_another, exchange.request, seconds)
 
     async def _check_preconditions(self, exchange: Exchange, resource: Resource) -> None:
         """If-Match and If-None-Match of a write (RFC 9110 13.1), judged against the resource as it is now."""

@@ -47,6 +47,14 @@ def test_nothing_that_the_reader_reads_speaks_of_what_they_may_not_know(
     assert guarded["admin"].get(path, params={"format": format}).status_code == 200
 
 
+def test_a_condition_is_judged_on_what_the_reader_may_read(guarded: Guarded) -> None:
+    query = {"until": "aircraft.nowhere = 1", "timeout": "0"}
+    hidden, seen = (guarded[agent].get("/parameters/", params=query) for agent in ("reader", "admin"))
+    assert (hidden.status_code, seen.status_code) == (400, 400)
+    assert "there is no aircraft" in hidden.text
+    assert "there is no nowhere in aircraft" in seen.text
+
+
 def test_agents_of_other_rights_have_other_entity_tags_of_one_state(guarded: Guarded) -> None:
     tags = [
         guarded[agent].get("/data/open/plan", headers={"Accept": "text/turtle"}).headers["etag"]

@@ -1,0 +1,383 @@
+"""Conditions on a value in plain JSON (`data >= 300 and not status = 'off'`): parsed and evaluated. Pure.
+
+condition   = conjunction *( "or" conjunction )
+conjunction = negation *( "and" negation )
+negation    = "not" negation / "(" condition ")" / comparison
+comparison  = path ( "=" / "==" / "!=" / "<" / "<=" / ">" / ">=" ) literal
+path        = name *( "." name / "[" index "]" )
+literal     = number / "true" / "false" / "null" / text in quotes of either kind
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+MAX_LENGTH = 500
+"""Characters of a condition."""
+MAX_DEPTH = 20
+"""Parentheses and negations within each other."""
+WHOLE = "value"
+"""What a value that is no object is called."""
+_MAX_NAMES = 30
+"""Names of fields that an error tells."""
+
+Value: TypeAlias = "bool | int | float | str | list[Value] | dict[str, Value] | None"
+"""Plain JSON."""
+Literal: TypeAlias = "bool | int | float | str | None"
+Step: TypeAlias = "str | int"
+"""The name of a field, or the index of an element."""
+
+_TOKEN = re.compile(
+    r"\s*(?:(?P<number>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?(?![\w.]))"
+    r"|(?P<name>[^\W\d][\w-]*)"
+    r"|'(?P<single>[^']*)'"
+    r'|"(?P<double>[^"]*)"'
+    r"|(?P<sign>==|!=|<=|>=|[=<>().\[\]]))"
+)
+_COMPARATORS: Mapping[str, Callable[[float, float], bool]] = {
+    "=": operator.eq, "==": operator.eq, "!=": operator.ne,
+    "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge,
+}  # fmt: skip
+_EQUALITY = frozenset({"=", "==", "!="})
+_WORDS: Mapping[str, Literal] = {"true": True, "false": False, "null": None}
+_RESERVED = frozenset({"and", "or", "not", *_WORDS})
+_NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:[eE][+-]?\d+)?|NaN|-?INF", re.ASCII)
+"""Numbers that plain JSON has as strings, because JSON has no such numbers or its readers lose digits of them."""
+_TYPED = frozenset({"@value", "@type"})
+"""The members of an object that stands for a value of a parameter that JSON has no form for."""
+
+
+class ConditionError(ValueError):
+    """What is wrong with a condition, or why it can never hold of a value."""
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """A field compared with a literal."""
+
+    path: tuple[Step, ...]
+    comparator: str
+    literal: Literal
+
+    def holds(self, value: Value) -> bool:
+        """Whether it is so. What is not there, or of another kind, is unequal to everything and in no order."""
+        found = _at(self.path, value)
+        if found is _NOWHERE:
+            return False
+        assert not isinstance(found, _Nowhere)
+        left, right = (_as_number(found), self.literal) if _is_number(self.literal) else (found, self.literal)
+        if _kind(left) != _kind(right):
+            return self.comparator == "!="
+        if self.comparator not in _EQUALITY and not _is_number(right):
+            return isinstance(left, str) and isinstance(right, str) and _in_order(self.comparator, left, right)
+        if _is_number(left) and _is_number(right):
+            assert isinstance(left, int | float)
+            assert isinstance(right, int | float)
+            return _COMPARATORS[self.comparator](left, right)
+        return (left == right) is (self.comparator != "!=")
+
+    def check(self, value: Value) -> None:
+        """Raise ConditionError where it can never hold of such a value: there is no such field, or of another kind."""
+        found = _require(self.path, value)
+        if isinstance(found, _Nowhere) or found is None or self.literal is None:
+            return
+        written = _write(self.path)
+        if isinstance(found, dict | list):
+            raise ConditionError(f"{written} is {_kind(found)}, compare a part of it: {_parts(found)}")
+        is_numeric = _is_number(self.literal) and _is_number(_as_number(found))
+        if not is_numeric and _kind(found) != _kind(self.literal):
+            raise ConditionError(f"{written} is {_kind(found)}, now {_brief(found)}: it is compared with such a value")
+        if isinstance(found, bool) and self.comparator not in _EQUALITY:
+            raise ConditionError(f"{written} is true or false: compare it by = or !=")
+
+
+@dataclass(frozen=True, slots=True)
+class Negation:
+    """That something does not hold."""
+
+    of: Condition
+
+    def holds(self, value: Value) -> bool:
+        """Whether it is so."""
+        return not self.of.holds(value)
+
+    def check(self, value: Value) -> None:
+        """Raise ConditionError as `Comparison.check`."""
+        self.of.check(value)
+
+
+@dataclass(frozen=True, slots=True)
+class Combination:
+    """That all of these hold, or any of them."""
+
+    parts: tuple[Condition, ...]
+    combine: Callable[[Iterator[bool]], bool]
+
+    def holds(self, value: Value) -> bool:
+        """Whether it is so."""
+        return self.combine(part.holds(value) for part in self.parts)
+
+    def check(self, value: Value) -> None:
+        """Raise ConditionError as `Comparison.check`."""
+        for part in self.parts:
+            part.check(value)
+
+
+Condition: TypeAlias = "Comparison | Negation | Combination"
+
+
+def parse_condition(text: str) -> Condition:
+    """Parse a condition. Raises ConditionError that says what is wrong where."""
+    if len(text) > MAX_LENGTH:
+        raise ConditionError(f"it has {len(text)} characters: send {MAX_LENGTH} at the most")
+    parser = _Parser(_tokens(text))
+    found = parser.condition(0)
+    parser.require_end()
+    return found
+
+
+# Values
+
+
+@dataclass(frozen=True)
+class _Nowhere:
+    """What stands for the value of a field that is not there."""
+
+
+_NOWHERE = _Nowhere()
+
+
+def _at(path: tuple[Step, ...], value: Value) -> Value | _Nowhere:
+    """The value of a field."""
+    try:
+        return _require(path, value)
+    except ConditionError:
+        return _NOWHERE
+
+
+def _require(path: tuple[Step, ...], value: Value) -> Value | _Nowhere:
+    """The value of a field; nowhere below what has no value now. Raises ConditionError where there is no such field."""
+    if value is None and path != (WHOLE,):
+        return _NOWHERE
+    found: Value = value if isinstance(value, dict) else {WHOLE: value}
+    for number, step in enumerate(path):
+        if found is None:
+            return _NOWHERE
+        if isinstance(found, list) and isinstance(step, int):
+            if step >= len(found):
+                return _NOWHERE
+            found = found[step]
+        elif isinstance(found, dict) and isinstance(step, str) and step in found:
+            found = found[step]
+        else:
+            where = f" in {_write(path[:number])}" if number else ""
+            raise ConditionError(f"there is no {_write((step,))}{where}: {_parts(found)}")
+    return found["@value"] if isinstance(found, dict) and found.keys() == _TYPED else found
+
+
+def _parts(value: Value) -> str:
+    """What parts a value has, in an error."""
+    names = _names(value)
+    return f"there are {', '.join(names)}" if names else "it has no parts"
+
+
+def _names(value: Value) -> list[str]:
+    """How the parts of a value are called."""
+    if isinstance(value, dict):
+        names = sorted(value)
+    else:
+        names = [f"[0] to [{len(value) - 1}]"] if isinstance(value, list) and value else []
+    return [*names[:_MAX_NAMES], *(("...",) if len(names) > _MAX_NAMES else ())]
+
+
+def _write(path: tuple[Step, ...]) -> str:
+    """A path as a condition has it."""
+    return "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in path).removeprefix(".")
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _as_number(value: Value) -> Value:
+    """The number that a string stands for, where plain JSON has it so; anything else as it is."""
+    if not isinstance(value, str) or len(value) > _MAX_DIGITS or not _NUMBER.fullmatch(value):
+        return value
+    return int(value) if value.removeprefix("-").isdigit() else float(value)
+
+
+_MAX_DIGITS = 30
+
+
+def _kind(value: object) -> str:
+    """What kind of value it is, in words."""
+    match value:
+        case None:
+            return "null"
+        case bool():
+            return "a boolean"
+        case int() | float():
+            return "a number"
+        case str():
+            return "text"
+        case list():
+            return "an array"
+        case _:
+            return "an object"
+
+
+def _in_order(comparator: str, left: str, right: str) -> bool:
+    """Whether texts are in this order, by code points."""
+    return {"<": left < right, "<=": left <= right, ">": left > right, ">=": left >= right}[comparator]
+
+
+def _brief(value: Literal) -> str:
+    """A value in an error."""
+    return repr(value[:40]) if isinstance(value, str) else str(value).lower()
+
+
+# Text
+
+
+@dataclass(frozen=True, slots=True)
+class _Token:
+    """A word, a sign or a literal, and where it begins."""
+
+    kind: str
+    text: str
+    at: int
+
+
+def _tokens(text: str) -> tuple[_Token, ...]:
+    found: list[_Token] = []
+    at, end = 0, len(text.rstrip())
+    while at < end:
+        match = _TOKEN.match(text, at)
+        if match is None:
+            raise ConditionError(f"{text[at:].strip()[:20]!r} cannot be read; {_FORM}")
+        kind = match.lastgroup
+        assert kind is not None
+        found.append(_Token("text" if kind in ("single", "double") else kind, match[kind], match.start(kind)))
+        at = match.end()
+    return tuple(found)
+
+
+_FORM = "a condition is like data >= 300 and status = 'on'"
+_END = _Token("end", "", -1)
+
+
+@dataclass
+class _Parser:
+    """The tokens, and how many of them have been read."""
+
+    tokens: tuple[_Token, ...]
+    read: int = field(default=0)
+
+    def condition(self, depth: int) -> Condition:
+        """One condition, as far as it goes."""
+        if depth > MAX_DEPTH:
+            raise ConditionError(f"it is nested deeper than {MAX_DEPTH}")
+        parts = [self._conjunction(depth)]
+        while self._take("name", "or"):
+            parts.append(self._conjunction(depth))
+        return parts[0] if len(parts) == 1 else Combination(tuple(parts), any)
+
+    def require_end(self) -> None:
+        """Raise ConditionError where something is left."""
+        if self._next is not _END:
+            raise self._unexpected("and, or, or nothing more")
+
+    def _conjunction(self, depth: int) -> Condition:
+        parts = [self._negation(depth)]
+        while self._take("name", "and"):
+            parts.append(self._negation(depth))
+        return parts[0] if len(parts) == 1 else Combination(tuple(parts), all)
+
+    def _negation(self, depth: int) -> Condition:
+        if self._take("name", "not"):
+            if depth >= MAX_DEPTH:
+                raise ConditionError(f"it is nested deeper than {MAX_DEPTH}")
+            return Negation(self._negation(depth + 1))
+        if self._take("sign", "("):
+            found = self.condition(depth + 1)
+            if not self._take("sign", ")"):
+                raise self._unexpected("a closing parenthesis")
+            return found
+        return self._comparison()
+
+    def _comparison(self) -> Condition:
+        path = tuple(self._path())
+        token = self._next
+        if token.kind != "sign" or token.text not in _COMPARATORS:
+            raise self._unexpected("one of =, !=, <, <=, > and >=")
+        self.read += 1
+        literal = self._literal()
+        if token.text not in _EQUALITY and (literal is None or isinstance(literal, bool)):
+            raise ConditionError(f"nothing is more or less than {_brief(literal)}: compare by = or !=")
+        return Comparison(path, token.text, literal)
+
+    def _path(self) -> Iterator[Step]:
+        yield self._name()
+        while True:
+            if self._take("sign", "."):
+                yield self._name()
+            elif self._take("sign", "["):
+                token = self._next
+                if token.kind != "number" or not token.text.isdigit() or len(token.text) > _MAX_DIGITS:
+                    raise self._unexpected("the index of an element, from 0")
+                self.read += 1
+                yield int(token.text)
+                if not self._take("sign", "]"):
+                    raise self._unexpected("a closing bracket")
+            else:
+                return
+
+    def _name(self) -> str:
+        token = self._next
+        if token.kind != "name" or token.text in _RESERVED:
+            raise self._unexpected("the name of a field")
+        self.read += 1
+        return token.text
+
+    def _literal(self) -> Literal:
+        token = self._next
+        self.read += 1
+        if token.kind == "text":
+            return token.text
+        if token.kind == "number":
+            return _number(token.text)
+        if token.kind == "name" and token.text in _WORDS:
+            return _WORDS[token.text]
+        self.read -= 1
+        raise self._unexpected("a number, true, false, null, or text in quotes")
+
+    @property
+    def _next(self) -> _Token:
+        return self.tokens[self.read] if self.read < len(self.tokens) else _END
+
+    def _take(self, kind: str, text: str) -> bool:
+        """Whether this comes next, which is then read."""
+        token = self._next
+        if (token.kind, token.text) != (kind, text):
+            return False
+        self.read += 1
+        return True
+
+    def _unexpected(self, wanted: str) -> ConditionError:
+        token = self._next
+        where = "at its end" if token is _END else f"at {token.text[:20]!r} (character {token.at + 1})"
+        return ConditionError(f"{where} there should be {wanted}; {_FORM}")
+
+
+def _number(text: str) -> int | float:
+    if text.lstrip("+-").isdigit():
+        return int(text)
+    found = float(text)
+    if math.isinf(found):
+        raise ConditionError(f"{text[:20]} is larger than any number here")
+    return found

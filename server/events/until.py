@@ -1,0 +1,48 @@
+"""`?until=CONDITION`: whether a state is the one that is waited for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import cast
+
+from rosld.server.events.condition import Condition, ConditionError, Value, parse_condition
+from rosld.server.http.problem import Problem
+from rosld.server.rest.state import State
+
+
+class Until:
+    """A condition on the states of one resource, as one agent may see them.
+
+    The first value that there is must have the fields that the condition names, of such kinds: else it would be waited
+    for in vain.
+    """
+
+    def __init__(self, text: str, view: Callable[[State], State]) -> None:
+        """`view` gives a state as the agent may see it. Raises a 400 Problem for what is no condition."""
+        try:
+            self._condition: Condition = parse_condition(text)
+        except ConditionError as error:
+            raise _refusal(error) from error
+        self._view = view
+        self._is_checked = False
+
+    def holds(self, state: State) -> bool:
+        """Whether the condition holds of a state. Raises Problems: 400 where it never can, and those of its JSON."""
+        seen = self._view(state)
+        if seen.plain is None:
+            raise Problem(
+                400,
+                "?until= is for values: of topics, resources, parameters, calls, goals. Here is none: use ?after=.",
+            )
+        value = cast(Value, seen.json_value)
+        if not self._is_checked and value is not None:
+            try:
+                self._condition.check(value)
+            except ConditionError as error:
+                raise _refusal(error) from error
+            self._is_checked = True
+        return self._condition.holds(value)
+
+
+def _refusal(error: ConditionError) -> Problem:
+    return Problem(400, f"?until= cannot be waited for: {error}.")

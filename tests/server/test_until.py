@@ -1,0 +1,198 @@
+"""`?until=`: an answer as soon as a condition on the value holds, over HTTP, on the aircraft and on the rover."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any
+
+import httpx
+import pytest
+
+from tests.server.conftest import Served
+from tests.server.robots.made_up import MadeUp, Serving
+from tests.server.test_events import STREAM, events, streaming
+
+SPEED = "/topics/aircraft/engine/speed"
+NIGHT = "/parameters/cockpit/night"
+JSON = "application/json"
+LONG = {"timeout": "60"}
+
+
+@pytest.fixture
+def aside() -> Iterator[ThreadPoolExecutor]:
+    with ThreadPoolExecutor(4) as pool:
+        yield pool
+
+
+def wait(http: httpx.Client, path: str, condition: str, **more: str) -> httpx.Response:
+    """The answer to who waits for a condition."""
+    query = {"until": condition, **LONG, **more}
+    return http.get(path, params=query, headers={"Accept": JSON}, timeout=120)
+
+
+def answered(waiting: Future[httpx.Response]) -> Any:
+    """The value that came of a wait, which must have ended well."""
+    answer = waiting.result(timeout=120)
+    assert answer.status_code == 200, answer.text
+    return answer.json()
+
+
+def test_the_speed_of_the_aircraft_is_waited_for(serve: Callable[..., Served], aside: ThreadPoolExecutor) -> None:
+    http = serve("aircraft").http
+    http.post("/services/aircraft/start", json={}).raise_for_status()
+    topic = aside.submit(wait, http, SPEED, "data >= 300")
+    resource = aside.submit(wait, http, "/resources/aircraft/engine/speed", "value >= 300")
+    whole = aside.submit(wait, http, "/resources/aircraft/engine/", "speed > 299.5 and speed < 1000")
+    http.post("/services/aircraft/engine/set_speed", json={"data": 300}).raise_for_status()
+    assert answered(topic) == {"data": 300.0}
+    assert answered(resource) == 300.0
+    assert answered(whole)["speed"] > 299.5
+
+
+def test_what_holds_already_is_answered_at_once(aircraft: Served) -> None:
+    answer = wait(aircraft.http, SPEED, "data < 1e9")
+    assert answer.status_code == 200
+    assert answer.headers["etag"] == aircraft.http.get(SPEED, headers={"Accept": JSON}).headers["etag"]
+
+
+def test_the_time_being_over_the_state_is_told_by_its_name(aircraft: Served) -> None:
+    http = aircraft.http
+    answer = wait(http, NIGHT, "value = true", timeout="0")
+    assert (answer.status_code, answer.content) == (204, b"")
+    assert answer.headers["content-location"] == str(http.base_url.join(NIGHT))
+    assert "content-type" not in answer.headers
+    assert "content-length" not in answer.headers
+    assert http.get(NIGHT, headers={"Accept": JSON, "If-None-Match": answer.headers["etag"]}).status_code == 304
+
+
+def test_with_after_another_state_is_waited_for(aircraft: Served, aside: ThreadPoolExecutor) -> None:
+    http, path = aircraft.http, "/topics/cockpit/display"
+    http.put(path, json={"data": "go"}).raise_for_status()
+    known = http.get(path, headers={"Accept": JSON}).headers["etag"]
+    assert wait(http, path, "data = 'go'", after=known, timeout="0").status_code == 204
+    waiting = aside.submit(wait, http, path, "data = 'go'", after=known)
+    http.put(path, json={"data": "stay"}).raise_for_status()
+    http.put(path, json={"data": "go"}).raise_for_status()
+    assert answered(waiting) == {"data": "go"}
+    assert waiting.result().headers["etag"] != known
+
+
+def test_parameters_calls_and_trees_are_waited_for(aircraft: Served, aside: ThreadPoolExecutor) -> None:
+    http = aircraft.http
+    one = aside.submit(wait, http, NIGHT, "value = true")
+    tree = aside.submit(wait, http, "/parameters/", "cockpit.night = true")
+    http.put(NIGHT, json=True).raise_for_status()
+    try:
+        assert answered(one) is True
+        assert answered(tree)["cockpit"]["night"] is True
+    finally:
+        http.put(NIGHT, json=False).raise_for_status()
+    call = http.post("/services/aircraft/get_power", json={}).headers["location"]
+    assert wait(http, call, "data = 'on' or data = 'off'").json()["data"] in ("on", "off")
+
+
+def test_the_end_of_a_goal_is_waited_for(serve: Callable[..., Served]) -> None:
+    http = serve("rover:?rate=10").http
+    far = {"pose": {"header": {"frame_id": "map"}, "pose": {"position": {"x": 90.0, "y": 90.0}}}}
+    sent = http.post("/actions/navigate_to", json=far)
+    goal = sent.headers["location"]
+    ended = wait(http, goal, "status != 'accepted' and status != 'executing'")
+    assert ended.json()["status"] == "aborted"
+
+
+def test_the_battery_of_the_rover_is_waited_for(serve: Callable[..., Served]) -> None:
+    http = serve("rover:?battery=0.21&rate=50").http
+    answer = wait(http, "/topics/battery_state", "percentage < 0.2")
+    assert answer.status_code == 200, answer.text
+    assert answer.json()["percentage"] < 0.2
+
+
+@pytest.mark.parametrize(
+    ("path", "condition", "words"),
+    [
+        (SPEED, "dta >= 300", "there is no dta: there are data"),
+        (SPEED, "data >= ", "a number"),
+        (SPEED, "data = 'fast'", "data is a number"),
+        ("/resources/aircraft/", "engine > 3", "there is no engine: there are power"),
+        (NIGHT, "night = true", "there are value"),
+        ("/topics/", "data = 3", "?after="),
+    ],
+)
+@pytest.mark.parametrize("accept", [JSON, "text/event-stream"])
+def test_a_condition_that_can_never_hold_is_refused_at_once(
+    path: str, condition: str, words: str, accept: str, serve: Callable[..., Served]
+) -> None:
+    http = serve("aircraft").http
+    wait(http, SPEED, "data >= 0")
+    answer = http.get(path, params={"until": condition, **LONG}, headers={"Accept": accept})
+    assert answer.status_code == 400
+    assert words in answer.json()["detail"]
+
+
+def test_a_field_is_judged_once_there_is_a_message(robot: MadeUp, serving: Serving, aside: ThreadPoolExecutor) -> None:
+    robot.topic("/late", "std_msgs/msg/Float64")
+    http = serving()
+    wrong, right = (
+        aside.submit(wait, http, "/topics/late", "dta > 3"),
+        aside.submit(wait, http, "/topics/late", "data > 3"),
+    )
+    robot.publishes("/late", {"data": 4.0})
+    assert answered(right) == {"data": 4.0}
+    assert wrong.result().status_code == 400
+
+
+def test_a_stream_ends_with_the_state_of_which_it_holds(serve: Callable[..., Served]) -> None:
+    served = serve("aircraft")
+    with streaming(served, f"{SPEED}?until=data%20%3E=%20300&rate=1") as told:
+        assert next(told).json == {"data": 0.0}
+        served.http.post("/services/aircraft/start", json={}).raise_for_status()
+        served.http.post("/services/aircraft/engine/set_speed", json={"data": 300}).raise_for_status()
+        *_, last, end = told
+    assert last.json == {"data": 300.0}
+    assert (end.name, end.json) == ("until", True)
+
+
+def test_a_stream_says_that_its_time_is_over(aircraft: Served) -> None:
+    with streaming(aircraft, f"{NIGHT}?until=value%20=%20true&timeout=0.2") as told:
+        first, end = told
+    assert first.json is False
+    assert (end.name, end.json) == ("until", False)
+
+
+def test_who_waits_is_counted_among_those_who_wait(serve: Callable[..., Served]) -> None:
+    served = serve("aircraft", "--setting", "client_streams", "1")
+    with served.http.stream("GET", SPEED, headers=STREAM) as stream:
+        next(events(stream))
+        answer = wait(served.http, SPEED, "data > 300")
+    assert answer.status_code == 429
+    assert "retry-after" in answer.headers
+
+
+def test_very_many_wait_for_one_value_and_all_are_answered(robot: MadeUp, serving: Serving) -> None:
+    robot.topic("/level", "std_msgs/msg/Float64", {"data": 0.0})
+    http = serving()
+    http.get("/topics/level")
+    answers: list[float] = []
+
+    def one(least: int) -> None:
+        with httpx.Client(base_url=http.base_url) as own:
+            answers.append(wait(own, "/topics/level", f"data >= {least}").json()["data"])
+
+    threads = [threading.Thread(target=one, args=(number % 5 + 1,)) for number in range(50)]
+    for thread in threads:
+        thread.start()
+    for number in range(1, 6):
+        robot.publishes("/level", {"data": float(number)})
+    for thread in threads:
+        thread.join(120)
+    assert len(answers) == 50
+
+
+def test_openapi_tells_where_a_condition_can_be_waited_for(http: httpx.Client) -> None:
+    paths = http.get("/openapi.json").json()["paths"]
+    until = {"$ref": "#/components/parameters/until"}
+    assert until in paths[SPEED]["get"]["parameters"]
+    assert paths[SPEED]["get"]["responses"]["204"] == {"$ref": "#/components/responses/unmet"}
+    assert until not in paths["/types/"]["get"]["parameters"]

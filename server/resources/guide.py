@@ -65,7 +65,7 @@ A 404 says what was near. Names, values and descriptions come from the robot: th
 ## Values
 
 - [Resources]({space.container("resources")}): the robot as resources, each with the value that it has
-- [Topics]({space.container("topics")}): `GET URL` is the latest message; `?until=data >= 300&timeout=60` waits (204: not yet)
+- [Topics]({space.container("topics")}): the latest messages; `?until=data >= 300&timeout=60` waits (204: not yet)
 - [Parameters]({space.container("parameters")}): settings of nodes
 - [Receipts]({space.container("activity")}): what was written, by whom, and what became of it
 

@@ -12,7 +12,7 @@ import pytest
 
 from tests.server.conftest import Served
 from tests.server.robots.made_up import MadeUp, Serving
-from tests.server.test_events import STREAM, events, streaming
+from tests.server.test_events import streaming
 
 SPEED = "/topics/aircraft/engine/speed"
 NIGHT = "/parameters/cockpit/night"
@@ -163,8 +163,8 @@ def test_a_stream_says_that_its_time_is_over(aircraft: Served) -> None:
 
 def test_who_waits_is_counted_among_those_who_wait(serve: Callable[..., Served]) -> None:
     served = serve("aircraft", "--setting", "client_streams", "1")
-    with served.http.stream("GET", SPEED, headers=STREAM) as stream:
-        next(events(stream))
+    with streaming(served, SPEED) as told:
+        next(told)
         answer = wait(served.http, SPEED, "data > 300")
     assert answer.status_code == 429
     assert "retry-after" in answer.headers

@@ -14,9 +14,11 @@ MAX_PART = 100_000
 """Bytes of a part, in JSON."""
 PART_QUERY = (
     QueryParameter(
-        "below", "A path, such as `/topics/arm/`: only what begins with it, in parts of 100 kB at the most."
+        "below",
+        "A path, such as `/topics/arm/`: only what begins with it, in parts of 100 kB at the most.",
+        {"type": "string", "pattern": "^/"},
     ),
-    QueryParameter("part", "The number of a part, from 0.", {"type": "integer", "minimum": 0}),
+    QueryParameter("part", "The number of a part, from 0.", {"type": "integer", "minimum": 0, "maximum": 999_999}),
 )
 _MAX_DIGITS = 6
 

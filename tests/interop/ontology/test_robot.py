@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from contextlib import AbstractContextManager
 from pathlib import Path
 
@@ -36,12 +37,15 @@ def test_a_module_loads_with_all_that_it_imports(tmp_path: Path, name: str) -> N
     assert done.code == 0, done.output
 
 
-# The module of deprecated terms says of each what replaces it, which the report takes for a use of it.
-@pytest.mark.parametrize("name", [name for name in OWN if name != "deprecated"])
+@pytest.mark.parametrize("name", OWN)
 def test_the_report_finds_no_error(tmp_path: Path, name: str) -> None:
     report = tmp_path / "report.tsv"
-    done = robot("report", "--input", write_alone(name, tmp_path), "--fail-on", "ERROR", "--output", report)
-    assert done.code == 0, report.read_text()
+    done = robot("report", "--input", write_alone(name, tmp_path), "--fail-on", "none", "--output", report)
+    assert done.code == 0, done.output
+    with report.open(newline="") as file:
+        errors = [row for row in csv.DictReader(file, delimiter="\t") if row["Level"] == "ERROR"]
+    # What replaces a deprecated term is said of it, which the report takes for a use of it.
+    assert [row for row in errors if not row["Rule Name"].startswith("deprecated_")] == []
 
 
 def judged(data: AbstractContextManager[httpx.Client], folder: Path) -> str:

@@ -1,28 +1,27 @@
-"""The gallery of sample pages (`gallery.py`) and a real browser (`devtools.py`), for the tests of this folder."""
+"""The pages of real servers, hostile ones and a real browser (`devtools.py`), for the tests of this folder."""
 
 from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator, Mapping
-from types import ModuleType
 from typing import Any
 
 import pytest
 
 import tests.server.html.devtools
-import tests.server.html.gallery
+from rosld.server.html import render_page
+from tests.server.html.hostile_pages import hostile_offer, hostile_page
+from tests.server.html.real_pages import real_pages
 
 
 @pytest.fixture(scope="session")
-def gallery() -> ModuleType:
-    return tests.server.html.gallery
-
-
-@pytest.fixture(scope="session")
-def pages(gallery: ModuleType) -> Mapping[str, bytes]:
-    """Every sample page by name."""
-    found: Mapping[str, bytes] = gallery.gallery()
-    return found
+def pages(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, bytes]:
+    """Every page by name."""
+    hostile = {"hostile": hostile_page(), "hostile_offer": hostile_offer()}
+    return {
+        **real_pages(tmp_path_factory.mktemp("limits")),
+        **{name: render_page(page) for name, page in hostile.items()},
+    }
 
 
 @pytest.fixture(scope="session")

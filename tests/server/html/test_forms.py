@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
 from html.parser import HTMLParser
-from types import ModuleType
 
 import pytest
 from hypothesis import given, settings
@@ -195,8 +194,12 @@ def refusal(kind: MessageSchema, pairs: list[tuple[str, str]]) -> tuple[Violatio
     return ()
 
 
-def test_what_was_typed_stands_in_the_form_again_beside_what_does_not_fit(gallery: ModuleType) -> None:
-    body = render_page(gallery.twist(refused=True)).decode()
+def test_what_was_typed_stands_in_the_form_again_beside_what_does_not_fit() -> None:
+    kind = schema("geometry_msgs/msg/TwistStamped")
+    typed = [("header.frame_id", "base"), ("twist.linear.x", "fast")]
+    wrong = (Violation("twist.linear.x", "must be a number (NaN, INF and -INF are numbers too)", "fast"),)
+    form = MessageForm(kind, value={"twist": {"linear": {"x": 0.2}}}).with_submitted(typed, wrong)
+    body = render_page(Page(SITE, "Topic", "/x", Document(URL, ()), ("GET", "PUT"), (form,))).decode()
     inputs = {each["name"]: each for each in Browser(body).inputs}
     assert inputs["twist.linear.x"]["value"] == "fast"
     assert inputs["twist.linear.x"]["type"] == "text"

@@ -6,20 +6,16 @@ import re
 from collections.abc import Mapping
 from html.parser import HTMLParser
 from itertools import pairwise
-from types import ModuleType
 
 import html5rdf  # type: ignore[import-untyped]
 import pytest
 
 from rosld.server.html import CONTENT_SECURITY_POLICY, STYLESHEET
+from tests.server.html.hostile_pages import HOSTILE
+from tests.server.html.real_pages import NAMES
 
 VOID = frozenset({"meta", "link", "img", "input", "br", "hr"})
-PAGES = (
-    "entry", "stale", "speed", "display", "odometry", "twist", "image", "scan", "transforms", "topics", "parameter",
-    "service", "call", "message_type", "refused", "hostile", "sparql", "query", "problem", "aircraft_stopped",
-    "aircraft_started", "engine", "select", "number", "limited", "unreadable", "pose", "unmapped", "press", "declined",
-    "hostile_offer",
-)  # fmt: skip
+PAGES = (*NAMES, "hostile", "hostile_offer")
 
 
 class Reader(HTMLParser):
@@ -64,7 +60,7 @@ def page(request: pytest.FixtureRequest, pages: Mapping[str, bytes]) -> Reader:
     return Reader(pages[request.param].decode("utf-8"))
 
 
-def test_every_sample_page_is_tested(pages: Mapping[str, bytes]) -> None:
+def test_every_page_is_tested(pages: Mapping[str, bytes]) -> None:
     assert set(PAGES) == set(pages)
 
 
@@ -142,12 +138,12 @@ def test_every_label_belongs_to_an_input_of_its_form(page: Reader) -> None:
     assert {each["for"] for each in page.all("label")} <= set(page.ids)
 
 
-def test_a_hostile_robot_is_shown_as_text(pages: Mapping[str, bytes], gallery: ModuleType) -> None:
+def test_a_hostile_robot_is_shown_as_text(pages: Mapping[str, bytes]) -> None:
     body = pages["hostile"].decode()
     page = Reader(body)
     assert "<script" not in body.partition("</head>")[2].lower()
     assert "\x00" not in body
-    shown = gallery.HOSTILE.replace("\x00", "\u2400")
+    shown = HOSTILE.replace("\x00", "\u2400")
     assert sum(text.count(shown) for text in page.text) > 15
     values = [each["value"] for each in page.all("input") if each.get("name") == "data"]
     assert values == [shown]

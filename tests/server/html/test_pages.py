@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -22,8 +21,8 @@ from rosld.server.html.messages import message_view
 from rosld.server.html.page import Term
 from rosld.server.html.timestamps import duration_view, time_view, time_view_of_text
 from rosld.server.html.view import ArrayView, BytesView, TableListView, TableView, TextView, TimeView, View
+from tests.server.html.messages import BASE, lifted, message, schema
 
-BASE = "http://127.0.0.1:8080/"
 SITE = Site(BASE, "robot")
 URL = f"{BASE}topics/x"
 
@@ -56,33 +55,31 @@ def test_no_time_is_too_strange_to_be_shown(nanoseconds: int) -> None:
     assert isinstance(time_view(nanoseconds), TimeView | TextView)
 
 
-def test_a_message_is_a_table_of_its_fields(gallery: ModuleType) -> None:
-    kind = gallery.schema("nav_msgs/msg/Odometry")
+def test_a_message_is_a_table_of_its_fields() -> None:
+    kind = schema("nav_msgs/msg/Odometry")
     value = {"header": {"stamp": {"sec": 5}}, "pose": {"pose": {"position": {"x": 0.1}}, "covariance": [0.5] * 36}}
-    message = gallery.message(kind, value)
-    view = message_view(kind, message)
+    shown = message(kind, value)
+    view = message_view(kind, shown)
     assert field(view, "pose", "pose", "position", "x") == TextView("0.1", tone="number")
     assert isinstance(field(view, "header", "stamp"), TimeView)
-    assert isinstance(field(message_view(kind, message, simulated_time=True), "header", "stamp"), TextView)
+    assert isinstance(field(message_view(kind, shown, simulated_time=True), "header", "stamp"), TextView)
     covariance = field(view, "pose", "covariance")
     assert isinstance(covariance, ArrayView)
     assert (covariance.count, covariance.head.count(",")) == (36, 7)
 
 
 @pytest.mark.parametrize(("value", "text"), [("NaN", "NaN"), ("-INF", "-INF"), (0.1, "0.1"), (1e20, "1e+20")])
-def test_floats_have_their_shortest_digits(gallery: ModuleType, value: object, text: str) -> None:
+def test_floats_have_their_shortest_digits(value: object, text: str) -> None:
     for name in ("Float32", "Float64"):
-        kind = gallery.schema(f"std_msgs/msg/{name}")
-        assert field(message_view(kind, gallery.message(kind, {"data": value})), "data") == TextView(
-            text, tone="number"
-        )
+        kind = schema(f"std_msgs/msg/{name}")
+        assert field(message_view(kind, message(kind, {"data": value})), "data") == TextView(text, tone="number")
 
 
-def test_bytes_are_counted_and_linked_where_they_are(gallery: ModuleType) -> None:
-    kind = gallery.schema("sensor_msgs/msg/Image")
-    message = gallery.message(kind, {"data": "AAEC"})
-    assert field(message_view(kind, message, octets="?field="), "data") == BytesView(3, "00 01 02", "?field=data")
-    assert field(message_view(kind, message), "data") == BytesView(3, "00 01 02")
+def test_bytes_are_counted_and_linked_where_they_are() -> None:
+    kind = schema("sensor_msgs/msg/Image")
+    shown = message(kind, {"data": "AAEC"})
+    assert field(message_view(kind, shown, octets="?field="), "data") == BytesView(3, "00 01 02", "?field=data")
+    assert field(message_view(kind, shown), "data") == BytesView(3, "00 01 02")
 
 
 @pytest.mark.parametrize(
@@ -95,25 +92,25 @@ def test_bytes_are_counted_and_linked_where_they_are(gallery: ModuleType) -> Non
         (7, TextView("7", tone="number")),
     ],
 )
-def test_levels_of_diagnostics_have_words(gallery: ModuleType, level: int, view: View) -> None:
-    kind = gallery.schema("diagnostic_msgs/msg/DiagnosticArray")
-    shown = message_view(kind, gallery.message(kind, {"status": [{"level": level, "name": "motor"}]}))
+def test_levels_of_diagnostics_have_words(level: int, view: View) -> None:
+    kind = schema("diagnostic_msgs/msg/DiagnosticArray")
+    shown = message_view(kind, message(kind, {"status": [{"level": level, "name": "motor"}]}))
     status = field(shown, "status")
     assert isinstance(status, TableListView)
     assert field(status.items[0], "level") == view
 
 
-def test_a_huge_message_is_cut_visibly(gallery: ModuleType) -> None:
-    kind = gallery.schema("diagnostic_msgs/msg/DiagnosticArray")
+def test_a_huge_message_is_cut_visibly() -> None:
+    kind = schema("diagnostic_msgs/msg/DiagnosticArray")
     many = {"status": [{"values": [{"key": str(n), "value": "v"} for n in range(200)]} for _ in range(200)]}
-    body = render_page(Page(SITE, "Topic", "/x", Document(URL, (), (gallery.lifted("#message", kind, many),)))).decode()
+    body = render_page(Page(SITE, "Topic", "/x", Document(URL, (), (lifted("#message", kind, many),)))).decode()
     assert len(body) < 1_500_000
     assert re.search(r"\d+ more in the other formats", body)
 
 
-def test_a_long_array_is_cut_visibly(gallery: ModuleType) -> None:
-    kind = gallery.schema("std_msgs/msg/Float64MultiArray")
-    view = field(message_view(kind, gallery.message(kind, {"data": list(map(float, np.arange(5000)))})), "data")
+def test_a_long_array_is_cut_visibly() -> None:
+    kind = schema("std_msgs/msg/Float64MultiArray")
+    view = field(message_view(kind, message(kind, {"data": list(map(float, np.arange(5000)))})), "data")
     assert isinstance(view, ArrayView)
     assert view.full is not None
     assert view.full.endswith("1999.0 …")
@@ -121,12 +118,19 @@ def test_a_long_array_is_cut_visibly(gallery: ModuleType) -> None:
 
 def test_latest_messages_of_several_publishers_have_sections_of_their_own(pages: Mapping[str, bytes]) -> None:
     body = pages["odometry"].decode()
-    assert body.index('id="message"') < body.index('id="from/base"') < body.index('id="from/ekf"')
-    assert "Latest from /ekf" in body
+    places = [body.index(f'id="{name}"') for name in ("by-publisher", "from/rosld", "message", "section-own")]
+    assert places == sorted(places)
+    assert "Latest from /robot" in body
+    assert "Latest from /rosld" in body
 
 
 def test_what_is_wrong_with_a_resource_comes_first(pages: Mapping[str, bytes]) -> None:
-    body = pages["image"].decode()
+    here = NamedNode(URL)
+    wrong = Triple(here, ros.unreachable, Literal("the publisher /camera does not answer"))
+    kind = schema("std_msgs/msg/String")
+    latest = Triple(here, ros.latest, NamedNode(f"{URL}#message"))
+    document = Document(URL, (latest, wrong), (lifted("#message", kind, {}),))
+    body = render_page(Page(SITE, "Topic", "/x", document)).decode()
     assert body.index("Unreachable: the publisher") < body.index("Latest message")
     assert "no answer since 01:31:41 UTC" in pages["stale"].decode()
     assert "Last known state" in pages["stale"].decode()
@@ -135,10 +139,8 @@ def test_what_is_wrong_with_a_resource_comes_first(pages: Mapping[str, bytes]) -
 def test_a_container_lists_members_with_their_columns_and_namespaces_apart(pages: Mapping[str, bytes]) -> None:
     body = pages["topics"].decode()
     assert re.search(r'<a href="/topics/front_laser_scan"><bdi>front_laser_scan</bdi></a>', body)
-    assert re.search(
-        r'<li data-key="/topics/aircraft/"><a href="/topics/aircraft/"><bdi>aircraft/</bdi></a></li>', body
-    )
-    assert '<a class="below" href="/topics/image_raw/">' in body
+    assert re.search(r'<li data-key="/topics/turtle1/"><a href="/topics/turtle1/"><bdi>turtle1/</bdi></a></li>', body)
+    assert '<a class="below" href="/topics/camera/image_raw/">' in pages["camera"].decode()
     assert 'href="/types/sensor_msgs/msg/LaserScan"' in body
 
 

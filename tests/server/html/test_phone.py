@@ -1,21 +1,20 @@
-"""Pages on a phone and without JavaScript: looked at with a real browser, where there is one."""
+"""Pages on a phone: looked at with a real browser, where there is one."""
 
 from __future__ import annotations
 
-import json
-import re
-from collections.abc import Mapping
-from dataclasses import replace
-from html import unescape
-from types import ModuleType
-from typing import TypeAlias
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any, TypeAlias
+from urllib.parse import urlsplit
 
 import pytest
 
-from rosld.server.html import render_page
+from rosld.server.html import HEADERS, ICON, STYLESHEET
 
 WIDTH = 360
-MEASURE = """<!doctype html><meta charset="utf-8"><title>measuring</title><body>%s<script>
+MEASURE = """(() => {
 // What in the header is less than four pixels from something else in it, or reaches beyond the page.
 function crowding(page, name) {
   page.querySelector(".brand bdi").textContent = name;
@@ -37,50 +36,65 @@ function crowding(page, name) {
   return boxes.filter((one) => one.right > page.clientWidth || boxes.some((other) => other !== one && near(one, other)))
     .map((one) => `${name}: ${one.text}`);
 }
-addEventListener("load", () => {
-  const found = {};
-  for (const frame of document.querySelectorAll("iframe")) {
-    const page = frame.contentDocument.documentElement;
-    const styled = getComputedStyle(page.querySelector("main")).maxWidth !== "none";
-    const small = [...page.querySelectorAll("button, input:not([type=hidden]), select")].filter(
-      (each) => each.checkVisibility() && each.getBoundingClientRect().height < 18).length;
-    const crowded = ["aircraft", "a-robot-with-a-long-name.example:11311"].flatMap((name) => crowding(page, name));
-    found[frame.title] = {width: page.scrollWidth, styled, small, crowded};
-  }
-  document.body.textContent = JSON.stringify(found);
-});
-</script>"""
+  const page = document.documentElement;
+  const styled = getComputedStyle(page.querySelector("main")).maxWidth !== "none";
+  const small = [...page.querySelectorAll("button, input:not([type=hidden]), select")].filter(
+    (each) => each.checkVisibility() && each.getBoundingClientRect().height < 18).length;
+  const crowded = ["aircraft", "a-robot-with-a-long-name.example:11311"].flatMap((name) => crowding(page, name));
+  return {width: page.scrollWidth, styled, small, crowded};
+})()"""
 
 
 Measured: TypeAlias = Mapping[str, Mapping[str, object]]
 
 
-@pytest.fixture(scope="module")
-def shown(gallery: ModuleType, pages: Mapping[str, bytes]) -> Mapping[str, bytes]:
-    """The sample pages, and two with the button that stops the robot."""
-    stoppable = {"stoppable": gallery.aircraft_stopped(), "stoppable_topic": gallery.display()}
-    drawn = {
-        name: render_page(replace(page, site=replace(page.site, stop_token="1795225901.stop")))
-        for name, page in stoppable.items()
-    }
-    return {**pages, **drawn}
+@contextmanager
+def serving(pages: Mapping[str, bytes]) -> Iterator[str]:
+    """The pages by name, with the policy that all pages have, on a loopback port; yields the URL."""
+    files = {"style.css": (STYLESHEET, "text/css"), "icon.svg": (ICON, "image/svg+xml")}
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            name = urlsplit(self.path).path.strip("/")
+            body, kind = files.get(name) or (pages.get(name), "text/html; charset=utf-8")
+            self.send_response(200 if body else 404)
+            self.send_header("Content-Type", kind)
+            for key, value in HEADERS.items():
+                self.send_header(key, value)
+            self.end_headers()
+            self.wfile.write(body or b"")
+
+        def log_message(self, format: str, *args: object) -> None:
+            pass
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    thread = threading.Thread(target=server.serve_forever)
+    thread.start()
+    try:
+        yield f"http://127.0.0.1:{server.server_port}/"
+    finally:
+        server.shutdown()
+        server.server_close()
+        thread.join()
 
 
 @pytest.fixture(scope="module")
-def measured(browser: None, gallery: ModuleType, shown: Mapping[str, bytes]) -> Measured:
-    """How wide each page gets in a frame of 360 pixels, and whether its stylesheet passed its policy."""
-    frames = "".join(f'<iframe title="{name}" src="/{name}" width="{WIDTH}" height="700"></iframe>' for name in shown)
-    with gallery.served(shown, {"measure": (MEASURE % frames).encode()}) as url:
-        printed = gallery.chromium("--dump-dom", "--virtual-time-budget=20000", f"{url}measure")
-    found = re.search(r"<body>(\{.*\})</body>", printed, re.DOTALL)
-    assert found, printed[-2000:]
-    numbers: Measured = json.loads(unescape(found[1]))
-    return numbers
+def measured(window: Any, pages: Mapping[str, bytes]) -> Measured:
+    """How wide each page gets on a phone, whether its stylesheet passed its policy, what is too small or too close."""
+    with serving(pages) as url, window.tab() as tab:
+        tab.send("Emulation.setDeviceMetricsOverride", width=WIDTH, height=700, deviceScaleFactor=1, mobile=True)
+
+        def measure(name: str) -> Mapping[str, object]:
+            tab.open(url + name)
+            found: Mapping[str, object] = tab.run(MEASURE)
+            return found
+
+        return {name: measure(name) for name in pages}
 
 
-def test_no_page_is_wider_than_a_phone(measured: Measured, shown: Mapping[str, bytes]) -> None:
-    assert measured.keys() == shown.keys()
-    assert {name: each["width"] for name, each in measured.items()} == dict.fromkeys(shown, WIDTH)
+def test_no_page_is_wider_than_a_phone(measured: Measured, pages: Mapping[str, bytes]) -> None:
+    assert measured.keys() == pages.keys()
+    assert {name: each["width"] for name, each in measured.items()} == dict.fromkeys(pages, WIDTH)
 
 
 def test_the_stylesheet_passes_the_policy(measured: Measured) -> None:

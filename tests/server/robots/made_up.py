@@ -10,7 +10,7 @@ import time
 from collections import Counter
 from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any, TypeAlias, TypeVar
 
@@ -38,6 +38,7 @@ from rosld.adapters.model import (
     Sent,
     Service,
     ServiceSchema,
+    Stale,
     TimedOut,
     Topic,
     TypeRef,
@@ -197,6 +198,10 @@ class MadeUp:
         """The parameter is gone, and nobody has noticed."""
         self._parameters = trees.without_name(self._parameters, name)
 
+    def goes_stale(self, why: str) -> None:
+        """The robot does not answer any more; what the graph says is what was known last."""
+        self.run(lambda: self._announce(replace(self.graph, state=Stale(time.time_ns(), why))))
+
     def hold(self, name: str) -> None:
         """Calls of this service hang until `release`."""
         self.run(lambda: self._held.__setitem__(name, asyncio.Event()))
@@ -332,8 +337,8 @@ class MadeUp:
 
     def _revised(self, change: Callable[..., object], *arguments: object) -> None:
         change(*arguments)
-        self.graph = Graph(
-            self.graph.revision + 1,
+        graph = Graph(
+            0,
             nodes=freeze({name: Node(name) for name in (ROBOT, LISTENER)}),
             topics=freeze({name: _told(name, one) for name, one in self._topics.items()} | self._odd(Topic)),
             services=freeze(
@@ -348,6 +353,10 @@ class MadeUp:
                 }
             ),
         )
+        self._announce(graph)
+
+    def _announce(self, graph: Graph) -> None:
+        self.graph = replace(graph, revision=self.graph.revision + 1)
         if self._sink is not None:
             self._sink.graph_changed(self.graph)
 

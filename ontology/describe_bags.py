@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Protocol
 
-from pyoxigraph import NamedNode
+from pyoxigraph import Literal, NamedNode
 
 from rosld.adapters.model import Sample, TypeRef
 from rosld.ontology.describe_topics import MESSAGE, type_url
@@ -22,7 +22,7 @@ from rosld.ontology.triples import (
     triples_about,
 )
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import dcterms, ldp, rdf, rdfs, ros, xhv
+from rosld.ontology.vocab import dcterms, ldp, rdf, rdfs, ros, spdx, xhv, xsd
 
 
 class Track(Protocol):
@@ -69,10 +69,16 @@ class BagMessage(Protocol):
 
 
 def bag_document(
-    bag: Bag, space: Space, *, dropped: Mapping[str, int] = MappingProxyType({}), problem: str | None = None
+    bag: Bag,
+    space: Space,
+    sha256: str | None = None,
+    *,
+    dropped: Mapping[str, int] = MappingProxyType({}),
+    problem: str | None = None,
 ) -> Document:
     """A recording: how it is stored, from when to when, its topics with their types and counts.
 
+    `sha256` is the digest of its file in hexadecimal, where that is known.
     `dropped` are messages by topic that were sent and are not in it, `problem` says why it does not go on.
     """
     url, messages = space.bag(bag.name), NamedNode(space.bag_messages(bag.name))
@@ -91,7 +97,15 @@ def bag_document(
         (ros.end, date_time_literal(bag.end_ns) if bag.count else None),
         (ldp.contains, messages),
         *statements(ros.hasRecordedTopic, tracks),
+        (spdx.checksum, None if sha256 is None else NamedNode(f"{url}#checksum")),
     )
+    if sha256 is not None:
+        triples += triples_about(
+            NamedNode(f"{url}#checksum"),
+            (rdf.type, spdx.Checksum),
+            (spdx.algorithm, spdx.checksumAlgorithm_sha256),
+            (spdx.checksumValue, Literal(sha256, datatype=xsd.hexBinary)),
+        )
     triples += triples_about(messages, (rdfs.label, text("Messages")))
     for node, track in tracks.items():
         lost = dropped.get(track.name)

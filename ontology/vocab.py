@@ -390,6 +390,7 @@ class xsd(Namespace, iri="http://www.w3.org/2001/XMLSchema#"):
     nonNegativeInteger: NamedNode
     dateTime: NamedNode
     base64Binary: NamedNode
+    hexBinary: NamedNode
     anyURI: NamedNode
 
 
@@ -436,6 +437,16 @@ class dcterms(Namespace, iri="http://purl.org/dc/terms/"):
     format: NamedNode
 
 
+class spdx(Namespace, iri="http://spdx.org/rdf/terms#"):
+    """Checksums (SPDX 2.3), as DCAT has them."""
+
+    Checksum: NamedNode
+    checksum: NamedNode
+    algorithm: NamedNode
+    checksumValue: NamedNode
+    checksumAlgorithm_sha256: NamedNode
+
+
 class foaf(Namespace, iri="http://xmlns.com/foaf/0.1/"):
     """FOAF: a document about a thing that is not itself a document; agents."""
 
@@ -477,6 +488,7 @@ class sh(Namespace, iri="http://www.w3.org/ns/shacl#"):
     IRIOrLiteral: NamedNode
     targetClass: NamedNode
     targetNode: NamedNode
+    targetObjectsOf: NamedNode
     property: NamedNode
     path: NamedNode
     name: NamedNode
@@ -510,7 +522,6 @@ class sh(Namespace, iri="http://www.w3.org/ns/shacl#"):
     xone: NamedNode
     inversePath: NamedNode
     zeroOrMorePath: NamedNode
-    shapesGraph: NamedNode
     conforms: NamedNode
     result: NamedNode
     resultSeverity: NamedNode
@@ -739,6 +750,7 @@ _SPACES = (
     foaf,
     acl,
     sh,
+    spdx,
     sd,
     td,
     js,

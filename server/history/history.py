@@ -14,6 +14,7 @@ from typing import TypeAlias
 from rosld.adapters.base import Adapter, RecordedMessage, RecordedTopic
 from rosld.adapters.model import Encoding, NotFound, Schema, TypeRef, UnknownType, Unreachable
 from rosld.adapters.model.library import TypeLibrary
+from rosld.server.history.file_digests import FileDigests
 from rosld.server.history.history_writer import HistoryWriter
 from rosld.server.history.recorder import Recorder, Sink
 from rosld.server.history.segments import HistoryLimits, Segments
@@ -144,6 +145,8 @@ class History:
         folder = None if settings.data is None else settings.data / FOLDER
         self.writer = HistoryWriter(Segments(folder, history_limits(settings)), definition_of)
         self.recording = HistoryRecording(self.writer, settings.types)
+        self.digests = FileDigests()
+        """Those of the recordings beside it."""
         self._failure: str | None = None
         self._sink: tuple[Sink, ...] = (self.writer,)
 

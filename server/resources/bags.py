@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
 from starlette.responses import Response
 
-from rosld.adapters.base import RecordedMessage, Recording
+from rosld.adapters.base import RecordedMessage, Recording, Watch
 from rosld.adapters.model import NotFound, UnknownType
 from rosld.ontology.describe_bags import bag_document, bag_message_document, bag_messages_document
 from rosld.ontology.describe_containers import container_document
@@ -79,10 +79,15 @@ class BagResource(Resource):
     async def state(self) -> State:
         recording, space, history = self.recording, self.robot.space, self.robot.history
         is_history = recording is history.recording
+        digest = None if is_history else history.digests.get(recording.path)
         dropped, problem = (history.dropped(), history.problem) if is_history else ({}, None)
-        version = recording.first, recording.count, problem, sum(dropped.values())
-        describe = partial(bag_document, recording, space, dropped=dropped, problem=problem)
+        version = recording.first, recording.count, problem, sum(dropped.values()), digest
+        describe = partial(bag_document, recording, space, digest, dropped=dropped, problem=problem)
         return self.robot.states.get_or_make(self.url, version, lambda: State(describe))
+
+    async def watch(self, wake: Callable[[], None]) -> Watch | None:
+        history = self.robot.history
+        return None if self.recording is history.recording else history.digests.watch(self.recording.path, wake)
 
 
 class BagMessages(Resource):

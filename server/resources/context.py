@@ -87,6 +87,7 @@ class Robot(Session):
             self.goals.revision,
             self.holds.revision,
             self.software_stop.revision,
+            self.history.digests.revision,
             self.queries.version,
             IdentityKey(self.active_limits.current),
             IdentityKey(self.mappings.mapping_set),

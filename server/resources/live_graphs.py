@@ -423,7 +423,8 @@ class RobotGraphs:
     def _records(self) -> Iterator[GraphEntry]:
         space = self._robot.space
         for recording in self._robot.adapter.recordings.values():
-            yield _described(space.bag(recording.name), 0, partial(bag_document, recording, space))
+            digest = self._robot.history.digests.known(recording.path)
+            yield _described(space.bag(recording.name), digest, partial(bag_document, recording, space, digest))
         calls = tuple(space.call(call.id) for call in self._robot.calls.all())
         listed = partial(container_document, space.container("calls"), calls, "Calls")
         yield _described(space.container("calls"), calls, listed)

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
+from rdflib import RDF, XSD, Graph, Literal, Namespace, URIRef
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_typestore
+
+from tests.waiting import until
 
 JSON = {"Accept": "application/json"}
 COUNT = 250
@@ -102,3 +106,21 @@ def test_once_rests_at_the_end(tmp_path: Path, serve: Callable[..., Any]) -> Non
     last = httpx.get(f"{served.url}topics/walk/point", headers=JSON).json()
     again = httpx.get(f"{served.url}topics/walk/point", headers=JSON).json()
     assert last == again == {"x": float(COUNT - 1), "y": 0.0, "z": -0.5}
+
+
+def test_a_recording_has_the_checksum_of_its_file_once_that_is_known(walk: Any, tmp_path: Path) -> None:
+    path = tmp_path / "walk.bag"
+    write(path)  # the same once more
+    expected = hashlib.sha256(path.read_bytes()).hexdigest()
+    url = f"{walk.http.base_url}bags/walk/"
+    node, terms = URIRef(f"{url}#checksum"), Namespace("http://spdx.org/rdf/terms#")
+
+    def graph() -> Graph:
+        return Graph().parse(data=walk.http.get(url, headers={"Accept": "text/turtle"}).text, format="turtle")
+
+    found = until(lambda: (URIRef(url), terms.checksum, node) in (said := graph()) and said, "the checksum")
+    assert (node, RDF.type, terms.Checksum) in found
+    assert (node, terms.algorithm, terms.checksumAlgorithm_sha256) in found
+    assert found.value(node, terms.checksumValue) == Literal(expected, datatype=XSD.hexBinary)
+    asked = f"ASK {{ GRAPH <{url}> {{ <{node}> <{terms.checksumValue}> ?sum }} }}"
+    assert walk.http.get("/sparql", params={"query": asked}, headers=JSON).json()["boolean"]

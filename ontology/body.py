@@ -18,6 +18,7 @@ import orjson
 from pyoxigraph import BlankNode, DefaultGraph, Literal, NamedNode, Quad, RdfFormat, Triple, parse, serialize
 
 from rosld.ontology.charsets import UnknownCharset, decode_xml
+from rosld.ontology.vocab import rdf
 
 Term: TypeAlias = NamedNode | BlankNode | Literal | Triple
 Subject: TypeAlias = NamedNode | BlankNode | Triple
@@ -75,6 +76,10 @@ class RdfBody:
     def objects(self, subject: Term, predicate: NamedNode) -> list[Term]:
         """The objects of one predicate of `subject`."""
         return list(dict.fromkeys(self.properties(subject).get(predicate, ())))
+
+    def instances(self, type: NamedNode) -> list[Subject]:
+        """The subjects of a type."""
+        return [subject for subject in self.subjects if type in self.objects(subject, rdf.type)]
 
     def roots(self) -> list[Subject]:
         """The subjects that are nobody's object."""

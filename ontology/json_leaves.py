@@ -5,6 +5,7 @@ A leaf takes a value, as `parse_json` gives it, and returns what belongs into th
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from math import isfinite
 from typing import Any, TypeAlias, cast
@@ -30,6 +31,8 @@ from rosld.ontology.coercion import (
 from rosld.ontology.literals import BASE64, DTYPES, STRINGS
 
 Leaf: TypeAlias = Callable[[object], object]
+
+_INTEGER = re.compile(r"-?(0|[1-9][0-9]{0,23})", re.ASCII)
 
 
 def json_leaf(kind: Primitive | Array) -> Leaf:
@@ -64,7 +67,7 @@ def _integer(kind: Primitive) -> Leaf:
 
 
 def _is_integer(text: str) -> bool:
-    return len(text) <= 24 and text.isascii() and text.removeprefix("-").isdigit()
+    return _INTEGER.fullmatch(text) is not None
 
 
 def _float(kind: Primitive) -> Leaf:
@@ -194,8 +197,11 @@ def _bools_at_once(values: list[Any], dtype: np.dtype[Any], limits: tuple[int, i
 
 
 def array_of_json(kind: Array) -> Callable[[str], object]:
-    """The reader of an rdf:JSON literal as an array of primitives. It raises Misfit."""
-    read = json_leaf(kind)
+    """The reader of an rdf:JSON literal as an array of primitives. It raises Misfit.
+
+    Integers are written as such: which other numbers are whole no shape could tell.
+    """
+    read, is_integer = json_leaf(kind), kind.element.name in RANGES
 
     def parse(text: str) -> object:
         try:
@@ -204,6 +210,8 @@ def array_of_json(kind: Array) -> Callable[[str], object]:
             raise Misfit(f"expected {describe_kind(kind)} in JSON ({error.msg})", text) from error
         if not isinstance(value, list):
             raise Misfit(f"expected {describe_kind(kind)} in JSON", text)
+        if is_integer and float in set(map(type, value)):
+            raise Misfit(f"expected {describe_kind(kind)}, written without fraction and exponent", text)
         return read(value)
 
     return parse

@@ -18,7 +18,7 @@ from rosld.ontology.lift import LiftSettings
 from rosld.ontology.lower_graph import GraphReaders, GraphReading
 from rosld.ontology.lower_json import JsonReaders, JsonReading
 from rosld.ontology.violations import Findings, LoweringError, Violation
-from rosld.ontology.vocab import rdf, ros
+from rosld.ontology.vocab import ros
 
 __all__ = ["Lowerer", "LoweringError", "Violation", "find_message", "lowerer", "parse_json"]
 
@@ -28,6 +28,7 @@ class Lowerer:
 
     def __init__(self, schema: MessageSchema, settings: LiftSettings) -> None:
         self.schema = schema
+        self._type = settings.types + schema.ref.name
         self._from_json = JsonReaders(schema).message(schema.ref.name)
         self._from_graph = GraphReaders(schema, settings.types).message(schema.ref.name)
 
@@ -43,6 +44,15 @@ class Lowerer:
         except Misfit as misfit:
             reading.findings.misfit(None, misfit)
         return _result(reading.findings, message)
+
+    def from_body(self, body: RdfBody, document: str, node: str = "#message") -> Message:
+        """The message in what was sent to `document`; of a type without fields nothing needs to be said.
+
+        Raises LoweringError as `find_message` and `from_graph`.
+        """
+        if not self.schema.type.fields and not body.instances(NamedNode(self._type)):
+            return self.from_json({})
+        return self.from_graph(body, find_message(body, document, self._type, node), document)
 
     def from_graph(self, body: RdfBody, root: Term, document: str) -> Message:
         """The message whose node in `body` is `root`; `document` is the URL it was sent to.
@@ -73,30 +83,24 @@ def lowerer(schema: MessageSchema, settings: LiftSettings = LiftSettings()) -> L
 def find_message(body: RdfBody, document: str, type_iri: str, node: str = "#message") -> Term:
     """The node of the message in what was sent to `document`.
 
-    That is the node `document` + `node`, else what `<document> ros:latest` points to, else the one node of the type
-    that is no part of another. Raises LoweringError where there is none, or more than one.
+    That is a node of the type: `document` + `node`, else what `<document> ros:latest` points to, else the only one, or
+    the only one that is no part of another. Raises LoweringError where there is none, or more than one.
     """
+    typed = body.instances(NamedNode(type_iri))
     named = NamedNode(document + node)
-    if named in body.subjects:
+    if named in typed:
         return named
     latest = body.objects(NamedNode(document), ros.latest)
-    if len(latest) == 1:
+    if len(latest) == 1 and latest[0] in typed:
         return latest[0]
-    return _only(_candidates(body, NamedNode(type_iri)), document, type_iri, node)
-
-
-def _candidates(body: RdfBody, wanted: NamedNode) -> list[Term]:
-    typed: list[Term] = [subject for subject in body.subjects if wanted in body.objects(subject, rdf.type)]
-    if len(typed) <= 1:
-        return typed
-    roots = set(body.roots())
-    return [subject for subject in typed if subject in roots]
-
-
-def _only(candidates: list[Term], document: str, type_iri: str, node: str) -> Term:
-    if len(candidates) == 1:
-        return candidates[0]
-    found = "none" if not candidates else f"{len(candidates)}"
+    if len(typed) > 1:
+        roots = set(body.roots())
+        typed = [subject for subject in typed if subject in roots]
+    if len(typed) == 1:
+        return typed[0]
+    found = "none" if not typed else f"{len(typed)}"
     raise LoweringError(
-        Violation("", f"expected one node of type <{type_iri}>, and there is {found}: call it <{document}{node}>")
+        Violation(
+            "", f"expected one node of type <{type_iri}>, and there is {found}: give <{document}{node}> that type"
+        )
     )

@@ -15,6 +15,7 @@ from pyoxigraph import Literal, NamedNode
 from rosld.adapters.model import Array, Field, FieldType, MessageSchema, Nested, Primitive
 from rosld.ontology.body import RdfBody, Term
 from rosld.ontology.coercion import (
+    RANGES,
     Misfit,
     Number,
     check_length,
@@ -38,6 +39,8 @@ IGNORED = frozenset({ros.received, ros.sequence, ros.sentBy, superseded.publishe
 
 Reader: TypeAlias = Callable[[Term, Path, "GraphReading"], object]
 TermLeaf: TypeAlias = Callable[[Term], object]
+
+_FLOATS = (xsd.double, xsd.float)
 
 
 class GraphReading:
@@ -64,9 +67,14 @@ def _unexpected(kind: FieldType, term: Term) -> Misfit:
 
 
 def _number(kind: Primitive, fit: Callable[[Number], object]) -> TermLeaf:
+    """The reader of a number; of an integer no float is one, for no shape could tell which of them are whole."""
+    is_integer = kind.name in RANGES
+
     def read(term: Term) -> object:
         if not isinstance(term, Literal) or (parse := NUMBERS.get(term.datatype)) is None:
             raise _unexpected(kind, term)
+        if is_integer and term.datatype in _FLOATS:
+            raise Misfit(f"expected {describe_kind(kind)}, as an integer or a decimal", term)
         return fit(parse(term.value))
 
     return read

@@ -240,6 +240,8 @@ def lower_term(term: Term, path: str = "") -> ParameterValue:
             value = lower_json(parse_json(term.value.encode()))
             if isinstance(value, dict):
                 raise Misfit("a dict is written as a container with members, not as rdf:JSON", term.value)
+            if not isinstance(value, list):
+                raise Misfit("a scalar is written with its XSD datatype, not as rdf:JSON", term.value)
             return value
         return _scalar(term.datatype, term.value)
     except BodyError as error:
@@ -299,8 +301,10 @@ def _from_json(value: object, path: str, depth: int) -> ParameterValue:
     if depth > MAX_DEPTH:
         raise _error(path, f"nested deeper than {MAX_DEPTH} levels", None)
     match value:
-        case bool() | int() | float() | str():
+        case bool() | int() | float():
             return value
+        case str():
+            return _text(value, path)
         case list():
             return [_from_json(each, f"{path}.{index}".lstrip("."), depth + 1) for index, each in enumerate(value)]
         case {"@value": inner, "@type": str(kind), **rest} if not rest:
@@ -312,7 +316,14 @@ def _from_json(value: object, path: str, depth: int) -> ParameterValue:
 
 
 def _members(items: Iterable[tuple[object, object]], path: str, depth: int) -> dict[str, ParameterValue]:
-    return {str(key): _from_json(each, f"{path}.{key}".lstrip("."), depth + 1) for key, each in items}
+    return {_text(str(key), path): _from_json(each, f"{path}.{key}".lstrip("."), depth + 1) for key, each in items}
+
+
+def _text(value: str, path: str) -> str:
+    """A string of JSON, which may escape what is no character."""
+    if any("\ud800" <= character <= "\udfff" for character in value):
+        raise _error(path, "expected a string of Unicode characters, and half a surrogate pair is none", ascii(value))
+    return value
 
 
 def _typed(inner: object, kind: str, path: str, depth: int) -> ParameterValue:

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
-from rosld.adapters.model import Array, Field, MessageSchema, Nested, Primitive
+from rosld.adapters.model import Array, MessageSchema, Nested, Primitive
 from rosld.ontology.coercion import RANGES
 from rosld.ontology.literals import DATATYPES
 from rosld.ontology.triples import Statement, Value, integer, statements, text, triples_about
@@ -14,6 +14,7 @@ from rosld.ontology.urls import Space
 from rosld.ontology.vocab import qudt, rdf, ros, sh, xsd
 from rosld.shapes.bounds import narrow
 from rosld.shapes.value import NO_MEASURE, UNBOUNDED, Bounds, Measure, MessageShape, ScalarShape, ValueShape
+from rosld.shapes.writer import within
 
 
 def value_shape_triples(shape: ValueShape, node: NamedNode, path: NamedNode, space: Space) -> list[Triple]:
@@ -32,11 +33,6 @@ def value_shape_triples(shape: ValueShape, node: NamedNode, path: NamedNode, spa
         datatype = _datatype(shape.kind, is_parameter=shape.is_parameter)
         return triples + _scalar(value, shape.kind, shape.bounds, shape.measure, datatype)
     return triples + _scalar(value, None, shape.bounds, shape.measure)
-
-
-def within(node: NamedNode, name: str) -> NamedNode:
-    """A fragment of the document of `node`, named after it."""
-    return NamedNode(f"{node.value}{'.' if '#' in node.value else '#'}{name}")
 
 
 def _datatype(kind: Primitive, *, is_parameter: bool = False) -> NamedNode:
@@ -82,18 +78,9 @@ def _message(shape: MessageShape, node: NamedNode, space: Space) -> list[Triple]
     if {field.name for field in kind.fields} <= set(shape.fields):
         said: list[Statement] = [(sh.class_, NamedNode(space.class_of(kind.name))), (sh.node, NamedNode(type_shape))]
     else:
-        fields = (field for field in kind.fields if field.name in shape.fields)
-        parts = (part for field in fields for part in _field_shapes(field, type_shape, space))
+        parts = [within(NamedNode(type_shape), field.name) for field in kind.fields if field.name in shape.fields]
         said = [(sh.nodeKind, sh.BlankNodeOrIRI), *statements(sh.property, parts)]
     return triples_about(node, *said) + _bounded(node, kind.name, shape.schema, _tree(shape.bounds), space)
-
-
-def _field_shapes(field: Field, type_shape: str, space: Space) -> Iterable[NamedNode]:
-    """The property shapes of a field in the shape of its type (`message.py`)."""
-    property = space.fragment(type_shape, field.name)
-    yield NamedNode(property)
-    if isinstance(field.type, Array) and isinstance(field.type.element, Nested):
-        yield NamedNode(property + ".elements")
 
 
 class _Bounded(dict[str, "_Bounded"]):

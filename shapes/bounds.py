@@ -39,6 +39,18 @@ def merge_bounds(*mappings: Mapping[_K, Bounds]) -> dict[_K, Bounds]:
     return {key: bounds for key, bounds in found.items() if bounds}
 
 
+def is_exact(*mappings: Mapping[_K, Bounds]) -> bool:
+    """Whether `merge_bounds` loses nothing of these: of two patterns it keeps the first."""
+    found: dict[_K, Bounds] = {}
+    for mapping in mappings:
+        for key, bounds in mapping.items():
+            other = found.get(key, UNBOUNDED)
+            if (other.pattern is not None and bounds.pattern is not None) or (other.choices and bounds.choices):
+                return False
+            found[key] = narrow(other, bounds)
+    return True
+
+
 def _further(one: Literal | None, other: Literal | None, sign: int) -> Literal | None:
     """The bound that lies further up (`sign` 1) or down (-1); the first where they are no numbers."""
     if one is None or other is None:

@@ -43,14 +43,25 @@ class SetConstraint(NamedTuple):
     words: str
 
 
+class Extent(NamedTuple):
+    """How large a shape is: `size` counts the shapes in it, `depth` their levels."""
+
+    size: int = 1
+    depth: int = 1
+
+
+ALONE = Extent()
+"""The extent of a shape in which there is no other."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Shape:
     """A shape, compiled. A node shape has no `path`: its one value node is the focus node (SHACL 2.1.3).
 
     `is_simple` is False where it, or a shape that it refers to, has parts that are not compiled. `paths` are the
     predicates that it looks at from the focus node, None where a path is more than a predicate. `own` bounds the value
-    nodes, `within` the values of what leads on from the focus node. `size` counts the shapes in it, `depth` their
-    levels.
+    nodes, `within` the values of what leads on from the focus node; `is_bounds` is True where the shape demands nothing
+    else.
     """
 
     node: NamedNode | BlankNode
@@ -65,8 +76,8 @@ class Shape:
     paths: frozenset[NamedNode] | None = frozenset()
     own: Bounds = UNBOUNDED
     within: Mapping[tuple[NamedNode, ...], Bounds] = field(default_factory=dict)
-    size: int = 1
-    depth: int = 1
+    is_bounds: bool = True
+    extent: Extent = ALONE
 
     def values(self, focus: Term, view: View) -> Sequence[Term]:
         """The value nodes of a focus node."""

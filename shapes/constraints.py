@@ -16,7 +16,7 @@ from itertools import islice
 from pyoxigraph import BlankNode, NamedNode, Triple
 
 from rosld.ontology.violations import Violation
-from rosld.shapes.bounds import merge_bounds
+from rosld.shapes.bounds import is_exact, merge_bounds
 from rosld.shapes.compiled_shape import ShapeValidator
 from rosld.shapes.shapes_graph import ShapesGraph
 from rosld.shapes.value import Bounds
@@ -32,13 +32,14 @@ class NodeShape:
 
     `paths` are the predicates that its simple property shapes look at (None where a path is not a predicate);
     `bounds` what it demands of the one value of each, as far as bounds can say it, `within` the same by the predicates
-    on the way (`(twist:linear, vector3:x)`).
+    on the way (`(twist:linear, vector3:x)`). `is_bounds`: it demands nothing but what `within` says.
     """
 
     iri: str
     paths: frozenset[NamedNode] | None
     within: Mapping[tuple[NamedNode, ...], Bounds]
     judges: tuple[ShapeValidator, ...]
+    is_bounds: bool
 
     @property
     def bounds(self) -> Mapping[NamedNode, Bounds]:
@@ -64,6 +65,7 @@ class NodeShape:
             paths=None if self.paths is None or other.paths is None else self.paths | other.paths,
             within=merge_bounds(self.within, other.within),
             judges=self.judges + other.judges,
+            is_bounds=self.is_bounds and other.is_bounds and is_exact(self.within, other.within),
         )
 
 
@@ -80,7 +82,7 @@ def compile_shape(graph: ShapesGraph, iri: NamedNode | BlankNode) -> NodeShape:
     """The same of a shapes graph that has been read."""
     shape = graph.shape(iri)
     judge: ShapeValidator = shape if shape.is_simple else graph.pyshacl_shape(iri)
-    return NodeShape(iri.value, shape.paths, shape.within, (judge,))
+    return NodeShape(iri.value, shape.paths, shape.within, (judge,), shape.is_bounds)
 
 
 def conjunction(shapes: Sequence[NodeShape]) -> NodeShape:

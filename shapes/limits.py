@@ -26,6 +26,7 @@ from rosld.ontology.violations import Violation
 from rosld.ontology.vocab import rdf, rdfs, sh, xsd
 from rosld.shapes.bounds import merge_bounds
 from rosld.shapes.constraints import MAX_VIOLATIONS, NodeShape, compile_shape, conjunction
+from rosld.shapes.demand import NO_DEMAND, Demand
 from rosld.shapes.shapes_graph import ShapesGraph
 from rosld.shapes.value import UNBOUNDED, Bounds
 from rosld.shapes.view import TripleView
@@ -128,6 +129,34 @@ class Limits:
         found = {} if shape is None else {way[1:]: each for way, each in shape.within.items() if way[0] == predicate}
         paths = {way: _dotted(schema, schema.ref.name, way, space) for way in found if way}
         return {path: found[way] for way, path in paths.items() if path is not None}
+
+    def demand_of_message(self, schema: MessageSchema) -> Demand:
+        """What is demanded of messages of a type, and of those within."""
+        shapes = [self.by_class.get(Space("http://0/", self.types).class_of(name)) for name in schema.types]
+        bounds = tuple(self.bounds_of_message(schema).items())
+        return Demand(bounds, all(shape is None or shape.is_bounds for shape in shapes))
+
+    def demand_of_value(
+        self, url: str, predicate: NamedNode, schema: MessageSchema, scalar: str | None = None
+    ) -> Demand:
+        """What is demanded of the message that is a resource's value of a predicate, or of its one `scalar`."""
+        shape = self.by_url.get(url)
+        if shape is None:
+            return NO_DEMAND
+        bounds = self.bounds_of_value(url, predicate, schema)
+        if scalar is not None and (predicate,) in shape.within:
+            bounds = {scalar: shape.within[predicate,]}
+        about = [way for way in shape.within if way[0] == predicate]
+        return Demand(tuple(bounds.items()), shape.is_bounds and len(about) == len(bounds))
+
+    def demand_of_scalar(self, url: str, predicate: NamedNode) -> Demand:
+        """What is demanded of the scalar that is a resource's value of a predicate."""
+        shape = self.by_url.get(url)
+        if shape is None:
+            return NO_DEMAND
+        found = {way: bounds for way, bounds in shape.within.items() if way[0] == predicate}
+        bounds = [("", each) for way, each in found.items() if len(way) == 1]
+        return Demand(tuple(bounds), shape.is_bounds and len(bounds) == len(found))
 
 
 def _targets(graph: Sequence[Triple], shapes: ShapesGraph) -> Iterator[tuple[NamedNode | BlankNode, NamedNode, Term]]:

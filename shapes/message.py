@@ -37,7 +37,7 @@ from rosld.ontology.triples import RDF_SOURCE, Statement, Value, boolean, intege
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import rdf, rdfs, ros, sh, xsd
 from rosld.shapes.lists import list_of, write_list_shape
-from rosld.shapes.writer import ShapesWriter
+from rosld.shapes.writer import ShapesWriter, within
 
 SERVER_MANAGED = (rdf.type, ros.received, ros.sequence, ros.sentBy, ros.latched, ros.dateTime)
 """What a message node may say beside its fields."""
@@ -73,6 +73,14 @@ _HALVES: Mapping[type, Sequence[NamedNode]] = {
 class FieldShapes(Protocol):
     """What is demanded of the values of fields, by their kinds."""
 
+    def node(self, name: str) -> NamedNode:
+        """The node shape of a type."""
+        ...
+
+    def is_required(self, kind: MessageType) -> bool:
+        """Whether a message of a type must say each of its fields, whatever else it says."""
+        ...
+
     def primitive(self, kind: Primitive) -> Sequence[Statement]:
         """Of a scalar."""
         ...
@@ -94,26 +102,19 @@ class FieldShapes(Protocol):
         ...
 
 
-def shape_node(writer: ShapesWriter, schema: MessageSchema, name: str) -> NamedNode:
-    """The node shape of one of the types of a schema: that of the type itself is the document."""
-    return writer.node("" if name == schema.ref.name else name)
-
-
 def write_message_shapes(writer: ShapesWriter, schema: MessageSchema, space: Space, fields: FieldShapes) -> None:
-    """Write the shapes of all types of a schema, and those of their fields."""
+    """Write the shapes of all types of a schema, and those of their fields, by the names that `fields` has for them."""
     for kind in (schema.type, *(kind for name, kind in schema.types.items() if name != schema.ref.name)):
-        _write_type(writer, schema, kind, space, fields)
+        _write_type(writer, kind, space, fields)
 
 
-def _write_type(
-    writer: ShapesWriter, schema: MessageSchema, kind: MessageType, space: Space, fields: FieldShapes
-) -> None:
+def _write_type(writer: ShapesWriter, kind: MessageType, space: Space, fields: FieldShapes) -> None:
     """Write the node shape of a type. Constants are told, which a field may but need not hold."""
-    prefix = "" if kind.name == schema.ref.name else f"{kind.name}."
-    properties = {field: writer.node(prefix + field.name) for field in kind.fields}
+    node = fields.node(kind.name)
+    properties = {field: within(node, field.name) for field in kind.fields}
     values = [(constant, constant_value(constant)) for constant in kind.constants]
     writer.add(
-        shape_node(writer, schema, kind.name),
+        node,
         (rdf.type, sh.NodeShape),
         (rdfs.label, text(kind.name)),
         *statements(
@@ -123,6 +124,7 @@ def _write_type(
         *statements(sh.property, properties.values()),
         *fields.message(kind),
     )
+    least = 1 if fields.is_required(kind) else None
     for position, (field, property) in enumerate(properties.items()):
         writer.add(
             property,
@@ -131,7 +133,7 @@ def _write_type(
             (sh.name, text(field.name)),
             (sh.description, text(definition_text(field.type))),
             (sh.order, integer(position)),
-            (sh.minCount, integer(1)),
+            (sh.minCount, integer(least)),
             (sh.maxCount, integer(1)),
             (sh.defaultValue, _default(field)),
             *_value(field.type, fields),
@@ -156,12 +158,19 @@ class _Said:
     def __init__(self, writer: ShapesWriter, schema: MessageSchema, space: Space) -> None:
         self._writer = writer
         self._space = space
+        self._root = schema.ref.name
         self._binary_strings = not (schema.ref.hash or "").startswith("RIHS")
         kinds = [field.type for kind in schema.types.values() for field in kind.fields]
         if any(isinstance(kind, Array) or kind.name in STRINGS for kind in kinds):
             self._write_elided()
         if any(isinstance(kind, Array) and isinstance(kind.element, Nested) for kind in kinds):
             write_list_shape(writer)
+
+    def node(self, name: str) -> NamedNode:
+        return self._writer.node("" if name == self._root else name)
+
+    def is_required(self, kind: MessageType) -> bool:
+        return True
 
     def _write_elided(self) -> None:
         writer, one = self._writer, [(sh.minCount, integer(1)), (sh.maxCount, integer(1))]

@@ -7,26 +7,24 @@ from dataclasses import replace
 
 from pyoxigraph import Literal, NamedNode, Triple
 
-from rosld.adapters.model import Descriptor, ParameterType, ParameterValue, Primitive, Range, coerce
+from rosld.adapters.model import Descriptor, ParameterType, ParameterValue, Range, coerce
+from rosld.ontology.body import Term
 from rosld.ontology.parameters import parameter_literal, plain_value
 from rosld.ontology.triples import boolean, double, integer, text, triples_about
 from rosld.ontology.urls import Space
-from rosld.ontology.violations import Violation, brief_value
+from rosld.ontology.violations import LoweringError, Violation, brief_value
 from rosld.ontology.vocab import dcterms, rdf, rdfs, ros, sh, xsd
-from rosld.shapes.affordance import value_shape_triples, within
+from rosld.shapes.accepted_values import PARAMETERS
+from rosld.shapes.affordance import value_shape_triples
 from rosld.shapes.components import component, list_terms, phrase
+from rosld.shapes.demand import Demand
 from rosld.shapes.value import NO_MEASURE, Bounds, Measure, OpenShape, ScalarShape
+from rosld.shapes.writer import within
 
 _MAX_CHOICES = 32
 """Steps of a range that SHACL Core can say, value by value."""
 
 _INT64 = Range(-(2**63), 2**63 - 1)
-_PRIMITIVES: Mapping[ParameterType, Primitive] = {
-    ParameterType.BOOLEAN: Primitive("bool"),
-    ParameterType.INTEGER: Primitive("int64"),
-    ParameterType.DOUBLE: Primitive("float64"),
-    ParameterType.STRING: Primitive("string"),
-}
 
 
 def constraint_url(url: str, descriptor: Descriptor | None) -> str | None:
@@ -36,12 +34,20 @@ def constraint_url(url: str, descriptor: Descriptor | None) -> str | None:
 
 def declared_shape(descriptor: Descriptor, measure: Measure = NO_MEASURE) -> ScalarShape | OpenShape:
     """What a value must be; open where that may change, and where it is an array."""
-    kind = None if descriptor.type is None else _PRIMITIVES.get(descriptor.type)
+    kind = None if descriptor.type is None else PARAMETERS.get(descriptor.type)
     if kind is None:
         return OpenShape(measure=measure)
     return ScalarShape(
         kind, replace(_bounds(_range(descriptor)), choices=_chosen(descriptor)), measure, is_parameter=True
     )
+
+
+def declared_demand(descriptor: Descriptor) -> Demand:
+    """What is demanded of a scalar beyond its type; of a step what SHACL Core can say."""
+    declared, range = declared_shape(descriptor), descriptor.range
+    choices = declared.bounds.choices or _choices(range)
+    bounds = replace(declared.bounds, choices=choices, step=None)
+    return Demand((("", bounds),) if bounds else (), range is None or not range.step or bool(choices))
 
 
 def declared_triples(descriptor: Descriptor, url: str, space: Space) -> list[Triple]:
@@ -92,7 +98,7 @@ def _chosen(descriptor: Descriptor) -> tuple[Literal, ...]:
 _ARRAYS: Mapping[ParameterType, NamedNode] = {
     type: xsd.base64Binary if type is ParameterType.BYTE_ARRAY else rdf.JSON
     for type in ParameterType
-    if type not in _PRIMITIVES
+    if type not in PARAMETERS
 }
 
 
@@ -159,6 +165,14 @@ def violations(descriptor: Descriptor, name: str, url: str, value: ParameterValu
             term=term,
         ),
     )
+
+
+def require_integer_form(descriptor: Descriptor | None, term: Term) -> None:
+    """Raise LoweringError for a float where an integer is declared: no shape could say which of those are whole."""
+    is_integer = descriptor is not None and descriptor.type is ParameterType.INTEGER
+    if is_integer and isinstance(term, Literal) and term.datatype in (xsd.double, xsd.float):
+        words = "is declared as integer: write an integer, or a decimal"
+        raise LoweringError(Violation("", words, brief_value(phrase(term))))
 
 
 def _outside(range: Range, value: int | float, written: str) -> tuple[NamedNode, str] | None:

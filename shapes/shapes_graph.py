@@ -12,8 +12,8 @@ from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 from rosld.ontology.body import Term
 from rosld.ontology.vocab import rdf, sh, xsd
 from rosld.shapes import components
-from rosld.shapes.bounds import merge_bounds, narrow
-from rosld.shapes.compiled_shape import SetConstraint, Shape, ValueConstraint
+from rosld.shapes.bounds import is_exact, merge_bounds, narrow
+from rosld.shapes.compiled_shape import Extent, SetConstraint, Shape, ValueConstraint
 from rosld.shapes.pyshacl_fallback import PyshaclShape
 from rosld.shapes.safe_regex import SafePattern, compile_pattern
 from rosld.shapes.terms import is_numeric, number
@@ -51,6 +51,7 @@ _SEVERAL = _terms(
     "targetSubjectsOf targetObjectsOf"
 )
 _BEYOND_CORE = _terms("sparql js rule expression target values entailment shapesGraph")
+_BOUNDS = _terms("minInclusive maxInclusive minExclusive maxExclusive minLength maxLength pattern in")
 _CARDINAL = (xsd.integer, xsd.nonNegativeInteger, NamedNode(xsd.iri + "positiveInteger"))
 _TRUTH = {"true": True, "1": True, "false": False, "0": False}
 
@@ -203,10 +204,11 @@ class ShapesGraph:
                 self._parameter(node, draft, parameter, value, is_property)
         off = self._is_deactivated(node, said)
         children = draft.parts
-        size, depth = 1 + sum(each.size for each in children), 1 + max((each.depth for each in children), default=0)
-        if depth > MAX_DEPTH:
+        extents = [each.extent for each in children]
+        extent = Extent(1 + sum(each.size for each in extents), 1 + max((each.depth for each in extents), default=0))
+        if extent.depth > MAX_DEPTH:
             raise self._deep()
-        if size > MAX_SHAPES:
+        if extent.size > MAX_SHAPES:
             raise ValueError(f"{self.name(node)} holds more than {MAX_SHAPES} shapes, counted as often as referred to")
         if off:
             return Shape(node, path, is_property=is_property)
@@ -228,8 +230,22 @@ class ShapesGraph:
             paths=self._paths(said, path, is_property, children),
             own=draft.own,
             within=inner,
-            size=size,
-            depth=depth,
+            is_bounds=self._is_bounds(said, path, is_property, draft),
+            extent=extent,
+        )
+
+    def _is_bounds(
+        self, said: Mapping[NamedNode, list[Term]], path: NamedNode | None, is_property: bool, draft: _Draft
+    ) -> bool:
+        """Whether a shape demands nothing but its bounds and those of the properties in it."""
+        told = said.keys() & (_COMPILED | _LEFT) - {sh.property}
+        return (
+            (not is_property or path is not None)
+            and told <= (_BOUNDS if is_property else frozenset[NamedNode]())
+            and all(len(said[each]) == 1 for each in told)
+            and all(isinstance(each, Literal) for chosen in said.get(sh.in_, ()) for each in self._list(chosen))
+            and all(each.is_bounds for each in draft.parts)
+            and is_exact(*draft.within)
         )
 
     def _paths(

@@ -48,3 +48,8 @@ class ShapesWriter:
     def either(self, shapes: Iterable[Value]) -> Statement:
         """The constraint that one of these shapes holds at least."""
         return sh.or_, self.list_of(shapes)
+
+
+def within(node: NamedNode, name: str) -> NamedNode:
+    """A fragment of the document of `node`, named after it: of `#twist` `#twist.linear`, of a document `#linear`."""
+    return NamedNode(f"{node.value}{'.' if '#' in node.value else '#'}{name}")

@@ -21,7 +21,7 @@ from rosld.server.hypermedia.catalogue import Getter, Property, Setter, TopicSou
 from rosld.server.hypermedia.value import WHOLE, MessageValue, plain_json, select_fields
 
 
-class _Layout(NamedTuple):
+class Layout(NamedTuple):
     """The fields of a type of message as which a value may be sent."""
 
     schema: MessageSchema
@@ -34,16 +34,13 @@ def content_from_rdf(
     predicate: NamedNode,
     property: Property,
     lifting: LiftSettings,
-    *,
-    node: str = "#value",
 ) -> object:
     """The content that `subject` `predicate` states for a property.
 
-    That is a literal, or a node whose type is that of messages which the property is read as or written with. Where
-    nothing is stated, the node `node` of the document is taken if the body describes it. Raises LoweringError where
-    there is nothing, more than one value, or a value of another kind.
+    That is a literal, or a node whose type is that of messages which the property is read as or written with. Raises
+    LoweringError where there is nothing, more than one value, or a value of another kind.
     """
-    term = _stated(body, subject, predicate, subject.value + node)
+    term = _stated(body, subject, predicate)
     if isinstance(term, Literal):
         return term
     if not isinstance(term, NamedNode | BlankNode):
@@ -51,14 +48,12 @@ def content_from_rdf(
     return _describe(body, term, property, lifting, subject.value)
 
 
-def _stated(body: RdfBody, subject: NamedNode, predicate: NamedNode, node: str) -> Term:
+def _stated(body: RdfBody, subject: NamedNode, predicate: NamedNode) -> Term:
     terms = body.objects(subject, predicate)
     if len(terms) > 1:
         raise LoweringError(Violation("", f"expected one value, and there are {len(terms)}: {predicate} is said twice"))
     if terms:
         return terms[0]
-    if (named := NamedNode(node)) in body.subjects:
-        return named
     raise LoweringError(Violation("", f"missing: expected the value, as {subject} {predicate}"))
 
 
@@ -67,10 +62,10 @@ def _describe(
 ) -> object:
     """The plain JSON of the message that a node is."""
     kinds = body.objects(node, rdf.type)
-    layouts = {NamedNode(lifting.types + each.schema.ref.name): each for each in _layouts(property)}
-    found = next((layouts[kind] for kind in kinds if isinstance(kind, NamedNode) and kind in layouts), None)
+    known = {NamedNode(lifting.types + each.schema.ref.name): each for each in layouts(property)}
+    found = next((known[kind] for kind in kinds if isinstance(kind, NamedNode) and kind in known), None)
     if found is None:
-        expected = f"a node of type {' or '.join(map(str, layouts))}" if layouts else "a literal"
+        expected = f"a node of type {' or '.join(map(str, known))}" if known else "a literal"
         stated = ", ".join(map(str, kinds)) or f"{node} without a type"
         raise LoweringError(Violation("", f"expected {expected}", brief_value(stated)))
     part = select_fields(found.schema, found.fields)
@@ -78,15 +73,15 @@ def _describe(
     return parse_json(plain_json(MessageValue(found.schema, message, found.fields, document), WHOLE))
 
 
-def _layouts(property: Property) -> Iterator[_Layout]:
+def layouts(property: Property) -> Iterator[Layout]:
     """The messages that the property is read as and written with."""
     for way in (*property.readers, *property.writers):
         match way:
             case TopicSource(schema=schema) if schema is not None:
-                yield _Layout(schema, schema.type.fields)
+                yield Layout(schema, schema.type.fields)
             case Getter(schema=service, fields=fields):
-                yield _Layout(service.response, fields)
+                yield Layout(service.response, fields)
             case Setter(schema=service):
-                yield _Layout(service.request, service.request.type.fields)
+                yield Layout(service.request, service.request.type.fields)
             case _:
                 pass

@@ -33,6 +33,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import DataSchema
 from rosld.server.hypermedia.json_schema import TEXT, nullable
 from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.resources.accepted_shape import message_shape, shape_query
 from rosld.server.resources.command import CommandResource
 from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.limit_checks import require_message
@@ -137,7 +138,10 @@ class ActionResource(CommandResource):
     @property
     def constrained_by(self) -> str | None:
         found = self.robot.graph.actions.get(self.name)
-        return None if found is None or found.type is None else self.robot.space.shape(f"{found.type.name}_Goal")
+        return None if found is None or found.type is None else shape_query(self.url)
+
+    async def accepted(self, url: str) -> Document | None:
+        return await message_shape(self.robot, Kind.ACTION, self.name, (await self._schema()).goal, url, "#goal")
 
     async def forms(self) -> Sequence[Form]:
         if "POST" not in self.methods():

@@ -29,7 +29,6 @@ from rosld.server.hypermedia.value import (
     value_literal,
 )
 from rosld.server.hypermedia.value_body import content_from_rdf
-from rosld.server.hypermedia.view_documents import fragment_of
 from rosld.server.hypermedia.views import ComplexView, Member
 from rosld.server.patches.patch import merge_patch
 from rosld.server.resources.context import Robot
@@ -82,7 +81,7 @@ def _changed(body: RdfBody, plan: MemberPlan, seen: Member, url: str, robot: Rob
             return None
         raise LoweringError(Violation(plan.name, f"a member cannot be removed: {subject} {predicate} is missing"))
     try:
-        content = content_from_rdf(body, subject, predicate, plan.source, robot.lifting, node=fragment_of(plan.name))
+        content = content_from_rdf(body, subject, predicate, plan.source, robot.lifting)
     except LoweringError as error:
         raise _within(plan.name, error) from error
     same = _says(content, seen) if isinstance(content, Literal) else content == _present(seen)

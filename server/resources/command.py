@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from rosld.ontology.document import Document
+from rosld.server.resources.accepted_shape import AcceptedShape
 from rosld.server.resources.context import Robot
+from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.resource import Resource
 
 WRITES = frozenset({"PUT", "POST", "PATCH", "DELETE"})
@@ -16,3 +19,14 @@ class CommandResource(Resource):
     @property
     def withheld(self) -> frozenset[str]:
         return WRITES if self.robot.is_stopped else frozenset()
+
+    async def accepted(self, url: str) -> Document | None:
+        """What may be written to it as RDF, as the shapes graph at `url`; None where no shape of its own says so."""
+        return None
+
+    async def select_variant(self, exchange: Exchange) -> Resource:
+        """The shape of what may be written, where `?shape` asks for that."""
+        query: bytes = exchange.request.scope["query_string"]
+        if b"shape" in query and exchange.method in ("GET", "HEAD") and "shape" in exchange.query:
+            return AcceptedShape(self, self.accepted)
+        return self

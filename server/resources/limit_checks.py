@@ -6,19 +6,20 @@ that URL belongs to. What a node declares of a parameter is one.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from pyoxigraph import NamedNode, Triple
 
-from rosld.adapters.model import Kind, Message, MessageSchema, ParameterValue
+from rosld.adapters.model import Descriptor, Kind, Message, MessageSchema, ParameterValue
 from rosld.ontology.lift import lifter
 from rosld.ontology.violations import LoweringError, Violation
 from rosld.ontology.vocab import rdf, ros
 from rosld.server.hypermedia.conditions import url_of, value_triples
-from rosld.server.hypermedia.value import MessageValue, Reading, StoredValue, Value
+from rosld.server.hypermedia.value import MessageValue, Reading, StoredValue, Value, scalar_field
 from rosld.server.resources.context import Robot
 from rosld.shapes.bounds import merge_bounds
-from rosld.shapes.parameter import violations
+from rosld.shapes.demand import NO_DEMAND, Demand
+from rosld.shapes.parameter import declared_demand, violations
 from rosld.shapes.value import Bounds
 
 _LINKS = {"#message": ros.latest, "#request": ros.request, "#goal": ros.goalMessage}
@@ -41,6 +42,34 @@ async def require_message(
     broken += await _of_property(robot, kind, name, own)
     if broken:
         raise LoweringError(*broken)
+
+
+async def message_demand(robot: Robot, kind: Kind, name: str, schema: MessageSchema, url: str, node: str) -> Demand:
+    """What all limits demand of a message that is sent to what is called `name`, at a URL."""
+    limits = robot.limits
+    if not limits:
+        return NO_DEMAND
+    scalar = scalar_field(schema.type.fields)
+    demand = limits.demand_of_message(schema) & limits.demand_of_value(url, _LINKS[node], schema)
+    for shown, field in await _property_names(robot, kind, name):
+        if field is None:
+            demand &= limits.demand_of_value(shown, rdf.value, schema, None if scalar is None else scalar.name)
+        else:
+            own = limits.demand_of_scalar(shown, rdf.value)
+            is_all = own.is_all and not any(step.isdecimal() for step in field.split("."))
+            demand &= Demand(tuple((field, bounds) for _, bounds in own.bounds), is_all)
+    return demand
+
+
+async def parameter_demand(robot: Robot, name: str, descriptor: Descriptor) -> Demand:
+    """What its node and all limits demand of a parameter that is declared as a scalar."""
+    limits, demand = robot.limits, declared_demand(descriptor)
+    if not limits:
+        return demand
+    demand &= limits.demand_of_scalar(robot.space.parameter(name), ros.value)
+    for shown, _ in await _property_names(robot, Kind.PARAMETER, name):
+        demand &= limits.demand_of_scalar(shown, rdf.value)
+    return demand
 
 
 async def topic_bounds(robot: Robot, name: str, schema: MessageSchema) -> Mapping[str, Bounds]:
@@ -95,19 +124,23 @@ async def _of_parameter(robot: Robot, name: str, value: ParameterValue) -> list[
 
 async def _of_property(robot: Robot, kind: Kind, name: str, value: Value) -> list[Violation]:
     """What a value breaks of the limits on the property that a topic, service or parameter writes, by all its names."""
+    broken: list[Violation] = []
+    for url, field in await _property_names(robot, kind, name):
+        shape = robot.limits.resource(url)
+        if shape is not None:
+            broken += shape.violations(NamedNode(url), _triples(robot, url, rdf.value, value, field))
+    return broken
+
+
+async def _property_names(robot: Robot, kind: Kind, name: str) -> Sequence[tuple[str, str | None]]:
+    """The URLs of the property that a topic, service or parameter writes, each with the field that is shown there."""
     tree = await robot.affordances.tree()
     catalogue = tree.catalogue
     ways = {Kind.TOPIC: catalogue.by_topic, Kind.SERVICE: catalogue.by_service, Kind.PARAMETER: catalogue.by_parameter}
     found = ways[kind].get(name) if kind in ways else None
     if found is None or (kind is Kind.SERVICE and all(way.name != name for way in catalogue.properties[found].writers)):
-        return []  # what a getter is asked with is no value
-    broken: list[Violation] = []
-    for shown, field in tree.names_of(found):
-        url = url_of(shown, robot.space)
-        shape = robot.limits.resource(url)
-        if shape is not None:
-            broken += shape.violations(NamedNode(url), _triples(robot, url, rdf.value, value, field))
-    return broken
+        return ()  # what a getter is asked with is no value
+    return [(url_of(shown, robot.space), field) for shown, field in tree.names_of(found)]
 
 
 def _triples(robot: Robot, url: str, predicate: NamedNode, value: Value, field: str | None = None) -> list[Triple]:

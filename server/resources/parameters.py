@@ -44,6 +44,7 @@ from rosld.server.hypermedia.data_schema import DataSchema
 from rosld.server.hypermedia.json_schema import ANYTHING, OBJECT
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.patches.patch import apply_update, merge_patch
+from rosld.server.resources.accepted_shape import is_declared_scalar, parameter_shape, shape_query
 from rosld.server.resources.command import CommandResource
 from rosld.server.resources.context import Robot
 from rosld.server.resources.limit_checks import require_parameter
@@ -85,7 +86,13 @@ from rosld.server.rest.state import State
 from rosld.server.robot.declared_parameters import has_other_values
 from rosld.server.robot.write_policy import parameter_denied_reason, resources_only_reason
 from rosld.server.runtime.signals import call_every, combine_watches
-from rosld.shapes.parameter import choice_words, constraint_url, declared_shape, declared_triples
+from rosld.shapes.parameter import (
+    choice_words,
+    constraint_url,
+    declared_shape,
+    declared_triples,
+    require_integer_form,
+)
 from rosld.shapes.value import OpenShape
 
 _AT_START = "Kept by the parameter server: nodes may read it only when they start."
@@ -222,7 +229,12 @@ class ParameterResource(_Parameters):
 
     @property
     def constrained_by(self) -> str | None:
+        if is_declared_scalar(self.robot, self.name):
+            return shape_query(self.url)
         return constraint_url(self.url, self._descriptor(self.name)) or super().constrained_by
+
+    async def accepted(self, url: str) -> Document | None:
+        return await parameter_shape(self.robot, self.name, url)
 
     def deny_reason(self, method: str) -> str:
         if self.robot.settings.read_only or self.robot.is_resources_only(self.name):
@@ -333,7 +345,10 @@ class ParameterResource(_Parameters):
         data = await exchange.body()
         if exchange.media_type == JSON:
             return lower_json(parse_json(data))
-        return lower_parameter(parse_body(data, exchange.media_type, self.url), self.url)
+        body = parse_body(data, exchange.media_type, self.url)
+        for term in body.objects(NamedNode(self.url), ros.value):
+            require_integer_form(self._descriptor(self.name), term)
+        return lower_parameter(body, self.url)
 
     def _check_place(self, value: ParameterValue, before: ParameterValue | None) -> None:
         """A value never wipes out others unasked: neither a tree of this name nor a parameter above it (409)."""

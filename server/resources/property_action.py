@@ -13,6 +13,7 @@ from starlette.responses import Response
 from rosld.adapters.base import Watch
 from rosld.adapters.model import Kind, ServiceSchema
 from rosld.ontology.body import RdfBody, index_triples, parse_body
+from rosld.ontology.document import Document
 from rosld.ontology.fields import field_bytes
 from rosld.ontology.lower import parse_json
 from rosld.ontology.vocab import rdf, ros
@@ -31,6 +32,12 @@ from rosld.server.hypermedia.value_body import content_from_rdf
 from rosld.server.hypermedia.view_documents import action_document, property_document, property_json
 from rosld.server.hypermedia.views import PropertyView
 from rosld.server.patches.patch import apply_update, merge_patch
+from rosld.server.resources.accepted_shape import (
+    has_property_shape,
+    message_shape,
+    property_shape,
+    shape_query,
+)
 from rosld.server.resources.actions import ActionResource
 from rosld.server.resources.bulk_write import with_field
 from rosld.server.resources.command import CommandResource
@@ -158,9 +165,20 @@ class MemberResource(CommandResource):
     def constrained_by(self) -> str | None:
         tree = self._tree
         action = tree.action(self.name) if tree is not None else None
-        if action is None or action.request is None:
-            return f"{self.url}#property/shape"
-        return self.robot.space.shape(action.request.ref.name)
+        if action is not None and action.request is not None:
+            return shape_query(self.url)
+        plan = tree.property(self.name) if tree is not None else None
+        if plan is not None and has_property_shape(self.robot, plan):
+            return shape_query(self.url)
+        return f"{self.url}#property/shape"
+
+    async def accepted(self, url: str) -> Document | None:
+        tree = await self.robot.affordances.tree()
+        action, plan = tree.action(self.name), tree.property(self.name)
+        if action is not None and action.request is not None:
+            kind, node = (Kind.ACTION, "#goal") if action.sends_goals else (Kind.SERVICE, "#request")
+            return await message_shape(self.robot, kind, action.service, action.request, url, node)
+        return None if plan is None else await property_shape(self.robot, plan, self.url, url)
 
     @property
     def conforms_to(self) -> Sequence[str]:

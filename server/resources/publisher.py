@@ -11,7 +11,7 @@ from starlette.responses import Response
 from rosld.adapters.model import Kind, Message, MessageSchema, Topic, TypeRef, UnknownType
 from rosld.ontology.body import RdfBody, index_triples, parse_body
 from rosld.ontology.lift import lifter
-from rosld.ontology.lower import find_message, lowerer, parse_json
+from rosld.ontology.lower import lowerer, parse_json
 from rosld.ontology.neutral_message import COMMANDS
 from rosld.ontology.vocab import rdf, ros
 from rosld.server.http.problem import Problem
@@ -79,8 +79,7 @@ class Publisher:
         if exchange.media_type == JSON:
             return self._from_json(exchange, schema, data)
         body = parse_body(data, exchange.media_type, url)
-        root = find_message(body, url, self.robot.space.class_of(schema.ref.name))
-        return lowerer(schema, self.robot.lifting).from_graph(body, root, url)
+        return lowerer(schema, self.robot.lifting).from_body(body, url)
 
     def _from_json(self, exchange: Exchange, schema: MessageSchema, data: bytes) -> Message:
         lowering = lowerer(schema, self.robot.lifting)
@@ -91,9 +90,15 @@ class Publisher:
         await require_message(self.robot, Kind.TOPIC, self.name, schema, message, self.url, "#message")
 
     async def plan_graph(self, triples: Sequence[Triple]) -> PlannedPublish:
-        """What the graph of the topic asks to be published, if it is to say these triples."""
-        body = index_triples(triples)
+        """What the graph of the topic asks to be published, if it is to say these triples.
+
+        An update may name `#message` without its type: that is the topic's.
+        """
+        body, node = index_triples(triples), NamedNode(f"{self.url}#message")
         schema = await (self._schema() if self._typed() else self._stated_schema(body))
+        if node in body.subjects and not body.objects(node, rdf.type):
+            class_ = NamedNode(self.robot.space.class_of(schema.ref.name))
+            body = index_triples([*triples, Triple(node, rdf.type, class_)])
         return await self._publish(schema, self._lower(schema, body), latch=False)
 
     async def plan_patch(self, exchange: Exchange, description: Sequence[Triple]) -> PlannedPublish:
@@ -122,8 +127,7 @@ class Publisher:
 
     def _lower(self, schema: MessageSchema, body: RdfBody) -> Message:
         self._check_stable(body)
-        root = find_message(body, self.url, self.robot.space.class_of(schema.ref.name))
-        return lowerer(schema, self.robot.lifting).from_graph(body, root, self.url)
+        return lowerer(schema, self.robot.lifting).from_body(body, self.url)
 
     def _check_stable(self, body: RdfBody) -> None:
         """What the server says of a topic may be repeated, not changed (409)."""

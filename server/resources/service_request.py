@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from rosld.adapters.model import Message, MessageSchema, Refused, Sent, ServiceSchema
 from rosld.ontology.body import parse_body
-from rosld.ontology.lower import find_message, lowerer, parse_json
+from rosld.ontology.lower import lowerer, parse_json
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.value import refusal_text
 from rosld.server.resources.context import Robot
@@ -33,8 +33,7 @@ async def read_message(exchange: Exchange, robot: Robot, schema: MessageSchema, 
     if exchange.media_type == JSON:
         return lowering.from_json(parse_json(data), defaults=not is_strict(exchange))
     body = parse_body(data, exchange.media_type, url)
-    root = find_message(body, url, robot.space.class_of(schema.ref.name), node)
-    return lowering.from_graph(body, root, url)
+    return lowering.from_body(body, url, node)
 
 
 async def call_service(

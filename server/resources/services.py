@@ -15,6 +15,7 @@ from rosld.server.html import DeleteForm, Form, MessageForm
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import ANYTHING, nullable
 from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.resources.accepted_shape import message_shape, shape_query
 from rosld.server.resources.command import CommandResource
 from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.limit_checks import require_message
@@ -96,7 +97,11 @@ class ServiceResource(CommandResource):
     @property
     def constrained_by(self) -> str | None:
         found = self.robot.graph.services.get(self.name)
-        return None if found is None or found.type is None else self.robot.space.shape(f"{found.type.name}_Request")
+        return None if found is None or found.type is None else shape_query(self.url)
+
+    async def accepted(self, url: str) -> Document | None:
+        request = (await self._schema()).request
+        return await message_shape(self.robot, Kind.SERVICE, self.name, request, url, "#request")
 
     async def forms(self) -> Sequence[Form]:
         if "POST" not in self.methods():

@@ -23,6 +23,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import message_schema
 from rosld.server.hypermedia.json_schema import ANYTHING, OBJECT, nullable, patch_schema
 from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.resources.accepted_shape import message_shape, shape_query
 from rosld.server.resources.command import CommandResource
 from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.holds import create_hold, hold_form, hold_parameters, hold_schema
@@ -246,7 +247,14 @@ class TopicResource(CommandResource):
     @property
     def constrained_by(self) -> str | None:
         topic = self.topic
-        return None if topic is None or topic.type is None else self.robot.space.shape(topic.type.name)
+        return None if topic is None or topic.type is None else shape_query(self.url)
+
+    async def accepted(self, url: str) -> Document | None:
+        topic = self.topic
+        if topic is None or topic.type is None:
+            return None
+        schema = await self.robot.schemas.message(topic.type)
+        return await message_shape(self.robot, Kind.TOPIC, self.name, schema, url, "#message")
 
     async def forms(self) -> Sequence[Form]:
         methods, topic = self.methods(), self.topic

@@ -68,7 +68,7 @@ def report(answer: httpx.Response) -> tuple[rdflib.Graph, Any]:
 def test_a_parameter_says_what_is_declared_of_it(client: httpx.Client) -> None:
     answer = client.get("/parameters/lamp/level", headers={"accept": "text/turtle"})
     url = str(answer.url)
-    assert f'<{url}#constraint>; rel="http://www.w3.org/ns/ldp#constrainedBy"' in answer.headers["link"]
+    assert f'<{url}?shape>; rel="http://www.w3.org/ns/ldp#constrainedBy"' in answer.headers["link"]
     found = graph(client, "/parameters/lamp/level")
     subject, shape = rdflib.URIRef(url), rdflib.URIRef(f"{url}#constraint")
     assert str(found.value(subject, rdflib.DCTERMS.description)) == "How bright it is."

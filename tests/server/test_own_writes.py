@@ -194,7 +194,7 @@ def test_a_query_that_names_nothing_sees_what_was_published_before_it(http_of_ai
                 f"WHERE {{ GRAPH <{url}> {{ ?m <{STRING}> ?old }} }}",
             )
         else:
-            text = f'<{url}#message> <{STRING}> "{word}" .'
+            text = f'<{url}#message> a <{STRING.partition("#")[0]}> ; <{STRING}> "{word}" .'
             answer = http.put("/graphs", params={"graph": url}, content=text, headers=TURTLE)
         assert answer.is_success, answer.text
         assert says(http, word), f"after {turn} writes"

@@ -123,6 +123,7 @@ def test_while_stopped_zero_passes_and_nothing_else(base: Base, http: httpx.Clie
         for part in ("linear", "angular")
         for axis in "xyz"
     )
+    zero += f"<#message> a <{TYPES}{TWIST}> . "
     zero += "".join(f"<#message> <{TYPES}{TWIST}#{part}> <#message.{part}> . " for part in ("linear", "angular"))
     turtle = {"Content-Type": "text/turtle"}
     assert http.put("/topics/cmd_vel", json=STILL).status_code == 204

@@ -17,6 +17,7 @@ TYPES = "https://w3id.org/rosld/types/"
 Triples = Callable[[httpx.Response], set[Triple]]
 SPEED = "/topics/aircraft/engine/speed"
 DISPLAY = "/topics/cockpit/display"
+RDF = "http://www.w3.org/1999/02/22-rdf-syntax-ns#"
 STRING = f"{TYPES}std_msgs/msg/String"
 SYNTAXES = (
     "text/turtle",
@@ -72,13 +73,14 @@ def test_the_latest_message_has_its_type_time_number_and_publisher(http: httpx.C
     ("media_type", "body"),
     [
         ("text/turtle", message("hello")),
-        ("application/n-triples", f'<BASE#message> <{STRING}#data> "hello" .'),
+        ("application/n-triples", f'<BASE#message> <{RDF}type> <{STRING}> .\n<BASE#message> <{STRING}#data> "hello" .'),
         ("application/ld+json", json.dumps({"@id": "#message", "@type": STRING, f"{STRING}#data": "hello"})),
         ("application/json", '{"data": "hello"}'),
         (
             "application/rdf+xml",
-            f'<rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#" xmlns:s="{STRING}#">'
-            f'<rdf:Description rdf:about="#message"><s:data>hello</s:data></rdf:Description></rdf:RDF>',
+            f'<rdf:RDF xmlns:rdf="{RDF}" xmlns:s="{STRING}#">'
+            f'<rdf:Description rdf:about="#message"><rdf:type rdf:resource="{STRING}"/><s:data>hello</s:data>'
+            f"</rdf:Description></rdf:RDF>",
         ),
     ],
 )

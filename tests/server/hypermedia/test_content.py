@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pyoxigraph import Literal, NamedNode, RdfFormat, serialize
+from pyoxigraph import Literal, NamedNode, RdfFormat, Triple, serialize
 
 from rosld.adapters.model import Encoding, Message, MessageSchema, ServiceSchema, TypeRef
 from rosld.adapters.model.library import TypeLibrary
@@ -24,6 +24,7 @@ from rosld.server.hypermedia.value import MessageValue, lift_value
 from rosld.server.hypermedia.value_body import content_from_rdf
 
 P = "http://127.0.0.1:8080/resources/robot/thing"
+IS_VALUE = Triple(NamedNode(P), rdf.value, NamedNode(f"{P}#value"))
 C = "http://127.0.0.1:8080/resources/robot/"
 LIFTING = LiftSettings()
 TYPES = LIFTING.types
@@ -90,7 +91,7 @@ def test_a_relation_of_a_mapping_is_found_on_the_complex_resource() -> None:
 def test_a_node_of_the_type_of_the_setter_is_the_object_of_its_fields() -> None:
     node = f"a <{TYPES}made_up/srv/SetPoint_Request> ; <{TYPES}made_up/srv/SetPoint_Request#x> 1 ; " \
         f"<{TYPES}made_up/srv/SetPoint_Request#y> 2.5"  # fmt: skip
-    for text in (f"<> rdf:value [ {node} ] .", f"<> rdf:value <#value> . <#value> {node} .", f"<#value> {node} ."):
+    for text in (f"<> rdf:value [ {node} ] .", f"<> rdf:value <#value> . <#value> {node} ."):
         assert content(text, POINT) == {"x": 1.0, "y": 2.5}
 
 
@@ -154,7 +155,9 @@ def test_a_node_that_holds_itself_is_refused() -> None:
 
 def carried(schema: MessageSchema, property: Property, message: Message) -> Message:
     """A message as it is read, sent back and lowered again."""
-    document = Document(P, (), (lift_value(MessageValue(schema, message, schema.type.fields, P), "#value", LIFTING),))
+    document = Document(
+        P, (IS_VALUE,), (lift_value(MessageValue(schema, message, schema.type.fields, P), "#value", LIFTING),)
+    )
     data = serialize(document.all_triples(), format=RdfFormat.N_TRIPLES)
     assert data is not None
     body = parse_body(data, "application/n-triples", P)
@@ -195,7 +198,9 @@ def test_an_elided_field_must_be_sent_whole() -> None:
     small = LiftSettings(inline_limit=4)
     own = Property("/robot/thing", value_kind(EVERY, EVERY.type.fields), (TopicSource("/robot/thing", EVERY),))
     message = lowerer(EVERY).from_json({"octets": [1] * 9}, defaults=True)
-    document = Document(P, (), (lift_value(MessageValue(EVERY, message, EVERY.type.fields, P), "#value", small),))
+    document = Document(
+        P, (IS_VALUE,), (lift_value(MessageValue(EVERY, message, EVERY.type.fields, P), "#value", small),)
+    )
     data = serialize(document.all_triples(), format=RdfFormat.N_TRIPLES)
     assert data is not None
     with pytest.raises(LoweringError, match="left out"):

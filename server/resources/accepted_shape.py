@@ -1,0 +1,155 @@
+"""`URL?shape`: the shape of what may be written to a resource as RDF, its limits included (LDP 4.2.1.6)."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Iterator, Sequence
+from dataclasses import replace
+
+from rosld.adapters.model import Kind, MessageSchema, Primitive
+from rosld.ontology.document import Document
+from rosld.ontology.vocab import rdf, ros
+from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.catalogue import ParameterSource, Property, Setter, TopicSource, Writer
+from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.property_writer import current_writer
+from rosld.server.hypermedia.resource_tree import PropertyPlan
+from rosld.server.hypermedia.value import scalar_field, select_fields
+from rosld.server.hypermedia.value_body import layouts
+from rosld.server.resources.context import Robot
+from rosld.server.resources.limit_checks import message_demand, parameter_demand
+from rosld.server.rest.path_item import PathItem
+from rosld.server.rest.resource import Resource
+from rosld.server.rest.state import State
+from rosld.shapes.accepted import Accepted, accepted_message_document, accepted_value_document
+from rosld.shapes.accepted_values import PARAMETERS
+from rosld.shapes.demand import Demand
+from rosld.shapes.message import SHACL_SHACL
+
+_LINK = "shape"
+"""The query that asks for it."""
+
+
+def shape_query(url: str) -> str:
+    """The URL of the shape of what may be written to a URL."""
+    return f"{url}?{_LINK}"
+
+
+class AcceptedShape(Resource):
+    """The shape of what may be written to a resource."""
+
+    kind = "Shape"
+    is_cacheable = False
+
+    def __init__(self, of: Resource, describe: Callable[[str], Awaitable[Document | None]]) -> None:
+        super().__init__(shape_query(of.url))
+        self._of = of
+        self._describe = describe
+
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (SHACL_SHACL,)
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        return PathItem("The shape of what may be written")
+
+    async def state(self) -> State:
+        document = await self._describe(self.url)
+        if document is None:
+            raise Problem(404, f"No shape says what may be written to {self._of.url}.")
+        return State(lambda: document)
+
+
+async def message_shape(robot: Robot, kind: Kind, name: str, schema: MessageSchema, shape: str, node: str) -> Document:
+    """What may be sent to a topic, a service or an action, as the shapes graph at the URL `shape`."""
+    space = robot.space
+    url = {Kind.TOPIC: space.topic, Kind.SERVICE: space.service, Kind.ACTION: space.action}[kind](name)
+    demand = await message_demand(robot, kind, name, schema, url, node)
+    return accepted_message_document(shape, schema, space, f"What may be sent to {name}", demand)
+
+
+def is_declared_scalar(robot: Robot, name: str) -> bool:
+    """Whether a node declares a parameter as a scalar of one type."""
+    parameter = robot.graph.parameters.get(name)
+    return parameter is not None and parameter.descriptor is not None and parameter.descriptor.type in PARAMETERS
+
+
+async def parameter_shape(robot: Robot, name: str, shape: str) -> Document | None:
+    """What a parameter may be set to; None where its node declares no scalar."""
+    url, kinds = robot.space.parameter(name), await _of_parameter(robot, name)
+    title = f"What {name} may be set to"
+    return accepted_value_document(shape, url, ros.value, kinds, robot.space, title) if kinds else None
+
+
+async def property_shape(robot: Robot, plan: PropertyPlan, url: str, shape: str) -> Document | None:
+    """What a property may be made; None where nothing writes it, or nothing tells its type."""
+    writer = property_writer(robot, plan.source)
+    kinds = [] if writer is None else await _of_writer(robot, plan, writer)
+    title = f"What {plan.source.name} may be made"
+    return accepted_value_document(shape, url, rdf.value, kinds, robot.space, title) if kinds else None
+
+
+def property_writer(robot: Robot, own: Property) -> Writer | None:
+    """What writes a property, now or else when it may."""
+    return current_writer(robot, own) or next(iter(own.writers), None)
+
+
+def has_property_shape(robot: Robot, plan: PropertyPlan) -> bool:
+    """Whether `property_shape` has a shape of a property."""
+    match property_writer(robot, plan.source):
+        case ParameterSource(name=name):
+            return plan.member.field is None and is_declared_scalar(robot, name)
+        case TopicSource(schema=schema):
+            return schema is not None
+        case Setter():
+            return True
+        case None:
+            return False
+
+
+async def _of_parameter(robot: Robot, name: str) -> list[tuple[Accepted, Demand]]:
+    parameter = robot.graph.parameters.get(name)
+    descriptor = None if parameter is None else parameter.descriptor
+    if descriptor is None or descriptor.type is None or descriptor.type not in PARAMETERS:
+        return []
+    return [(descriptor.type, await parameter_demand(robot, name, descriptor))]
+
+
+async def _of_writer(robot: Robot, plan: PropertyPlan, writer: Writer) -> list[tuple[Accepted, Demand]]:
+    match writer:
+        case ParameterSource():
+            return [] if plan.member.field is not None else await _of_parameter(robot, writer.name)
+        case Setter(schema=service):
+            schema, kind, url, node = service.request, Kind.SERVICE, robot.space.service(writer.name), "#request"
+        case TopicSource(schema=known) if known is not None:
+            schema, kind, url, node = known, Kind.TOPIC, robot.space.topic(writer.name), "#message"
+        case _:
+            return []
+    demand = await message_demand(robot, kind, writer.name, schema, url, node)
+    if plan.member.field is not None:
+        return list(_of_field(robot, plan, demand))
+    return list(_of_message(plan.source, schema, demand))
+
+
+def _of_message(own: Property, schema: MessageSchema, demand: Demand) -> Iterator[tuple[Accepted, Demand]]:
+    """The scalar that a message is, and the messages that say all of its fields."""
+    scalar = scalar_field(schema.type.fields)
+    if scalar is not None and isinstance(scalar.type, Primitive):
+        yield scalar.type, _at(demand, scalar.name)
+    fields = [(field.name, field.type) for field in schema.type.fields]
+    parts = {part.ref.name: part for each in layouts(own) if (part := select_fields(each.schema, each.fields))}
+    for part in parts.values():
+        if [(field.name, field.type) for field in part.type.fields] == fields:
+            yield part, demand
+
+
+def _of_field(robot: Robot, plan: PropertyPlan, demand: Demand) -> Iterator[tuple[Accepted, Demand]]:
+    """The one field of a message that is written where a mapping picks it."""
+    path = plan.member.field or ""
+    shape = robot.affordances.member_affordance(plan.member, write=True).shape
+    if isinstance(kind := getattr(shape, "kind", None), Primitive):
+        yield kind, _at(demand, path)
+
+
+def _at(demand: Demand, path: str) -> Demand:
+    """What is demanded of the scalar at a path."""
+    return replace(demand, bounds=tuple(("", bounds) for each, bounds in demand.bounds if each == path))

@@ -1,0 +1,220 @@
+"""SHACL shapes of what may be written to a resource: what its server accepts as RDF (SHACL 1.0 Core, LDP 4.2.1.6).
+
+They are apart from the shapes of what is said (`message.py`): more lexical forms are taken than are ever said, nothing
+that was left out because of its size is, and limits are in force. The graph is about one resource and complete by
+itself: whatever conforms to it, as any validator has it, fits and is within the limits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from typing import TypeAlias, cast
+
+from pyoxigraph import Literal, NamedNode
+
+from rosld.adapters.model import Array, FieldType, MessageSchema, MessageType, Nested, ParameterType, Primitive
+from rosld.ontology.compile import TIME
+from rosld.ontology.document import Document
+from rosld.ontology.lower_graph import IGNORED
+from rosld.ontology.triples import RDF_SOURCE, Statement, Value, integer, statements, text
+from rosld.ontology.urls import Space
+from rosld.ontology.vocab import dcterms, rdf, rdfs, ros, sh, xsd
+from rosld.shapes.accepted_values import PARAMETERS, AcceptedValues
+from rosld.shapes.demand import NO_DEMAND, Demand
+from rosld.shapes.message import write_message_shapes
+from rosld.shapes.value import Bounds
+from rosld.shapes.writer import ShapesWriter
+
+_DATE_TIME = (
+    r"^\s*[0-9]{4}-[0-9]{2}-[0-9]{2}T[0-9]{2}:[0-9]{2}:[0-9]{2}(\.[0-9]{1,9}0{0,21})?(Z|[+-][0-9]{2}:[0-9]{2})\s*$"
+)
+_FIRST, _LAST = "1901-12-13T20:45:52Z", "2038-01-19T03:14:07.999999999Z"
+"""What 32 bits of seconds hold."""
+
+
+def accepted_message_document(
+    url: str, schema: MessageSchema, space: Space, title: str, demand: Demand = NO_DEMAND
+) -> Document:
+    """What may be written where a message is sent, in the document at `url`.
+
+    A type without fields needs nothing to be said of it.
+    """
+    writer, class_ = ShapesWriter(url), NamedNode(space.class_of(schema.ref.name))
+    _describe(writer, space, title, demand)
+    fields = AcceptedFields(writer, schema, space, AcceptedValues(writer), is_target=True)
+    write_message_shapes(writer, schema, space, fields)
+    if schema.type.fields:
+        present = writer.blank(
+            (sh.path, writer.blank((sh.inversePath, rdf.type))),
+            (sh.minCount, integer(1)),
+            (sh.message, text(f"A node of the type <{class_.value}> is missing.")),
+        )
+        writer.add(writer.node("body"), (rdf.type, sh.NodeShape), (sh.targetNode, class_), (sh.property, present))
+    fields.write_bounds(demand.bounds)
+    return Document(url, tuple(writer.triples))
+
+
+Accepted: TypeAlias = Primitive | MessageSchema | ParameterType
+"""What a value may be: a scalar, a message, or a scalar that a node declares as a parameter's."""
+
+
+def accepted_value_document(
+    url: str,
+    subject: str,
+    predicate: NamedNode,
+    kinds: Sequence[tuple[Accepted, Demand]],
+    space: Space,
+    title: str,
+) -> Document:
+    """What may be written where `subject` is to have one value of a predicate, in the document at `url`.
+
+    The value is of one of these `kinds`, and fulfils what limits demand of that.
+    """
+    writer, root = ShapesWriter(url), NamedNode(subject)
+    values, alternatives = AcceptedValues(writer), list[Value]()
+    _describe(writer, space, title, Demand(is_all=all(demand.is_all for _, demand in kinds)))
+    for kind, demand in kinds:
+        if isinstance(kind, MessageSchema):
+            fields = AcceptedFields(writer, kind, space, values, is_target=False)
+            write_message_shapes(writer, kind, space, fields)
+            fields.write_bounds(demand.bounds)
+            is_one = writer.blank((sh.path, rdf.type), (sh.hasValue, NamedNode(space.class_of(kind.ref.name))))
+            alternatives.append(writer.blank((sh.node, fields.node(kind.ref.name)), (sh.property, is_one)))
+            continue
+        alternatives.append(_scalar(writer, values, kind, [each for path, each in demand.bounds if not path]))
+    value = writer.node("value")
+    writer.add(
+        value,
+        (rdf.type, sh.PropertyShape),
+        (sh.path, predicate),
+        (sh.minCount, integer(1)),
+        (sh.maxCount, integer(1)),
+        writer.either(alternatives),
+    )
+    writer.add(writer.node("body"), (rdf.type, sh.NodeShape), (sh.targetNode, root), (sh.property, value))
+    return Document(url, tuple(writer.triples))
+
+
+def _scalar(
+    writer: ShapesWriter, values: AcceptedValues, kind: Primitive | ParameterType, bounds: Sequence[Bounds]
+) -> Value:
+    """The shape of a scalar within bounds."""
+    primitive, datatype = (kind, None) if isinstance(kind, Primitive) else (PARAMETERS[kind], None)
+    if kind is ParameterType.INTEGER:
+        datatype = xsd.integer
+    own = values.scalar(kind) if isinstance(kind, Primitive) else values.parameter(kind)
+    demands = [writer.blank(*statements) for each in bounds for statements in values.bounds(primitive, each, datatype)]
+    return writer.blank((sh.and_, writer.list_of([own, *demands])))
+
+
+def _describe(writer: ShapesWriter, space: Space, title: str, demand: Demand) -> None:
+    more = None if demand.is_all else NamedNode(space.shape("limits"))
+    comment = "Further limits hold, which are no bounds of single values: those of the shapes graph beside this one."
+    writer.add(
+        writer.node(),
+        *RDF_SOURCE,
+        (dcterms.title, text(title)),
+        (rdfs.comment, text(comment) if more else None),
+        (rdfs.seeAlso, more),
+    )
+
+
+class AcceptedFields:
+    """The values of fields as they may be written.
+
+    Nodes of messages within a message need not say their types. They are targets by the property that leads to them,
+    so that none holds another: validators bound how deep shapes may nest. `is_target`: so is every node of the type.
+    """
+
+    def __init__(
+        self, writer: ShapesWriter, schema: MessageSchema, space: Space, values: AcceptedValues, *, is_target: bool
+    ) -> None:
+        self._writer = writer
+        self._schema = schema
+        self._space = space
+        self._values = values
+        self._is_target = is_target
+
+    def node(self, name: str) -> NamedNode:
+        return self._writer.node(name)
+
+    def is_required(self, kind: MessageType) -> bool:
+        return kind.name != TIME
+
+    def primitive(self, kind: Primitive) -> Sequence[Statement]:
+        return [(sh.node, self._values.scalar(kind))]
+
+    def nested(self, name: str) -> Sequence[Statement]:
+        return [(sh.nodeKind, sh.BlankNodeOrIRI)]
+
+    def array(self, kind: Array, element: Primitive) -> Sequence[Statement]:
+        return [(sh.node, self._values.array(kind, element))]
+
+    def messages(self, kind: Array, name: str) -> Sequence[Statement]:
+        return self._values.list([(sh.node, self.node(name))], kind)
+
+    def message(self, kind: MessageType) -> Sequence[Statement]:
+        writer, class_ = self._writer, NamedNode(self._space.class_of(kind.name))
+        types = writer.blank((sh.path, rdf.type), (sh.in_, writer.list_of([class_, ros.Message])))
+        return [
+            *self._targets(kind.name, class_),
+            (sh.nodeKind, sh.BlankNodeOrIRI),
+            (sh.ignoredProperties, writer.list_of(sorted(IGNORED, key=str))),
+            (sh.property, types),
+            *(self._stamp(kind) if kind.name == TIME else ()),
+        ]
+
+    def _targets(self, name: str, class_: NamedNode) -> Iterator[Statement]:
+        if self._is_target and name == self._schema.ref.name:
+            yield sh.targetClass, class_
+        for kind in self._schema.types.values():
+            for field in kind.fields:
+                if field.type == Nested(name):
+                    yield sh.targetObjectsOf, NamedNode(self._space.property_of(kind.name, field.name))
+
+    def _stamp(self, kind: MessageType) -> list[Statement]:
+        """A stamp has its seconds and nanoseconds, or else the moment that they stand for."""
+        writer = self._writer
+        fields = [NamedNode(self._space.property_of(kind.name, field.name)) for field in kind.fields]
+        whole = [writer.blank((sh.path, path), (sh.minCount, integer(1))) for path in fields]
+        none = [writer.blank((sh.path, path), (sh.maxCount, integer(0))) for path in fields]
+        moment = writer.blank(
+            (sh.path, ros.dateTime),
+            (sh.minCount, integer(1)),
+            (sh.maxCount, integer(1)),
+            (sh.datatype, xsd.dateTime),
+            (sh.pattern, text(_DATE_TIME)),
+            (sh.minInclusive, Literal(_FIRST, datatype=xsd.dateTime)),
+            (sh.maxInclusive, Literal(_LAST, datatype=xsd.dateTime)),
+        )
+        told = writer.blank(*statements(sh.property, whole))
+        derived = writer.blank(*statements(sh.property, [*none, moment]))
+        return [writer.either([told, derived])]
+
+    def write_bounds(self, bounds: Iterable[tuple[str, Bounds]]) -> None:
+        """Write the bounds of single scalars, by their dotted paths from the message on."""
+        for path, each in bounds:
+            found = self._way(path)
+            if found is not None:
+                way, kind = found
+                for statements in self._values.bounds(kind, each):
+                    bounded = self._writer.blank((sh.path, way), *statements)
+                    self._writer.add(self.node(self._schema.ref.name), (sh.property, bounded))
+
+    def _way(self, path: str) -> tuple[Value, Primitive] | None:
+        """The property path to a scalar, and what that is; None where the message has none there."""
+        writer, kind, steps = self._writer, cast(FieldType, Nested(self._schema.ref.name)), list[Value]()
+        for step in path.split("."):
+            if not isinstance(kind, Nested):
+                return None
+            field = next((one for one in self._schema.types[kind.name].fields if one.name == step), None)
+            if field is None:
+                return None
+            steps.append(NamedNode(self._space.property_of(kind.name, step)))
+            kind = field.type
+            if isinstance(kind, Array) and isinstance(kind.element, Nested):
+                steps += [writer.blank((sh.zeroOrMorePath, rdf.rest)), rdf.first]
+                kind = kind.element
+        if not isinstance(kind, Primitive):
+            return None
+        return (steps[0] if len(steps) == 1 else writer.list_of(steps)), kind

@@ -1,0 +1,197 @@
+"""Shapes of the values that fields take in RDF that is written: more lexical forms than this server itself uses.
+
+Whoever writes Turtle by hand says `1` or `0.5` where ROS has a double, and a program says whatever numbers its language
+has. So any number of XSD is taken that the field can hold: for an integer all integers, and decimals that are whole;
+for a float all numbers, rounded to the nearest, and INF, -INF and NaN. What is taken is what these shapes say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+
+from pyoxigraph import Literal, NamedNode
+
+from rosld.adapters.model import Array, ParameterType, Primitive
+from rosld.ontology.coercion import RANGES, SPECIALS
+from rosld.ontology.lexical import NUMBERS
+from rosld.ontology.literals import DATATYPES, OCTETS, STRINGS
+from rosld.ontology.triples import Statement, Value, integer, text
+from rosld.ontology.vocab import rdf, rdfs, sh, xsd
+from rosld.shapes.lexical_patterns import WHOLE_DECIMAL, base64_pattern, hex_pattern, json_array_pattern
+from rosld.shapes.lists import LIST, list_of, write_list_shape
+from rosld.shapes.terms import number
+from rosld.shapes.value import Bounds
+from rosld.shapes.writer import ShapesWriter
+
+PARAMETERS: Mapping[ParameterType, Primitive] = {
+    ParameterType.BOOLEAN: Primitive("bool"),
+    ParameterType.INTEGER: Primitive("int64"),
+    ParameterType.DOUBLE: Primitive("float64"),
+    ParameterType.STRING: Primitive("string"),
+}
+"""The scalars that nodes declare of parameters; of all others there is no shape but what is told."""
+_FLOATS = (xsd.double, xsd.float)
+_GREATEST = Literal("1.7976931348623157E308", datatype=xsd.double)
+_LEAST = Literal("-1.7976931348623157E308", datatype=xsd.double)
+_BEYOND = Literal("3.4028235677973366E38", datatype=xsd.double)
+"""Halfway between the greatest float32 and what would be the next: from here on a number is rounded to infinity."""
+_BELOW = Literal("-3.4028235677973366E38", datatype=xsd.double)
+_RANGES: dict[str, tuple[Statement, ...]] = {
+    "float64": ((sh.minInclusive, _LEAST), (sh.maxInclusive, _GREATEST)),
+    "float32": ((sh.minExclusive, _BELOW), (sh.maxExclusive, _BEYOND)),
+}
+_INTEGERS = tuple(datatype for datatype in NUMBERS if datatype not in (*_FLOATS, xsd.decimal))
+_UNBOUNDED = (
+    xsd.integer,
+    *(NamedNode(f"{xsd.iri}{name}Integer") for name in ("nonNegative", "positive", "nonPositive", "negative")),
+)
+_WIDE = {xsd.long: RANGES["int64"], xsd.unsignedLong: RANGES["uint64"]}
+
+
+class AcceptedValues:
+    """The shapes of values in one shapes graph: each is written when it is first asked for."""
+
+    def __init__(self, writer: ShapesWriter) -> None:
+        self._writer = writer
+        self._written: set[str] = set()
+
+    def scalar(self, kind: Primitive) -> NamedNode:
+        """The shape of a scalar."""
+        bound = "" if kind.bound is None else f"-{kind.bound}"
+        return self._named(f"{kind.name}{bound}", lambda: self._scalar(kind))
+
+    def array(self, kind: Array, element: Primitive) -> NamedNode:
+        """The shape of an array of primitives: one literal, or a list of literals."""
+        parts = [element.name, "array"]
+        parts += [] if element.bound is None else [f"of-{element.bound}"]
+        parts += [] if kind.length is None else [f"{kind.length}"]
+        parts += [] if kind.bound is None else [f"at-most-{kind.bound}"]
+        return self._named("-".join(parts), lambda: self._array(kind, element))
+
+    def parameter(self, type: ParameterType) -> NamedNode:
+        """The shape of a scalar that is a parameter's: its text is no octets."""
+        if type is ParameterType.STRING:
+            return self._named("text", lambda: [(sh.datatype, xsd.string)])
+        return self.scalar(PARAMETERS[type])
+
+    def list(self, elements: Sequence[Statement], kind: Array) -> Sequence[Statement]:
+        """What a list is, each element of which fulfils `elements`."""
+        if LIST not in self._written:
+            self._written.add(LIST)
+            write_list_shape(self._writer)
+        return [(sh.node, list_of(self._writer, elements, kind.length, kind.bound))]
+
+    def bounds(
+        self, kind: Primitive, bounds: Bounds, datatype: NamedNode | None = None
+    ) -> Iterator[Sequence[Statement]]:
+        """What bounds demand of a scalar beside its being one, each demand by itself.
+
+        `datatype` is what it is told with where that is not the field's. A number is compared by its value, whatever
+        its datatype. Of text the characters are looked at.
+        """
+        ranges = {
+            sh.minInclusive: bounds.minimum,
+            sh.maxInclusive: bounds.maximum,
+            sh.minExclusive: bounds.exclusive_minimum,
+            sh.maxExclusive: bounds.exclusive_maximum,
+        }
+        within = [(parameter, value) for parameter, value in ranges.items() if value is not None]
+        if within:
+            # NaN is within no range; not every validator has it so.
+            is_float = kind.name not in RANGES
+            yield [*within, *([(sh.not_, self._not_a_number())] if is_float else [])]
+        if bounds.choices:
+            yield [self._choices(datatype or NamedNode(xsd.iri + DATATYPES[kind.name]), bounds.choices)]
+        lengths = [(sh.minLength, integer(bounds.min_length)), (sh.maxLength, integer(bounds.max_length))]
+        if bounds.pattern is not None or bounds.min_length is not None or bounds.max_length is not None:
+            is_text = [(sh.datatype, xsd.string)] if kind.name in STRINGS else []
+            yield [*is_text, (sh.pattern, text(bounds.pattern)), *lengths]
+
+    def _choices(self, own: NamedNode, choices: Sequence[Literal]) -> Statement:
+        """One of these: numbers that have the datatype `own`, by their values; all else as it is."""
+        writer = self._writer
+        found = [choice for choice in choices if choice.datatype == own]
+        if own == xsd.boolean:
+            found += [Literal("1" if each.value == "true" else "0", datatype=own) for each in found]
+        if own in (xsd.string, xsd.boolean):
+            return sh.in_, writer.list_of(found)
+        equal = [
+            writer.blank((sh.minInclusive, choice), (sh.maxInclusive, choice), (sh.not_, self._not_a_number()))
+            for choice in found
+            if (value := number(choice)) is not None and value == value
+        ]
+        nan = [self._not_a_number()] if len(equal) < len(found) else []
+        return writer.either([*equal, *nan]) if found else (sh.in_, rdf.nil)
+
+    def _not_a_number(self) -> NamedNode:
+        values = [Literal("NaN", datatype=datatype) for datatype in _FLOATS]
+        return self._named("not-a-number", lambda: [(sh.in_, self._writer.list_of(values))])
+
+    def _named(self, name: str, write: Callable[[], Sequence[Statement]]) -> NamedNode:
+        node = self._writer.node(name)
+        if name not in self._written:
+            self._written.add(name)
+            self._writer.add(node, (rdf.type, sh.NodeShape), (rdfs.label, text(name)), *write())
+        return node
+
+    def _either(self, *alternatives: Sequence[Statement]) -> Statement:
+        return self._writer.either([self._writer.blank(*statements) for statements in alternatives])
+
+    def _scalar(self, kind: Primitive) -> Sequence[Statement]:
+        if kind.name == "bool":
+            return [(sh.datatype, xsd.boolean)]
+        if kind.name in STRINGS:
+            return [self._string(kind)]
+        if kind.name in RANGES:
+            least, greatest = RANGES[kind.name]
+            whole = [(sh.datatype, xsd.decimal), (sh.pattern, text(WHOLE_DECIMAL))]
+            return [
+                (sh.minInclusive, integer(least)),
+                (sh.maxInclusive, integer(greatest)),
+                self._either(*_integers(), whole),
+            ]
+        return [self._float(_RANGES[kind.name])]
+
+    def _string(self, kind: Primitive) -> Statement:
+        """A string is bounded in bytes, which SHACL cannot count: in characters it is as long at most."""
+        return self._either(
+            [(sh.datatype, xsd.string), (sh.maxLength, integer(kind.bound))],
+            [(sh.datatype, xsd.base64Binary), (sh.pattern, text(base64_pattern(bound=kind.bound)))],
+            [(sh.datatype, xsd.hexBinary), (sh.pattern, text(hex_pattern(bound=kind.bound)))],
+        )
+
+    def _float(self, within: Sequence[Statement]) -> Statement:
+        finite = [
+            [(sh.datatype, xsd.double), *within],
+            # Not every validator looks whether an xsd:float is one.
+            [(sh.datatype, xsd.float), *_RANGES["float32"]],
+            [(sh.datatype, xsd.decimal), *within],
+        ]
+        special = [Literal(name, datatype=datatype) for datatype in _FLOATS for name in SPECIALS]
+        return self._either(*finite, *_integers(within), [(sh.in_, self._writer.list_of(special))])
+
+    def _array(self, kind: Array, element: Primitive) -> Sequence[Statement]:
+        writer = self._writer
+        pattern = json_array_pattern(kind, element)
+        literals: list[Value] = [writer.blank((sh.datatype, rdf.JSON), (sh.pattern, text(pattern)))]
+        if element.name in OCTETS:
+            octets = {xsd.base64Binary: base64_pattern, xsd.hexBinary: hex_pattern}
+            literals += [
+                writer.blank((sh.datatype, datatype), (sh.pattern, text(pattern(kind.length, kind.bound))))
+                for datatype, pattern in octets.items()
+            ]
+        elements = writer.blank(*self.list([(sh.node, self.scalar(element))], kind))
+        return [writer.either([*literals, elements])]
+
+
+def _integers(within: Sequence[Statement] = ()) -> Iterator[Sequence[Statement]]:
+    """An alternative for each datatype of integers: those that know no bounds are `within` some.
+
+    Of those of 64 bits not every validator knows the range.
+    """
+    for datatype in _INTEGERS:
+        if datatype in _UNBOUNDED:
+            yield [(sh.datatype, datatype), *within]
+            continue
+        least, greatest = _WIDE.get(datatype, (None, None))
+        yield [(sh.datatype, datatype), (sh.minInclusive, integer(least)), (sh.maxInclusive, integer(greatest))]

@@ -1,0 +1,105 @@
+"""Patterns of what may be written: the lexical forms of octets, and of arrays in rdf:JSON (RFC 8259).
+
+They are written in what XPath, Python and Java have in common (XQuery Functions 7.6.1), and no two alternatives begin
+alike for long, so that whoever matches them takes linear time.
+"""
+
+from __future__ import annotations
+
+from rosld.adapters.model import Array, Primitive
+from rosld.ontology.coercion import RANGES
+from rosld.ontology.literals import BASE64, STRINGS
+
+LONGEST_COUNT = 1000
+"""The most elements that a pattern counts."""
+WHOLE_DECIMAL = r"^\s*[+-]?[0-9]*(\.0*)?\s*$"
+"""An xsd:decimal that is a whole number."""
+
+_SPACE = r"[ \t\n\r]*"
+_SEXTET = r"[A-Za-z0-9+/]\s*"
+_DIGITS = "(0|[1-9][0-9]*)"
+_WIDE = "-?(0|[1-9][0-9]{0,23})"
+_FLOATS = {
+    "float64": (
+        r"(0|[1-9][0-9]{0,299})(\.[0-9]+)?([eE]-[0-9]+)?",
+        r"(0|[1-9][0-9]{0,7})(\.[0-9]+)?[eE]\+?0*[12]?[0-9]{1,2}",
+        r"[0-9](\.[0-9]+)?[eE]\+?30[0-7]",
+        r"(0(\.[0-9]+)?|1(\.([0-6][0-9]*|7([0-8][0-9]*)?|79([0-6][0-9]*)?|7976931348623157))?)[eE]\+?308",
+    ),
+    "float32": (
+        r"(0|[1-9][0-9]{0,37})(\.[0-9]+)?([eE]-[0-9]+)?",
+        r"(0|[1-9][0-9]{0,7})(\.[0-9]+)?[eE]\+?0*[12]?[0-9]",
+        r"[0-9](\.[0-9]+)?[eE]\+?3[0-7]",
+        r"([0-2](\.[0-9]+)?|3(\.([0-3][0-9]*|40?|4028235|4028234663852886))?)[eE]\+?38",
+    ),
+}
+"""Numbers of JSON that are within the range of a float, its greatest value included."""
+_HEX = "[0-9A-Fa-f]"
+_PAIR = rf"[dD][89ABab]{_HEX}{{2}}\\u[dD][C-Fc-f]{_HEX}{{2}}"
+_UNICODE = rf"u([0-9A-CEFa-cef]{_HEX}{{3}}|[dD][0-7]{_HEX}{{2}}|{_PAIR})"
+"""The escapes of characters; half a surrogate pair is none."""
+_CHARACTER = rf'([^"\\\x00-\x1F]|\\(["\\/bfnrt]|{_UNICODE}))'
+
+
+def base64_pattern(length: int | None = None, bound: int | None = None) -> str:
+    """Octets in base64, with white space anywhere: of exactly `length`, or at most `bound` octets."""
+    most = length if length is not None else bound
+    if most is None or most > LONGEST_COUNT:
+        return rf"^\s*([A-Za-z0-9+/\s]*{_SEXTET}{_SEXTET}(=\s*){{0,2}})?$"
+    if most == 0:
+        return r"^\s*$"
+    sextets = (4 * most + 2) // 3
+    some = rf"({_SEXTET}){{{sextets if length is not None else f'2,{sextets}'}}}(=\s*){{0,2}}"
+    return rf"^\s*{some}$" if length is not None else rf"^\s*({some})?$"
+
+
+def hex_pattern(length: int | None = None, bound: int | None = None) -> str:
+    """The same in hexadecimal, where no white space is."""
+    most = length if length is not None else bound
+    counts = "*" if most is None or most > LONGEST_COUNT else f"{{{most if length is not None else f'0,{most}'}}}"
+    return rf"^([0-9A-Fa-f]{{2}}){counts}$"
+
+
+def json_array_pattern(kind: Array, element: Primitive) -> str:
+    """An array of a primitive in JSON; of more than 1000 elements the number is not told."""
+    one = _json_element(element)
+    least, most = (kind.length, kind.length) if kind.length is not None else (0, kind.bound)
+    if most == 0:
+        return rf"^{_SPACE}\[{_SPACE}\]{_SPACE}$"
+    more = "*" if most is None or most > LONGEST_COUNT else f"{{{max(0, (least or 0) - 1)},{most - 1}}}"
+    elements = rf"{one}({_SPACE},{_SPACE}{one}){more}{_SPACE}"
+    return rf"^{_SPACE}\[{_SPACE}{elements if least else f'({elements})?'}\]{_SPACE}$"
+
+
+def _json_element(kind: Primitive) -> str:
+    if kind.name == "bool":
+        return "(true|false)"
+    if kind.name in STRINGS:
+        octets = rf'"@value"{_SPACE}:{_SPACE}"[A-Za-z0-9+/]*={{0,2}}"'
+        datatype = rf'"@type"{_SPACE}:{_SPACE}"{BASE64.replace(".", "[.]")}"'
+        comma = f"{_SPACE},{_SPACE}"
+        most = "*" if kind.bound is None or kind.bound > LONGEST_COUNT else f"{{0,{kind.bound}}}"
+        return rf"(\"{_CHARACTER}{most}\"|\{{{_SPACE}({octets}{comma}{datatype}|{datatype}{comma}{octets}){_SPACE}\}})"
+    if kind.name in RANGES:
+        number = integer_pattern(*RANGES[kind.name])
+        return f'({number}|"{number}")' if kind.name.endswith("64") else number
+    return f'(-?({"|".join(_FLOATS[kind.name])})|"([+-]?INF|NaN|-0[.]0|{_WIDE})")'
+
+
+def integer_pattern(least: int, greatest: int) -> str:
+    """The integers from `least` (0 or less) to `greatest` (0 or more) in JSON, which has no leading zeros."""
+    positive = "|".join(_up_to(str(greatest)))
+    if least == 0:
+        return f"(-?0|{positive})"
+    return f"(-?0|{positive}|-({'|'.join(_up_to(str(-least)))}))"
+
+
+def _up_to(most: str) -> list[str]:
+    """Alternatives for the integers from 1 to `most`."""
+    shorter = f"[1-9][0-9]{{0,{len(most) - 2}}}" if len(most) > 1 else ""
+    found = [shorter] if shorter else []
+    for place, digit in enumerate(most):
+        least, rest = (1 if place == 0 else 0), len(most) - place - 1
+        if int(digit) > least:
+            found.append(f"{most[:place]}[{least}-{int(digit) - 1}]" + (f"[0-9]{{{rest}}}" if rest else ""))
+    return [*found, most]

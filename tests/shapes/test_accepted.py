@@ -1,0 +1,189 @@
+"""What may be written, as its shape says it to pySHACL, is what lowering takes, body by random body."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+
+import numpy as np
+import pytest
+import rdflib
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pyoxigraph import BlankNode, NamedNode, Triple
+from pyshacl.shapes_graph import ShapesGraph
+
+from rosld.adapters.model import Array, Message, MessageSchema, Nested, Primitive
+from rosld.adapters.model.library import TypeLibrary
+from rosld.ontology.body import index_triples
+from rosld.ontology.coercion import RANGES
+from rosld.ontology.lift import LiftSettings, lifter
+from rosld.ontology.literals import DTYPES, STRINGS
+from rosld.ontology.lower import LoweringError, lowerer
+from rosld.ontology.urls import Space
+from rosld.ontology.vocab import rdf, ros
+from rosld.shapes.accepted import accepted_message_document
+from tests.shapes.values import LITERALS, compiled, graph, validate
+
+SPACE = Space("http://127.0.0.1:8080/")
+URL = SPACE.topic("/every")
+LIBRARIES = {version: TypeLibrary(ros_version=version) for version in (1, 2)}
+EVERY = """
+bool flag
+int8 tiny
+uint8 octet
+int32 whole
+uint64 large
+float32 single
+float64 double
+string text
+time stamp
+duration span
+geometry_msgs/Point point
+geometry_msgs/Point[] points
+geometry_msgs/PoseStamped[2] poses
+float64[3] triple
+float32[] singles
+int16[] numbers
+uint64[] larges
+string[] words
+uint8[] bytes
+uint8[5] five
+bool[] flags
+"""
+BOUNDED = "string<=4 text\nstring<=3[<=2] words\nuint8[<=4] bytes\nint64[<=2] numbers\ngeometry_msgs/Point[<=1] points"
+
+
+@cache
+def schema_of(fields: str, ros_version: int) -> MessageSchema:
+    return LIBRARIES[ros_version].learn_message(f"test_msgs/msg/T{abs(hash(fields))}", fields)
+
+
+@cache
+def shapes_of(schema: MessageSchema) -> ShapesGraph:
+    return compiled(graph(accepted_message_document(f"{URL}?shape", schema, SPACE, "What may be written").triples))
+
+
+def refusal(schema: MessageSchema, triples: Sequence[Triple]) -> str:
+    """Why lowering refuses a body; nothing where it takes it."""
+    try:
+        lowerer(schema).from_body(index_triples(triples), URL)
+    except LoweringError as error:
+        return str(error)
+    return ""
+
+
+def violations(schema: MessageSchema, triples: Sequence[Triple]) -> str:
+    """What a body breaks of the shape; nothing where it conforms."""
+    try:
+        conforms, _, words = validate(graph(triples), shapes_of(schema))
+    except ValueError as error:  # it means to tell of a list without end, and follows that
+        if "recursive rdf:rest" not in str(error):
+            raise
+        return str(error)
+    return "" if conforms else str(words)
+
+
+# What may stand in a field
+
+KINDS = [(1, kind) for kind in ("bool", "int8", "uint8", "int32", "uint32", "int64", "uint64", "float32", "float64",
+         "string", "float64[]", "float64[3]", "float32[]", "int16[]", "uint64[]", "int64[2]", "string[]", "uint8[]",
+         "uint8[5]", "bool[]", "bool[2]")]  # fmt: skip
+KINDS += [
+    (2, kind) for kind in ("string<=4", "string<=3[<=2]", "uint8[<=4]", "int64[<=2]", "string[2]", "float32[<=3]")
+]
+
+
+@pytest.mark.parametrize(("ros_version", "kind"), KINDS)
+def test_a_literal_conforms_where_lowering_takes_it_and_nowhere_else(ros_version: int, kind: str) -> None:
+    schema = schema_of(f"{kind} value", ros_version)
+    predicate = NamedNode(SPACE.property_of(schema.ref.name, "value"))
+    nodes = {NamedNode(f"http://h/{at}"): each for at, each in enumerate((*LITERALS, NamedNode("http://h/x"), rdf.nil))}
+    said = {
+        node: [Triple(node, rdf.type, NamedNode(SPACE.class_of(schema.ref.name))), Triple(node, predicate, value)]
+        for node, value in nodes.items()
+    }
+    _, report, _ = validate(graph([each for triples in said.values() for each in triples]), shapes_of(schema))
+    assert isinstance(report, rdflib.Graph)
+    broken = {str(node) for node in report.objects(None, rdflib.SH.focusNode)}
+    by_shape = {str(value) for node, value in nodes.items() if node.value not in broken}
+    by_server = {str(value) for node, value in nodes.items() if not refusal(schema, said[node])}
+    assert by_shape == by_server
+    assert by_server
+    assert len(by_server) < len(nodes)
+
+
+# Bodies
+
+
+def build(schema: MessageSchema, draw: st.DrawFn, name: str | None = None) -> Message:
+    kind = schema.types[name or schema.ref.name]
+    return schema.codec.build(kind.name, {field.attribute: _value(schema, field.type, draw) for field in kind.fields})
+
+
+def _value(schema: MessageSchema, kind: Primitive | Nested | Array, draw: st.DrawFn) -> object:
+    if isinstance(kind, Nested):
+        return build(schema, draw, kind.name)
+    if isinstance(kind, Array):
+        most = 2 if kind.bound is None else min(kind.bound, 2)
+        size = draw(st.integers(0, most)) if kind.length is None else kind.length
+        values = [_value(schema, kind.element, draw) for _ in range(size)]
+        if isinstance(kind.element, Nested) or kind.element.name in STRINGS:
+            return values
+        return np.array(values, DTYPES[kind.element.name])
+    if kind.name in STRINGS:
+        return draw(st.sampled_from(["", "ab", 'a"\n']))
+    if kind.name == "bool":
+        return draw(st.booleans())
+    if kind.name in RANGES:
+        return draw(st.integers(*RANGES[kind.name]) | st.integers(0, 3))
+    return float(np.float32(draw(st.floats(width=32) | st.integers(0, 3))))
+
+
+CHANGES = ("literal", "list", "drop", "more", "strange", "managed", "node", "stamp")
+literals = st.sampled_from(LITERALS)
+
+
+@st.composite
+def bodies(draw: st.DrawFn, schema: MessageSchema) -> list[Triple]:
+    """A message as it is lifted, with a change or two."""
+    triples = list(lifter(schema, LiftSettings(inline_limit=1 << 62)).triples(build(schema, draw), URL, "#message"))
+    for change in draw(st.lists(st.sampled_from(CHANGES), max_size=2)):
+        at = draw(st.integers(0, len(triples) - 1))
+        subject, predicate, object = triples[at]
+        if change == "drop":
+            del triples[at]
+        elif change == "literal":
+            triples[at] = Triple(subject, predicate, draw(literals))
+        elif change == "more":
+            triples.append(Triple(subject, predicate, draw(literals)))
+        elif change == "strange":
+            triples.append(Triple(subject, NamedNode("http://example.org/strange"), object))
+        elif change == "managed":
+            managed = draw(st.sampled_from([ros.received, ros.sequence, ros.rate, ros.sentBy]))
+            triples.append(Triple(subject, managed, draw(literals)))
+        elif change == "node":
+            triples[at] = Triple(subject, predicate, draw(st.sampled_from([rdf.nil, BlankNode("none"), subject])))
+        elif change == "stamp":
+            triples.append(Triple(subject, ros.dateTime, draw(literals)))
+        else:
+            cells = [BlankNode(f"cell{number}") for number in range(draw(st.integers(0, 4)))]
+            ends: list[BlankNode | NamedNode] = [*cells, rdf.nil]
+            triples[at] = Triple(subject, predicate, ends[0])
+            for cell, rest in zip(cells, ends[1:], strict=True):
+                triples += [Triple(cell, rdf.first, draw(literals)), Triple(cell, rdf.rest, rest)]
+    return triples
+
+
+@settings(max_examples=20)
+@given(bodies(schema_of(EVERY, 1)))
+def test_a_message_conforms_where_lowering_takes_it_and_nowhere_else(triples: list[Triple]) -> None:
+    refused, broken = refusal(schema_of(EVERY, 1), triples), violations(schema_of(EVERY, 1), triples)
+    assert bool(refused) == bool(broken), f"{refused}\n{broken}"
+
+
+@settings(max_examples=30)
+@given(bodies(schema_of(BOUNDED, 2)))
+def test_bounds_of_strings_and_arrays_are_held_too(triples: list[Triple]) -> None:
+    refused, broken = refusal(schema_of(BOUNDED, 2), triples), violations(schema_of(BOUNDED, 2), triples)
+    assert bool(refused) == bool(broken), f"{refused}\n{broken}"

@@ -27,6 +27,7 @@ class ListingRow:
     anchor: Anchor
     cells: tuple[tuple[View, ...], ...]
     namespace: Anchor | None = None
+    is_failed: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,10 +55,16 @@ def container_table(document: Document, site: Site, listing: MemberColumns | Non
     counted = len(cells.keys() | {url for url in urls if not url.endswith("/")} if listing and listing.cells else urls)
     total = listing.total if listing and listing.total is not None and not site.is_restricted else counted
     urls += [url for url in cells if url not in set(urls) and listing is not None and url in listing.cells]
-    anchors = {url: _anchor(site, url, document.url) for url in urls}
+    names = listing.names if listing else {}
+    anchors = {url: _anchor(site, url, document.url, names.get(url)) for url in urls}
     containers = {url for url in urls if url.endswith("/") and url.removesuffix("/") not in anchors}
     members = tuple(
-        ListingRow(anchors[url], _cells(cells.get(url, ()), len(columns), site), anchors.get(f"{url}/"))
+        ListingRow(
+            anchors[url],
+            _cells(cells.get(url, ()), len(columns), site),
+            anchors.get(f"{url}/"),
+            listing is not None and url in listing.failed,
+        )
         for url in urls
         if not url.endswith("/")
     )
@@ -71,9 +78,11 @@ def _seen(cell: Cell, site: Site) -> Cell:
     return "" if isinstance(cell, NamedNode) and not site.may("GET", cell.value) else cell
 
 
-def _anchor(site: Site, url: str, container: str) -> Anchor:
-    """The link to a member under its name within the container."""
+def _anchor(site: Site, url: str, container: str, name: str | None = None) -> Anchor:
+    """The link to a member under its name, by default that within the container."""
     found = site.anchor(url) or Anchor("", escape_controls(url), url)
+    if name:
+        return Anchor(found.href, escape_controls(name), url, found.external)
     inner = site.short_name(url).removeprefix(site.short_name(container)).lstrip("/")
     return Anchor(found.href, escape_controls(inner or found.text), url, found.external)
 

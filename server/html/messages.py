@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from typing import Any, SupportsFloat, SupportsIndex, SupportsInt, cast
@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from rosld.adapters.model import Array, Field, Message, MessageSchema, MessageType, Nested, Primitive
 from rosld.ontology.literals import OCTETS, STRINGS
+from rosld.server.html.numbers import number_view, shorten_number
 from rosld.server.html.timestamps import duration_view, time_view
 from rosld.server.html.view import ArrayView, BytesView, TableListView, TableRow, TableView, TextView, View, text_view
 
@@ -142,10 +143,10 @@ def _octets(values: npt.NDArray[Any], path: str, drawing: _Drawing) -> View:
 
 
 def scalar_view(kind: Primitive, value: object) -> View:
-    """A primitive value, floats with the shortest digits that read back the same."""
+    """A primitive value; of floats six significant digits, beside them the fewest that read back the same."""
     if isinstance(value, str):
         return text_view(value)
-    return TextView(_number(kind, value), tone="number")
+    return number_view(_number(kind, value))
 
 
 def _number(kind: Primitive, value: object) -> str:
@@ -164,17 +165,17 @@ def _float(text: str) -> str:
 
 def series_view(kind: Primitive, values: Sequence[object]) -> ArrayView:
     """An array of scalars: the first few, and up to 2,000 of the rest on request."""
-    head = _join(kind, values[:_HEAD])
     if len(values) <= _HEAD:
-        return ArrayView(len(values), head)
+        return ArrayView(len(values), _join(kind, values))
+    head = _join(kind, values[:_HEAD], shorten_number)
     full = _join(kind, values[:_SHOWN])
     return ArrayView(len(values), head, full + (" …" if len(values) > _SHOWN else ""))
 
 
-def _join(kind: Primitive, values: Sequence[object]) -> str:
+def _join(kind: Primitive, values: Sequence[object], write: Callable[[str], str] = str) -> str:
     if kind.name in STRINGS:
         return ", ".join(f"“{element_text(value)}”" for value in values)
-    return ", ".join(_number(kind, value) for value in values)
+    return ", ".join(write(_number(kind, value)) for value in values)
 
 
 def element_text(value: object) -> str:

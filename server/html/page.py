@@ -103,12 +103,15 @@ class MemberColumns:
     """What a container's table shows beside names: the headings, and each member's cells by its URL.
 
     What is told of here without being a direct member (a name in a namespace below) gets a row of its own.
-    `total` is the number of members, or of the names told of, where the table may not have them all.
+    `total` is the number of members, or of the names told of, where the table may not have them all. `names` are what
+    members are called whose URLs end in an identifier, `failed` the URLs of those that did not do what they were to do.
     """
 
     columns: tuple[str, ...] = ()
     cells: Mapping[str, tuple[Cell, ...]] = field(default_factory=dict)
     total: int | None = None
+    names: Mapping[str, str] = field(default_factory=dict)
+    failed: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,7 @@ import json
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
 from rosld.ontology.vocab import rdf, xsd
+from rosld.server.html.numbers import number_view
 from rosld.server.html.page import Cell, Term
 from rosld.server.html.site import Site
 from rosld.server.html.timestamps import time_view_of_text
@@ -37,7 +38,9 @@ def cell_view(cell: Cell, site: Site) -> View:
     if isinstance(cell, str):
         return text_view(cell)
     if isinstance(cell, Literal) and (cell.datatype in NUMBERS or cell.datatype == xsd.boolean):
-        return TextView(escape_controls(cell.value), tone="number")
+        return number_view(cell.value)
+    if isinstance(cell, Literal) and cell.datatype == xsd.dateTime:
+        return time_view_of_text(escape_controls(cell.value))
     return term_view(cell, site)
 
 
@@ -58,7 +61,7 @@ def literal_view(literal: Literal, site: Site) -> View:
     if datatype == xsd.base64Binary:
         return BytesView(len(literal.value) * 3 // 4 - literal.value[-2:].count("="), hint=hint)
     if datatype in NUMBERS:
-        return TextView(escape_controls(literal.value), hint, tone="number")
+        return number_view(literal.value, hint)
     return text_view(literal.value, hint)
 
 

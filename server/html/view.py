@@ -15,13 +15,14 @@ _UNASSIGNED = re.compile(r"[\ud800-\udfff\ufdd0-\ufdef\ufffe\uffff\x80-\x9f]")
 
 @dataclass(frozen=True, slots=True)
 class TextView:
-    """A value as text; `full` is all of a long one, `hint` its type, `tone` a class of style."""
+    """A value as text; `full` is all of a long one, `exact` all digits of a number, `hint` its type, `tone` a style."""
 
     kind: ClassVar[str] = "text"
     text: str
     hint: str = ""
     full: str | None = None
     tone: str = ""
+    exact: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,6 +14,7 @@ from rosld.ontology.document import Document
 from rosld.ontology.literals import date_time
 from rosld.server.events import query_params
 from rosld.server.html import MemberColumns, SequenceLink
+from rosld.server.html.page import Cell
 from rosld.server.http.conditional import digest
 from rosld.server.http.link import render
 from rosld.server.http.problem import Problem
@@ -21,6 +22,7 @@ from rosld.server.hypermedia.json_schema import ANYTHING
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.receipts.journal import JournalEntry, NoSuchReceipt
 from rosld.server.resources.context import Robot
+from rosld.server.resources.listings import time_cell
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import OFFERS
 from rosld.server.rest.paging import (
@@ -148,12 +150,18 @@ class ActivityContainer(Resource):
         return () if self._place is None else self._page(self._place)[0].neighbours()
 
     def listing(self) -> MemberColumns:
-        """When, who, what and what came of it."""
+        """What, when, who and what came of it."""
         space = self.robot.space
         receipts = self.robot.receipts
         entries = islice(receipts.newest_first(), 1000) if self._place is None else self._page(self._place)[1]
-        rows = {space.activity(entry.id): _cells(entry.receipt, space.base) for entry in entries}
-        return MemberColumns(("when", "who", "asked", "answer"), rows, len(receipts))
+        told = {space.activity(entry.id): entry.receipt for entry in entries}
+        return MemberColumns(
+            ("when", "who", "answer", "words"),
+            {url: _cells(receipt) for url, receipt in told.items()},
+            len(receipts),
+            {url: f"{receipt.method} {receipt.url.removeprefix(space.base[:-1])}" for url, receipt in told.items()},
+            frozenset(url for url, receipt in told.items() if receipt.status >= 400),
+        )
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
         return self.robot.receipts.changes.watch(wake)
@@ -200,6 +208,5 @@ def _json(receipt: Receipt) -> bytes:
     return orjson.dumps({**kept, **times, "seconds": receipt.seconds})
 
 
-def _cells(receipt: Receipt, base: str) -> tuple[str, ...]:
-    asked = receipt.url.removeprefix(base[:-1])
-    return (date_time(0, receipt.ended_ns), receipt.agent, f"{receipt.method} {asked}", str(receipt.status))
+def _cells(receipt: Receipt) -> tuple[Cell, ...]:
+    return (time_cell(receipt.ended_ns), receipt.agent, str(receipt.status), receipt.words or "")

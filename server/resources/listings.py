@@ -2,30 +2,61 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 
 from rosld.adapters.base import Watch
+from rosld.adapters.model import GoalStatus
 from rosld.ontology.describe_containers import container_document
+from rosld.ontology.triples import date_time_literal
+from rosld.server.html import MemberColumns
+from rosld.server.html.page import Cell
+from rosld.server.http.conditional import digest
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.context import Robot
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource
 from rosld.server.rest.state import State
+from rosld.server.robot.calls import Call, CallState
+from rosld.server.robot.goal_store import Goal
+from rosld.server.robot.hold_store import Hold
 from rosld.server.runtime.signals import Signal
+
+_OUTCOMES = {CallState.UNKNOWN: "outcome unknown", CallState.NOT_SENT: "not sent"}
+"""Words for states of calls whose terms are no words."""
+_FAILED_GOALS = frozenset({GoalStatus.ABORTED, GoalStatus.REJECTED, GoalStatus.LOST})
+
+
+@dataclass(frozen=True, slots=True)
+class ListedMember:
+    """A member of a listing: its URL, what it is called and told of it, and whether it failed."""
+
+    url: str
+    name: str
+    cells: tuple[Cell, ...]
+    is_failed: bool = False
 
 
 class ListingResource(Resource):
-    """`/NAME/`: a container of the members that there are now, whose URLs `members` tells; `changes` says when."""
+    """`/NAME/`: a container of the members that there are now, the newest first; `changes` tells of others."""
 
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
 
     def __init__(
-        self, robot: Robot, name: str, summary: str, members: Callable[[], Iterator[str]], changes: Signal
+        self,
+        robot: Robot,
+        name: str,
+        summary: str,
+        columns: tuple[str, ...],
+        members: Callable[[], Iterable[ListedMember]],
+        changes: Signal,
     ) -> None:
         super().__init__(robot.space.container(name))
         self.kind = name.capitalize()
+        self.title = self.kind
         self._robot = robot
         self._summary = summary
+        self._columns = columns
         self._members = members
         self._changes = changes
 
@@ -37,9 +68,21 @@ class ListingResource(Resource):
         return (self._robot.space.document_shape("Container"),)
 
     async def state(self) -> State:
+        """Its state is another one whenever that of a member is: its page tells of that."""
         members = tuple(self._members())
+        urls = tuple(member.url for member in members)
+        token = digest(repr(members).encode("utf-8", "replace"))
         return self._robot.states.get_or_make(
-            self.url, members, lambda: State(lambda: container_document(self.url, members, self.kind))
+            self.url, token, lambda: State(lambda: container_document(self.url, urls, self.kind), token=token)
+        )
+
+    def listing(self) -> MemberColumns:
+        members = tuple(self._members())
+        return MemberColumns(
+            self._columns,
+            {member.url: member.cells for member in members},
+            names={member.url: member.name for member in members},
+            failed=frozenset(member.url for member in members if member.is_failed),
         )
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
@@ -48,23 +91,48 @@ class ListingResource(Resource):
 
 def calls_listing(robot: Robot) -> ListingResource:
     """`/calls/`: the calls made through rosld and kept."""
-    known, url = robot.calls, robot.space.call
+    known = robot.calls
+
+    def listed(call: Call) -> ListedMember:
+        outcome = _OUTCOMES.get(call.state, call.state.value.lower())
+        cells = (outcome, time_cell(call.created_ns), time_cell(call.answered_ns), call.words or "")
+        is_failed = call.state not in (CallState.RUNNING, CallState.SUCCEEDED)
+        return ListedMember(robot.space.call(call.id), call.service, cells, is_failed)
+
+    columns = ("outcome", "called", "answered", "words")
     return ListingResource(
-        robot, "calls", "The calls that are kept", lambda: (url(call.id) for call in known.all()), known.changes
+        robot, "calls", "The calls that are kept", columns, lambda: map(listed, reversed(known.all())), known.changes
     )
 
 
 def goals_listing(robot: Robot) -> ListingResource:
     """`/goals/`: the goals known and kept, ours and others'."""
-    known, url = robot.goals, robot.space.goal
+    known = robot.goals
+
+    def listed(goal: Goal) -> ListedMember:
+        cells = (goal.status.value, time_cell(goal.created_ns), time_cell(goal.ended_ns), goal.words or "")
+        return ListedMember(robot.space.goal(goal.id), goal.action, cells, goal.status in _FAILED_GOALS)
+
+    columns = ("status", "sent", "ended", "words")
     return ListingResource(
-        robot, "goals", "The goals that are kept", lambda: (url(goal.id) for goal in known.all()), known.changes
+        robot, "goals", "The goals that are kept", columns, lambda: map(listed, reversed(known.all())), known.changes
     )
 
 
 def holds_listing(robot: Robot) -> ListingResource:
     """`/holds/`: the holds that there are."""
-    known, url = robot.holds, robot.space.hold
+    known = robot.holds
+
+    def listed(hold: Hold) -> ListedMember:
+        cells = (hold.holder.name, f"{hold.rate:g} Hz", time_cell(hold.created_ns), hold.last_error or "")
+        return ListedMember(robot.space.hold(hold.id), hold.topic, cells, hold.last_error is not None)
+
+    columns = ("holder", "rate", "since", "trouble")
     return ListingResource(
-        robot, "holds", "The holds of topics", lambda: (url(hold.id) for hold in known.all()), known.changes
+        robot, "holds", "The holds of topics", columns, lambda: map(listed, reversed(known.all())), known.changes
     )
+
+
+def time_cell(nanoseconds: int | None) -> Cell:
+    """A time in a table, nothing where there is none."""
+    return date_time_literal(nanoseconds) or ""

@@ -1,46 +1,97 @@
-"""The pages of containers for people: what they count is what there is."""
+"""Pages that list what was done: goals, calls, receipts, by names and times, with what failed standing out."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 
 import httpx
 import pytest
 
+from rosld.server.html.numbers import shorten_number
+from tests.server.conftest import Served
 from tests.server.robots.made_up import MadeUp, Serving
 
 HTML = {"Accept": "text/html"}
+FAR = {"pose": {"header": {"frame_id": "map"}, "pose": {"position": {"x": 90.0, "y": 90.0}}}}
 
 
-def counted(http: httpx.Client, path: str) -> tuple[int, int]:
-    """The number that the page of a container names, and the rows of its table."""
-    page = http.get(path, headers=HTML).text
-    found = re.search(r'Contains <span class="count">([\d,]+)</span>', page)
-    assert found
-    return int(found[1].replace(",", "")), page.count('<tr data-key="')
+def rows(http: httpx.Client, path: str) -> list[str]:
+    """The rows of the table of members, as HTML."""
+    page = http.get(path, headers=HTML)
+    assert page.status_code == 200, page.text
+    found = re.search(r'<table class="members">.*?</table>', page.text, re.DOTALL)
+    return re.findall(r"<tr data-key.*?</tr>", found[0], re.DOTALL) if found else []
 
 
-def filled(robot: MadeUp, per_namespace: int) -> None:
-    """Topics in 51 namespaces."""
-    names = [f"/n{namespace}/t{number}" for namespace in range(51) for number in range(per_namespace)]
-    robot.topics(names, "geometry_msgs/msg/Vector3")
+def words(row: str) -> str:
+    return " ".join(re.sub(r"<[^>]+>", " ", row).split())
 
 
-@pytest.mark.parametrize("per_namespace", [7, 30])
-def test_a_listing_counts_every_name_and_not_the_namespaces_that_they_are_in(
-    robot: MadeUp, serving: Serving, per_namespace: int
+def test_goals_are_listed_by_action_status_and_times_and_those_that_failed_stand_out(
+    serve: Callable[..., Served],
 ) -> None:
-    others = len(robot.graph.topics)
-    filled(robot, per_namespace)
-    http = serving()
-    total, shown = counted(http, "/topics/")
-    assert total == others + 51 * per_namespace
-    assert shown == min(total, 1000)
-    assert ("The first 1,000 are shown" in http.get("/topics/", headers=HTML).text) == (total > 1000)
+    http = serve("rover:?rate=10").http
+    goal = http.post("/actions/navigate_to", json=FAR).headers["location"]
+    http.get(goal, params={"until": "status = 'aborted'", "timeout": "60"}).raise_for_status()
+    [row] = rows(http, "/goals/")
+    assert 'class="failed"' in row
+    assert re.match(r"/navigate_to aborted \d{4}-\d\d-\d\d .* UTC", words(row))
+    assert row.count("<time datetime=") == 2
 
 
-def test_what_a_container_of_data_counts_are_its_members(robot: MadeUp, serving: Serving) -> None:
+def test_a_listing_of_goals_is_in_another_state_whenever_a_goal_is(serve: Callable[..., Served]) -> None:
+    http = serve("rover").http
+    near = {"pose": {**FAR["pose"], "pose": {"position": {"x": 1.5}}}}
+    goal = http.post("/actions/navigate_to", json=near).headers["location"]
+    known = http.get("/goals/", headers={"Accept": "text/turtle"}).headers["etag"]
+    http.delete(goal)
+    changed = http.get("/goals/", params={"after": known, "timeout": "60"}, headers={"Accept": "text/turtle"})
+    assert changed.status_code == 200
+    assert changed.headers["etag"] != known
+    http.get(goal, params={"until": "status != 'executing' and status != 'canceling'", "timeout": "60"})
+    [row] = rows(http, "/goals/")
+    assert "executing" not in row
+
+
+def test_calls_and_receipts_are_listed_by_names_and_what_was_refused_stands_out(
+    robot: MadeUp, serving: Serving
+) -> None:
+    robot.offer("/dock", "std_srvs/srv/Trigger", lambda _: {"success": True})
     http = serving()
-    for name in ("a", "b/", "c"):
-        assert http.put(f"/data/{name}", content="", headers={"Content-Type": "text/turtle"}).status_code == 201
-    assert counted(http, "/data/")[0] == 3
+    http.post("/services/dock", json={}).raise_for_status()
+    assert http.post("/services/dock", json={"wrong": 1}).status_code == 422
+    [call] = rows(http, "/calls/")
+    assert words(call).startswith("/dock succeeded 2")
+    assert 'class="failed"' not in call
+    refused, made = rows(http, "/activity/")
+    assert words(refused).startswith("POST /services/dock 2")
+    assert 'class="failed"' in refused
+    assert 'class="failed"' not in made
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("0.1511648796956807", "0.151165"),
+        ("1e-07", "1e-07"),
+        ("12345678.123456", "1.23457e+07"),
+        ("-0.30000000000000004", "-0.3"),
+        ("1795526226687342044", "1795526226687342044"),
+        ("0.0001", "0.0001"),
+        ("INF", "INF"),
+        ("no.number.at.all", "no.number.at.all"),
+    ],
+)
+def test_numbers_have_six_digits_where_they_have_more_and_are_no_integers(text: str, shown: str) -> None:
+    assert shorten_number(text) == shown
+
+
+def test_all_digits_of_a_number_are_beside_it(robot: MadeUp, serving: Serving) -> None:
+    robot.topic("/speed", "std_msgs/msg/Float64", {"data": 0.1511648796956807})
+    http = serving()
+    http.get("/topics/speed")
+    assert (
+        '<bdi class="value number" title="0.1511648796956807">0.151165</bdi>'
+        in http.get("/topics/speed", headers=HTML).text
+    )

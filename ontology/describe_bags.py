@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from decimal import Decimal
 from types import MappingProxyType
 from typing import Protocol
 
@@ -68,6 +69,17 @@ class BagMessage(Protocol):
     def sample(self) -> Sample: ...
 
 
+class RecordingOrder(Protocol):
+    """What is described of how a recording is made: topics or globs, seconds before it began, seconds it lasts."""
+
+    @property
+    def topics(self) -> Sequence[str]: ...
+    @property
+    def before(self) -> float: ...
+    @property
+    def duration(self) -> float | None: ...
+
+
 def bag_document(
     bag: Bag,
     space: Space,
@@ -75,11 +87,14 @@ def bag_document(
     *,
     dropped: Mapping[str, int] = MappingProxyType({}),
     problem: str | None = None,
+    size: int | None = None,
+    order: RecordingOrder | None = None,
 ) -> Document:
     """A recording: how it is stored, from when to when, its topics with their types and counts.
 
     `sha256` is the digest of its file in hexadecimal, where that is known.
-    `dropped` are messages by topic that were sent and are not in it, `problem` says why it does not go on.
+    `dropped` are messages by topic that were sent and are not in it, `problem` says why it does not go on. `size` are
+    the bytes of its file, `order` says how it is being made: it has no messages that could be read yet.
     """
     url, messages = space.bag(bag.name), NamedNode(space.bag_messages(bag.name))
     tracks = {
@@ -93,9 +108,12 @@ def bag_document(
         (dcterms.format, text(bag.format)),
         (ros.count, integer(bag.count)),
         (ros.recordingProblem, text(problem)),
+        (ros.recordedBytes, None if size is None else integer(size)),
+        (ros.recordedFile, NamedNode(f"{url}file") if size is not None and order is None else None),
+        *(() if order is None else _order(order)),
         (ros.start, date_time_literal(bag.start_ns) if bag.count else None),
         (ros.end, date_time_literal(bag.end_ns) if bag.count else None),
-        (ldp.contains, messages),
+        (ldp.contains, messages if order is None else None),
         *statements(ros.hasRecordedTopic, tracks),
         (spdx.checksum, None if sha256 is None else NamedNode(f"{url}#checksum")),
     )
@@ -106,13 +124,25 @@ def bag_document(
             (spdx.algorithm, spdx.checksumAlgorithm_sha256),
             (spdx.checksumValue, Literal(sha256, datatype=xsd.hexBinary)),
         )
-    triples += triples_about(messages, (rdfs.label, text("Messages")))
+    if order is None:
+        triples += triples_about(messages, (rdfs.label, text("Messages")))
     for node, track in tracks.items():
         lost = dropped.get(track.name)
         triples += triples_about(node, *_track(track, space), (ros.dropped, integer(lost) if lost else None))
     for ref in dict.fromkeys(track.type for track in bag.topics.values()):
         triples += type_url(ref, space)
     return Document(url, tuple(triples))
+
+
+def _order(order: RecordingOrder) -> Iterator[Statement]:
+    yield ros.recordingStatus, text("recording")
+    yield from ((ros.recordsTopic, text(topic)) for topic in order.topics)
+    yield ros.secondsBefore, _seconds(order.before) if order.before else None
+    yield ros.secondsLong, None if order.duration is None else _seconds(order.duration)
+
+
+def _seconds(value: float) -> Literal:
+    return Literal(format(Decimal(str(value)), "f"), datatype=xsd.decimal)
 
 
 def _track(track: Track, space: Space) -> list[Statement]:

@@ -249,6 +249,12 @@ class ros(Namespace, iri="https://w3id.org/rosld#"):
     recordedMessage: NamedNode
     dropped: NamedNode
     recordingProblem: NamedNode
+    recordsTopic: NamedNode
+    secondsBefore: NamedNode
+    secondsLong: NamedNode
+    recordingStatus: NamedNode
+    recordedBytes: NamedNode
+    recordedFile: NamedNode
     index: NamedNode
     recordedAt: NamedNode
 

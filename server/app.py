@@ -99,8 +99,6 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
     described |= {router.endpoint.url: router.endpoint.document, router.graphs.url: router.graphs.document}
     described |= {router.search.url: router.search.document}
     changing = ("/status",) if mirror is None else ("/status", "/mirror")
-    if settings.history:
-        changing = (*changing, "/bags/history/")
     source.add(described, map(router.at, changing))
     authenticator = (
         None if settings.auth is None else Authenticator(settings.auth, robot.space, partial(types_at, robot))

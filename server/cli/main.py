@@ -187,6 +187,43 @@ def lift(recording: Path, output: Path, base_url: str, inline_limit: int, types:
     run(recording, output, base, AdapterOptions(types=types), LiftSettings(inline_limit=inline_limit))
 
 
+@main.command(short_help="Record live topics of SOURCE into FILE.")
+@click.argument("source", default="ros2:")
+@click.option(
+    "-o",
+    "--output",
+    required=True,
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="Where to write: an .mcap file.",
+)
+@click.option("--topic", "topics", multiple=True, metavar="GLOB", help="What to record; default: all. Repeatable.")
+@click.option("--duration", type=click.FloatRange(min=0), metavar="SECONDS", help="End after so long.")
+@_options("types", "ros_ip", "host_map", "qos")
+def record(
+    source: str,
+    output: Path,
+    topics: tuple[str, ...],
+    duration: float | None,
+    types: tuple[Path, ...],
+    ros_ip: str | None,
+    host_map: tuple[tuple[str, str], ...],
+    qos: tuple[tuple[str, Qos], ...],
+) -> None:
+    """Record live topics of SOURCE (default ros2:) into FILE, until Ctrl-C or for --duration seconds.
+
+    FILE is MCAP, which any of its readers opens; it has its name once it is complete, FILE.active until then.
+
+    \b
+    Examples:
+      rosld record ros1://localhost:11311 -o run.mcap
+      rosld record ros2: -o drive.mcap --topic /odom --topic '/camera/*' --duration 60
+    """
+    from rosld.server.cli.record import record as run
+
+    run(source, output, topics, duration, AdapterOptions(types=types, ros_ip=ros_ip, host_map=dict(host_map), qos=qos))
+
+
 @main.command(short_help="List the message and service types of SOURCE.")
 @click.argument("source")
 @_options("types")

@@ -40,6 +40,10 @@ class FileDigests:
             threading.Thread(target=self._compute, args=(path, loop), name="digest", daemon=True).start()
         return self._known[path]
 
+    def forget(self, path: Path) -> None:
+        """The file is gone; another one may have its name."""
+        self._known.pop(path, None)
+
     def watch(self, path: Path, wake: Callable[[], None]) -> Watch:
         """Call `wake` once the digest of a recording is known."""
         return self._changes.watch(wake, lambda about: about == str(path))

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import sqlite3
-from collections import Counter
-from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TypeAlias
@@ -16,14 +16,15 @@ from rosld.adapters.model import Encoding, NotFound, Schema, TypeRef, UnknownTyp
 from rosld.adapters.model.library import TypeLibrary
 from rosld.server.history.file_digests import FileDigests
 from rosld.server.history.history_writer import HistoryWriter
-from rosld.server.history.recorder import Recorder, Sink
+from rosld.server.history.live_recorder import LiveRecorder
+from rosld.server.history.recorder import Sink
 from rosld.server.history.segments import HistoryLimits, Segments
-from rosld.server.history.topic_feed import LiveFeed
 from rosld.server.settings import Settings
 
 log = logging.getLogger("rosld.history")
 NAME = "history"
 FOLDER = "history"
+_FOR_EVER = 1 << 62
 _DISK_SIZE = 1024 * 1024 * 1024
 _MEMORY_SIZE = 128 * 1024 * 1024
 _MEMORY_SEGMENTS = 8
@@ -126,34 +127,28 @@ class HistoryRecording:
 class History:
     """What is recorded of a robot all the time: the topics that `--history` names.
 
-    `learn` makes a type known, `definition_of` gives its text as far as it is.
+    `definition_of` gives the text of a type as far as it is known.
     """
 
     def __init__(
-        self,
-        adapter: Adapter,
-        settings: Settings,
-        learn: Callable[[TypeRef], Awaitable[object]],
-        definition_of: Callable[[TypeRef], str],
+        self, adapter: Adapter, live: LiveRecorder, settings: Settings, definition_of: Callable[[TypeRef], str]
     ) -> None:
         """Raises ValueError where there is nothing live to be recorded."""
         if settings.history and adapter.capabilities.system == "recording":
             raise ValueError(f"--history {settings.history[0]}: a recording is served, whose messages are kept already")
-        self.globs = settings.history
-        self.recorder = Recorder()
-        self.feed = LiveFeed(adapter, self.recorder, self._sinks_of, learn)
         folder = None if settings.data is None else settings.data / FOLDER
         self.writer = HistoryWriter(Segments(folder, history_limits(settings)), definition_of)
         self.recording = HistoryRecording(self.writer, settings.types)
         self.digests = FileDigests()
         """Those of the recordings beside it."""
+        self._globs = settings.history
+        self._live = live
         self._failure: str | None = None
-        self._sink: tuple[Sink, ...] = (self.writer,)
 
     @property
     def is_kept(self) -> bool:
         """Whether anything is to be recorded, and could be begun."""
-        return bool(self.globs) and self._failure is None
+        return bool(self._globs) and self._failure is None
 
     @property
     def problem(self) -> str | None:
@@ -162,9 +157,8 @@ class History:
 
     def dropped(self) -> Mapping[str, int]:
         """Messages that came and were not recorded, by topic."""
-        found: Counter[str] = Counter()
-        for each in (self.writer.dropped, self.recorder.dropped, self.feed.lost):
-            found.update(dict(each))
+        found = self._live.dropped()
+        found.update(dict(self.writer.dropped))
         return found
 
     async def start(self) -> None:
@@ -177,21 +171,22 @@ class History:
             self._failure = f"The history is not recorded: {error}. Make room for it, then start rosld anew."
             log.error("%s", self._failure)
             return
-        self.recorder.add_sink(self.writer)
-        self.recorder.start()
-        self.feed.start()
+        self._live.add(self.writer, lambda topic: any(fnmatchcase(topic, glob) for glob in self._globs))
 
-    def refresh(self) -> None:
-        """The graph has changed: there may be other topics to be recorded."""
-        self.feed.refresh()
-
-    async def stop(self) -> None:
-        """Record what came, and finish. Idempotent."""
+    def copy_to(self, sink: Sink, wants: Callable[[str], bool], since_ns: int) -> None:
+        """Give a sink what was recorded since a time. Called on the recorder's thread."""
         if not self.is_kept:
             return
-        await self.feed.stop()
-        await asyncio.to_thread(self.recorder.stop)
-        self.writer.segments.close()
+        self.writer.write_all()
+        segments = self.writer.segments
+        for topic in filter(wants, list(self.writer.types)):
+            for row in segments.index.of_topic(topic, since_ns, _FOR_EVER):
+                with contextlib.suppress(OSError, ValueError, KeyError):  # a segment that is damaged, or gone
+                    for channel, sample in segments.messages_of(row):
+                        if sample.received_ns >= since_ns:
+                            sink.add(channel.topic, sample)
 
-    def _sinks_of(self, topic: str) -> tuple[Sink, ...]:
-        return self._sink if any(fnmatchcase(topic, glob) for glob in self.globs) else ()
+    def close(self) -> None:
+        """Let go of the files, when nothing is recorded any more."""
+        if self.is_kept:
+            self.writer.segments.close()

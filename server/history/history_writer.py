@@ -108,6 +108,10 @@ class HistoryWriter:
         if self._current is not None:
             self._finish()
 
+    def write_all(self) -> None:
+        """Write what there is, due or not."""
+        self._write(list(self._open.values()))
+
     def message(self, number: int) -> tuple[Channel, Sample] | None:
         """The message of a number, None where there is none. Raises OSError, ValueError."""
         for _ in range(2):  # a chunk may be written between the one look and the other
@@ -127,7 +131,7 @@ class HistoryWriter:
         return channel, sample_of(channel, ChunkMessage(found[0], number, *found[1:]), number)
 
     def _begin(self, sample: Sample) -> tuple[int, McapWriter, float]:
-        _require_room(self.segments.folder)
+        require_room(self.segments.folder)
         segment, file = self.segments.begin(self.next)
         try:
             writer = McapWriter(file, sample.encoding, self._definition, self.next)
@@ -151,7 +155,7 @@ class HistoryWriter:
                 del self._open[chunk.topic]
         rows: list[ChunkRow] = []
         try:
-            _require_room(self.segments.folder)
+            require_room(self.segments.folder)
             for chunk in chunks:
                 place = writer.write(chunk)
                 rows.append(_row(segment, chunk, *place))
@@ -223,8 +227,8 @@ def _row(segment: int, chunk: TopicChunk, at: int, length: int) -> ChunkRow:
     )
 
 
-def _require_room(folder: Path | None) -> None:
-    """Raise OSError where the disk has no more than what is left to everything else."""
+def require_room(folder: Path | None) -> None:
+    """Raise OSError (ENOSPC) where the disk has no more than what is left to everything else."""
     if folder is None:
         return
     found = os.statvfs(folder)

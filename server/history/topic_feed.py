@@ -101,6 +101,15 @@ class LiveFeed:
         """Begin to look."""
         self._task = asyncio.get_running_loop().create_task(self._run())
 
+    def assign(self) -> None:
+        """What is recorded has changed: what comes from now on goes where it belongs."""
+        self._sinks = {topic: sinks for topic in self._feeds if (sinks := self._sinks_of(topic))}
+        self._changed = True
+
+    def take(self) -> None:
+        """Take what is new to the recorder now."""
+        self._look()
+
     def refresh(self) -> None:
         """Find out at the next look which topics are recorded: the graph, or what is recorded, has changed."""
         self._changed = True

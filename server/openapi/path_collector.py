@@ -190,8 +190,11 @@ class PathCollector:
     def _bags(self) -> Iterator[DescribedPath]:
         space = self.robot.space
         yield self._path("/bags/")
+        yield self._template("/bags/{name}", "/bags/any", name="Its name in the URL.")
         for name, recording in self.robot.recordings.items():
             yield self._path(self._of(space.bag(name)))
+            if recording.path.is_file():
+                yield self._path(self._of(f"{space.bag(name)}file"))
             path = self._of(space.bag_messages(name))
             yield self._path(path)
             if recording.count:

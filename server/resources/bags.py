@@ -1,31 +1,44 @@
-"""Recordings: `/bags/B/`, its messages in LDP pages, and each message under its own URL."""
+"""Recordings: `/bags/B/`, made by POST to `/bags/`, its messages in LDP pages, and each under its own URL."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
+import orjson
 from starlette.responses import Response
 
-from rosld.adapters.base import RecordedMessage, Recording, Watch
+from rosld.adapters.base import RecordedMessage, RecordedTopic, Recording, Watch
 from rosld.adapters.model import NotFound, UnknownType
 from rosld.ontology.describe_bags import bag_document, bag_message_document, bag_messages_document
 from rosld.ontology.describe_containers import container_document
 from rosld.ontology.document import Document
-from rosld.ontology.urls import Location
+from rosld.server.history.recordings import RecordingRefused, RunningRecording
 from rosld.server.html import SequenceLink
 from rosld.server.http.link import Link
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.data_schema import DataSchema
 from rosld.server.hypermedia.json_schema import ANYTHING
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.context import Robot
 from rosld.server.resources.messages import decode, field_response, lift_sample
+from rosld.server.resources.recording_order import MEDIA_TYPES, SCHEMA, read_order
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.path_item import FIELD, FIELD_READS, FORMAT, PathItem, QueryParameter
-from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource, permanent_redirect
+from rosld.server.rest.formats import MERGE_PATCH
+from rosld.server.rest.path_item import FIELD, FIELD_READS, FORMAT, PathItem, QueryParameter, WriteMethod
+from rosld.server.rest.resource import (
+    BASIC_CONTAINER,
+    RDF_SOURCE,
+    READ,
+    RESOURCE,
+    Answer,
+    CreatedAnswer,
+    Resource,
+    ShownAnswer,
+)
 from rosld.server.rest.state import State
 
 PAGE = 100
@@ -35,39 +48,73 @@ _PAGE = QueryParameter("page", "A page of messages, from 0.", {"type": "integer"
 
 
 class BagContainer(Resource):
-    """`/bags/`: the recordings of this source."""
+    """`/bags/`: the recordings of this source, the history, and those that clients make or send."""
 
     kind = "Bags"
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
+    accepts: Mapping[str, Sequence[str]] = {"POST": MEDIA_TYPES}
 
     def __init__(self, robot: Robot) -> None:
         super().__init__(robot.space.container("bags"))
         self.robot = robot
 
+    def methods(self) -> frozenset[str]:
+        return READ | {"POST"} if can_record(self.robot) else READ
+
+    def deny_reason(self, method: str) -> str:
+        if method == "POST":
+            return "Nothing is recorded here: this server is read-only, or serves a recording."
+        return super().deny_reason(method)
+
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem("The recordings")
+        post = WriteMethod("Records topics, the last seconds of the history before them", sends=SCHEMA, done=(201,))
+        return PathItem("The recordings", writes={"POST": post}, also=(507,))
 
     @property
     def conforms_to(self) -> Sequence[str]:
         return (self.robot.space.document_shape("Container"),)
 
     async def state(self) -> State:
-        members = [self.robot.space.bag(name) for name in self.robot.recordings]
+        members = bag_urls(self.robot)
         return self.robot.states.get_or_make(
-            self.url, len(members), lambda: State(lambda: container_document(self.url, members, "Recordings"))
+            self.url, members, lambda: State(lambda: container_document(self.url, members, "Recordings"))
         )
+
+    async def post(self, exchange: Exchange) -> Answer:
+        """Begin a recording of topics that who asks may read."""
+        order = read_order(await exchange.body(), exchange.media_type, self.url)
+        slug = exchange.header("slug")
+        if order.name is None and slug is not None and self.robot.bags.can_be_named(slug):
+            order = replace(order, name=slug)
+        space, permissions = self.robot.space, exchange.permissions
+        for topic in order.topics:
+            if not set(topic) & set("*?[") and not permissions.may_read(space.topic(topic)):
+                raise Problem(403, f"You may not read {topic}, so you may not record it.")
+        try:
+            one = self.robot.bags.begin(order, lambda topic: permissions.may_read(space.topic(topic)))
+        except RecordingRefused as error:
+            raise Problem(409 if error.taken else 422, f"{error}.") from error
+        except OSError as error:
+            raise Problem(507, f"The recording cannot be stored: {error.strerror or error}.") from error
+        resource = RunningBag(self.robot, one)
+        return CreatedAnswer(resource.url, resource, await resource.state())
 
 
 class BagResource(Resource):
-    """One recording."""
+    """One recording that can be read."""
 
     kind = "Bag"
+    is_cacheable = False
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
 
     def __init__(self, robot: Robot, recording: Recording) -> None:
         super().__init__(robot.space.bag(recording.name))
         self.robot = robot
         self.recording = recording
+
+    def methods(self) -> frozenset[str]:
+        is_own = self.recording.name in self.robot.bags.finished and not self.robot.settings.read_only
+        return READ | {"DELETE"} if is_own else READ
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem(f"The recording {self.recording.name}")
@@ -77,23 +124,122 @@ class BagResource(Resource):
         return (self.robot.space.document_shape("Bag"),)
 
     async def state(self) -> State:
-        recording, space, history = self.recording, self.robot.space, self.robot.history
+        recording, history = self.recording, self.robot.history
         is_history = recording is history.recording
         digest = None if is_history else history.digests.get(recording.path)
-        dropped, problem = (history.dropped(), history.problem) if is_history else ({}, None)
-        version = recording.first, recording.count, problem, sum(dropped.values()), digest
-        describe = partial(bag_document, recording, space, digest, dropped=dropped, problem=problem)
-        return self.robot.states.get_or_make(self.url, version, lambda: State(describe))
+        trouble = (history.problem, sum(history.dropped().values())) if is_history else None
+        version = recording.first, recording.count, recording.start_ns, trouble, digest
+        return self.robot.states.get_or_make(
+            self.url, version, lambda: State(partial(describe_bag, self.robot, recording))
+        )
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:
         history = self.robot.history
         return None if self.recording is history.recording else history.digests.watch(self.recording.path, wake)
+
+    async def delete(self, exchange: Exchange) -> Answer:
+        """Delete the recording and its file."""
+        await self.robot.bags.delete(self.recording.name)
+        return Response(status_code=204)
+
+
+class RunningBag(Resource):
+    """A recording that is being made: how far it is. PATCH ends it, DELETE gives it up."""
+
+    kind = "Recording being made"
+    is_cacheable = False
+    links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
+    accepts: Mapping[str, Sequence[str]] = {"PATCH": (MERGE_PATCH,)}
+
+    def __init__(self, robot: Robot, one: RunningRecording) -> None:
+        super().__init__(robot.space.bag(one.name))
+        self.robot = robot
+        self.one = one
+
+    def methods(self) -> frozenset[str]:
+        return READ if self.robot.settings.read_only else READ | {"PATCH", "DELETE"}
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        ends: DataSchema = {"type": "object", "properties": {"status": {"const": "ended"}}, "required": ["status"]}
+        return PathItem(f"The recording {self.one.name}", writes={"PATCH": WriteMethod("Ends it", sends=ends)})
+
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self.robot.space.document_shape("Bag"),)
+
+    async def state(self) -> State:
+        return State(partial(describe_running, self.robot, self.one))
+
+    async def patch(self, exchange: Exchange) -> Answer:
+        """End it: `{"status": "ended"}`."""
+        try:
+            said: object = orjson.loads(await exchange.body())
+        except orjson.JSONDecodeError as error:
+            raise Problem(400, f"This is no JSON: {error}.") from error
+        if said != {"status": "ended"}:
+            raise Problem(422, 'A recording can be ended, and nothing else: send {"status": "ended"}.')
+        await self.robot.bags.end(self.one.name)
+        recording = self.robot.recordings.get(self.one.name)
+        if recording is None:
+            raise Problem(507, self.one.writer.problem or f"The recording {self.one.name} could not be completed.")
+        resource = BagResource(self.robot, recording)
+        return ShownAnswer(resource, await resource.state())
+
+    async def delete(self, exchange: Exchange) -> Answer:
+        """End it, and delete what there is of it."""
+        await self.robot.bags.delete(self.one.name)
+        return Response(status_code=204)
+
+
+class RunningView:
+    """A recording that is being made, as it is described."""
+
+    format = "MCAP"
+    first = 0
+
+    def __init__(self, one: RunningRecording) -> None:
+        self.name = one.name
+        self.count = one.writer.count
+        self.start_ns = one.writer.start_ns
+        self.end_ns = one.writer.end_ns
+        types = one.writer.types
+        counts = dict(one.writer.counts)
+        self.topics = {topic: RecordedTopic(topic, types[topic], n) for topic, n in counts.items() if topic in types}
+
+
+def can_record(robot: Robot) -> bool:
+    """Whether clients may have anything recorded here."""
+    return not robot.settings.read_only and robot.adapter.capabilities.system != "recording"
+
+
+def bag_urls(robot: Robot) -> tuple[str, ...]:
+    """The URLs of all recordings, those that are being made included."""
+    return tuple(robot.space.bag(name) for name in dict.fromkeys((*robot.recordings, *robot.bags.running)))
+
+
+def describe_bag(robot: Robot, recording: Recording) -> Document:
+    """The document of a recording that can be read."""
+    if recording is robot.history.recording:
+        history = robot.history
+        return bag_document(recording, robot.space, dropped=history.dropped(), problem=history.problem)
+    size: int | None = None
+    with contextlib.suppress(OSError):
+        size = recording.path.stat().st_size if recording.path.is_file() else None
+    return bag_document(recording, robot.space, robot.history.digests.known(recording.path), size=size)
+
+
+def describe_running(robot: Robot, one: RunningRecording) -> Document:
+    """The document of a recording that is being made."""
+    writer, dropped = one.writer, robot.bags.dropped(one)
+    view = RunningView(one)
+    return bag_document(view, robot.space, dropped=dropped, problem=writer.problem, size=writer.size, order=one.order)
 
 
 class BagMessages(Resource):
     """The messages of a recording: a container in pages (`?page=N` from 0; without it, links only)."""
 
     kind = "Messages"
+    is_cacheable = False
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
 
     def __init__(self, robot: Robot, recording: Recording, page: int | None = None) -> None:
@@ -143,6 +289,7 @@ class BagMessage(Resource):
     """One message of a recording."""
 
     kind = "Recorded message"
+    is_cacheable = False
 
     def __init__(self, robot: Robot, recording: Recording, index: int) -> None:
         super().__init__(robot.space.bag_message(recording.name, index))
@@ -204,41 +351,6 @@ class BagMessage(Resource):
         if "field" not in exchange.query:
             return None
         return await field_response(self.robot, (await self.message()).sample, exchange.query["field"])
-
-
-def bag_route(robot: Robot, location: Location) -> Resource:
-    """`/bags/` and below."""
-    match location.segments:
-        case ():
-            return BagContainer(robot) if location.is_container else _slash(robot, location)
-        case (name,):
-            recording = _recording(robot, name)
-            return BagResource(robot, recording) if location.is_container else _slash(robot, location)
-        case (name, "messages"):
-            recording = _recording(robot, name)
-            return BagMessages(robot, recording) if location.is_container else _slash(robot, location)
-        case (name, "messages", index) if not location.is_container:
-            recording = _recording(robot, name)
-            first, beyond = recording.first, recording.first + recording.count
-            is_number = index.isascii() and index.isdigit() and str(int(index)) == index
-            if is_number and first <= int(index) < beyond:
-                return BagMessage(robot, recording, int(index))
-            if is_number and int(index) < first:
-                raise Problem(410, f"Message {index} of {name} was removed: the oldest is {first}.")
-            raise Problem(404, f"{name} has the messages {first} to {beyond - 1}, not {index}.")
-    raise Problem(404, "Under /bags/B/ there is messages/ and nothing else.")
-
-
-def _slash(robot: Robot, location: Location) -> Resource:
-    url = robot.space.container("bags", location.segments)
-    raise permanent_redirect(url)
-
-
-def _recording(robot: Robot, name: str) -> Recording:
-    found = robot.recordings.get(name)
-    if found is None:
-        raise Problem(404, f"There is no recording {name}.")
-    return found
 
 
 def _pages(recording: Recording) -> tuple[int, int]:

@@ -11,6 +11,7 @@ from rosld.adapters.base import Adapter, Recording
 from rosld.adapters.model import MessageSchema, TypeRef
 from rosld.server.history.history import NAME as HISTORY
 from rosld.server.history.history import History
+from rosld.server.history.recordings import Recordings
 from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.latest_values import LatestValues
 from rosld.server.hypermedia.mappings import Mappings
@@ -69,7 +70,7 @@ class Robot(Session):
             self, self.mappings, self.property_reader, self.states, lambda: self.limits
         )
         self.holds = Holds(self)
-        self.history = History(adapter, settings, self.schemas.get, self._definition_of)
+        self.bags = Recordings(adapter, settings, self.schemas.get, self._definition_of)
         self.software_stop = SoftwareStop(self, self.holds, lambda: self.mappings.mapping_set.stop_commands())
 
     @cached_property
@@ -89,15 +90,21 @@ class Robot(Session):
             self.software_stop.revision,
             self.history.digests.revision,
             self.queries.version,
+            self.bags.revision,
             IdentityKey(self.active_limits.current),
             IdentityKey(self.mappings.mapping_set),
         )
 
     @property
+    def history(self) -> History:
+        """What is recorded all the time."""
+        return self.bags.history
+
+    @property
     def recordings(self) -> Mapping[str, Recording]:
-        """The recordings by name: those of the source, and the history."""
+        """The recordings that can be read, by name: the history, those of clients, those of the source."""
         own = {HISTORY: self.history.recording} if self.history.is_kept else {}
-        return {**own, **self.adapter.recordings}
+        return {**own, **self.bags.finished, **self.adapter.recordings}
 
     @property
     def storage_problems(self) -> tuple[str, ...]:
@@ -115,8 +122,8 @@ class Robot(Session):
         await self.open()
         self.records.watch(self._kept)
         self.receipts.start()
-        await self.history.start()
-        self.changes.watch(self.history.refresh)
+        await self.bags.start()
+        self.changes.watch(self.bags.refresh)
         self.active_limits.load_stored(self.records)
         await load_stored_mappings(self.mappings, self.records, self.settings, self.space)
         gc.collect()
@@ -131,7 +138,7 @@ class Robot(Session):
         await self.software_stop.wait_ended()
         await self.receipts.close()
         await self.property_reader.stop()
-        await self.history.stop()
+        await self.bags.stop()
         await self.close()
         await self.records.close()
 

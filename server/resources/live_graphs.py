@@ -28,7 +28,6 @@ from rosld.adapters.model import (
     halves_of,
     names,
 )
-from rosld.ontology.describe_bags import bag_document
 from rosld.ontology.describe_containers import container_document, type_container_document
 from rosld.ontology.describe_graph import entry_document, node_document, node_views
 from rosld.ontology.describe_services import service_document
@@ -48,7 +47,7 @@ from rosld.server.hypermedia.resource_tree import path_of
 from rosld.server.policies import active_limits, stored_queries
 from rosld.server.resources import types
 from rosld.server.resources.actions import ActionResource, GoalResource
-from rosld.server.resources.bags import BagMessage
+from rosld.server.resources.bags import BagMessage, bag_urls, describe_bag, describe_running
 from rosld.server.resources.complex_resource import ComplexResource
 from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.holds import HoldResource
@@ -385,7 +384,7 @@ class RobotGraphs:
                 is_name = names.join(path) in things_of(graph, room)
                 describe = partial(listing_document, self._robot, room, path, members)
                 yield _described(space.container(room, path), (members, is_name, members == whole), describe)
-        recordings = tuple(map(space.bag, self._robot.recordings))
+        recordings = bag_urls(self._robot)
         bags = partial(container_document, space.container("bags"), recordings, "Recordings")
         yield _described(space.container("bags"), recordings, bags)
         yield _described(space.container("queries"), self._robot.queries.version, queries_document(self._robot))
@@ -422,9 +421,13 @@ class RobotGraphs:
 
     def _records(self) -> Iterator[GraphEntry]:
         space = self._robot.space
-        for recording in self._robot.adapter.recordings.values():
+        for recording in self._robot.recordings.values():
             digest = self._robot.history.digests.known(recording.path)
-            yield _described(space.bag(recording.name), digest, partial(bag_document, recording, space, digest))
+            size = recording.first, recording.count, self._robot.history.problem, digest
+            yield _described(space.bag(recording.name), size, partial(describe_bag, self._robot, recording))
+        for one in self._robot.bags.running.values():
+            progress = one.writer.count, one.writer.problem
+            yield _described(space.bag(one.name), progress, partial(describe_running, self._robot, one))
         calls = tuple(space.call(call.id) for call in self._robot.calls.all())
         listed = partial(container_document, space.container("calls"), calls, "Calls")
         yield _described(space.container("calls"), calls, listed)

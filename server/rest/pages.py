@@ -79,7 +79,7 @@ class PageRenderer:
             session.adapter.capabilities.system,
             stale,
             session.settings.read_only,
-            (*SECTIONS, "bags") if session.adapter.recordings or session.settings.history else SECTIONS,
+            (*SECTIONS, "bags"),
             session.space.types,
             stop_token=self._stop_token(permissions),
             stopped="" if stop_state is None or not permissions.may_read(session.space.stop) else stop_state.words,

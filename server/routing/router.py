@@ -16,7 +16,7 @@ from rosld.server.openapi.openapi_resource import OpenApiResource
 from rosld.server.resources import listings
 from rosld.server.resources.actions import ActionResource, GoalResource
 from rosld.server.resources.activities import ActivityContainer, ActivityResource
-from rosld.server.resources.bags import bag_route
+from rosld.server.resources.bag_routes import bag_route
 from rosld.server.resources.complex_resource import ComplexResource
 from rosld.server.resources.context import Robot
 from rosld.server.resources.entry_point import EntryResource

@@ -1,0 +1,103 @@
+"""`rosld record`: live topics of a source into one MCAP file, until it is ended."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import sys
+from collections.abc import Sequence
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+import click
+
+from rosld.adapters.base import Adapter, AdapterOptions
+from rosld.adapters.model import GoalEvent, GoalId, Graph, MessageSchema, TypeRef
+from rosld.adapters.registry import adapter_for
+from rosld.server.cli.failure import Failure, user_errors
+from rosld.server.history.history_writer import require_room
+from rosld.server.history.live_recorder import LiveRecorder
+from rosld.server.history.recording_writer import RecordingWriter
+from rosld.server.robot.schemas import Schemas
+from rosld.server.serving.end_signals import end_signals
+
+_OPEN_SECONDS = 5.0
+_PROGRESS_SECONDS = 1.0
+
+
+def record(source: str, output: Path, topics: Sequence[str], duration: float | None, options: AdapterOptions) -> None:
+    """Record until a signal comes, or for `duration` seconds, and say on stderr how far it is. Raises Failure."""
+    if output.exists():
+        raise Failure(f"{output} is there already: name another file")
+    with user_errors():
+        adapter = adapter_for(source, options)
+        if adapter.capabilities.system == "recording":
+            raise ValueError(f"{source} is a recording already")
+        writer = asyncio.run(_Recording(adapter, output, topics or ("*",)).run(duration))
+    if writer.problem is not None:
+        raise Failure(writer.problem)
+    click.echo(f"{output}: {writer.count} messages of {len(writer.counts)} topics", err=True)
+
+
+class _Recording:
+    """One recording of an adapter that is opened for it; the sink of that adapter."""
+
+    def __init__(self, adapter: Adapter, output: Path, topics: Sequence[str]) -> None:
+        self._adapter = adapter
+        self._output = output
+        self._topics = topics
+        self._schemas = Schemas(adapter)
+        self._live = LiveRecorder(adapter, self._schemas.get)
+        self._loop: asyncio.AbstractEventLoop | None = None
+
+    async def run(self, duration: float | None) -> RecordingWriter:
+        """Record, and close everything."""
+        loop = self._loop = asyncio.get_running_loop()
+        ended = asyncio.Event()
+        for number in end_signals():
+            loop.add_signal_handler(number, ended.set)
+        await self._adapter.open(self, deadline=loop.time() + _OPEN_SECONDS)
+        try:
+            writer = RecordingWriter(
+                self._output, self._adapter.capabilities.encoding, self._definition_of, require_room
+            )
+            self._live.add(writer, lambda topic: any(fnmatchcase(topic, glob) for glob in self._topics))
+            progress = loop.create_task(self._tell(writer, ended))
+            with contextlib.suppress(asyncio.TimeoutError, TimeoutError):
+                await asyncio.wait_for(ended.wait(), duration)
+            progress.cancel()
+            await self._live.remove(writer)
+            await self._live.stop()
+        finally:
+            await self._adapter.close()
+        for topic, count in sorted(self._live.dropped().items()):
+            click.echo(f"rosld: {count} messages of {topic} came too fast and are not in it", err=True)
+        return writer
+
+    def graph_changed(self, graph: Graph) -> None:
+        """There may be other topics."""
+        if self._loop is not None and not self._loop.is_closed():
+            with contextlib.suppress(RuntimeError):
+                self._loop.call_soon_threadsafe(self._live.refresh)
+
+    def goal_changed(self, goal: GoalId, event: GoalEvent) -> None:
+        """Not of interest."""
+
+    def parameter_changed(self, name: str) -> None:
+        """Not of interest."""
+
+    def _definition_of(self, ref: TypeRef) -> str:
+        found = self._schemas.find_cached(ref) or self._schemas.find_cached_by_name(ref.name)
+        return found.definition if isinstance(found, MessageSchema) else ""
+
+    async def _tell(self, writer: RecordingWriter, ended: asyncio.Event) -> None:
+        """Say how far it is: over and over in one line of a terminal; nowhere else. End with the recording."""
+        is_terminal = os.isatty(sys.stderr.fileno())
+        while True:
+            await asyncio.sleep(_PROGRESS_SECONDS)
+            if writer.problem is not None:
+                ended.set()
+            if is_terminal:
+                told = f"{writer.count} messages of {len(writer.counts)} topics, {writer.size / 1e6:.1f} MB"
+                click.echo(f"\r{told}\x1b[K", err=True, nl=False)

@@ -1,0 +1,73 @@
+"""Recording live topics: who takes which topic, the subscriptions that this needs, and the thread that writes."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import Counter
+from collections.abc import Awaitable, Callable
+
+from rosld.adapters.base import Adapter
+from rosld.adapters.model import TypeRef
+from rosld.server.history.recorder import Recorder, Sink
+from rosld.server.history.topic_feed import LiveFeed
+
+
+class LiveRecorder:
+    """What is recorded of one robot now. It costs nothing until the first sink is added. Belongs to the loop."""
+
+    def __init__(self, adapter: Adapter, learn: Callable[[TypeRef], Awaitable[object]]) -> None:
+        self._recorder = Recorder()
+        self._feed = LiveFeed(adapter, self._recorder, self._sinks_of, learn)
+        self._wanted: dict[Sink, Callable[[str], bool]] = {}
+        self._running = False
+
+    def add(self, sink: Sink, wants: Callable[[str], bool], begin: Callable[[], None] | None = None) -> None:
+        """Record the topics that `wants` says so of, from now on; `begin` is called on the thread before all else."""
+        self._wanted[sink] = wants
+        self._feed.assign()
+        if begin is not None:
+            self._recorder.run(begin)
+        self._recorder.run(lambda: self._recorder.add_sink(sink))
+        if not self._running:
+            self._running = True
+            self._recorder.start()
+            self._feed.start()
+
+    async def remove(self, sink: Sink) -> None:
+        """Record no more for a sink; it is closed when this returns."""
+        if self._wanted.pop(sink, None) is None:
+            return
+        self._feed.take()
+        self._feed.assign()
+        loop, done = asyncio.get_running_loop(), asyncio.Event()
+
+        def close() -> None:
+            self._recorder.remove_sink(sink)
+            try:
+                sink.close()
+            finally:
+                loop.call_soon_threadsafe(done.set)
+
+        self._recorder.run(close)
+        await done.wait()
+
+    def dropped(self) -> Counter[str]:
+        """Messages that came and could not be taken to any sink, by topic."""
+        found: Counter[str] = Counter()
+        for each in (self._recorder.dropped, self._feed.lost):
+            found.update(dict(each))
+        return found
+
+    def refresh(self) -> None:
+        """The graph has changed: there may be other topics to be recorded."""
+        self._feed.refresh()
+
+    async def stop(self) -> None:
+        """Record what came, and close all sinks. Idempotent."""
+        if self._running:
+            self._running = False
+            await self._feed.stop()
+            await asyncio.to_thread(self._recorder.stop)
+
+    def _sinks_of(self, topic: str) -> tuple[Sink, ...]:
+        return tuple(sink for sink, wants in self._wanted.items() if wants(topic))

@@ -1,0 +1,116 @@
+"""Writes one recording as one MCAP file, which has its name once it is complete."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+from rosld.adapters.model import Encoding, Sample, TypeRef
+from rosld.server.history.channel import channel_of
+from rosld.server.history.mcap_writer import McapWriter
+from rosld.server.history.segment_file import DiskFile
+from rosld.server.history.segment_scan import recover
+from rosld.server.history.topic_chunk import TopicChunk
+
+log = logging.getLogger("rosld.history")
+ACTIVE = ".active"
+"""What the name of a file ends in while it is written, as that of rosbag's."""
+
+
+class RecordingWriter:
+    """A sink for one file. The recorder's thread writes, any thread reads `count`, `size` and `problem`.
+
+    A disk that is full ends it, with what is there.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        encoding: Encoding,
+        definition_of: Callable[[TypeRef], str],
+        require_room: Callable[[Path], None],
+    ) -> None:
+        """Begin the file. Raises OSError."""
+        self.path = path
+        self.count = 0
+        self.counts: Counter[str] = Counter()
+        self.types: dict[str, TypeRef] = {}
+        self.start_ns = 0
+        self.end_ns = 0
+        self.problem: str | None = None
+        self._require_room = require_room
+        self._active = path.with_name(path.name + ACTIVE)
+        require_room(path.parent)
+        self._writer: McapWriter | None = McapWriter(DiskFile(self._active), encoding, definition_of, 0)
+        self._open: dict[str, TopicChunk] = {}
+
+    @property
+    def size(self) -> int:
+        """Bytes that are written."""
+        writer = self._writer
+        return 0 if writer is None else writer.file.size
+
+    def add(self, topic: str, sample: Sample) -> None:
+        """Take a message; one too many for the disk ends the recording."""
+        if self._writer is None or self.problem is not None:
+            return
+        if not self._writer.has_room():
+            self._end("it has more channels than MCAP can number")
+            return
+        chunk = self._open.get(topic)
+        if chunk is None:
+            chunk = self._open[topic] = TopicChunk(topic, time.monotonic())
+        channel = self._writer.channel(channel_of(topic, sample))
+        chunk.add(channel, self.count, sample.received_ns, sample.data)
+        self.count += 1
+        self.counts[topic] += 1
+        self.types[topic] = sample.schema
+        self.start_ns = min(self.start_ns or sample.received_ns, sample.received_ns)
+        self.end_ns = max(self.end_ns, sample.received_ns)
+        if chunk.is_due(chunk.opened):
+            self._write([chunk])
+
+    def write_due(self, now: float) -> None:
+        """Write the chunks that are due."""
+        self._write([chunk for chunk in self._open.values() if chunk.is_due(now)])
+
+    def close(self) -> None:
+        """Write what there is, complete the file, and give it its name. Idempotent."""
+        if self._writer is None:
+            return
+        self._write(list(self._open.values()))
+        writer, self._writer = self._writer, None
+        try:
+            writer.finish()
+            self._active.replace(self.path)
+        except OSError as error:  # without its summary it can still be read, and is completed at the next start
+            self._end(error.strerror or str(error))
+
+    def _write(self, chunks: list[TopicChunk]) -> None:
+        if not chunks or self._writer is None or self.problem is not None:
+            return
+        try:
+            self._require_room(self.path.parent)
+            for chunk in chunks:
+                del self._open[chunk.topic]
+                self._writer.write(chunk)
+        except OSError as error:
+            self._end(error.strerror or str(error))
+
+    def _end(self, why: str) -> None:
+        self.problem = f"The recording {self.path.stem} ended early: {why}."
+        self._open.clear()
+        log.error("%s", self.problem)
+
+
+def complete_active(folder: Path) -> None:
+    """Complete the recordings in a folder that were being written when rosld was ended by force."""
+    for path in folder.glob(f"*{ACTIVE}"):
+        try:
+            recover(DiskFile(path))
+            path.replace(path.with_name(path.name.removesuffix(ACTIVE)))
+        except (OSError, ValueError, KeyError) as error:
+            log.warning("the recording %s cannot be completed: %s", path.name, error)

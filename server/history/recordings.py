@@ -1,0 +1,293 @@
+"""Recordings that clients make or send: files in a folder, each opened as the adapter for recordings does it."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import re
+import tempfile
+import time
+from collections import Counter
+from collections.abc import AsyncIterator, Awaitable, Callable, Hashable, Mapping
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+from rosld.adapters.base import Adapter, AdapterOptions, Recording
+from rosld.adapters.model import GoalEvent, GoalId, Graph, RosError, TypeRef
+from rosld.adapters.registry import adapter_for
+from rosld.server.history.history import NAME as HISTORY
+from rosld.server.history.history import History
+from rosld.server.history.history_writer import require_room
+from rosld.server.history.live_recorder import LiveRecorder
+from rosld.server.history.recording_writer import RecordingWriter, complete_active
+from rosld.server.settings import Settings
+
+log = logging.getLogger("rosld.history")
+FOLDER = "bags"
+SUFFIX = ".mcap"
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+_SUFFIXES = {b"#ROSBAG ": ".bag", b"\x89MCAP0\r\n": SUFFIX, b"SQLite f": ".db3"}
+_OPEN_SECONDS = 60.0
+_REVISION_SECONDS = 5.0
+"""How old what a query is told of a recording that is being made may be."""
+_MAX_RUNNING = 16
+"""Recordings that are made at a time."""
+
+
+class RecordingRefused(Exception):
+    """What cannot be recorded or taken; `taken` where its name is another's, else it makes no sense as it is."""
+
+    def __init__(self, words: str, *, taken: bool = False) -> None:
+        super().__init__(words)
+        self.taken = taken
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingOrder:
+    """What is to be recorded: topics by name or glob, from `before` seconds ago, for `duration` (None: until ended)."""
+
+    topics: tuple[str, ...]
+    name: str | None = None
+    before: float = 0.0
+    duration: float | None = None
+
+
+class RunningRecording:
+    """A recording being made. `dropped_before` are the messages that had been dropped when it began, by topic."""
+
+    def __init__(
+        self, name: str, order: RecordingOrder, writer: RecordingWriter, dropped_before: Mapping[str, int]
+    ) -> None:
+        self.name = name
+        self.order = order
+        self.writer = writer
+        self.dropped_before = dropped_before
+        self.timer: asyncio.TimerHandle | None = None
+        self.ending: asyncio.Task[None] | None = None
+
+
+class Recordings:
+    """The recordings of a server beside those of its source, by name.
+
+    Without a folder of data they are in a temporary one, which goes with the server.
+    """
+
+    def __init__(
+        self,
+        adapter: Adapter,
+        settings: Settings,
+        learn: Callable[[TypeRef], Awaitable[object]],
+        definition_of: Callable[[TypeRef], str],
+    ) -> None:
+        """`learn` makes a type known, `definition_of` gives its text as far as it is.
+
+        Raises ValueError where a history is wanted of what has none.
+        """
+        self._changes = 0
+        self._adapter = adapter
+        self._live = LiveRecorder(adapter, learn)
+        self.history = History(adapter, self._live, settings, definition_of)
+        self._definition_of = definition_of
+        self._folder = None if settings.data is None else settings.data / FOLDER
+        self._temporary: tempfile.TemporaryDirectory[str] | None = None
+        self._running: dict[str, RunningRecording] = {}
+        self._opened: dict[str, tuple[Adapter, Recording]] = {}
+
+    @property
+    def revision(self) -> Hashable:
+        """Another one whenever another recording is there, or gone, and now and then while something is recorded."""
+        is_recording = self.history.is_kept or bool(self._running)
+        return self._changes, int(time.monotonic() / _REVISION_SECONDS) if is_recording else 0
+
+    @property
+    def finished(self) -> Mapping[str, Recording]:
+        """Those that can be read, by name."""
+        return {name: recording for name, (_, recording) in self._opened.items()}
+
+    @property
+    def running(self) -> Mapping[str, RunningRecording]:
+        """Those that are being made, by name."""
+        return self._running
+
+    async def start(self) -> None:
+        """Begin the history, and open what is there. What cannot be read is left out, with a warning."""
+        await self.history.start()
+        if self._folder is None or not self._folder.is_dir():
+            return
+        await asyncio.to_thread(complete_active, self._folder)
+        for path in sorted(self._folder.iterdir()):
+            if path.suffix in _SUFFIXES.values():
+                try:
+                    await self._open(path.stem, path)
+                except RecordingRefused as error:
+                    log.warning("%s", error)
+
+    def begin(self, order: RecordingOrder, may_record: Callable[[str], bool]) -> RunningRecording:
+        """Begin a recording of the topics that may be recorded. Raises RecordingRefused, and OSError for the disk."""
+        if len(self._running) >= _MAX_RUNNING:
+            raise RecordingRefused(f"{_MAX_RUNNING} recordings are being made already: end one first", taken=True)
+        name = self._free_name(order.name)
+        encoding = self._adapter.capabilities.encoding
+        writer = RecordingWriter(self._path(name, SUFFIX), encoding, self._definition_of, require_room)
+        self._running[name] = one = RunningRecording(name, order, writer, self._live.dropped())
+
+        def wants(topic: str) -> bool:
+            return any(fnmatchcase(topic, glob) for glob in order.topics) and may_record(topic)
+
+        since = time.time_ns() - int(order.before * 1e9)
+        copy = (lambda: self.history.copy_to(writer, wants, since)) if order.before > 0 else None
+        self._live.add(writer, wants, copy)
+        if order.duration is not None:
+            one.timer = asyncio.get_running_loop().call_later(order.duration, self._end_soon, one)
+        self._changes += 1
+        return one
+
+    def can_be_named(self, name: str) -> bool:
+        """Whether a recording may be called this: it is a name, and nobody's."""
+        return _NAME.fullmatch(name) is not None and not self._is_taken(name)
+
+    async def end(self, name: str) -> None:
+        """End a recording, which can then be read. Nothing happens where there is none of this name."""
+        one = self._running.get(name)
+        if one is not None:
+            await asyncio.shield(self._end_soon(one))
+
+    async def receive(self, name: str, chunks: AsyncIterator[bytes]) -> None:
+        """Take a file: a ROS 1 bag, MCAP, or a ROS 2 database. Raises RecordingRefused, OSError."""
+        self._require_free(name)
+        draft = self._path(f".{name}", ".part")
+        try:
+            with draft.open("wb") as file:
+                async for chunk in chunks:
+                    await asyncio.to_thread(_write, file.write, draft.parent, chunk)
+            path = self._path(name, await asyncio.to_thread(_suffix, draft))
+            self._require_free(name)
+            draft.replace(path)
+        finally:
+            draft.unlink(missing_ok=True)
+        try:
+            await self._open(name, path)
+        except RecordingRefused:
+            path.unlink()
+            raise
+
+    async def delete(self, name: str) -> bool:
+        """End and delete a recording; whether there was one."""
+        await self.end(name)
+        found = self._opened.pop(name, None)
+        if found is None:
+            return False
+        self._changes += 1
+        await found[0].close()
+        self.history.digests.forget(found[1].path)
+        await asyncio.to_thread(found[1].path.unlink, True)
+        return True
+
+    def refresh(self) -> None:
+        """The graph has changed: there may be other topics to be recorded."""
+        self._live.refresh()
+
+    def dropped(self, one: RunningRecording) -> Mapping[str, int]:
+        """Messages that came since a recording began and could not be taken to it, by topic."""
+        return self._live.dropped() - Counter(one.dropped_before)
+
+    async def stop(self) -> None:
+        """End all that are being made, and let go of the files."""
+        for name in list(self._running):
+            await self.end(name)
+        await self._live.stop()
+        self.history.close()
+        for adapter, _ in self._opened.values():
+            await adapter.close()
+        if self._temporary is not None:
+            self._temporary.cleanup()
+
+    def _end_soon(self, one: RunningRecording) -> asyncio.Task[None]:
+        """End a recording, once; the task that does."""
+        if one.timer is not None:
+            one.timer.cancel()
+        if one.ending is None:
+            one.ending = asyncio.get_running_loop().create_task(self._end(one))
+        return one.ending
+
+    async def _end(self, one: RunningRecording) -> None:
+        await self._live.remove(one.writer)
+        if one.writer.path.exists():
+            try:
+                await self._open(one.name, one.writer.path)
+            except RecordingRefused as error:
+                log.warning("%s", error)
+        del self._running[one.name]
+        self._changes += 1
+
+    async def _open(self, name: str, path: Path) -> None:
+        adapter = adapter_for(f"recording:{path}", AdapterOptions())
+        deadline = asyncio.get_running_loop().time() + _OPEN_SECONDS
+        try:
+            await adapter.open(_NobodyListens(), deadline=deadline)
+        except RosError as error:
+            with contextlib.suppress(RosError):
+                await adapter.close()
+            raise RecordingRefused(f"{name} is no recording that can be read: {error.sentence}") from error
+        (recording,) = adapter.recordings.values()
+        self._opened[name] = adapter, recording
+        self._changes += 1
+
+    def _free_name(self, wanted: str | None) -> str:
+        if wanted is not None:
+            self._require_free(wanted)
+            return wanted
+        name = base = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
+        number = 1
+        while self._is_taken(name):
+            number += 1
+            name = f"{base}-{number}"
+        return name
+
+    def _require_free(self, name: str) -> None:
+        if _NAME.fullmatch(name) is None:
+            raise RecordingRefused(
+                f"{name[:100]!r} is no name of a recording: letters, digits, dots, dashes and underscores, 100 at most"
+            )
+        if self._is_taken(name):
+            raise RecordingRefused(f"there is a recording {name} already: DELETE it, or take another name", taken=True)
+
+    def _is_taken(self, name: str) -> bool:
+        return name == HISTORY or name in self._running or name in self._opened or name in self._adapter.recordings
+
+    def _path(self, name: str, suffix: str) -> Path:
+        if self._folder is None:
+            self._temporary = tempfile.TemporaryDirectory(prefix="rosld-bags-", ignore_cleanup_errors=True)
+            self._folder = Path(self._temporary.name)
+        self._folder.mkdir(parents=True, exist_ok=True)
+        return self._folder / f"{name}{suffix}"
+
+
+class _NobodyListens:
+    """The sink of an adapter that plays to nobody."""
+
+    def graph_changed(self, graph: Graph) -> None:
+        """Not of interest."""
+
+    def goal_changed(self, goal: GoalId, event: GoalEvent) -> None:
+        """Not of interest."""
+
+    def parameter_changed(self, name: str) -> None:
+        """Not of interest."""
+
+
+def _write(write: Callable[[bytes], object], folder: Path, data: bytes) -> None:
+    require_room(folder)
+    write(data)
+
+
+def _suffix(path: Path) -> str:
+    """What a file is, by its first bytes. Raises RecordingRefused."""
+    with path.open("rb") as file:
+        head = file.read(8)
+    for magic, suffix in _SUFFIXES.items():
+        if head == magic:
+            return suffix
+    raise RecordingRefused("this is neither a ROS 1 bag nor an MCAP file nor a ROS 2 database")

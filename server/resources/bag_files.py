@@ -1,0 +1,118 @@
+"""The file of a recording, and a recording that is sent as a file."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from pathlib import Path
+
+from starlette.responses import Response
+
+from rosld.adapters.base import Recording
+from rosld.server.history.recordings import RecordingRefused
+from rosld.server.http.conditional import ETag, check_preconditions, digest
+from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.resources.bags import BagResource
+from rosld.server.resources.context import Robot
+from rosld.server.resources.ldp.bodies import single_chunk
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.file_response import UNKNOWN, file_response
+from rosld.server.rest.path_item import ANY_TYPE, BYTES, PathItem, WriteMethod
+from rosld.server.rest.resource import ABSENT, READ, RESOURCE, Answer, CreatedAnswer, Resource, permanent_redirect
+from rosld.server.rest.resource_headers import resource_headers
+from rosld.server.rest.state import State
+
+
+class BagFile(Resource):
+    """The bytes of a recording, whole or in ranges."""
+
+    kind = "File of a recording"
+    is_cacheable = False
+    links = (RESOURCE,)
+
+    def __init__(self, robot: Robot, recording: Recording) -> None:
+        super().__init__(f"{robot.space.bag(recording.name)}file")
+        self.recording = recording
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        return PathItem(f"The file of {self.recording.name}", reads=(BYTES,), query=(), streams=False)
+
+    async def state(self) -> State:
+        raise Problem(406, "The file of a recording has no other representation than its bytes.")
+
+    async def custom_get(self, exchange: Exchange) -> Response | None:
+        path, found = self.recording.path, await asyncio.to_thread(_file_status, self.recording.path)
+        if found is None:
+            raise Problem(404, f"{self.recording.name} is not one file: POST to /bags/ makes one of what it holds.")
+        etag = ETag(digest(f"{found.st_size} {found.st_mtime_ns}".encode()), "bin")
+        headers = {**resource_headers(self), "vary": "Accept", "cache-control": "no-cache"}
+        if_match, if_none_match = exchange.header("if-match"), exchange.header("if-none-match")
+        if check_preconditions(exchange.method, etag, if_match=if_match, if_none_match=if_none_match):
+            return Response(status_code=304, headers={**headers, "etag": str(etag)})
+        try:
+            return await file_response(
+                path,
+                found.st_size,
+                UNKNOWN,
+                str(etag),
+                headers=headers,
+                name=path.name,
+                range_=exchange.header("range"),
+                if_range=exchange.header("if-range"),
+                head=exchange.method == "HEAD",
+            )
+        except FileNotFoundError as error:
+            raise Problem(410, f"{self.recording.name} has just been deleted.") from error
+
+
+class BagUpload(Resource):
+    """`/bags/NAME` without a slash at its end: where a recording is sent to; what there is of it has the slash."""
+
+    kind = "Recording to be sent"
+    is_cacheable = False
+    takes_forms = False
+
+    def __init__(self, robot: Robot, name: str) -> None:
+        super().__init__(robot.space.url("bags", (name,)))
+        self.robot = robot
+        self.name = name
+
+    def methods(self) -> frozenset[str]:
+        is_there = self.name in self.robot.recordings or self.name in self.robot.bags.running
+        sent = frozenset[str]() if self.robot.settings.read_only else frozenset({"PUT"})
+        return (READ if is_there else ABSENT) | sent
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        put = WriteMethod(
+            "Sends a recording: a ROS 1 bag, an MCAP file or a ROS 2 database.", done=(201,), accepts=(ANY_TYPE,)
+        )
+        return PathItem("Where a recording is sent to", writes={"PUT": put}, also=(308, 507))
+
+    def streams_body(self, exchange: Exchange) -> bool:
+        return exchange.method == "PUT"
+
+    async def state(self) -> State:
+        if self.name in self.robot.recordings or self.name in self.robot.bags.running:
+            raise permanent_redirect(self.robot.space.bag(self.name))
+        raise Problem(404, f"There is no recording {self.name}.")
+
+    async def put(self, exchange: Exchange) -> Answer:
+        limit, whole = self.robot.settings.upload_limit, exchange.consumed_body
+        chunks = exchange.chunks(limit=limit) if whole is None else single_chunk(whole)
+        try:
+            await self.robot.bags.receive(self.name, chunks)
+        except RecordingRefused as error:
+            raise Problem(409 if error.taken else 422, f"{error}.") from error
+        except OSError as error:
+            raise Problem(507, f"The recording cannot be stored: {error.strerror or error}.") from error
+        resource = BagResource(self.robot, self.robot.recordings[self.name])
+        return CreatedAnswer(resource.url, resource, await resource.state())
+
+
+def _file_status(path: Path) -> os.stat_result | None:
+    """What the system tells of a file; None where there is none at the path."""
+    try:
+        return path.stat() if path.is_file() else None
+    except OSError:
+        return None

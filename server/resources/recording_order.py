@@ -1,0 +1,109 @@
+"""What a recording is to be made of, as clients send it: JSON, or RDF in the terms of the ontology."""
+
+from __future__ import annotations
+
+import math
+from typing import cast
+
+import orjson
+from pyoxigraph import Literal, NamedNode
+
+from rosld.ontology.body import MEDIA_TYPES as RDF_TYPES
+from rosld.ontology.body import RdfBody, Subject, parse_body
+from rosld.ontology.vocab import ros
+from rosld.server.history.recordings import RecordingOrder
+from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.data_schema import DataSchema
+from rosld.server.hypermedia.json_schema import TEXT
+from rosld.server.rest.formats import JSON
+
+MEDIA_TYPES = (JSON, *RDF_TYPES)
+MAX_TOPICS = 1000
+_MAX_NAME = 1000
+_MAX_SECONDS = 30 * 86400.0
+_SECONDS: DataSchema = {"type": "number", "minimum": 0}
+SCHEMA: DataSchema = {
+    "type": "object",
+    "properties": {
+        "name": TEXT,
+        "topics": {"type": "array", "items": TEXT, "minItems": 1},
+        "before": _SECONDS,
+        "duration": _SECONDS,
+    },
+    "required": ["topics"],
+}
+
+
+def read_order(data: bytes, media_type: str, url: str) -> RecordingOrder:
+    """The order in a body that was sent to `url`. Raises BodyError, and a 422 Problem that names what is wrong."""
+    said = _of_json(data) if media_type == JSON else _of_rdf(parse_body(data, media_type, url))
+    unknown = said.keys() - {"name", "topics", "before", "duration"}
+    if unknown:
+        raise Problem(422, f"{', '.join(sorted(unknown))[:200]} is unknown here: name, topics, before, duration.")
+    name = said.get("name")
+    if name is not None and not isinstance(name, str):
+        raise Problem(422, f"name is {str(name)[:100]!r}, not a string.")
+    before = _seconds(said, "before")
+    return RecordingOrder(_topics(said.get("topics")), name, before or 0.0, _seconds(said, "duration"))
+
+
+def _of_json(data: bytes) -> dict[str, object]:
+    try:
+        said: object = orjson.loads(data)
+    except orjson.JSONDecodeError as error:
+        raise Problem(400, f"This is no JSON: {error}.") from error
+    if not isinstance(said, dict):
+        raise Problem(422, 'A recording is ordered by an object such as {"topics": ["/odom"], "duration": 10}.')
+    return cast("dict[str, object]", said)
+
+
+def _of_rdf(body: RdfBody) -> dict[str, object]:
+    found = [subject for subject, said in body.subjects.items() if ros.recordsTopic in said]
+    if len(found) != 1:
+        raise Problem(422, f"One node has ros:recordsTopic, which names topics; here are {len(found)}.")
+    (subject,) = found
+    topics = [one.value for one in body.objects(subject, ros.recordsTopic) if isinstance(one, Literal)]
+    terms = {"name": ros.name, "before": ros.secondsBefore, "duration": ros.secondsLong}
+    said = {key: _literal(body, subject, term) for key, term in terms.items()}
+    numbers = {key: _number(key, said[key]) for key in ("before", "duration")}
+    given = {"name": said["name"], **numbers}
+    return {"topics": topics, **{key: value for key, value in given.items() if value is not None}}
+
+
+def _literal(body: RdfBody, subject: Subject, term: NamedNode) -> str | None:
+    found = body.objects(subject, term)
+    if len(found) > 1 or not all(isinstance(one, Literal) for one in found):
+        raise Problem(422, f"{term.value} is one literal.")
+    return cast("Literal", found[0]).value if found else None
+
+
+def _number(key: str, value: str | None) -> float | None:
+    if value is None:
+        return None
+    try:
+        return float(value)
+    except ValueError as error:
+        raise Problem(422, f"{key} is {value[:100]!r}, not a number of seconds.") from error
+
+
+def _topics(value: object) -> tuple[str, ...]:
+    if not isinstance(value, list) or not value or not all(isinstance(one, str) for one in value):
+        raise Problem(422, 'topics are a list of names or globs, such as ["/odom", "/camera/*"].')
+    topics = tuple(dict.fromkeys(cast("list[str]", value)))
+    if len(topics) > MAX_TOPICS:
+        raise Problem(422, f"{len(topics)} topics are named: {MAX_TOPICS} are the most, and a glob names many.")
+    for one in topics:
+        if not one.startswith(("/", "*")) or len(one) > _MAX_NAME:
+            raise Problem(422, f"{one[:100]!r} is no name of a topic and no glob: it begins with a slash or a star.")
+    return topics
+
+
+def _seconds(said: dict[str, object], key: str) -> float | None:
+    value = said.get(key)
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise Problem(422, f"{key} is {str(value)[:100]!r}, not a number of seconds.")
+    if not 0 <= value <= _MAX_SECONDS:
+        raise Problem(422, f"{key} is {value:g} s: from 0 to {_MAX_SECONDS:g}.")
+    return float(value)

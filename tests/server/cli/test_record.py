@@ -1,0 +1,48 @@
+"""`rosld record`: a source recorded into a file that others read."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.server.history.mcap_files import decode, read
+from tests.waiting import until
+
+RECORD = [sys.executable, "-m", "rosld", "record"]
+
+
+def test_a_source_is_recorded_for_a_while(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    options = ["--duration", "1.5", "--topic", "/odom", "--topic", "/camera/*"]
+    done = subprocess.run([*RECORD, "rover", "-o", str(path), *options], capture_output=True, text=True, check=True)
+    found = read(path)
+    topics = {one.topic for one in found}
+    assert "/odom" in topics
+    assert all(topic == "/odom" or topic.startswith("/camera/") for topic in topics)
+    assert f"{path}: {len(found)} messages of {len(topics)} topics" in done.stderr
+    assert len(decode(path)) == len(found)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_it_and_the_file_is_whole(tmp_path: Path, number: signal.Signals) -> None:
+    path = tmp_path / "run.mcap"
+    process = subprocess.Popen([*RECORD, "rover", "-o", str(path)], stderr=subprocess.PIPE, text=True)
+    active = tmp_path / "run.mcap.active"
+    until(lambda: active.exists() and active.stat().st_size > 10_000, "some messages on the disk")
+    process.send_signal(number)
+    assert process.wait(30) == 0
+    assert len(read(path)) > 10
+    assert not active.exists()
+
+
+def test_what_is_there_is_not_written_over_and_a_recording_is_not_recorded(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    path.write_bytes(b"mine")
+    refused = subprocess.run([*RECORD, "rover", "-o", str(path)], capture_output=True, text=True, check=False)
+    assert refused.returncode == 1
+    assert "is there already" in refused.stderr
+    assert path.read_bytes() == b"mine"

@@ -1,0 +1,229 @@
+"""Recordings over the web: made out of the past and the present, followed, ended, downloaded, sent, deleted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.adapters.recording.recorder import lines, write_rosbag1, write_rosbag2
+from tests.server.auth.conftest import token, tokens
+from tests.server.disks.server import server_on
+from tests.server.history.mcap_files import decode, read
+from tests.waiting import until
+
+JSON = {"Accept": "application/json"}
+NTRIPLES = {"Accept": "application/n-triples"}
+MERGE_PATCH = {"Content-Type": "application/merge-patch+json"}
+SPEED = "/aircraft/engine/speed"
+RESULTS = {"Accept": "application/sparql-results+json"}
+ROS = "https://w3id.org/rosld#"
+
+
+@pytest.fixture(scope="module")
+def recorded(start_server: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """The aircraft with a history of one topic."""
+    return start_server("aircraft", "--history", SPEED, "--data", str(tmp_path_factory.mktemp("data")))
+
+
+def value(http: Any, path: str, term: str) -> str | None:
+    """What a recording says of itself."""
+    subject = f"<{str(http.base_url).rstrip('/')}{path}> <{ROS}{term}> "
+    found = http.get(path, headers=NTRIPLES).text.splitlines()
+    return next((line.split('"')[1] for line in found if line.startswith(subject) and '"' in line), None)
+
+
+def count(http: Any, path: str) -> int:
+    return int(value(http, path, "count") or 0)
+
+
+def end(http: Any, path: str) -> None:
+    answer = http.patch(path, content='{"status": "ended"}', headers=MERGE_PATCH)
+    assert answer.status_code == 200, answer.text
+
+
+def download(http: Any, path: str, folder: Path) -> Path:
+    """The file of a recording."""
+    answer = http.get(f"{path}file")
+    assert answer.status_code == 200
+    file = folder / "download.mcap"
+    file.write_bytes(answer.content)
+    return file
+
+
+def test_a_recording_begins_in_the_past_is_followed_ended_and_downloaded(recorded: Any, tmp_path: Path) -> None:
+    http = recorded.http
+    until(lambda: count(http, "/bags/history/") >= 150, "a past")
+    past = count(http, "/bags/history/")
+    answer = http.post("/bags/", json={"name": "flight", "topics": [SPEED], "before": 3600})
+    assert answer.status_code == 201, answer.text
+    assert answer.headers["location"] == f"{recorded.url}bags/flight/"
+    assert f"{recorded.url}bags/flight/" in http.get("/bags/", headers=NTRIPLES).text
+    assert value(http, "/bags/flight/", "recordingStatus") == "recording"
+    until(lambda: count(http, "/bags/flight/") >= past + 20, "the past and the present")
+    assert http.get("/bags/flight/messages/0").status_code == 404
+    end(http, "/bags/flight/")
+    assert value(http, "/bags/flight/", "recordingStatus") is None
+    found = read(download(http, "/bags/flight/", tmp_path))
+    assert len(found) == count(http, "/bags/flight/") >= past + 20
+    times = [one.time_ns for one in sorted(found, key=lambda one: one.sequence)]
+    assert times == sorted(set(times)), "nothing twice, and in order"
+    gaps = [after - before for before, after in pairwise(times)]
+    assert max(gaps) < 30 * sorted(gaps)[len(gaps) // 2], "nothing is missing where the past ends"
+    assert len(decode(download(http, "/bags/flight/", tmp_path))) == len(found)
+    assert http.get("/bags/flight/messages/0", headers=JSON).json() == {"data": 0.0}
+    assert http.delete("/bags/flight/").status_code == 204
+    assert http.get("/bags/flight/").status_code == 404
+
+
+def test_a_recording_ends_by_itself_after_its_duration(recorded: Any) -> None:
+    answer = recorded.http.post("/bags/", json={"topics": ["/aircraft/*"], "duration": 0.5})
+    path = "/" + answer.headers["location"].removeprefix(recorded.url)
+    until(lambda: value(recorded.http, path, "recordingStatus") is None, "its end")
+    assert count(recorded.http, path) > 5
+    assert recorded.http.delete(path).status_code == 204
+
+
+def test_a_recording_is_ordered_in_rdf_as_in_json(recorded: Any) -> None:
+    body = f'<> <{ROS}recordsTopic> "{SPEED}" ; <{ROS}name> "in-rdf" ; <{ROS}secondsLong> 1000 .'
+    answer = recorded.http.post("/bags/", content=body, headers={"Content-Type": "text/turtle"})
+    assert answer.status_code == 201, answer.text
+    assert value(recorded.http, "/bags/in-rdf/", "secondsLong") == "1000.0"
+    assert recorded.http.delete("/bags/in-rdf/").status_code == 204
+
+
+def test_a_slug_names_a_recording_where_the_name_is_free(recorded: Any) -> None:
+    made = [recorded.http.post("/bags/", json={"topics": [SPEED]}, headers={"Slug": "walk"}) for _ in range(2)]
+    places = [answer.headers["location"] for answer in made]
+    assert places[0] == f"{recorded.url}bags/walk/"
+    assert places[1] != places[0]
+    for place in places:
+        assert recorded.http.delete(place).status_code == 204
+
+
+@pytest.mark.parametrize(
+    ("order", "status"),
+    [
+        ({"topics": []}, 422),
+        ({"topics": "/odom"}, 422),
+        ({"topics": ["odom"]}, 422),
+        ({"topics": ["/a"], "before": -1}, 422),
+        ({"topics": ["/a"], "duration": "long"}, 422),
+        ({"topics": ["/a"], "duration": True}, 422),
+        ({"topics": ["/a"], "name": "../../etc/passwd"}, 422),
+        ({"topics": ["/a"], "name": ".hidden"}, 422),
+        ({"topics": ["/a"], "colour": "red"}, 422),
+        ({"topics": ["/a"], "name": "history"}, 409),
+        ([], 422),
+    ],
+)
+def test_an_order_that_makes_no_sense_is_refused_and_says_why(recorded: Any, order: Any, status: int) -> None:
+    before = recorded.http.get("/bags/", headers=NTRIPLES).text
+    answer = recorded.http.post("/bags/", json=order, headers=JSON)
+    assert answer.status_code == status
+    assert len(answer.json()["detail"]) > 20
+    assert recorded.http.get("/bags/", headers=NTRIPLES).text == before
+
+
+def test_a_file_comes_in_ranges_and_is_not_sent_twice(recorded: Any, tmp_path: Path) -> None:
+    http, path = recorded.http, write_rosbag1(tmp_path / "talk.bag", lines(count=500))
+    whole = path.read_bytes()
+    assert http.put("/bags/talk", content=whole).status_code == 201
+    answer = http.get("/bags/talk/file", headers={"Range": "bytes=4-103"})
+    assert answer.status_code == 206
+    assert answer.content == whole[4:104]
+    again = http.get("/bags/talk/file", headers={"If-None-Match": answer.headers["etag"]})
+    assert again.status_code == 304
+    rest = http.get("/bags/talk/file", headers={"Range": "bytes=100-", "If-Range": answer.headers["etag"]})
+    assert rest.content == whole[100:]
+    assert http.head("/bags/talk/file").headers["content-length"] == str(len(whole))
+    assert http.delete("/bags/talk/").status_code == 204
+
+
+@pytest.mark.parametrize("kind", ["bag", "mcap", "db3"])
+def test_a_recording_that_is_sent_is_read_like_any_other_also_after_a_restart(tmp_path: Path, kind: str) -> None:
+    if kind == "bag":
+        sent = write_rosbag1(tmp_path / "talk.bag", lines())
+    else:
+        folder = write_rosbag2(tmp_path / "talk", lines(), storage="mcap" if kind == "mcap" else "sqlite3")
+        sent = next(folder.glob(f"*.{kind}"))
+    with server_on(tmp_path / "data", tmp_path / "log") as server:
+        for run in range(2):
+            server.start()
+            if run == 0:
+                answer = server.http.put("/bags/talk", content=sent.read_bytes())
+                assert answer.status_code == 201, answer.text
+                assert answer.headers["location"].endswith("/bags/talk/")
+            assert server.http.get("/bags/talk/messages/3", headers=JSON).json() == {"data": "3"}
+            assert server.http.get("/bags/talk/file").content == sent.read_bytes()
+            assert server.http.get("/bags/talk", follow_redirects=False).status_code == 308
+            assert server.http.put("/bags/talk", content=sent.read_bytes()).status_code == 409
+            assert server.stop() == 0
+
+
+def test_what_is_no_recording_is_refused_and_leaves_nothing(recorded: Any, tmp_path: Path) -> None:
+    torn = write_rosbag1(tmp_path / "talk.bag", lines()).read_bytes()[:60]
+    mcap, sqlite = b"\x89MCAP0\r\n" + b"\xff" * 100, b"SQLite format 3\0" + b"y" * 999
+    for body in (b"", b"hello", b"x" * 10_000, mcap, torn, sqlite):
+        answer = recorded.http.put("/bags/odd", content=body, headers=JSON)
+        assert answer.status_code == 422, body[:20]
+        assert recorded.http.get("/bags/odd/").status_code == 404
+
+
+def test_a_recording_that_was_being_made_when_the_server_was_killed_is_there_afterwards(tmp_path: Path) -> None:
+    with server_on(tmp_path / "data", tmp_path / "log") as server:
+        server.start()
+        server.http.post("/bags/", json={"name": "cut", "topics": [SPEED]})
+        active = tmp_path / "data" / "bags" / "cut.mcap.active"
+        until(lambda: active.stat().st_size > 2000, "some chunks on the disk")
+        server.kill()
+        server.start()
+        assert count(server.http, "/bags/cut/") > 20
+        assert server.http.get("/bags/cut/messages/0", headers=JSON).json() == {"data": 0.0}
+        assert server.stop() == 0
+    assert len(read(tmp_path / "data" / "bags" / "cut.mcap")) > 20
+
+
+def test_recordings_without_a_folder_of_data_go_with_the_server(serve: Callable[..., Any]) -> None:
+    served = serve("aircraft")
+    served.http.post("/bags/", json={"name": "short", "topics": [SPEED]})
+    until(lambda: count(served.http, "/bags/short/") > 3, "messages")
+    end(served.http, "/bags/short/")
+    assert served.http.get("/bags/short/messages/0", headers=JSON).json() == {"data": 0.0}
+    assert served.stop() == 0
+
+
+def test_who_may_not_read_a_topic_may_not_record_it(serve: Callable[..., Any], tmp_path: Path) -> None:
+    auth = tmp_path / "auth.toml"
+    auth.write_text(
+        """
+[[rule]]
+agents = ["anna"]
+modes = ["read", "write"]
+paths = ["/bags/**"]
+"""
+        + tokens("anna")
+    )
+    served = serve("aircraft", "--auth", str(auth))
+    http = served.http
+    http.headers["Authorization"] = f"Bearer {token('anna')}"
+    assert http.post("/bags/", json={"topics": [SPEED]}).status_code == 403
+    made = http.post("/bags/", json={"name": "all", "topics": ["*"]})
+    assert made.status_code == 201, made.text
+    assert served.http.patch("/bags/all/", content='{"status": "ended"}', headers=MERGE_PATCH).status_code == 200
+    assert count(http, "/bags/all/") == 0
+
+
+def test_a_query_finds_recordings_that_are_made_and_that_are_sent(recorded: Any, tmp_path: Path) -> None:
+    http = recorded.http
+    http.put("/bags/sent", content=write_rosbag1(tmp_path / "talk.bag", lines()).read_bytes())
+    http.post("/bags/", json={"name": "made", "topics": [SPEED]})
+    query = f"SELECT ?bag ?n {{ ?bag a <{ROS}Bag> ; <{ROS}count> ?n }}"
+    found: Any = http.get("/sparql", params={"query": query}, headers=RESULTS).json()
+    bags = {row["bag"]["value"].removeprefix(recorded.url) for row in found["results"]["bindings"]}
+    assert {"bags/sent/", "bags/made/", "bags/history/"} <= bags
+    for name in ("sent", "made"):
+        assert http.delete(f"/bags/{name}/").status_code == 204

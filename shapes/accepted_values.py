@@ -139,7 +139,8 @@ class AcceptedValues:
 
     def _scalar(self, kind: Primitive) -> Sequence[Statement]:
         if kind.name == "bool":
-            return [(sh.datatype, xsd.boolean)]
+            # XSD collapses white space; not every validator does.
+            return [(sh.datatype, xsd.boolean), (sh.pattern, text("^(true|false|1|0)$"))]
         if kind.name in STRINGS:
             return [self._string(kind)]
         if kind.name in RANGES:

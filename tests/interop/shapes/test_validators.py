@@ -1,0 +1,65 @@
+"""What the server takes is what its linked shapes let pass as TopBraid and Jena have it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import httpx
+import pytest
+from pyoxigraph import BlankNode, Literal, NamedNode, Triple
+
+from rosld.ontology.vocab import rdf, ros
+from tests.interop.shapes.validators import VALIDATORS
+from tests.shapes.limited_robot import (
+    TYPES,
+    VALUES,
+    difference,
+    is_taken,
+    linked_shape,
+    point,
+    put_together,
+    served_robot,
+    stamped,
+)
+
+
+@pytest.fixture(scope="module")
+def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[httpx.Client]:
+    with served_robot(tmp_path_factory.mktemp("limits")) as http:
+        yield http
+
+
+def sample(client: httpx.Client, path: str) -> tuple[NamedNode, list[list[Triple]]]:
+    """Bodies that are sent to a resource, and the node that they are about."""
+    url = str(client.base_url.join(f"/{path}"))
+    if path == "topics/aim":
+        whole = stamped(url)
+        bodies = [whole, *([*whole[:number], *whole[number + 1 :]] for number in range(1, len(whole)))]
+        bodies += [[*whole, Triple(one.subject, one.predicate, Literal("another"))] for one in whole[1:]]
+        bodies += [
+            [*whole[:-3], *point(BlankNode("p"), *values)] for values in (("1001", "0", "0"), ("0", "NaN", "INF"))
+        ]
+        return NamedNode(f"{url}#message"), bodies
+    if path.startswith("topics/"):
+        node, class_ = NamedNode(f"{url}#message"), f"{TYPES}std_msgs/msg/Float64"
+        is_one = Triple(node, rdf.type, NamedNode(class_))
+        return node, [[is_one, Triple(node, NamedNode(f"{class_}#data"), value)] for value in VALUES]
+    predicate = ros.value if path.startswith("parameters/") else rdf.value
+    return NamedNode(url), [[Triple(NamedNode(url), predicate, value)] for value in VALUES]
+
+
+@pytest.mark.parametrize("validator", VALIDATORS)
+@pytest.mark.parametrize(
+    "path", ["resources/arm/grip", "parameters/lamp/gain", "parameters/lamp/lit", "topics/speed", "topics/aim"]
+)
+def test_a_body_is_taken_where_it_conforms(client: httpx.Client, tmp_path: Path, path: str, validator: str) -> None:
+    node, bodies = sample(client, path)
+    url = node.value.partition("#")[0]
+    together = put_together(linked_shape(client, url), bodies, node)
+    data, shapes = tmp_path / "data.nt", tmp_path / "shapes.nt"
+    data.write_text(together.data.serialize(format="nt"))
+    shapes.write_text(together.shapes.serialize(format="nt"))
+    by_server = [is_taken(client, url, body) for body in bodies]
+    assert not difference(bodies, by_server, together.conforming(VALIDATORS[validator](data, shapes)))
+    assert 0 < sum(by_server) < len(bodies)

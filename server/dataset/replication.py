@@ -44,7 +44,7 @@ _FIRST_PAUSE, _LONGEST_PAUSE = 1.0, 60.0
 _REFUSALS = 64
 """Requests refused in one round before the rest waits for another."""
 _AGAIN = 60.0
-"""Seconds until a graph that was refused is tried again."""
+"""Seconds until a graph that was refused is tried again, and between two times that everything is told anew."""
 _LAST = 1.5
 """Seconds that the last request may take."""
 _MOMENTS = 32
@@ -144,6 +144,7 @@ class Mirror:
         run_name: str,
         first_pause: float = _FIRST_PAUSE,
         max_pending: int = INITIAL_LIMIT,
+        renewal_seconds: float = _AGAIN,
     ) -> None:
         self._source = source
         self._target = target
@@ -152,6 +153,7 @@ class Mirror:
         self._interval = interval
         self._run_name = run_name
         self._first_pause = first_pause
+        self._renewal_seconds = renewal_seconds
         self._pending = PendingChanges(max_pending)
         self._told = ReplicaState()
         self._refused: dict[str, float] = {}
@@ -272,7 +274,7 @@ class Mirror:
         if self._whole and self._is_sealed():
             self._confirmed = True
             self._seen = self._target.connections
-        elif self._confirmed or not self._whole or time.monotonic() > self._renewed + _AGAIN:
+        elif self._confirmed or not self._whole or time.monotonic() > self._renewed + self._renewal_seconds:
             self._begin_anew()
         # else it does not show what it was told a moment ago: telling all of it again at once would not help
 

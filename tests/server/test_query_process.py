@@ -25,7 +25,7 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="it looks at /pr
 # `Served` of conftest.py arrives as what its fixture starts.
 Served = Any
 PATIENCE = 60.0
-KILLS = 20
+KILLS = 10
 ACCEPT = {"Accept": "text/csv, application/problem+json;q=0.9"}
 TURTLE = {"Content-Type": "text/turtle"}
 HEAVY = "SELECT (COUNT(*) AS ?n) { ?a ?b ?c . ?d ?e ?f . ?g ?h ?i . ?j ?k ?l }"

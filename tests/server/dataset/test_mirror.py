@@ -68,7 +68,15 @@ async def mirroring(
     source: LocalStore, target: RemoteStore, run_name: str = "run", max_pending: int = INITIAL_LIMIT
 ) -> AsyncIterator[Mirror]:
     mirror = Mirror(
-        source, target, Graphs(), nothing, interval=0.02, run_name=run_name, first_pause=0.05, max_pending=max_pending
+        source,
+        target,
+        Graphs(),
+        nothing,
+        interval=0.02,
+        run_name=run_name,
+        first_pause=0.05,
+        max_pending=max_pending,
+        renewal_seconds=1.0,
     )
     running = asyncio.ensure_future(mirror.run())
     try:

@@ -17,7 +17,7 @@ from rosld.server.storage import SqliteRecords, open_records
 from tests.server.storage import writer
 
 WRITER = Path(__file__).with_name("writer.py")
-KILLS = 100
+KILLS = 50
 SECONDS = 60.0
 LONGEST = 0.12
 """Seconds a writer writes at most."""

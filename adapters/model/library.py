@@ -137,7 +137,7 @@ class TypeLibrary:
         kind, _, short = rest.partition("/")
         if path := self._index().get((package, f"{short}.{kind}")):
             yield path.read_text("utf-8", "replace")
-        stored = _stored_texts(self._ros_version).get(name)
+        stored = stored_texts(self._ros_version).get(name)
         if stored is not None and self._ros_version == 2:
             yield stored
         path = SHIPPED / package / kind / f"{short}.{kind}"
@@ -296,7 +296,7 @@ def _definition_files(folders: Sequence[Path]) -> Mapping[tuple[str, str], Path]
 
 
 @cache
-def _stored_texts(ros_version: Literal[1, 2]) -> Mapping[str, str]:
+def stored_texts(ros_version: Literal[1, 2]) -> Mapping[str, str]:
     """The texts of the types that rosbags ships, by name."""
     store = get_typestore(Stores.ROS1_NOETIC if ros_version == 1 else Stores.ROS2_JAZZY)
     texts: dict[str, str] = {}

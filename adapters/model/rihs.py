@@ -32,7 +32,7 @@ _IDS = {
 }
 _BOUNDED = {"string": 21, "wstring": 22}
 _ARRAY, _BOUNDED_SEQUENCE, _SEQUENCE = 48, 96, 144
-_DUMMY = Field("structure_needs_at_least_one_member", Primitive("uint8"), "structure_needs_at_least_one_member")
+DUMMY = Field("structure_needs_at_least_one_member", Primitive("uint8"), "structure_needs_at_least_one_member")
 
 _TIME = "builtin_interfaces/msg/Time"
 _INFO = "service_msgs/msg/ServiceEventInfo"
@@ -66,8 +66,8 @@ def message_hash(name: str, types: Mapping[str, MessageType]) -> str:
     """
     nested = {found: types[found] for found in _nested(name, types)}
     described = {
-        "type_description": _describe(types[name]),
-        "referenced_type_descriptions": [_describe(nested[each]) for each in sorted(nested) if each != name],
+        "type_description": describe_type(types[name]),
+        "referenced_type_descriptions": [describe_type(nested[each]) for each in sorted(nested) if each != name],
     }
     return f"RIHS01_{hashlib.sha256(json.dumps(described).encode()).hexdigest()}"
 
@@ -120,8 +120,8 @@ def _nested(name: str, types: Mapping[str, MessageType], above: tuple[str, ...] 
             yield from _nested(kind.name, types, (*above, name))
 
 
-def _describe(kind: MessageType) -> dict[str, object]:
-    return {"type_name": kind.name, "fields": [_field(field) for field in kind.fields or (_DUMMY,)]}
+def describe_type(kind: MessageType) -> dict[str, object]:
+    return {"type_name": kind.name, "fields": [_field(field) for field in kind.fields or (DUMMY,)]}
 
 
 def _field(field: Field) -> dict[str, object]:

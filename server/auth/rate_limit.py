@@ -16,7 +16,7 @@ BURST_SECONDS = 2.0
 """A client that was quiet may send at once what it may send in so many seconds."""
 RETRY_SECONDS = 0.5
 """How long a refusal waits: who asks again at once would keep the server as busy with refusing as with answering."""
-_MAX_KNOWN = 10_000
+MAX_CLIENTS = 10_000
 
 
 class RateLimitExceeded(Problem):
@@ -119,7 +119,7 @@ class ClientLimiter:
     def _client(self, name: str) -> Client:
         client = self._known.get(name)
         if client is None:
-            if len(self._known) >= _MAX_KNOWN:
+            if len(self._known) >= MAX_CLIENTS:
                 now = self._clock()
                 self._known = {each: one for each, one in self._known.items() if not one.is_idle(now)}
             client = self._known[name] = Client(self._limits.rate)
@@ -128,7 +128,7 @@ class ClientLimiter:
     def _address(self, address: str | None) -> str | None:
         """Return the name of a client that is no known agent; None where it has no limits."""
         if address not in self._names:
-            if len(self._names) >= _MAX_KNOWN:
+            if len(self._names) >= MAX_CLIENTS:
                 self._names.clear()
             self._names[address or ""] = client_name(address, loopback=self._loopback)
         return self._names[address or ""]

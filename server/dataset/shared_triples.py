@@ -14,7 +14,7 @@ from typing import NamedTuple, TypeAlias
 
 from pyoxigraph import BlankNode, NamedNode, Quad, Store, Triple
 
-_MAX_TRIPLES = 100_000
+MAX_TRIPLES = 100_000
 """Triples that are counted: about 50 MB."""
 _MAX_SUBJECTS = 10_000
 """Subjects of one change of which it is remembered whether they were known before."""
@@ -109,7 +109,7 @@ class SharedTriples:
                 return False
             self._counts[triple] = 1 + len(graphs)
             self._keys.update(_keys(triple))
-            if len(self._counts) > _MAX_TRIPLES:
+            if len(self._counts) > MAX_TRIPLES:
                 self.give_up()
         elif quad not in store:
             self._counts[triple] = count + 1

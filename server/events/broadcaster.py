@@ -26,7 +26,7 @@ MAX_READERS = 2000
 MAX_OF_ADDRESS = 256
 """Those of one address, unless a setting says otherwise; one more is answered 429."""
 RETRY_SECONDS = 2
-_LOOK_AGAIN_SECONDS = 5.0
+LOOK_AGAIN_SECONDS = 5.0
 """How often a resource with no watch of its own is looked at."""
 
 _log = logging.getLogger("rosld")
@@ -153,7 +153,7 @@ class Broadcaster:
             self._is_outdated = True
             raise
         finally:
-            old, self._watch = self._watch, watch or call_every(_LOOK_AGAIN_SECONDS, self.wake_all)
+            old, self._watch = self._watch, watch or call_every(LOOK_AGAIN_SECONDS, self.wake_all)
             if old is not None:
                 old.close()
 

@@ -45,7 +45,7 @@ _T = TypeVar("_T")
 MAX_TRIPLES = 5_000
 """The triples a document may have. To judge so many takes a second or two, seven where all of them are wrong."""
 _MAX_VIOLATIONS = 20
-_LONGEST_READING = 5.0
+LONGEST_READING = 5.0
 """Seconds that the conditions of a document may take to be read."""
 _WHEN = (mapping.writableWhen, mapping.availableWhen, mapping.existsWhen)
 _TELLING = (mapping.name, mapping.member, mapping.service, mapping.target, mapping.call, mapping.publish)
@@ -303,7 +303,7 @@ class _Reader:
     def check_conditions(self) -> None:
         """Every condition can be judged; all of them are read in good time."""
         graph = ShapesGraph(self.triples)
-        deadline = monotonic() + _LONGEST_READING
+        deadline = monotonic() + LONGEST_READING
         for node, said in self.said.items():
             if mapping.about not in said:
                 continue

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from rosld.server.storage.write_ahead_log import LogExtent, WriteAheadLog, truncate
 
-_sync = getattr(os, "fdatasync", os.fsync)
+sync_file = getattr(os, "fdatasync", os.fsync)
 
 
 class SyncedLog:
@@ -41,7 +41,7 @@ class SyncedLog:
 
     def flush(self) -> None:
         """Have the disk take the file, whatever that says of earlier failures. Raises OSError."""
-        _sync(self._log.fileno())
+        sync_file(self._log.fileno())
 
     def size(self) -> int:
         """Bytes that the log has."""

@@ -11,7 +11,7 @@ import pytest
 from rosld.adapters.model import ActionSchema, Array, MessageSchema, Primitive, ServiceSchema, TypeRef, UnknownType
 from rosld.adapters.model.description import definition_of
 from rosld.adapters.model.library import SEPARATOR, TypeLibrary
-from rosld.adapters.model.rihs import _DUMMY, _describe  # the same structure, by which hashes are made
+from rosld.adapters.model.rihs import DUMMY, describe_type  # the same structure, by which hashes are made
 
 GRIP = f"""Tip left
 Tip right
@@ -88,7 +88,7 @@ class Described:
 def described(schema: MessageSchema) -> Iterator[Described]:
     """A schema as a node would describe it."""
     for kind in schema.types.values():
-        told = _describe(kind)
+        told = describe_type(kind)
         fields = [Field(each["name"], FieldType(**each["type"])) for each in told["fields"]]  # type: ignore[attr-defined]
         yield Described(kind.name, fields)
 
@@ -142,4 +142,4 @@ def test_a_description_that_cannot_be_a_definition_is_refused(told: list[Describ
 
 
 def test_an_empty_type_is_described_with_a_member_that_is_not_shown() -> None:
-    assert definition_of("std_msgs/msg/Empty", [Described("std_msgs/msg/Empty", [Field(_DUMMY.name, FieldType(3))])])
+    assert definition_of("std_msgs/msg/Empty", [Described("std_msgs/msg/Empty", [Field(DUMMY.name, FieldType(3))])])

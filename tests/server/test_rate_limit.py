@@ -127,7 +127,7 @@ def test_an_address_is_known_by_its_machine(address: str | None, name: str | Non
 
 
 def test_no_number_of_clients_fills_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rate_limit, "_MAX_KNOWN", 1000)
+    monkeypatch.setattr(rate_limit, "MAX_CLIENTS", 1000)
     clock = Clock()
     limiter = limiter_for(clock)
 
@@ -149,7 +149,7 @@ def test_no_number_of_clients_fills_the_memory(monkeypatch: pytest.MonkeyPatch) 
 def test_a_client_with_an_open_connection_is_not_forgotten_however_many_others_come(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(rate_limit, "_MAX_KNOWN", 4)
+    monkeypatch.setattr(rate_limit, "MAX_CLIENTS", 4)
     clock = Clock()
     limiter = limiter_for(clock, connections=1)
     limiter.connect(FAR)

@@ -63,7 +63,7 @@ def test_a_type_that_lies_nowhere_here_is_asked_of_the_node_that_uses_it_however
 ) -> None:
     lone_ros.node("odd.py", way, way)
     monkeypatch.setattr(sys.modules["rosld.adapters.ros2.adapter"], "definition_folders", lambda given: [])
-    monkeypatch.setattr(library, "_stored_texts", lambda version: {})
+    monkeypatch.setattr(library, "stored_texts", lambda version: {})
 
     async def scenario() -> None:
         async with opened(lone_ros) as session:

@@ -118,7 +118,7 @@ def named(random: Random) -> str:
 def test_a_triple_of_several_graphs_is_found_once(
     monkeypatch: pytest.MonkeyPatch, seed: int, limit: int, large: int
 ) -> None:
-    monkeypatch.setattr(module, "_MAX_TRIPLES", limit)
+    monkeypatch.setattr(module, "MAX_TRIPLES", limit)
     monkeypatch.setattr("rosld.server.dataset.memory_store._LARGE", large)
     random, store = Random(seed), MemoryStore()
     for _ in range(5):

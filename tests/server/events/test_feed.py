@@ -279,7 +279,7 @@ def test_what_a_resource_is_made_of_is_found_anew_whenever_anything_in_general_c
 
 
 def test_what_cannot_be_watched_is_a_problem_until_it_can(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(broadcaster, "_LOOK_AGAIN_SECONDS", 0.01)
+    monkeypatch.setattr(broadcaster, "LOOK_AGAIN_SECONDS", 0.01)
 
     async def main() -> None:
         resource = Made()

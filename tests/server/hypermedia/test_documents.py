@@ -574,7 +574,7 @@ def test_depth_does_no_harm(case: str) -> None:
 
 
 def test_conditions_that_take_too_long_to_be_read_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(mapping_parser, "_LONGEST_READING", -1.0)
+    monkeypatch.setattr(mapping_parser, "LONGEST_READING", -1.0)
     (found,) = refused(TEXT)
     assert "too large" in found.message
 

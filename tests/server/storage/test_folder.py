@@ -56,7 +56,7 @@ class Disk:
         self.asked = threading.Semaphore(0)
         self.syncs = 0
         self.failure: OSError | None = None
-        monkeypatch.setattr(synced_log, "_sync", self.sync)
+        monkeypatch.setattr(synced_log, "sync_file", self.sync)
 
     def sync(self, file: int) -> None:
         self.syncs += 1

@@ -64,7 +64,7 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
     """The ASGI app that serves this adapter; its lifespan opens and closes the adapter, raising what `open` raises."""
     robot = Robot(adapter, settings)
     large = LargeDocuments(robot.workers)
-    pages = PageRenderer(robot, robot.software_stop, large)
+    pages = PageRenderer(robot, robot.software_stop, large, robot.receipts)
     process = QueryProcess(settings.query_concurrency, settings.query_queue)
     kept = RecordGraphs(robot.records, robot.space.base, robot.queries.description, OTHER_ROUTES)
     mentions = Mentions(robot.space.base, robot.space.types)

@@ -30,7 +30,13 @@ class Audit:
         if response.status_code in _REFUSED:
             self._note_refusal(exchange, response.status_code)
         if exchange.audit.is_write:
-            response.raw_headers = [*response.raw_headers, self._recorder.note(exchange, scope, response)]
+            id = self._recorder.note(exchange, scope, response)
+            headers = response.raw_headers
+            if exchange.audit.leads_to_page:
+                headers = [
+                    (name, _with_receipt(value, id) if name == b"location" else value) for name, value in headers
+                ]
+            response.raw_headers = [*headers, self._recorder.link(id)]
         return response
 
     def _note_refusal(self, exchange: Exchange, status: int) -> None:
@@ -43,3 +49,8 @@ class Audit:
                 exchange.audit.mark_read_only()
         elif enforcement.is_write(exchange.method, enforcement.location_of(exchange.request.scope, self._space)):
             exchange.audit.begin()
+
+
+def _with_receipt(location: bytes, id: str) -> bytes:
+    """The URL of a page that tells of a receipt."""
+    return location + (b"&" if b"?" in location else b"?") + f"receipt={id}".encode("ascii")

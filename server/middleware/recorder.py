@@ -27,14 +27,14 @@ class Recorder:
         self._before = f"<{space.container('activity')}"
         self._after = f'>; rel="{prov.has_provenance.value}"'
 
-    def note(self, exchange: Exchange, scope: Scope, response: Response) -> Header:
-        """Note a write, and say where its receipt is (a Link field). `scope` is the request as it came."""
+    def note(self, exchange: Exchange, scope: Scope, response: Response) -> str:
+        """Note a write; the identifier of its receipt. `scope` is the request as it came."""
         account, body = exchange.audit, exchange.consumed_body
         kept, digest = (None, None) if body is None else excerpt(body)
         length = account.length if body is None else len(body)
         if account.sent is not None:
             digest = account.sent.digest()
-        id = self._journal.add(
+        return self._journal.add(
             AuditEntry(
                 exchange.agent,
                 account.started_ns,
@@ -54,6 +54,9 @@ class Recorder:
                 account.refusal,
             )
         )
+
+    def link(self, id: str) -> Header:
+        """The Link field that says where a receipt is."""
         return b"link", f"{self._before}{id}{self._after}".encode("latin-1")
 
 

@@ -18,15 +18,17 @@ class AuditContext:
     """What one request did so far; empty for a request that writes nothing.
 
     `started_ns` is when the request was taken up, `sent` the SHA-256 of a body that was read as it came, of `length`.
+    `leads_to_page`: its answer sends a browser to a page, which is to tell of the receipt.
     """
 
-    __slots__ = ("is_write", "length", "matched", "plan", "refusal", "sent", "started_ns", "touched")
+    __slots__ = ("is_write", "leads_to_page", "length", "matched", "plan", "refusal", "sent", "started_ns", "touched")
 
     sent: hashlib._Hash | None
 
     def __init__(self) -> None:
         self.started_ns = time.time_ns()
         self.is_write = False
+        self.leads_to_page = False
         self.plan: tuple[str, ...] = ()
         self.touched: tuple[str, ...] = ()
         self.matched: int | None = None

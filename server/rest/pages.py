@@ -14,6 +14,7 @@ from rosld.adapters.model import Stale
 from rosld.ontology.lower import LoweringError
 from rosld.ontology.urls import Space
 from rosld.server import html
+from rosld.server.auth.agent import ANONYMOUS
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.html import (
     ChoiceForm,
@@ -29,10 +30,12 @@ from rosld.server.html import (
     ValueForm,
 )
 from rosld.server.html.page import NoticeLevel
+from rosld.server.html.receipt_notice import receipt_notice
 from rosld.server.html.site import SECTIONS
 from rosld.server.http import negotiation
 from rosld.server.http.csrf import FormKey
 from rosld.server.http.problem import Problem
+from rosld.server.receipts.journal import Journal, NoSuchReceipt
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.large import LargeDocuments, excerpt_state
 from rosld.server.rest.resource import Resource, allow_field
@@ -52,8 +55,9 @@ class PageRenderer:
 
     headers: Mapping[str, str] = {name.lower(): value for name, value in html.HEADERS.items()}
 
-    def __init__(self, session: Session, stops: SoftwareStop, large: LargeDocuments) -> None:
+    def __init__(self, session: Session, stops: SoftwareStop, large: LargeDocuments, receipts: Journal) -> None:
         self._session = session
+        self._receipts = receipts
         self._stops = stops
         self._keys = FormKey()
         self._large = large
@@ -203,6 +207,18 @@ class PageRenderer:
         state = state if permissions.is_unrestricted else resource.redact(state, permissions)
         body = await self.page(resource, state, [Notice(sentence, NoticeLevel.WARNING)], permissions)
         return Response(body, 202, {**self.headers, "Cache-Control": "no-store"}, "text/html; charset=utf-8")
+
+    def receipt_notices(self, id: str, permissions: Permissions) -> Sequence[Notice]:
+        """What became of a write, by its receipt; nothing where there is none, or it is not for this reader."""
+        try:
+            receipt = self._receipts.find(id).receipt
+        except NoSuchReceipt:
+            return ()
+        agent, url = permissions.agent, self.space.activity(id)
+        href = self.site_for(permissions).href(url)
+        if href is None and (agent == ANONYMOUS or agent.name != receipt.agent):
+            return ()
+        return (receipt_notice(receipt, None if href is None else NoticeLink(href, "Receipt")),)
 
     def referring_url(self, exchange: Exchange) -> str | None:
         """The URL of the page that a form stood on (RFC 9110 10.1.3), under the name of this site.

@@ -23,6 +23,7 @@ from rosld.server.events.broadcaster import Broadcasters
 from rosld.server.events.event_stream import HEADERS, EventStream, StreamEnd, StreamFormat
 from rosld.server.events.long_poll import wait_for_state
 from rosld.server.events.until import Until
+from rosld.server.html import Notice
 from rosld.server.http import link, negotiation
 from rosld.server.http.charset import FORM
 from rosld.server.http.conditional import ETag, check_preconditions, digest
@@ -143,7 +144,8 @@ class Dispatcher:
         media_type = negotiate(exchange)
         if state.is_large and media_type != HTML and not (media_type == JSON and state.plain is not None):
             return await self._read_large(exchange, resource, state, media_type, unchanged=unchanged)
-        rendering = await self.represented(resource, state, media_type, exchange.permissions)
+        notices = self._notices(exchange, media_type)
+        rendering = await self.represented(resource, state, media_type, exchange.permissions, notices)
         headers = rendering.headers
         if state.received_ns is not None:
             age = max(0, time.time_ns() - state.received_ns) // 1_000_000_000
@@ -208,18 +210,30 @@ class Dispatcher:
         """The representation that the request prefers, kept with the state or made now. Raises a 406 Problem."""
         return await self.represented(resource, state, negotiate(exchange), exchange.permissions)
 
+    def _notices(self, exchange: Exchange, media_type: str) -> Sequence[Notice]:
+        """What a page says of the write that led to it (`?receipt=`)."""
+        if media_type != HTML or b"receipt=" not in exchange.request.scope["query_string"]:
+            return ()
+        return self.pages.receipt_notices(exchange.query.get("receipt", ""), exchange.permissions)
+
     async def represented(
-        self, resource: Resource, state: State, media_type: str, permissions: Permissions = ALLOW_ALL
+        self,
+        resource: Resource,
+        state: State,
+        media_type: str,
+        permissions: Permissions = ALLOW_ALL,
+        notices: Sequence[Notice] = (),
     ) -> Rendering:
         """The representation in a media type, kept with the state or made now. Raises a 406 Problem.
 
-        Bytes are shared by agents of the same rights; a page, which has forms, is one agent's.
+        Bytes are shared by agents of the same rights; a page, which has forms, is one agent's, and with `notices` it is
+        made for one reader.
         """
         variant = _variant(media_type, permissions)
         if not permissions.is_unrestricted:
             state = redacted_state(resource, state, permissions)
-        if media_type == HTML and self.pages.version is not None:
-            return await self._render(resource, state, media_type, variant, permissions)
+        if media_type == HTML and (self.pages.version is not None or notices):
+            return await self._render(resource, state, media_type, variant, permissions, notices)
         found = state.renderings.get(variant)
         if found is None:
             if len(state.renderings) >= _MAX_RENDERINGS:
@@ -228,10 +242,16 @@ class Dispatcher:
         return found
 
     async def _render(
-        self, resource: Resource, state: State, media_type: str, variant: str, permissions: Permissions
+        self,
+        resource: Resource,
+        state: State,
+        media_type: str,
+        variant: str,
+        permissions: Permissions,
+        notices: Sequence[Notice] = (),
     ) -> Rendering:
         if media_type == HTML:
-            body = await self.pages.page(resource, state, permissions=permissions)
+            body = await self.pages.page(resource, state, notices, permissions)
         elif media_type == JSON and state.plain is not None:
             body = state.plain()
         elif state.is_large:
@@ -254,8 +274,10 @@ class Dispatcher:
         media_type = _told_as(exchange)
         rate = query_params.parse_rate(exchange.query)
 
+        notices = self._notices(exchange, media_type)
+
         async def render(state: State) -> bytes:
-            return (await self.represented(resource, state, media_type, exchange.permissions)).body
+            return (await self.represented(resource, state, media_type, exchange.permissions, notices)).body
 
         first, until, seconds = await resource.state(), None, None
         await render(first)
@@ -268,7 +290,8 @@ class Dispatcher:
         if exchange.method == "HEAD":
             return RawResponse(200, b"", [*HEADERS, *headers])
         mark = exchange.permissions.cache_key if media_type == HTML else ""
-        variant = f"{VARIANTS[media_type]}-{exchange.permissions.rights_key}{mark}"
+        told = "".join(notice.text for notice in notices)
+        variant = f"{VARIANTS[media_type]}-{exchange.permissions.rights_key}{mark}{told}"
         redact = partial(redact_problem, permissions=exchange.permissions, place=self._place(exchange))
         stream_format = StreamFormat(variant, render, self._name, exchange.auth.is_valid, redact)
         if media_type == HTML:
@@ -323,6 +346,7 @@ class Dispatcher:
         back = _back(resource, answer, self.pages.referring_url(exchange))
         if form.method == "DELETE" and not (isinstance(answer, Response) and answer.status_code == 202):
             back = resource.url.rstrip("/").rpartition("/")[0] + "/"
+        exchange.audit.leads_to_page = True
         return Response(status_code=303, headers={"Location": link.to_uri(back)})
 
     async def _create(self, exchange: Exchange, resource: Resource, created: CreatedAnswer) -> Response:

@@ -74,8 +74,26 @@ def test_the_form_publishes_and_leads_back(http: httpx.Client) -> None:
     token = hidden(http.get(DISPLAY, headers=HTML).text, "PUT")
     sent = http.post(DISPLAY, data={"csrf": token, "method": "PUT", "data": "by hand"}, headers=HTML)
     assert sent.status_code == 303, sent.text
-    assert sent.headers["location"].endswith(DISPLAY)
+    assert httpx.URL(sent.headers["location"]).path == DISPLAY
     assert http.get(DISPLAY, headers={"Accept": "application/json"}).json() == {"data": "by hand"}
+
+
+def test_the_page_after_a_form_says_what_became_of_it(http: httpx.Client) -> None:
+    token = hidden(http.get(DISPLAY, headers=HTML).text, "PUT")
+    fields = {"csrf": token, "method": "PUT", "data": "said"}
+    page = http.post(DISPLAY, data=fields, headers=HTML, follow_redirects=True)
+    notice = re.search(r'<div class="notice good">.*?</div>', page.text, re.DOTALL)
+    assert notice, page.text
+    assert re.search(r"Done: publish .*/cockpit/display\S*\. It reached one subscriber\.", notice[0])
+    receipt = re.search(r'<a href="([^"]+)">Receipt</a>', notice[0])
+    assert receipt
+    assert http.get(page.url.join(receipt[1]), headers={"Accept": "application/json"}).json()["matched"] == 1
+    assert '"notice good"' not in http.get(f"{DISPLAY}?receipt=unknown", headers=HTML).text
+    with http.stream(
+        "GET", page.url.copy_merge_params({"format": "html"}), headers={"Accept": "text/event-stream"}
+    ) as stream:
+        first = next(line for line in stream.iter_lines() if "It reached" in line)
+    assert "one subscriber" in first, "the page goes on saying it while it is followed"
 
 
 def test_a_form_that_does_not_fit_comes_back_as_it_was_typed(serve: Callable[..., Any]) -> None:

@@ -19,11 +19,10 @@ STREAM = {"Accept": "text/event-stream"}
 
 
 @pytest.fixture
-def plane(serve: Callable[..., Any]) -> httpx.Client:
+def plane(own_aircraft: httpx.Client) -> httpx.Client:
     """An aircraft of this test's own, its engine on."""
-    http: httpx.Client = serve("aircraft").http
-    assert http.post("/services/aircraft/start", json={}).status_code == 201
-    return http
+    assert own_aircraft.post("/services/aircraft/start", json={}).status_code == 201
+    return own_aircraft
 
 
 def sent(http: httpx.Client, distance: float, **headers: str) -> httpx.Response:
@@ -127,8 +126,8 @@ def test_while_it_is_being_canceled_nothing_more_can_be_done(plane: httpx.Client
     raise AssertionError("never seen while it was being canceled")
 
 
-def test_a_rejected_goal_is_409_with_the_robots_words_and_is_kept(serve: Callable[..., Any]) -> None:
-    http = serve("aircraft").http
+def test_a_rejected_goal_is_409_with_the_robots_words_and_is_kept(own_aircraft: httpx.Client) -> None:
+    http = own_aircraft
     answer = sent(http, 1)
     assert answer.status_code == 409
     assert answer.json()["words"] == "the aircraft is off: start it before it is to fly"

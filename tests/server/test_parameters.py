@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import httpx
 import pytest
-
-from tests.server.conftest import Served
 
 ROS = "https://w3id.org/rosld#"
 JSON = {"Accept": "application/json"}
 
 
 @pytest.fixture
-def plane(serve: Callable[..., Served]) -> httpx.Client:
+def plane(own_aircraft: httpx.Client) -> httpx.Client:
     """An aircraft of this test's own."""
-    return serve("aircraft").http
+    return own_aircraft
 
 
 @pytest.mark.parametrize("value", [True, 7, -1.5, "text", "", [1, 2.5, "x", [True]], "\u00e9\n\"'<", {"a": {"b": 1}}])

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
-from typing import Any
 
 import httpx
 import pytest
@@ -14,11 +12,10 @@ AIRCRAFT, ENGINE = "/resources/aircraft/", "/resources/aircraft/engine/"
 
 
 @pytest.fixture
-def http(serve: Callable[..., Any]) -> httpx.Client:
+def http(own_aircraft: httpx.Client) -> httpx.Client:
     """A browser at an aircraft that has not been started."""
-    client: httpx.Client = serve("aircraft").http
-    client.headers.update(HTML)
-    return client
+    own_aircraft.headers.update(HTML)
+    return own_aircraft
 
 
 def forms(page: str) -> dict[str, str]:

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 
 import httpx
 import pytest
-
-from tests.server.conftest import Served
 
 TYPES = "https://w3id.org/rosld/types/"
 JSON = {"Accept": "application/json"}
 
 
 @pytest.fixture
-def plane(serve: Callable[..., Served]) -> httpx.Client:
+def plane(own_aircraft: httpx.Client) -> httpx.Client:
     """An aircraft of this test's own, standing."""
-    return serve("aircraft").http
+    return own_aircraft
 
 
 def test_a_call_is_201_with_its_location_and_the_answer_as_json(plane: httpx.Client) -> None:

@@ -39,8 +39,8 @@ def answered(waiting: Future[httpx.Response]) -> Any:
     return answer.json()
 
 
-def test_the_speed_of_the_aircraft_is_waited_for(serve: Callable[..., Served], aside: ThreadPoolExecutor) -> None:
-    http = serve("aircraft").http
+def test_the_speed_of_the_aircraft_is_waited_for(own_aircraft: httpx.Client, aside: ThreadPoolExecutor) -> None:
+    http = own_aircraft
     http.post("/services/aircraft/start", json={}).raise_for_status()
     topic = aside.submit(wait, http, SPEED, "data >= 300")
     resource = aside.submit(wait, http, "/resources/aircraft/engine/speed", "value >= 300")
@@ -122,9 +122,9 @@ def test_the_battery_of_the_rover_is_waited_for(serve: Callable[..., Served]) ->
 )
 @pytest.mark.parametrize("accept", [JSON, "text/event-stream"])
 def test_a_condition_that_can_never_hold_is_refused_at_once(
-    path: str, condition: str, words: str, accept: str, serve: Callable[..., Served]
+    path: str, condition: str, words: str, accept: str, own_aircraft: httpx.Client
 ) -> None:
-    http = serve("aircraft").http
+    http = own_aircraft
     wait(http, SPEED, "data >= 0")
     answer = http.get(path, params={"until": condition, **LONG}, headers={"Accept": accept})
     assert answer.status_code == 400

@@ -1,0 +1,196 @@
+"""What OOPS! and FOOPS! look for, as far as a program can: docs/reference/ontology.md tells all of their checks.
+
+The numbers are theirs (https://oops.linkeddata.es/catalogue.jsp, https://w3id.org/foops/catalogue).
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from pathlib import Path
+
+import pytest
+from pyoxigraph import NamedNode, Triple
+
+from rosld.ontology.modules import CORE, MODULES, OWN, home_of_terms, module_iri, module_triples
+from rosld.ontology.vocab import owl, rdf, rdfs, schema_org
+
+TABLE = (Path(__file__).parents[2] / "docs" / "reference" / "ontology.md").read_text(encoding="utf-8")
+EACH = pytest.mark.parametrize("name", MODULES)
+CURRENT = tuple(name for name in OWN if name != "deprecated")
+FOOPS = [
+    "CN1",
+    "DOC1",
+    "FIND1",
+    "FIND2",
+    "FIND3",
+    "FIND_3_BIS",
+    "HTTP1",
+    "OM1",
+    "OM2",
+    "OM3",
+    "OM4.1",
+    "OM4.2",
+    "OM5.1",
+    "OM5.2",
+    "PURL1",
+    "RDF1",
+    "URI1",
+    "URI2",
+    "VER1",
+    "VER2",
+    "VOC1",
+    "VOC2",
+    "VOC3",
+    "VOC4",
+]
+DCTERMS, VANN = "http://purl.org/dc/terms/", "http://purl.org/vocab/vann/"
+CLASS = NamedNode(owl.iri + "Class")
+INVERSE = NamedNode(owl.iri + "inverseOf")
+DATATYPE_PROPERTY = NamedNode(owl.iri + "DatatypeProperty")
+
+
+def triples(*names: str) -> list[Triple]:
+    return [each for name in names for each in module_triples(name)]
+
+
+def own(kind: NamedNode) -> set[NamedNode]:
+    """The terms of a kind that the modules define."""
+    found = {each.subject for each in triples(*CURRENT) if (each.predicate, each.object) == (rdf.type, kind)}
+    return {node for node in found if isinstance(node, NamedNode) and node.value in home_of_terms()}
+
+
+def header(name: str) -> dict[str, list[object]]:
+    """What a module says of itself."""
+    found: dict[str, list[object]] = {}
+    for each in module_triples(name):
+        if each.subject == NamedNode(module_iri(name)):
+            found.setdefault(each.predicate.value, []).append(each.object)
+    return found
+
+
+def test_every_check_is_told_of_once() -> None:
+    rows = Counter(re.findall(r"^\| ([A-Z0-9_.]+) \|", TABLE, re.MULTILINE))
+    assert rows == Counter([*FOOPS, *(f"P{number:02}" for number in range(1, 42))])
+
+
+def test_every_test_that_is_named_is_there() -> None:
+    folder = Path(__file__).parents[1]
+    places = [*folder.glob("ontology/test_*.py"), *folder.glob("server/test_ontology.py")]
+    places += [*folder.glob("interop/ontology/test_*.py"), *folder.glob("interop/apache/test_*.py")]
+    there = {name for path in places for name in re.findall(r"^def (test_\w+)", path.read_text("utf-8"), re.MULTILINE)}
+    named = set(re.findall(r"`(test_\w+)`", TABLE))
+    assert named
+    assert named <= there
+
+
+# OOPS!
+
+
+def test_p03_no_property_is_called_is() -> None:
+    names = {node.value.rpartition("#")[2] for kind in (owl.ObjectProperty, DATATYPE_PROPERTY) for node in own(kind)}
+    assert not names & {"is", "isA", "is_a", "kindOf"}
+
+
+def test_p04_every_class_is_connected() -> None:
+    relations = (
+        rdfs.domain,
+        rdfs.range,
+        schema_org.domainIncludes,
+        schema_org.rangeIncludes,
+        rdfs.subClassOf,
+        rdf.type,
+    )
+    connected = {each.object for each in triples(*CURRENT) if each.predicate in relations}
+    connected |= {each.subject for each in triples(*CURRENT) if each.predicate == rdfs.subClassOf}
+    assert not own(CLASS) - connected
+
+
+def test_p06_no_class_is_a_subclass_of_itself() -> None:
+    parents: dict[object, set[object]] = {}
+    for each in triples(*MODULES):
+        if each.predicate == rdfs.subClassOf:
+            parents.setdefault(each.subject, set()).add(each.object)
+    for start in parents:
+        above, waiting = set[object](), set(parents[start])
+        while waiting:
+            above |= (found := waiting)
+            waiting = {more for one in found for more in parents.get(one, ())} - above
+        assert start not in above
+
+
+def test_p11_most_properties_have_domain_and_range() -> None:
+    """Of the others, whose comments say why, there are no more than today."""
+    properties = own(owl.ObjectProperty) | own(DATATYPE_PROPERTY)
+    said = triples(*CURRENT)
+    with_domain = {each.subject for each in said if each.predicate in (rdfs.domain, schema_org.domainIncludes)}
+    with_range = {each.subject for each in said if each.predicate in (rdfs.range, schema_org.rangeIncludes)}
+    assert len(properties - with_domain) <= 40
+    assert len(properties - with_range) <= 20
+
+
+def test_p19_no_property_has_two_domains_or_ranges() -> None:
+    for predicate in (rdfs.domain, rdfs.range):
+        times = Counter(each.subject for each in triples(*CURRENT) if each.predicate == predicate)
+        assert [node for node, number in times.items() if number > 1] == []
+
+
+def test_p21_no_class_is_miscellaneous() -> None:
+    names = {node.value.rpartition("#")[2].lower() for node in own(CLASS)}
+    assert not names & {"other", "others", "misc", "miscellaneous", "thing", "object"}
+
+
+def test_p25_to_p29_no_property_is_its_own_inverse_and_none_is_symmetric_or_transitive() -> None:
+    said = triples(*MODULES)
+    assert not [each for each in said if each.predicate == INVERSE and each.subject == each.object]
+    characteristics = {NamedNode(f"{owl.iri}{name}Property") for name in ("Symmetric", "Transitive", "Reflexive")}
+    assert not [each for each in said if each.predicate == rdf.type and each.object in characteristics]
+
+
+def test_p33_there_are_no_property_chains() -> None:
+    assert not [each for each in triples(*MODULES) if each.predicate.value == owl.iri + "propertyChainAxiom"]
+
+
+@EACH
+def test_p36_no_name_has_a_file_extension(name: str) -> None:
+    assert not re.search(r"\.(owl|rdf|ttl|n3|rdfxml)\b", module_iri(name))
+
+
+@EACH
+def test_p40_a_module_defines_terms_of_its_own_namespaces_only(name: str) -> None:
+    for each in module_triples(name):
+        if each.predicate == rdfs.isDefinedBy and isinstance(each.subject, NamedNode):
+            assert each.subject.value.startswith("https://w3id.org/rosld"), each
+
+
+# FOOPS!
+
+
+@EACH
+def test_om1_om2_and_om5_metadata_are_in_every_header(name: str) -> None:
+    said = header(name)
+    needed = [
+        DCTERMS + term for term in ("title", "description", "license", "creator", "created", "issued", "publisher")
+    ]
+    needed += [owl.iri + "versionIRI", owl.iri + "versionInfo", DCTERMS + "bibliographicCitation"]
+    assert not [term for term in needed if not said.get(term)]
+
+
+@pytest.mark.parametrize("name", OWN)
+def test_find1_a_module_with_terms_tells_their_prefix_and_namespace(name: str) -> None:
+    assert header(name)[VANN + "preferredNamespacePrefix"]
+    assert header(name)[VANN + "preferredNamespaceUri"]
+
+
+@EACH
+def test_purl1_and_ver1_names_and_versions_are_permanent_iris(name: str) -> None:
+    (version,) = header(name)[owl.iri + "versionIRI"]
+    assert isinstance(version, NamedNode)
+    assert version.value.startswith("https://w3id.org/")
+    assert module_iri(name).startswith("https://w3id.org/")
+
+
+def test_voc1_and_voc2_other_vocabularies_are_used() -> None:
+    assert {DCTERMS + "title", VANN + "preferredNamespacePrefix"} <= header(CORE).keys()
+    imported = {each.object for each in triples(*MODULES) if each.predicate.value == owl.iri + "imports"}
+    assert len([each for each in imported if isinstance(each, NamedNode) and "w3id.org/rosld" not in each.value]) > 5

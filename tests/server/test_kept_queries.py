@@ -36,10 +36,9 @@ Reader = Callable[[httpx.Response], set[Triple]]
 
 
 @pytest.fixture
-def plane(serve: Callable[..., object]) -> httpx.Client:
+def plane(own_aircraft: httpx.Client) -> httpx.Client:
     """An aircraft of this test's own."""
-    client: httpx.Client = serve("aircraft").http  # type: ignore[attr-defined]
-    return client
+    return own_aircraft
 
 
 @pytest.fixture(scope="module")

@@ -53,10 +53,9 @@ def test_plain_json_is_the_message_as_ros_has_it(http: httpx.Client) -> None:
     assert answer.json() == {"data": 0.0}
 
 
-def test_a_topic_that_nobody_has_published_on_is_null_in_plain_json(serve: Callable[..., Served]) -> None:
-    served = serve("aircraft")
-    assert served.http.get(DISPLAY, headers={"Accept": "application/json"}).text == "null"
-    assert f"{ROS}latest" not in served.http.get(DISPLAY).text
+def test_a_topic_that_nobody_has_published_on_is_null_in_plain_json(own_aircraft: httpx.Client) -> None:
+    assert own_aircraft.get(DISPLAY, headers={"Accept": "application/json"}).text == "null"
+    assert f"{ROS}latest" not in own_aircraft.get(DISPLAY).text
 
 
 def test_the_latest_message_has_its_type_time_number_and_publisher(http: httpx.Client, triples_of: Triples) -> None:
@@ -109,15 +108,14 @@ def test_a_message_nobody_listens_to_is_202_and_says_so(serve: Callable[..., Ser
     assert "no subscriber" in answer.json()["detail"]
 
 
-def test_a_new_topic_is_made_by_rdf_that_states_its_type_and_unmade_by_delete(serve: Callable[..., Served]) -> None:
-    served = serve("aircraft")
-    assert served.http.put("/topics/new", json={"data": "x"}).status_code == 404
-    made = served.http.put("/topics/new", content=message("x"), headers={"Content-Type": "text/turtle"})
+def test_a_new_topic_is_made_by_rdf_that_states_its_type_and_unmade_by_delete(own_aircraft: httpx.Client) -> None:
+    assert own_aircraft.put("/topics/new", json={"data": "x"}).status_code == 404
+    made = own_aircraft.put("/topics/new", content=message("x"), headers={"Content-Type": "text/turtle"})
     assert made.status_code == 201
-    assert made.headers["location"] == f"{served.url}topics/new"
-    assert "DELETE" in served.http.options("/topics/new").headers["allow"]
-    assert served.http.delete("/topics/new").status_code == 204
-    assert served.http.get("/topics/new").status_code == 404
+    assert made.headers["location"] == f"{own_aircraft.base_url}topics/new"
+    assert "DELETE" in own_aircraft.options("/topics/new").headers["allow"]
+    assert own_aircraft.delete("/topics/new").status_code == 204
+    assert own_aircraft.get("/topics/new").status_code == 404
 
 
 def test_a_sensor_of_the_robot_is_not_writable_and_allow_says_so(http: httpx.Client) -> None:
@@ -148,10 +146,9 @@ def test_patch_by_sparql_update_is_about_the_one_topic(http: httpx.Client) -> No
     assert http.get(DISPLAY, headers={"Accept": "application/json"}).json() == {"data": "swapped"}
 
 
-def test_patch_of_a_topic_without_a_message_is_409(serve: Callable[..., Served]) -> None:
-    served = serve("aircraft")
+def test_patch_of_a_topic_without_a_message_is_409(own_aircraft: httpx.Client) -> None:
     headers = {"Content-Type": "application/merge-patch+json", "If-Match": "*"}
-    assert served.http.patch(DISPLAY, content='{"data": "x"}', headers=headers).status_code == 409
+    assert own_aircraft.patch(DISPLAY, content='{"data": "x"}', headers=headers).status_code == 409
 
 
 def test_what_was_read_as_turtle_guards_a_write_in_json(http: httpx.Client) -> None:

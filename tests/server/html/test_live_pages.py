@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
+import httpx
 import pytest
 
 AIRCRAFT, ENGINE = "resources/aircraft/", "resources/aircraft/engine/"
@@ -16,9 +17,9 @@ SPEED = "parseFloat(document.querySelector('tr[data-key$=\"/engine/speed\"] .tol
 
 
 @pytest.fixture
-def served(serve: Callable[..., Any]) -> Any:
+def served(own_aircraft: httpx.Client) -> Any:
     """An aircraft that has not been started."""
-    return serve("aircraft")
+    return SimpleNamespace(url=str(own_aircraft.base_url), http=own_aircraft)
 
 
 def watch(tab: Any, url: str) -> None:

@@ -12,7 +12,7 @@ from importlib.resources import files
 
 from pyoxigraph import NamedNode, RdfFormat, Triple, parse
 
-from rosld.ontology.vocab import av, mapping, owl, rdf, rdfs, ros
+from rosld.ontology.vocab import av, dcterms, mapping, owl, rdf, rdfs, ros
 
 ROOT = "https://w3id.org/rosld"
 VERSION = "0.2.0"
@@ -65,6 +65,18 @@ def _signposts(name: str) -> Iterator[Triple]:
     for triple in module_triples(name):
         if isinstance(triple.subject, NamedNode) and triple.subject.value in terms and triple.predicate in told:
             yield triple
+
+
+@cache
+def successors() -> Mapping[str, tuple[str, ...]]:
+    """What has taken the place of each deprecated term."""
+    gone = {each.subject for name in OWN for each in module_triples(name) if each.predicate == owl.deprecated}
+    found: dict[str, tuple[str, ...]] = {}
+    for name in OWN:
+        for subject, predicate, value in module_triples(name):
+            if isinstance(subject, NamedNode) and subject in gone and predicate == dcterms.isReplacedBy:
+                found[subject.value] = (*found.get(subject.value, ()), value.value)
+    return found
 
 
 @cache

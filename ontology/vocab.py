@@ -441,6 +441,7 @@ class dcterms(Namespace, iri="http://purl.org/dc/terms/"):
     created: NamedNode
     modified: NamedNode
     format: NamedNode
+    isReplacedBy: NamedNode
 
 
 class spdx(Namespace, iri="http://spdx.org/rdf/terms#"):

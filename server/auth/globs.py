@@ -43,6 +43,8 @@ class Glob:
     def _parts(self) -> tuple[re.Pattern[str] | None, ...]:
         """A pattern a segment, None for `**`."""
         segments = self.text.strip("/").split("/") if self.text.strip("/") else []
+        if segments == ["ontology"]:
+            segments.append(_ANY)  # its modules are parts of it
         return tuple(None if each == _ANY else self._part(each) for each in segments)
 
     def _part(self, segment: str) -> re.Pattern[str]:

@@ -28,6 +28,7 @@ def at(path: str) -> tuple[str, ...]:
         ("/topics/caf%C3%A9", ["/topics/caf%C3%A9", "/topics/caf%c3%a9"]),
         ("/topics/café", ["/topics/caf%C3%A9"]),
         ("/", ["/"]),
+        ("/ontology", ["/ontology", "/ontology/types", "/ontology/0.2.0/types"]),
     ],
 )
 def test_a_glob_is_about_these_paths(glob: str, paths: list[str]) -> None:
@@ -42,6 +43,7 @@ def test_a_glob_is_about_these_paths(glob: str, paths: list[str]) -> None:
         ("/topics/**/image", ["/topics/images", "/topics/a/image/raw"]),
         ("/topics/a", ["/topics/\u0430", "/topics/%61b", "/topics/a/~"]),
         ("/", ["/topics"]),
+        ("/ontology/types", ["/ontology", "/ontology/core", "/ontology/types/a"]),
     ],
 )
 def test_a_glob_is_not_about_these_paths(glob: str, paths: list[str]) -> None:

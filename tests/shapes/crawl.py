@@ -21,6 +21,7 @@ from rosld.shapes.message import SHACL_SHACL
 
 CONFORMS_TO, CONSTRAINED_BY = "http://purl.org/dc/terms/conformsTo", "http://www.w3.org/ns/ldp#constrainedBy"
 TURTLE = {"Accept": "text/turtle"}
+_VERDICTS: dict[tuple[str, ...], str] = {}
 NO_DOCUMENTS = ("?default", "?all", "?field=", "?format=")
 """What is in the URLs of what is no document of one resource."""
 
@@ -57,7 +58,14 @@ class Site:
         return "".join(self.violations_of(url, shapes) for shapes in linked)
 
     def violations_of(self, url: str, shapes: str) -> str:
-        """What a document breaks of the shapes graph at a URL."""
+        """What a document breaks of the shapes graph at a URL; what several servers say alike is judged once."""
+        shaping = "" if shapes == document(SHACL_SHACL) else self.documents[shapes]
+        key = tuple(each.replace(self.base, "http://robot/") for each in (url, self.documents[url], shapes, shaping))
+        if key not in _VERDICTS:
+            _VERDICTS[key] = self._judged(url, shapes)
+        return _VERDICTS[key]
+
+    def _judged(self, url: str, shapes: str) -> str:
         # As `pyshacl.validate` does it, which would compile the shapes again for each document.
         validator = Validator(DataGraph.from_rdflib(self.graph(url)), shacl_graph=rdflib.Graph(), options=_options())
         validator.shacl_graph = self._compiled(shapes)

@@ -17,7 +17,7 @@ _UNDERWAY = frozenset({ros.Accepted, ros.Executing, ros.Canceling})
 
 def is_refreshed(page: Page | EntryPage) -> bool:
     """Whether a page follows its resource. One that answers a form stays as it is: its reader is in the midst of it."""
-    if page.notices or not page.document.url.startswith(page.site.base):
+    if not all(notice.is_lasting for notice in page.notices) or not page.document.url.startswith(page.site.base):
         return False
     room, _, name = page.document.url.removeprefix(page.site.base).partition("/")
     if room == "calls" and name:

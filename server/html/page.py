@@ -48,13 +48,14 @@ class NoticeLink:
 class Notice:
     """Something the reader should know before all else, in a sentence; `violations` name fields that did not fit.
 
-    `link` leads to more of it.
+    `link` leads to more of it. `is_lasting`: the page says it for as long as it is followed.
     """
 
     text: str
     level: NoticeLevel = NoticeLevel.INFO
     violations: tuple[Violation, ...] = ()
     link: NoticeLink | None = None
+    is_lasting: bool = False
 
 
 @dataclass(frozen=True, slots=True)

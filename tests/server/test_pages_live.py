@@ -85,6 +85,7 @@ def test_the_page_after_a_form_says_what_became_of_it(http: httpx.Client) -> Non
     notice = re.search(r'<div class="notice good">.*?</div>', page.text, re.DOTALL)
     assert notice, page.text
     assert re.search(r"Done: publish .*/cockpit/display\S*\. It reached one subscriber\.", notice[0])
+    assert "data-live" in page.text, "it is followed as usual"
     receipt = re.search(r'<a href="([^"]+)">Receipt</a>', notice[0])
     assert receipt
     assert http.get(page.url.join(receipt[1]), headers={"Accept": "application/json"}).json()["matched"] == 1

@@ -74,6 +74,12 @@ class Tab:
         for kind in ("mousePressed", "mouseReleased"):
             self.send("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
 
+    def follow(self, x: float, y: float) -> None:
+        """Press what leads to another page, until that is loaded."""
+        self._loaded.clear()
+        self.press(x, y)
+        assert self._loaded.wait(SECONDS), f"what is at {x}, {y} led nowhere"
+
     def crash(self) -> None:
         """End the process that shows the page, as a fault would; nothing can be asked of the page any more."""
         self._window.post("Page.crash", self._session)

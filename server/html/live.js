@@ -99,7 +99,7 @@ Without this file, or with scripts off, the page is what it was when it was load
 
   function mergeAttributes(old, now) {
     const isOurs = (name) =>
-      name === "data-changed" || name === "data-filtered" || name === "inert" ||
+      name === "data-changed" || name === "data-filtered" || name === "data-ago" || name === "inert" ||
       (name === "open" && matches(old, "details")) || (name === "hidden" && matches(old, ".filter"));
     for (const { name, value } of attributesOf(now))
       if (!isOurs(name) && attribute(old, name) !== value) set(old, name, value);
@@ -152,6 +152,7 @@ Without this file, or with scripts off, the page is what it was when it was load
       const now = page.querySelector(part.localName);
       if (now) mergeChildren(part, now);
     }
+    tellAges();
     if (!page.querySelector("main[data-live]")) end();
   }
 
@@ -163,6 +164,34 @@ Without this file, or with scripts off, the page is what it was when it was load
     box.className = "notice warning";
     if (!old) document.querySelector("main header.title").after(box);
     if (box.textContent !== text) box.replaceChildren(Object.assign(document.createElement("p"), { textContent: text }));
+  }
+
+  /* How long ago times were, beside them. The robot's clock counts, which may be wrong by years. */
+
+  const AGES = [[86400, "d"], [3600, "h"], [60, "min"], [1, "s"]]; // seconds of a unit, the longest first
+  let ahead = null; // milliseconds by which the robot's clock is ahead of this one
+
+  async function compareClocks() {
+    try {
+      const answer = await fetch(document.querySelector("link[rel=stylesheet]").href, { method: "HEAD", cache: "no-store" });
+      ahead = Date.parse(answer.headers.get("date")) - Date.now();
+    } catch {
+      // not reachable: times stay as they are
+    }
+  }
+
+  function age(milliseconds) {
+    const seconds = Math.round(milliseconds / 1000);
+    const [size, unit] = AGES.find(([each]) => seconds >= each) ?? [1, "s"];
+    return seconds < 1 ? "now" : `${Math.floor(seconds / size)} ${unit} ago`;
+  }
+
+  function tellAges() {
+    if (ahead === null || Number.isNaN(ahead)) return;
+    for (const each of document.querySelectorAll("main time[datetime]")) {
+      const since = Date.now() + ahead - Date.parse(each.getAttribute("datetime"));
+      if (since > -5000) set(each, "data-ago", age(since)); // times to come are not told of
+    }
   }
 
   /* The mark */
@@ -271,4 +300,6 @@ Without this file, or with scripts off, the page is what it was when it was load
   addEventListener("pageshow", (event) => event.persisted && open());
 
   open();
+  compareClocks().then(tellAges);
+  setInterval(tellAges, 1000);
 }

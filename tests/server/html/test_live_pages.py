@@ -94,6 +94,16 @@ def test_a_topic_shows_each_message_as_text(tab: Any, served: Any) -> None:
     assert tab.run("sameLoad")
 
 
+def test_times_say_how_long_ago_they_were_by_the_clock_of_the_robot(tab: Any, served: Any) -> None:
+    served.http.put(DISPLAY, json={"data": "once"}).raise_for_status()
+    received = "document.querySelector('.message time')"
+    watch(tab, served.url + DISPLAY)
+    tab.until(f"/^(now|\\d+ s ago)$/.test({received}.dataset.ago)")
+    assert tab.run(f"{received}.textContent").endswith(" UTC")
+    tab.run("void (Date.now = ((now) => () => now() + 3 * 3600 * 1000)(Date.now))")
+    tab.until(f"{received}.dataset.ago === '3 h ago'")
+
+
 def test_a_parameter_that_another_sets_and_deletes(tab: Any, served: Any) -> None:
     path = "parameters/cockpit/brightness"
     watch(tab, served.url + path)

@@ -218,7 +218,10 @@ class GoalResource(Resource):
 
     def __init__(self, robot: Robot, id: str) -> None:
         super().__init__(robot.space.goal(id))
-        self.title = id
+        try:
+            self.title = robot.goals.find(id).action
+        except LookupError:
+            self.title = id
         self.robot = robot
         self.id = id
 

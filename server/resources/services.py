@@ -140,7 +140,10 @@ class CallResource(Resource):
 
     def __init__(self, robot: Robot, id: str) -> None:
         super().__init__(robot.space.call(id))
-        self.title = id
+        try:
+            self.title = robot.calls.find(id).service
+        except LookupError:
+            self.title = id
         self.robot = robot
         self.id = id
 

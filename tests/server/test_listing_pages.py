@@ -64,6 +64,9 @@ def test_calls_and_receipts_are_listed_by_names_and_what_was_refused_stands_out(
     [call] = rows(http, "/calls/")
     assert words(call).startswith("/dock succeeded 2")
     assert 'class="failed"' not in call
+    page = re.search(r'href="([^"]+)"', call)
+    assert page
+    assert "<h1><bdi>/dock</bdi></h1>" in http.get(http.base_url.join("/calls/").join(page[1]), headers=HTML).text
     refused, made = rows(http, "/activity/")
     assert words(refused).startswith("POST /services/dock 2")
     assert 'class="failed"' in refused

@@ -20,6 +20,8 @@ PARTS = (
     "holds.py",
     "stop.py",
     "kills.py",
+    "history.py",
+    "history_kills.py",
     "pauses.py",
     "clients.py",
 )

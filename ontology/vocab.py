@@ -250,6 +250,16 @@ class ros(Namespace, iri="https://w3id.org/rosld#"):
     dropped: NamedNode
     recordingProblem: NamedNode
     recordsTopic: NamedNode
+    Series: NamedNode
+    SeriesPoint: NamedNode
+    seriesOf: NamedNode
+    seriesField: NamedNode
+    hasPoint: NamedNode
+    pointTime: NamedNode
+    pointValue: NamedNode
+    minimum: NamedNode
+    maximum: NamedNode
+    meanValue: NamedNode
     secondsBefore: NamedNode
     secondsLong: NamedNode
     recordingStatus: NamedNode

@@ -31,6 +31,9 @@ CREATE TABLE IF NOT EXISTS chunk (
     start_ns INTEGER, end_ns INTEGER, numbers BLOB, PRIMARY KEY (segment, at)) WITHOUT ROWID;
 CREATE INDEX IF NOT EXISTS chunk_topic ON chunk (topic, end_ns);
 CREATE INDEX IF NOT EXISTS chunk_last ON chunk (last);
+CREATE TABLE IF NOT EXISTS statistic (
+    segment INTEGER, at INTEGER, field TEXT, minimum REAL, maximum REAL, total REAL, count INTEGER,
+    PRIMARY KEY (segment, at, field)) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS definition (type TEXT, hash TEXT, text TEXT, PRIMARY KEY (type, hash)) WITHOUT ROWID;
 """
 
@@ -122,6 +125,7 @@ class ChunkIndex:
             self._db.execute("BEGIN")
             self._db.execute("DELETE FROM chunk WHERE segment = ?", (segment,))
             self._db.execute("DELETE FROM channel WHERE segment = ?", (segment,))
+            self._db.execute("DELETE FROM statistic WHERE segment = ?", (segment,))
             self._db.execute("DELETE FROM segment WHERE id = ?", (segment,))
 
     def segments(self) -> list[SegmentRow]:
@@ -168,6 +172,33 @@ class ChunkIndex:
                 (topic, from_ns, until_ns),
             ).fetchall()
         return list(map(ChunkRow._make, rows))
+
+    def newest(self, topic: str, until_ns: int, limit: int) -> list[ChunkRow]:
+        """The chunks of a topic that begin at a time or before, the newest first."""
+        with self._lock:
+            query = "SELECT * FROM chunk WHERE topic = ? AND start_ns <= ? ORDER BY end_ns DESC LIMIT ?"
+            return list(map(ChunkRow._make, self._db.execute(query, (topic, until_ns, limit)).fetchall()))
+
+    def statistics(
+        self, topic: str, field: str, from_ns: int, until_ns: int
+    ) -> dict[tuple[int, int], tuple[float, float, float, int]]:
+        """What is kept of a topic's chunks, by segment and place: minimum, maximum, sum and count of a field."""
+        with self._lock:
+            rows = self._db.execute(
+                "SELECT s.segment, s.at, s.minimum, s.maximum, s.total, s.count FROM chunk c JOIN statistic s "
+                "ON s.segment = c.segment AND s.at = c.at AND s.field = ? "
+                "WHERE c.topic = ? AND c.end_ns >= ? AND c.start_ns <= ?",
+                (field, topic, from_ns, until_ns),
+            ).fetchall()
+        return {(row[0], row[1]): row[2:] for row in rows}
+
+    def keep_statistic(self, chunk: ChunkRow, field: str, statistic: tuple[float, float, float, int]) -> None:
+        """Keep what a chunk comes to."""
+        with self._lock:
+            self._db.execute(
+                "INSERT OR IGNORE INTO statistic VALUES (?, ?, ?, ?, ?, ?, ?)",
+                (chunk.segment, chunk.at, field, *statistic),
+            )
 
     def counts(self) -> dict[str, tuple[int, TypeRef]]:
         """The number of messages of each topic, and a type of it."""

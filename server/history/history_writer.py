@@ -25,6 +25,8 @@ log = logging.getLogger("rosld.history")
 _RETRY = 5.0
 """Seconds after which a disk that was full is looked at again."""
 _RESERVE = 64 * 1024 * 1024
+_OVERLAPPING = 2
+"""Chunks of a topic that may tell of one moment: messages of several publishers come in another order than sent."""
 _RESERVED_PART = 16
 """What is left of a disk to everything else: `_RESERVE`, or one part in so many of a small one."""
 _Failures = (OSError, sqlite3.Error)
@@ -120,6 +122,25 @@ class HistoryWriter:
                 return found
         return None
 
+    def unwritten(self, topic: str) -> list[Sample]:
+        """The messages of a topic that are not in the index yet, in the order of their receipt."""
+        with self._lock:
+            chunks = [chunk for chunk in (*self._closing, *self._open.values()) if chunk.topic == topic]
+            current = self._current
+            found = [each for chunk in chunks for each in chunk.messages()]
+        if current is None:
+            return []
+        channels = list(current[1].channels)
+        return [sample_of(channels[each.channel - 1], each, each.sequence) for each in found]
+
+    def latest_at(self, topic: str, time_ns: int) -> Sample | None:
+        """The message of a topic that was the newest at a time. Raises OSError, ValueError."""
+        samples = [each for each in self.unwritten(topic) if each.received_ns <= time_ns]
+        if not samples:
+            rows = self.segments.index.newest(topic, time_ns, _OVERLAPPING)
+            samples = [each for row in rows for _, each in self.segments.messages_of(row)]
+        return max((each for each in samples if each.received_ns <= time_ns), key=_received, default=None)
+
     def _unwritten(self, number: int) -> tuple[Channel, Sample] | None:
         with self._lock:
             chunks = (*self._closing, *self._open.values())
@@ -210,6 +231,10 @@ class HistoryWriter:
         if text:
             self.segments.index.define([(ref, text)])
         return text
+
+
+def _received(sample: Sample) -> int:
+    return sample.received_ns
 
 
 def _row(segment: int, chunk: TopicChunk, at: int, length: int) -> ChunkRow:

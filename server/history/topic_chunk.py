@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from array import array
 
+from rosld.server.history.chunk_reader import ChunkMessage
 from rosld.server.history.mcap_records import MESSAGE, MESSAGE_FIXED, MESSAGE_HEAD
 
 MAX_MESSAGES = 500
@@ -56,6 +57,12 @@ class TopicChunk:
     def is_due(self, now: float) -> bool:
         """Whether it is to be written."""
         return self.count >= MAX_MESSAGES or self.size >= MAX_BYTES or now - self.opened >= MAX_SECONDS
+
+    def messages(self) -> list[ChunkMessage]:
+        """All of it; `sequence` is the whole number."""
+        heads = map(MESSAGE_HEAD.unpack, self.parts[::2])
+        found = zip(heads, self.numbers, self.parts[1::2], strict=False)
+        return [ChunkMessage(head[2], number, head[4], data) for head, number, data in found]
 
     def message(self, number: int) -> tuple[int, int, bytes] | None:
         """The channel, time and data of the message of this number; None where it is not here. Any thread may ask."""

@@ -63,7 +63,7 @@ def render(problem: Problem, accept: str | None = None, *, url: str = _NOWHERE) 
         {
             **headers,
             "content-type": content_type,
-            "vary": "Accept",
+            "vary": headers.get("vary", "Accept"),
             "cache-control": "no-store",
             "x-content-type-options": "nosniff",
             "content-security-policy": "default-src 'none'; style-src 'unsafe-inline'",

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import re
-from collections.abc import Callable, Mapping, Sequence
+import time
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import replace
+from datetime import datetime, timezone
+from email.utils import format_datetime, parsedate_to_datetime
 from typing import cast
 
 from pyoxigraph import Triple
 from starlette.responses import Response
 
 from rosld.adapters.base import Watch
-from rosld.adapters.model import Graph, Kind, MessageSchema, Operation, Ref, RosError, Topic
+from rosld.adapters.model import Graph, Kind, MessageSchema, Operation, Ref, RosError, Sample, Topic
 from rosld.ontology.describe_topics import topic_document
 from rosld.ontology.document import Document
 from rosld.ontology.lift import lifter
@@ -19,6 +24,7 @@ from rosld.ontology.lower import parse_json
 from rosld.server.html import DeleteForm, Form, MessageForm
 from rosld.server.html.inputs import Json
 from rosld.server.http.conditional import digest, require_if_match
+from rosld.server.http.link import Link
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import message_schema
 from rosld.server.hypermedia.json_schema import ANYTHING, OBJECT, nullable, patch_schema
@@ -31,6 +37,7 @@ from rosld.server.resources.limit_checks import topic_bounds
 from rosld.server.resources.messages import DecodedSample, decode, field_response, lift_sample
 from rosld.server.resources.namespaces import redirect_to_namespace
 from rosld.server.resources.publisher import Publisher
+from rosld.server.resources.series import PARAMETERS, read_time, require_history, series_of
 from rosld.server.resources.strictness import STRICT
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH, RDF_BODIES, SPARQL_UPDATE
@@ -46,6 +53,9 @@ from rosld.server.runtime.signals import combine_watches
 
 _LEGAL = re.compile(r"(/[A-Za-z][A-Za-z0-9_]*)+")
 
+_DATE = "Tue, 31 Jan 2030 12:00:00 GMT"
+_SETTLED_NS = 3_000_000_000
+"""How long ago what was is what will always have been: everything of then is written."""
 _LATCH = QueryParameter("latch", "Whether subscribers that come later get the message.", {"type": "boolean"})
 
 
@@ -105,7 +115,7 @@ class TopicResource(CommandResource):
             "A topic that may be made" if topic is None else f"The topic {self.name}",
             FIELD_READS,
             ANYTHING if schema is None else nullable(schemas.read(schema)),
-            (FORMAT, FIELD),
+            (FORMAT, FIELD, *PARAMETERS),
             writes,
             methods=methods | {"DELETE"} if "PUT" in methods else methods,  # once rosld publishes
         )
@@ -286,6 +296,42 @@ class TopicResource(CommandResource):
             return None
         return cast(Json, parse_json(lifter(decoded.schema, self.robot.lifting).json(decoded.message, self.url)))
 
+    async def select_variant(self, exchange: Exchange) -> Resource:
+        """`?series=FIELD`, `?at=TIME`: out of the history."""
+        if exchange.method not in ("GET", "HEAD"):
+            return self
+        if "accept-datetime" in exchange.headers and "at" not in exchange.query:
+            raise self._negotiated(exchange.headers["accept-datetime"])
+        if not exchange.request.scope["query_string"]:
+            return self
+        if "series" in exchange.query:
+            return series_of(self.robot, self.name, exchange)
+        if "at" in exchange.query:
+            return await self._past(exchange.query["at"])
+        return self
+
+    def _negotiated(self, wanted: str) -> Problem:
+        """302 to the topic as it was: it is its own TimeGate (RFC 7089 4.1.1). Raises Problems."""
+        require_history(self.robot, self.name)
+        try:
+            at = parsedate_to_datetime(wanted).astimezone(timezone.utc)
+        except (ValueError, TypeError, OverflowError) as error:
+            raise Problem(400, f"Accept-Datetime: {wanted[:60]!r} is no date such as {_DATE}.") from error
+        headers = {"Location": f"{self.url}?at={at:%Y-%m-%dT%H:%M:%SZ}", "Vary": "Accept, Accept-Datetime"}
+        return Problem(302, f"It is at {headers['Location']}", title="Found", headers=headers)
+
+    async def _past(self, text: str) -> Resource:
+        """The topic as it was. Raises Problems."""
+        require_history(self.robot, self.name)
+        at, now = read_time(text, time.time_ns()), time.time_ns()
+        try:
+            sample = await asyncio.to_thread(self.robot.history.writer.latest_at, self.name, at)
+        except (OSError, ValueError, KeyError) as error:
+            raise Problem(503, f"The history cannot be read just now: {error}.") from error
+        if sample is None:
+            raise Problem(404, f"Nothing is recorded of {self.name} until {text}.")
+        return PastTopic(self.robot, self.name, sample, text, is_settled=at < now - _SETTLED_NS)
+
     async def custom_get(self, exchange: Exchange) -> Response | None:
         """`?field=PATH`: the bytes of one field of the latest message."""
         if b"field=" not in exchange.request.scope["query_string"] or "field" not in exchange.query:
@@ -325,3 +371,42 @@ class TopicResource(CommandResource):
     async def delete(self, exchange: Exchange) -> Answer:
         await self.robot.adapter.unadvertise(self.name)
         return Response(status_code=204)
+
+
+class PastTopic(TopicResource):
+    """A topic as it was at a time: a memento of it (RFC 7089), once that time is settled."""
+
+    kind = "Topic as it was"
+    is_cacheable = False
+
+    def __init__(self, robot: Robot, name: str, sample: Sample, text: str, *, is_settled: bool) -> None:
+        super().__init__(robot, name)
+        self.links = (*self.links, Link(robot.space.topic(name), "original"))
+        self._sample = sample
+        self._text = text
+        self._is_settled = is_settled
+
+    @property
+    def variant_key(self) -> Hashable:
+        return self._text
+
+    def methods(self) -> frozenset[str]:
+        return READ
+
+    async def state(self) -> State:
+        """The topic with the message that was its newest then."""
+        topic = self.robot.graph.topics.get(self.name) or Topic(self.name)
+        decoded = await decode(self.robot, self._sample)
+        state = self._state(topic, TopicView((self._sample,)), [decoded])
+        received = datetime.fromtimestamp(self._sample.received_ns / 1e9, timezone.utc)
+        headers = {"memento-datetime": format_datetime(received, usegmt=True)} if self._is_settled else {}
+        return replace(state, headers=headers, received_ns=None)
+
+    async def forms(self) -> Sequence[Form]:
+        return ()
+
+    async def custom_get(self, exchange: Exchange) -> Response | None:
+        """`?field=PATH` of the message that was the newest then."""
+        if "field" not in exchange.query:
+            return None
+        return await field_response(self.robot, self._sample, exchange.query["field"])

@@ -152,7 +152,12 @@ class PageRenderer:
             problem.violations,
             problem.near,
         )
-        headers = {**problem.headers, **self.headers, "Vary": "Accept", "Cache-Control": "no-store"}
+        headers = {
+            **problem.headers,
+            **self.headers,
+            "Vary": problem.headers.get("Vary", "Accept"),
+            "Cache-Control": "no-store",
+        }
         return Response(html.render_problem(page), problem.status, headers, "text/html; charset=utf-8")
 
     async def read_form(self, exchange: Exchange, resource: Resource) -> Form:

@@ -1,0 +1,49 @@
+"""A server killed a hundred times while it records: what each kill lost, and whether others read every file.
+
+Run: python bench/history_kills.py [times]. Aim: never more than two seconds lost, never a file that a reader refuses.
+"""
+
+from __future__ import annotations
+
+import random
+import statistics
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from tests.server.disks.server import server_on
+from tests.server.history.mcap_files import read
+
+TIMES = 100
+BOUND = 2.0
+
+
+def main() -> int:
+    """Print what was lost; 1 where it was too much, or a file is not read."""
+    times = int(sys.argv[1]) if len(sys.argv) > 1 else TIMES
+    lost: list[float] = []
+    with tempfile.TemporaryDirectory() as name, server_on(Path(name) / "data", Path(name) / "log") as server:
+        server.start("--history", "*")
+        for _ in range(times):
+            time.sleep(random.uniform(0.5, 4.0))
+            killed = time.time()
+            server.kill()
+            server.start("--history", "*")
+            newest = 0
+            for path in sorted((Path(name) / "data" / "history").glob("*.mcap"))[:-1][-2:]:
+                newest = max([newest, *(one.time_ns for one in read(path))])
+            lost.append(killed - newest / 1e9)
+        server.stop()
+        files = sorted((Path(name) / "data" / "history").glob("*.mcap"))
+        sequences = [one.sequence for path in files for one in read(path)]
+    whole = sorted(sequences) == list(range(len(sequences)))
+    print(f"{times} kills: {statistics.median(lost):.2f} s lost, {max(lost):.2f} s at most; {len(files)} files read")
+    print(f"{len(sequences)} messages, every number once: {whole}")
+    return int(max(lost) > BOUND or not whole)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,147 @@
+"""Series: one number of a topic's messages over a time, reduced to minimum, maximum and mean of intervals."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from rosld.adapters.model import Sample
+from rosld.server.history.chunk_index import ChunkRow
+from rosld.server.history.history_writer import HistoryWriter
+
+MAX_READ = 500_000
+"""Messages that one series may read; of those that it finds reduced already there may be any number."""
+
+
+class Statistic(NamedTuple):
+    """What is told of the numbers of an interval, of which there is at least one."""
+
+    minimum: float
+    maximum: float
+    total: float
+    numbers: int
+
+    def join(self, other: Statistic) -> Statistic:
+        """Of both together."""
+        return Statistic(
+            min(self.minimum, other.minimum),
+            max(self.maximum, other.maximum),
+            self.total + other.total,
+            self.numbers + other.numbers,
+        )
+
+
+class Point(NamedTuple):
+    """A moment, or the begin of an interval, in ns, and the numbers there."""
+
+    time_ns: int
+    statistic: Statistic
+
+
+@dataclass(frozen=True, slots=True)
+class SeriesRange:
+    """From when to when, in ns, in at most how many points."""
+
+    from_ns: int
+    to_ns: int
+    points: int
+
+    def interval(self, time_ns: int) -> int:
+        """The number of the interval that a time within lies in."""
+        return min((time_ns - self.from_ns) * self.points // max(self.to_ns - self.from_ns, 1), self.points - 1)
+
+    def begin(self, interval: int) -> int:
+        """When an interval begins, in ns."""
+        return self.from_ns + interval * (self.to_ns - self.from_ns) // self.points
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """The points, ascending; `is_reduced`: each is of an interval, else of one message."""
+
+    points: Sequence[Point]
+    is_reduced: bool
+
+
+class SeriesTooLong(ValueError):
+    """More would have to be read than one request may."""
+
+
+def read_series(
+    writer: HistoryWriter, topic: str, field: str, wanted: SeriesRange, value_of: Callable[[Sample], float | None]
+) -> Series:
+    """The series of a topic's field; `value_of` gives the number of a message, None where it has none.
+
+    What a chunk comes to is kept in the index, and read from there the next time. Raises SeriesTooLong, OSError, and
+    ValueError for a chunk that is damaged.
+    """
+    rows = writer.segments.index.of_topic(topic, wanted.from_ns, wanted.to_ns)
+    unwritten = [each for each in writer.unwritten(topic) if wanted.from_ns <= each.received_ns <= wanted.to_ns]
+    if sum(row.messages for row in rows) + len(unwritten) <= wanted.points:
+        samples = [*unwritten, *(sample for row in rows for _, sample in writer.segments.messages_of(row))]
+        within = (each for each in samples if wanted.from_ns <= each.received_ns <= wanted.to_ns)
+        found = ((each.received_ns, value_of(each)) for each in sorted(within, key=_received))
+        return Series([Point(at, single(value)) for at, value in found if value is not None], is_reduced=False)
+    intervals: dict[int, Statistic] = {}
+
+    def add(interval: int, statistic: Statistic | None) -> None:
+        if statistic is not None:
+            known = intervals.get(interval)
+            intervals[interval] = statistic if known is None else known.join(statistic)
+
+    known = writer.segments.index.statistics(topic, field, wanted.from_ns, wanted.to_ns)
+    read = 0
+    for row in rows:
+        is_whole = wanted.from_ns <= row.start_ns and row.end_ns <= wanted.to_ns
+        interval = wanted.interval(row.start_ns) if is_whole else -1
+        is_one = is_whole and interval == wanted.interval(row.end_ns)
+        if is_one and (kept := known.get((row.segment, row.at))) is not None:
+            add(interval, Statistic(*kept) if kept[3] else None)
+            continue
+        read += row.messages
+        if read > MAX_READ:
+            raise SeriesTooLong(f"more than {MAX_READ} messages would be read")
+        samples = [sample for _, sample in writer.segments.messages_of(row)]
+        if is_one:
+            add(interval, _of_chunk(writer, row, field, samples, value_of))
+        else:
+            _add_each(add, wanted, samples, value_of)
+    _add_each(add, wanted, unwritten, value_of)
+    return Series([Point(wanted.begin(each), intervals[each]) for each in sorted(intervals)], is_reduced=True)
+
+
+def single(value: float) -> Statistic:
+    """The statistic of one number."""
+    return Statistic(value, value, value, 1)
+
+
+def _add_each(
+    add: Callable[[int, Statistic | None], None],
+    wanted: SeriesRange,
+    samples: Sequence[Sample],
+    value_of: Callable[[Sample], float | None],
+) -> None:
+    for each in samples:
+        if wanted.from_ns <= each.received_ns <= wanted.to_ns:
+            value = value_of(each)
+            add(wanted.interval(each.received_ns), None if value is None else single(value))
+
+
+def _of_chunk(
+    writer: HistoryWriter,
+    row: ChunkRow,
+    field: str,
+    samples: Sequence[Sample],
+    value_of: Callable[[Sample], float | None],
+) -> Statistic | None:
+    """What a chunk comes to, which is kept."""
+    values = [value for each in samples if (value := value_of(each)) is not None and math.isfinite(value)]
+    found = Statistic(min(values), max(values), math.fsum(values), len(values)) if values else None
+    writer.segments.index.keep_statistic(row, field, found or (0.0, 0.0, 0.0, 0))
+    return found
+
+
+def _received(sample: Sample) -> int:
+    return sample.received_ns

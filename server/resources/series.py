@@ -1,0 +1,182 @@
+"""`/topics/NAME?series=FIELD`: one number of a topic over a time, out of the history."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time
+from collections.abc import Callable, Sequence
+from datetime import datetime, timezone
+from urllib.parse import quote
+
+import orjson
+from starlette.responses import Response
+
+from rosld.adapters.model import MessageSchema, Sample, TypeRef, UnknownType
+from rosld.ontology.describe_series import series_document
+from rosld.ontology.fields import field_at
+from rosld.server.history.series import Point, Series, SeriesRange, SeriesTooLong, read_series
+from rosld.server.http import negotiation
+from rosld.server.http.problem import Problem
+from rosld.server.resources.context import Robot
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.formats import OFFERS
+from rosld.server.rest.path_item import QueryParameter
+from rosld.server.rest.resource import RESOURCE, Resource
+from rosld.server.rest.state import State
+
+CSV = "text/csv"
+POINTS, MAX_POINTS = 500, 10_000
+_SECONDS_BEFORE = 60.0
+_MAX_FIELD = 500
+PARAMETERS = (
+    QueryParameter("series", "The path of a number, such as `pose.position.x`: its values over a time."),
+    QueryParameter("from", "Since when: an xsd:dateTime, or seconds before now as `-60`. Default: a minute ago."),
+    QueryParameter("to", "Until when, alike. Default: now."),
+    QueryParameter("points", "The most points.", {"type": "integer", "minimum": 1, "maximum": MAX_POINTS}),
+    QueryParameter("at", "The topic as it was at this time, an xsd:dateTime, by the history."),
+)
+
+
+class SeriesResource(Resource):
+    """A series of a topic."""
+
+    kind = "Series"
+    links = (RESOURCE,)
+
+    def __init__(self, robot: Robot, topic: str, field: str, wanted: SeriesRange, query: str) -> None:
+        super().__init__(f"{robot.space.topic(topic)}?{query}")
+        self.robot = robot
+        self.topic = topic
+        self.field = field
+        self.wanted = wanted
+
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self.robot.space.document_shape("Series"),)
+
+    async def state(self) -> State:
+        found = await self._read()
+        points = [(point.time_ns, *point.statistic) for point in found.points]
+        url, topic, field, is_reduced = self.url, self.robot.space.topic(self.topic), self.field, found.is_reduced
+        return State(
+            lambda: series_document(url, topic, field, points, is_reduced=is_reduced),
+            lambda: orjson.dumps({"topic": self.topic, "field": field, **columns(found)}),
+        )
+
+    async def custom_get(self, exchange: Exchange) -> Response | None:
+        """The columns as CSV (RFC 4180), where that is asked for."""
+        asked = exchange.query.get("format")
+        wanted = negotiation.choose(exchange.accept, (*OFFERS, CSV)) if asked is None else asked
+        if wanted not in (CSV, "csv"):
+            return None
+        table = columns(await self._read())
+        lines = [",".join(table), *(",".join(map(str, row)) for row in zip(*table.values(), strict=True))]
+        headers = {"Vary": "Accept", "Cache-Control": "no-cache"}
+        return Response("\r\n".join(lines) + "\r\n", media_type=CSV, headers=headers)
+
+    async def _read(self) -> Series:
+        values = FieldValues(self.robot.history.recording.schema, self.field)
+        writer = self.robot.history.writer
+        try:
+            found = await asyncio.to_thread(read_series, writer, self.topic, self.field, self.wanted, values.value_of)
+        except SeriesTooLong as error:
+            raise Problem(422, f"{error}: ask for a shorter time.") from error
+        except (OSError, ValueError, KeyError) as error:
+            raise Problem(503, f"The history cannot be read just now: {error}.") from error
+        if not found.points and values.problem is not None:
+            raise Problem(404, f"{values.problem}.")
+        return found
+
+
+class FieldValues:
+    """The number at a path of each message; `problem` says why a message had none."""
+
+    def __init__(self, schema_of: Callable[[TypeRef], object], path: str) -> None:
+        self.problem: str | None = None
+        self._schema_of = schema_of
+        self._path = path
+        self._schemas: dict[TypeRef, MessageSchema | None] = {}
+
+    def value_of(self, sample: Sample) -> float | None:
+        """The number, None where there is none. In any thread."""
+        schema = self._schema(sample.schema)
+        if schema is None:
+            return None
+        try:
+            _, value = field_at(schema, schema.codec.decode(sample.data, sample.encoding), self._path)
+            if isinstance(value, str) or not hasattr(value, "__float__"):
+                raise ValueError(f"{self._path} of {schema.ref.name} is no number")
+            number = float(value)
+        except (ValueError, TypeError) as error:
+            self.problem = str(error)
+            return None
+        return number if math.isfinite(number) else None
+
+    def _schema(self, ref: TypeRef) -> MessageSchema | None:
+        if ref not in self._schemas:
+            try:
+                found = self._schema_of(ref)
+            except UnknownType as error:
+                self.problem, found = error.sentence, None
+            self._schemas[ref] = found if isinstance(found, MessageSchema) else None
+        return self._schemas[ref]
+
+
+def columns(series: Series) -> dict[str, list[float | str]]:
+    """A series as columns: time and value of each message, or what the intervals come to."""
+    points: Sequence[Point] = series.points
+    times: list[float | str] = [_written(each.time_ns) for each in points]
+    if not series.is_reduced:
+        return {"time": times, "value": [each.statistic.minimum for each in points]}
+    return {
+        "time": times,
+        "min": [each.statistic.minimum for each in points],
+        "max": [each.statistic.maximum for each in points],
+        "mean": [each.statistic.total / each.statistic.numbers for each in points],
+        "count": [each.statistic.numbers for each in points],
+    }
+
+
+def series_of(robot: Robot, topic: str, exchange: Exchange) -> SeriesResource:
+    """The series that a request to a topic asks for. Raises Problems."""
+    require_history(robot, topic)
+    query, now = exchange.query, time.time_ns()
+    field = query["series"]
+    if not 0 < len(field) <= _MAX_FIELD:
+        raise Problem(400, "?series= names the path of a number, such as pose.position.x.")
+    since = read_time(query.get("from", str(-_SECONDS_BEFORE)), now)
+    until = read_time(query["to"], now) if "to" in query else now
+    points = query.get("points", str(POINTS))
+    if not (points.isascii() and points.isdecimal() and 1 <= int(points[:9]) <= MAX_POINTS):
+        raise Problem(400, f"?points={points[:20]}: from 1 to {MAX_POINTS}.")
+    if since >= until:
+        raise Problem(400, "?from= is not before ?to=.")
+    asked = {name: query[name] for name in ("series", "from", "to", "points") if name in query}
+    text = "&".join(f"{name}={quote(value, safe='/:.-')}" for name, value in asked.items())
+    return SeriesResource(robot, topic, field, SeriesRange(since, until, int(points)), text)
+
+
+def require_history(robot: Robot, topic: str) -> None:
+    """Raise a 404 Problem where nothing is kept of a topic."""
+    if not robot.history.is_kept or topic not in robot.history.writer.types:
+        raise Problem(404, f"Nothing is recorded of {topic}: rosld serve --history records topics.")
+
+
+def read_time(text: str, now_ns: int) -> int:
+    """A time in ns: an xsd:dateTime, or seconds before now with a minus. Raises a 400 Problem."""
+    try:
+        if text.startswith("-") and text.count("-") == 1:
+            return now_ns + round(float(text) * 1e9)
+        found = datetime.fromisoformat(f"{text[:-1]}+00:00" if text.endswith(("Z", "z")) else text.replace(" ", "+"))
+        aware = found if found.tzinfo is not None else found.replace(tzinfo=timezone.utc)
+        return int(aware.replace(microsecond=0).timestamp()) * 10**9 + aware.microsecond * 1000
+    except (ValueError, OverflowError) as error:
+        words = f"{text[:60]!r} is no time such as 2030-01-31T12:00:00Z, nor seconds before now such as -60."
+        raise Problem(400, words) from error
+
+
+def _written(time_ns: int) -> str:
+    seconds, rest = divmod(time_ns, 10**9)
+    moment = datetime.fromtimestamp(seconds, timezone.utc)
+    return f"{moment:%Y-%m-%dT%H:%M:%S}.{rest:09d}Z"

@@ -1,0 +1,163 @@
+"""The past of a topic: series of a number, and the topic as it was, each against what others read of its messages."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable
+from datetime import datetime, timedelta, timezone
+from email.utils import format_datetime
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+
+from tests.server.history.mcap_files import decode, read
+from tests.waiting import until
+
+JSON = {"Accept": "application/json"}
+NTRIPLES = {"Accept": "application/n-triples"}
+FIELD = "header.stamp.nanosec"
+
+
+class Past(NamedTuple):
+    """A rover with a past: its client, and what others read of its odometry: times in ns, and the field's numbers."""
+
+    http: Any
+    times: list[int]
+    values: list[float]
+
+
+@pytest.fixture(scope="module")
+def past(start_server: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory) -> Past:
+    """A few seconds of a rover, downloaded as a file."""
+    folder = tmp_path_factory.mktemp("past")
+    http = start_server("rover", "--history", "/odom", "--data", str(folder / "data")).http
+    until(
+        lambda: '"2' in http.get("/topics/odom?series=twist.twist.linear.x&points=10000", headers=JSON).text, "a past"
+    )
+    until(lambda: len(columns(http, f"series={FIELD}&points=10000")["time"]) > 150, "a longer past")
+    http.post("/bags/", json={"name": "all", "topics": ["/odom"], "before": 3600})
+    content = '{"status": "ended"}'
+    http.patch("/bags/all/", content=content, headers={"Content-Type": "application/merge-patch+json"})
+    file: Path = folder / "all.mcap"
+    file.write_bytes(http.get("/bags/all/file").content)
+    found: list[tuple[int, float]] = []
+    messages = sorted(read(file), key=lambda one: one.time_ns)
+    decoded: list[Any] = [message for _, message in decode(file)]
+    found = [(one.time_ns, float(each.header.stamp.nanosec)) for one, each in zip(messages, decoded, strict=True)]
+    return Past(http, [at for at, _ in found], [value for _, value in found])
+
+
+def columns(http: Any, query: str) -> Any:
+    answer = http.get(f"/topics/odom?{query}", headers=JSON)
+    assert answer.status_code == 200, answer.text
+    return answer.json()
+
+
+def moment(time_ns: int) -> str:
+    """A time as xsd:dateTime; to the microsecond, as a datetime has it."""
+    at = datetime.fromtimestamp(time_ns // 10**9, timezone.utc) + timedelta(microseconds=time_ns % 10**9 // 1000)
+    return at.isoformat().replace("+00:00", "Z")
+
+
+def window(past: Past) -> str:
+    """From the first to the last message that others read."""
+    return f"from={moment(past.times[0])}&to={moment(past.times[-1] + 1000)}"
+
+
+def test_a_series_of_few_messages_has_each(past: Past) -> None:
+    found = columns(past.http, f"series={FIELD}&points=10000&{window(past)}")
+    assert found["value"] == past.values
+    assert [each[:26] for each in found["time"]] == [moment(at)[:-1].ljust(26, "0") for at in past.times]
+
+
+@pytest.mark.parametrize("points", [1, 7, 40])
+def test_a_series_of_many_is_reduced_and_comes_to_what_the_messages_do(past: Past, points: int) -> None:
+    begin, end = past.times[0] // 1000 * 1000, (past.times[-1] + 1000) // 1000 * 1000
+    expected: dict[int, list[float]] = {}
+    for at, value in zip(past.times, past.values, strict=True):
+        expected.setdefault(min((at - begin) * points // (end - begin), points - 1), []).append(value)
+    for _ in range(2):  # the second time out of the index
+        found = columns(past.http, f"series={FIELD}&points={points}&{window(past)}")
+        assert found["count"] == [len(expected[each]) for each in sorted(expected)]
+        assert found["min"] == [min(expected[each]) for each in sorted(expected)]
+        assert found["max"] == [max(expected[each]) for each in sorted(expected)]
+        means = [sum(expected[each]) / len(expected[each]) for each in sorted(expected)]
+        assert found["mean"] == pytest.approx(means)
+
+
+def test_a_series_comes_as_csv_and_as_rdf(past: Past) -> None:
+    query = f"series={FIELD}&points=5&{window(past)}"
+    table = columns(past.http, query)
+    for how in ({"Accept": "text/csv"}, {}):
+        answer = past.http.get(f"/topics/odom?{query}{'' if how else '&format=csv'}", headers=how)
+        assert answer.headers["content-type"].startswith("text/csv")
+        rows = list(csv.DictReader(answer.text.splitlines()))
+        assert [int(row["count"]) for row in rows] == table["count"]
+        assert [float(row["mean"]) for row in rows] == table["mean"]
+    text = past.http.get(f"/topics/odom?{query}", headers=NTRIPLES).text
+    assert text.count("rosld#meanValue>") == len(table["time"])
+    assert "rosld#seriesOf>" in text
+
+
+@pytest.mark.parametrize(
+    ("query", "status"),
+    [
+        ("series=", 400),
+        ("series=twist.nothing", 404),
+        ("series=header.frame_id", 404),
+        ("series=header", 404),
+        (f"series={FIELD}&points=0", 400),
+        (f"series={FIELD}&points=x", 400),
+        (f"series={FIELD}&from=yesterday", 400),
+        (f"series={FIELD}&from=-1&to=-2", 400),
+        (f"series={FIELD}&from=-1e400", 400),
+        ("at=now", 400),
+        ("at=1990-01-01T00:00:00Z", 404),
+    ],
+)
+def test_what_cannot_be_read_of_the_past_is_refused_and_says_why(past: Past, query: str, status: int) -> None:
+    answer = past.http.get(f"/topics/odom?{query}", headers=JSON)
+    assert answer.status_code == status, answer.text
+    assert len(answer.json()["detail"]) > 20
+
+
+def test_of_a_topic_that_is_not_recorded_there_is_no_past(past: Past) -> None:
+    for query in ("series=angular_velocity.x", "at=2030-01-01T00:00:00Z"):
+        answer = past.http.get(f"/topics/imu?{query}", headers=JSON)
+        assert answer.status_code == 404
+        assert "--history" in answer.json()["detail"]
+
+
+def test_a_topic_is_as_it_was_and_says_when_that_was(past: Past) -> None:
+    middle = len(past.times) // 2
+    last = f"/topics/odom?at={moment(past.times[-1] + 1000)}"
+    until(lambda: "memento-datetime" in past.http.get(last, headers=JSON).headers, "the last moment to be settled")
+    until(
+        lambda: past.http.get(f"/topics/odom?at={moment(past.times[-1])}", headers=JSON).status_code == 200, "the past"
+    )
+    for number in (0, middle, len(past.times) - 1):
+        answer = past.http.get(f"/topics/odom?at={moment(past.times[number] + 1000)}", headers=JSON)
+        assert answer.json()["header"]["stamp"]["nanosec"] == past.values[number]
+        at = datetime.fromtimestamp(past.times[number] // 10**9, timezone.utc)
+        assert answer.headers["memento-datetime"] == format_datetime(at, usegmt=True)
+        assert f'<{past.http.base_url}topics/odom>; rel="original"' in answer.headers["link"]
+    text = past.http.get(f"/topics/odom?at={moment(past.times[0] + 1000)}", headers=NTRIPLES).text
+    assert f'"{int(past.values[0])}"' in text
+    assert past.http.put("/topics/odom?at=2030-01-01T00:00:00Z", json={}).status_code == 405
+
+
+def test_what_may_still_change_is_no_memento(past: Past) -> None:
+    later = moment(past.times[-1] + 10**15)
+    assert "memento-datetime" not in past.http.get(f"/topics/odom?at={later}", headers=JSON).headers
+
+
+def test_a_topic_is_its_own_time_gate(past: Past) -> None:
+    at = datetime.fromtimestamp(past.times[-1] // 10**9, timezone.utc)
+    wanted = {"Accept-Datetime": format_datetime(at, usegmt=True)}
+    answer = past.http.get("/topics/odom", headers=JSON | wanted, follow_redirects=False)
+    assert answer.status_code == 302
+    assert "accept-datetime" in answer.headers["vary"].lower()
+    assert past.http.get(answer.headers["location"], headers=JSON | wanted).status_code == 200
+    odd = past.http.get("/topics/odom", headers=JSON | {"Accept-Datetime": "long ago"}, follow_redirects=False)
+    assert odd.status_code == 400

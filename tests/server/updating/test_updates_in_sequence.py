@@ -186,7 +186,7 @@ def plane(start_server: Callable[..., Any]) -> httpx.Client:
 
 
 @given(st.lists(REQUESTS, min_size=1, max_size=4))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @example([[COPY], [ADD]])
 @example([[COPY], [_same(f"DELETE DATA {{ GRAPH <{GRAPHS[0]}> {{ <urn:a> <urn:p> 1 }} }}")], [ADD]])
 def test_requests_in_sequence_leave_what_pyoxigraph_makes_of_them(

@@ -39,9 +39,10 @@ _KINDS = ("resources", "topics", "services", "parameters", "nodes")
 _TYPE_NAME = re.compile(r"[A-Za-z]\w*/(?:msg|srv|action)/[A-Za-z]\w*", re.ASCII)
 
 
-def read_limits(data: bytes, base: str) -> tuple[Triple, ...]:
+def read_limits(data: bytes, base: str, document: str | None = None) -> tuple[Triple, ...]:
     """The shapes graph of a Turtle file, its relative IRIs resolved against the server's base URL.
 
+    Its own names (`<#speed>`) are those of `document`, which shows it.
     Raises BodyError for what is no Turtle, ValueError for triples about triples.
     """
     body = parse_body(data, "text/turtle", base)
@@ -52,7 +53,17 @@ def read_limits(data: bytes, base: str) -> tuple[Triple, ...]:
                 if isinstance(subject, Triple) or isinstance(each, Triple):
                     raise ValueError("a shapes graph has no triple terms")
                 triples.append(Triple(subject, predicate, each))
-    return tuple(triples)
+    return tuple(triples if document is None else (_renamed(triple, f"{base}#", f"{document}#") for triple in triples))
+
+
+def _renamed(triple: Triple, old: str, new: str) -> Triple:
+    """A triple whose IRIs that begin with `old` begin with `new`."""
+    subject, value = triple.subject, triple.object
+    if isinstance(subject, NamedNode) and subject.value.startswith(old):
+        subject = NamedNode(new + subject.value[len(old) :])
+    if isinstance(value, NamedNode) and value.value.startswith(old):
+        value = NamedNode(new + value.value[len(old) :])
+    return Triple(subject, triple.predicate, value)
 
 
 @dataclass(frozen=True, eq=False)

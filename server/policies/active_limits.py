@@ -83,7 +83,7 @@ def initial_limits(settings: Settings, adapter: Adapter, space: Space) -> Iterat
     shipped = adapter.capabilities.limits
     for path in (*((shipped,) if shipped is not None else ()), *settings.shapes):
         try:
-            graph = read_limits(path.read_bytes(), space.base)
+            graph = read_limits(path.read_bytes(), space.base, space.shape("limits"))
             Limits.from_graphs([graph], space)
         except ValueError as error:
             raise ValueError(f"{path} holds no limits: {error}") from error

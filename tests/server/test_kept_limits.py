@@ -63,6 +63,13 @@ def contained(client: httpx.Client) -> set[str]:
     return {line.split("/shapes/")[-1].split(">")[0] for line in lines if "ldp#contains" in line}
 
 
+def test_the_limits_of_a_file_have_names_below_the_document_that_shows_them(plane: httpx.Client) -> None:
+    name = f"<{plane.base_url}shapes/limits#speed>"
+    said = plane.get("/shapes/limits", headers=NT).text
+    assert f"{name} <http://www.w3.org/ns/shacl#targetNode> <{plane.base_url}resources/aircraft/engine/speed>" in said
+    assert f"<{plane.base_url}#" not in said
+
+
 def test_a_limit_is_in_force_from_the_put_to_the_delete(plane: httpx.Client) -> None:
     assert fly(plane, 500) == 204
     made = put(plane, "slow", SLOW)

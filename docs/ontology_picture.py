@@ -106,7 +106,7 @@ def _local(term: NamedNode) -> str:
 def draw() -> str:
     """The picture as SVG."""
     found = list(relations())
-    lines, inside = _lines(found), _inside(found)
+    lines, inside = lines_between(found), _inside(found)
     width = max(box.x for box in BOXES.values()) + WIDTH + MARGIN
     height = max(box.y + box.height for box in BOXES.values()) + MARGIN
     parts = [
@@ -121,7 +121,7 @@ def draw() -> str:
     return "\n".join(parts) + "\n"
 
 
-def _lines(found: Sequence[Relation]) -> dict[tuple[str, str], list[str]]:
+def lines_between(found: Sequence[Relation]) -> dict[tuple[str, str], list[str]]:
     """The properties between neighbours, each with its inverse, told from the first to the second."""
     named = {each.name: each for each in found}
     inverse = {each.name: each.inverse for each in found if each.inverse} | {

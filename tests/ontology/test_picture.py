@@ -30,6 +30,6 @@ def test_the_picture_is_what_the_files_say() -> None:
 def test_every_class_in_the_picture_is_one_and_every_line_has_a_property() -> None:
     drawn = script()
     assert {ros.iri + name for name in drawn.BOXES} <= home_of_terms().keys()
-    assert all(drawn._lines(list(drawn.relations())).values())
+    assert all(drawn.lines_between(list(drawn.relations())).values())
     texts = [each.text or "" for each in ElementTree.fromstring(drawn.draw()).iter("{http://www.w3.org/2000/svg}text")]
     assert any("publishes / publishedBy" in text for text in texts)

@@ -47,7 +47,7 @@ class HistoryRecording:
     format = "MCAP"
 
     def __init__(self, writer: HistoryWriter, folders: Sequence[Path]) -> None:
-        self.path = writer.segments.folder or Path(NAME)
+        self.path = writer.segments.folder or Path()  # a folder in any case: it is no file that could be sent
         self._writer = writer
         self._folders = folders
         self._libraries: _Libraries = {}

@@ -227,3 +227,12 @@ def test_a_query_finds_recordings_that_are_made_and_that_are_sent(recorded: Any,
     assert {"bags/sent/", "bags/made/", "bags/history/"} <= bags
     for name in ("sent", "made"):
         assert http.delete(f"/bags/{name}/").status_code == 204
+
+
+def test_the_history_is_not_one_file(recorded: Any, serve: Callable[..., Any]) -> None:
+    for http in (recorded.http, serve("aircraft", "--history", SPEED).http):
+        answer = http.get("/bags/history/file", headers=JSON)
+        assert answer.status_code == 404
+        assert "POST to /bags/" in answer.json()["detail"]
+        assert http.put("/bags/history", content=b"x").status_code == 409
+        assert http.delete("/bags/history/").status_code == 405

@@ -15,7 +15,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from tests.server.disks.server import server_on
-from tests.server.history.mcap_files import read
+from tests.server.history.mcap_files import finished, read
 
 TIMES = 100
 BOUND = 2.0
@@ -26,18 +26,18 @@ def main() -> int:
     times = int(sys.argv[1]) if len(sys.argv) > 1 else TIMES
     lost: list[float] = []
     with tempfile.TemporaryDirectory() as name, server_on(Path(name) / "data", Path(name) / "log") as server:
+        folder = Path(name) / "data" / "history"
         server.start("--history", "*")
         for _ in range(times):
+            began = time.time()
             time.sleep(random.uniform(0.5, 4.0))
             killed = time.time()
             server.kill()
             server.start("--history", "*")
-            newest = 0
-            for path in sorted((Path(name) / "data" / "history").glob("*.mcap"))[:-1][-2:]:
-                newest = max([newest, *(one.time_ns for one in read(path))])
-            lost.append(killed - newest / 1e9)
+            newest = max([one.time_ns for path in finished(folder)[-2:] for one in read(path)], default=0)
+            lost.append(killed - max(newest / 1e9, began))
         server.stop()
-        files = sorted((Path(name) / "data" / "history").glob("*.mcap"))
+        files = sorted(folder.glob("*.mcap"))
         sequences = [one.sequence for path in files for one in read(path)]
     whole = sorted(sequences) == list(range(len(sequences)))
     print(f"{times} kills: {statistics.median(lost):.2f} s lost, {max(lost):.2f} s at most; {len(files)} files read")

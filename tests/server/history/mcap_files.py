@@ -10,6 +10,8 @@ from mcap.reader import NonSeekingReader, make_reader
 from mcap_ros1.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
+MAGIC = b"\x89MCAP0\r\n"
+
 
 class Read(NamedTuple):
     """A message as it was read: its topic, its sequence, when it was logged, its bytes."""
@@ -42,6 +44,11 @@ def read(path: Path) -> list[Read]:
         ]
     assert sorted(walked) == sorted(found)
     return found
+
+
+def finished(folder: Path) -> list[Path]:
+    """The files of a folder that are complete: all but the one that is being written."""
+    return [path for path in sorted(folder.glob("*.mcap")) if path.read_bytes().endswith(MAGIC)]
 
 
 def profile(path: Path) -> str:

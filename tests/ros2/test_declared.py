@@ -35,7 +35,7 @@ def http(request: pytest.FixtureRequest) -> Iterator[httpx.Client]:
         system.node(str(ROBOT))
         client: httpx.Client = start(system.source, python=system.python, environment=system.environment).http
         for path in (LEVEL, "/parameters/listener/seats"):
-            until(lambda path=path: "#constraint" in client.get(path).headers.get("link", ""), path)
+            until(lambda path=path: "?shape" in client.get(path).headers.get("link", ""), path)
         yield client
 
 

@@ -162,7 +162,7 @@ def test_it_has_no_mapping(rover: Rover) -> None:
 
 def test_a_parameter_that_is_set_takes_effect_and_none_beyond_its_range_is(rover: Rover) -> None:
     limit = "/parameters/rover/max_speed"
-    until(lambda: "#constraint" in rover.http.get(limit).headers.get("link", ""), "what the node declares")
+    until(lambda: "?shape" in rover.http.get(limit).headers.get("link", ""), "what the node declares")
     assert rover.http.put(limit, json=1.5).status_code == 422
     try:
         assert rover.http.put(limit, json=0.2).status_code == 204

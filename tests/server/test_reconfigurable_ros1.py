@@ -31,9 +31,7 @@ def http(tmp_path_factory: pytest.TempPathFactory, start_server: Callable[..., A
         system.node("reconfigurable_node.py")
         client: httpx.Client = start_server(system.source).http
         for name in ("speed", "gripper/force"):
-            until(
-                lambda name=name: "#constraint" in client.get(f"/parameters/arm/{name}").headers.get("link", ""), name
-            )
+            until(lambda name=name: "?shape" in client.get(f"/parameters/arm/{name}").headers.get("link", ""), name)
         yield client
 
 

@@ -38,7 +38,9 @@ def test_http_what_is_known_is_304(place: Place, kinds: dict[str, str]) -> None:
 
 
 def test_http_the_robots_containers_answer_304(robots: Place) -> None:
-    assert robots.get(If_None_Match=robots.get().headers["etag"]).status_code == 304
+    """Some tell the latest values of their members, which may change between two requests."""
+    answers = (robots.get(If_None_Match=robots.get().headers["etag"]) for _ in range(100))
+    assert any(answer.status_code == 304 for answer in answers)
 
 
 def test_http_one_syntax_is_not_another(place: Place) -> None:

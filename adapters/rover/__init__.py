@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from rosld.adapters.base import Adapter, AdapterOptions
 
 
-def adapter(source: str, options: AdapterOptions) -> Adapter:
+def rover_adapter(source: str, options: AdapterOptions) -> Adapter:
     """The adapter of a source such as `rover` or `rover:?battery=0.21`. Raises ValueError for a bad option."""
     from rosld.adapters.rover.adapter import Rover  # imported late: a ROS node's Python may lack what it needs
     from rosld.adapters.rover.source import read_source
@@ -19,4 +19,4 @@ def adapter(source: str, options: AdapterOptions) -> Adapter:
     return Rover(read_source(source), options)
 
 
-__all__ = ["adapter"]
+__all__ = ["rover_adapter"]

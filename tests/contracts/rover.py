@@ -9,7 +9,7 @@ from pathlib import Path
 from rosld.adapters.base import AdapterOptions
 from rosld.adapters.model import ActionSchema, MessageSchema, TypeRef
 from rosld.adapters.model.library import TypeLibrary
-from rosld.adapters.rover import adapter
+from rosld.adapters.rover import rover_adapter
 from rosld.adapters.rover.encoder import message
 from rosld.adapters.rover.messages import pose_stamped
 from rosld.adapters.rover.navigation import Pose
@@ -47,7 +47,7 @@ def robot(folder: Path) -> Iterator[object]:
     library = TypeLibrary(ros_version=2)
     yield Robot(
         name="rover",
-        adapter=lambda: adapter("rover:?rate=0.1", AdapterOptions()),
+        adapter=lambda: rover_adapter("rover:?rate=0.1", AdapterOptions()),
         nowhere=None,
         readable="/odom",
         writable=Spoken("/cmd_vel", "geometry_msgs/msg/Twist", parts(library, "geometry_msgs/msg/Twist", TWIST)),

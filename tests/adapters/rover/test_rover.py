@@ -25,7 +25,7 @@ from rosld.adapters.model import (
     Refused,
     TypeRef,
 )
-from rosld.adapters.rover import adapter, camera
+from rosld.adapters.rover import camera, rover_adapter
 from rosld.adapters.rover.encoder import encode
 from rosld.adapters.rover.messages import pose_stamped
 from rosld.adapters.rover.navigation import Pose
@@ -38,7 +38,7 @@ def live(scenario: Callable[[Session], Awaitable[None]], source: str = "rover") 
     """Run a scenario with an open rover."""
 
     async def session() -> None:
-        opened: Adapter = adapter(source, AdapterOptions())
+        opened: Adapter = rover_adapter(source, AdapterOptions())
         told = Told()
         await opened.open(told, deadline=asyncio.get_running_loop().time() + 5)
         try:
@@ -227,4 +227,4 @@ def test_a_source_says_how_it_begins() -> None:
 )
 def test_a_source_that_is_wrong_is_refused_in_a_sentence(source: str, words: str) -> None:
     with pytest.raises(ValueError, match=words):
-        adapter(source, AdapterOptions())
+        rover_adapter(source, AdapterOptions())

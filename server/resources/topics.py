@@ -299,16 +299,16 @@ class TopicResource(CommandResource):
     async def select_variant(self, exchange: Exchange) -> Resource:
         """`?series=FIELD`, `?at=TIME`: out of the history."""
         if exchange.method not in ("GET", "HEAD"):
-            return self
+            return await super().select_variant(exchange)
         if "accept-datetime" in exchange.headers and "at" not in exchange.query:
             raise self._negotiated(exchange.headers["accept-datetime"])
         if not exchange.request.scope["query_string"]:
-            return self
+            return await super().select_variant(exchange)
         if "series" in exchange.query:
             return series_of(self.robot, self.name, exchange)
         if "at" in exchange.query:
             return await self._past(exchange.query["at"])
-        return self
+        return await super().select_variant(exchange)
 
     def _negotiated(self, wanted: str) -> Problem:
         """302 to the topic as it was: it is its own TimeGate (RFC 7089 4.1.1). Raises Problems."""

@@ -22,6 +22,7 @@ from urllib.parse import quote, urlsplit
 import httpx
 import pytest
 import schemathesis
+import schemathesis.specs.openapi.schemas  # now, and not deep in a test, where Python 3.11 may fail to rewrite it
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.errors import Unsatisfiable

@@ -104,6 +104,19 @@ class Sink(Protocol):
         ...
 
 
+class NullSink:
+    """A `Sink` for who looks at an adapter and listens to nothing; what is listened to is overridden."""
+
+    def graph_changed(self, graph: Graph) -> None:
+        """Not of interest."""
+
+    def goal_changed(self, goal: GoalId, event: GoalEvent) -> None:
+        """Not of interest."""
+
+    def parameter_changed(self, name: str) -> None:
+        """Not of interest."""
+
+
 @dataclass(frozen=True, slots=True)
 class RecordedTopic:
     """A topic of a recording: its type, how many messages, and why they cannot be decoded (None: they can)."""

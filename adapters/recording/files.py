@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from rosld.adapters.model import NotFound, Unreachable
+from rosld.adapters.model.mcap import MAGIC
 from rosld.adapters.recording import mcap, rosbag1, rosbag2, sqlite
 from rosld.adapters.recording.storage import Damaged, Storage
 
@@ -29,7 +30,7 @@ def open_file(path: Path) -> Storage:
         raise Damaged("the file is empty")
     if head.startswith(rosbag1.MAGIC):
         return rosbag1.Rosbag1(path)
-    if head.startswith(mcap.MAGIC):
+    if head.startswith(MAGIC):
         return mcap.Mcap(path)
     if head.startswith(sqlite.MAGIC):
         return sqlite.Sqlite(path)

@@ -17,6 +17,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from rosld.adapters.model import Encoding
+from rosld.adapters.model.mcap import MAGIC, Fields
 from rosld.adapters.recording.byte_source import (
     ByteSource,
     BytesSource,
@@ -35,7 +36,6 @@ from rosld.adapters.recording.storage import (
     message_table,
 )
 
-MAGIC = b"\x89MCAP0\r\n"
 _HEADER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _MESSAGE_INDEX, _CHUNK_INDEX = 1, 3, 4, 5, 6, 7, 8
 _STATISTICS, _DATA_END = 0x0B, 0x0F
 _FOOTER_SIZE = 1 + 8 + 20 + len(MAGIC)
@@ -71,39 +71,11 @@ class _Schema(NamedTuple):
     data: str
 
 
-class _Fields:
-    """The fields of a record, read one after the other."""
+class _Fields(Fields):
+    """The fields of a record of a file that anybody may have written."""
 
-    def __init__(self, data: bytes) -> None:
-        self._data = data
-        self._at = 0
-
-    def uint(self, size: int) -> int:
-        return int.from_bytes(self._take(size), "little")
-
-    def text(self) -> str:
-        return self._take(self.uint(4)).decode("utf-8", "replace")
-
-    def texts(self) -> dict[str, str]:
-        inner = _Fields(self._take(self.uint(4)))
-        found: dict[str, str] = {}
-        while inner.more():
-            key = inner.text()
-            found[key] = inner.text()
-        return found
-
-    def octets(self) -> bytes:
-        return self._take(self.uint(4))
-
-    def more(self) -> bool:
-        return self._at < len(self._data)
-
-    def _take(self, size: int) -> bytes:
-        data = self._data[self._at : self._at + size]
-        if len(data) != size:
-            raise Damaged("a record is shorter than its fields")
-        self._at += size
-        return data
+    too_short = Damaged
+    errors = "replace"
 
 
 class _Scan:

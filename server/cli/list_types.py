@@ -8,25 +8,12 @@ from contextlib import contextmanager
 
 import click
 
-from rosld.adapters.base import Adapter, AdapterOptions
-from rosld.adapters.model import GoalEvent, GoalId, Graph, TypeRef
+from rosld.adapters.base import Adapter, AdapterOptions, NullSink
+from rosld.adapters.model import Graph, TypeRef
 from rosld.adapters.registry import adapter_for
 from rosld.server.cli.failure import user_errors
 
 OPEN_SECONDS = 5.0
-
-
-class NullSink:
-    """A `Sink` for who looks once and is told nothing."""
-
-    def graph_changed(self, graph: Graph) -> None:
-        """Not of interest."""
-
-    def goal_changed(self, goal: GoalId, event: GoalEvent) -> None:
-        """Not of interest."""
-
-    def parameter_changed(self, name: str) -> None:
-        """Not of interest."""
 
 
 @contextmanager

@@ -111,6 +111,12 @@ def _options(*names: str) -> Callable[[_F], _F]:
     return decorate
 
 
+def _output(help: str) -> Callable[[_F], _F]:
+    """The option that names the file to write."""
+    path = click.Path(dir_okay=False, path_type=Path)
+    return click.option("-o", "--output", required=True, type=path, metavar="FILE", help=help)
+
+
 def _others() -> str:
     """The settings that are no options, as text for the help."""
     rows = (
@@ -150,14 +156,7 @@ def serve(source: str, others: tuple[tuple[str, str], ...], base_url: str | None
 
 @main.command()
 @click.argument("recording", type=click.Path(path_type=Path))
-@click.option(
-    "-o",
-    "--output",
-    required=True,
-    type=click.Path(dir_okay=False, path_type=Path),
-    metavar="FILE",
-    help="Where to write: .nq, .nt, .ttl or .trig, each also with .gz.",
-)
+@_output("Where to write: .nq, .nt, .ttl or .trig, each also with .gz.")
 @click.option("--base-url", default=_DEFAULT_BASE, show_default=True, metavar="URL", help="What every URL begins with.")
 @click.option(
     "--inline-limit",
@@ -189,14 +188,7 @@ def lift(recording: Path, output: Path, base_url: str, inline_limit: int, types:
 
 @main.command(short_help="Record live topics of SOURCE into FILE.")
 @click.argument("source", default="ros2:")
-@click.option(
-    "-o",
-    "--output",
-    required=True,
-    type=click.Path(dir_okay=False, path_type=Path),
-    metavar="FILE",
-    help="Where to write: an .mcap file.",
-)
+@_output("Where to write: an .mcap file.")
 @click.option("--topic", "topics", multiple=True, metavar="GLOB", help="What to record; default: all. Repeatable.")
 @click.option("--duration", type=click.FloatRange(min=0), metavar="SECONDS", help="End after so long.")
 @_options("types", "ros_ip", "host_map", "qos")
@@ -297,14 +289,7 @@ def token_remove(name: str, file: Path) -> None:
 
 @main.command(short_help="Copy what clients have put in DIR into a file.")
 @click.argument("folder", metavar="DIR", type=click.Path(exists=True, file_okay=False, path_type=Path))
-@click.option(
-    "-o",
-    "--output",
-    required=True,
-    type=click.Path(dir_okay=False, path_type=Path),
-    metavar="FILE",
-    help="Where to write: a .tar.gz.",
-)
+@_output("Where to write: a .tar.gz.")
 def dump(folder: Path, output: Path) -> None:
     """Copy what clients have put in DIR (`rosld serve --data DIR`) into FILE, RDF and files.
 

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import click
 
-from rosld.adapters.base import Adapter, AdapterOptions
-from rosld.adapters.model import GoalEvent, GoalId, Graph, MessageSchema, TypeRef
+from rosld.adapters.base import Adapter, AdapterOptions, NullSink
+from rosld.adapters.model import Graph
 from rosld.adapters.registry import adapter_for
 from rosld.server.cli.failure import Failure, user_errors
 from rosld.server.history.history_writer import require_room
@@ -40,7 +40,7 @@ def record(source: str, output: Path, topics: Sequence[str], duration: float | N
     click.echo(f"{output}: {writer.count} messages of {len(writer.counts)} topics", err=True)
 
 
-class _Recording:
+class _Recording(NullSink):
     """One recording of an adapter that is opened for it; the sink of that adapter."""
 
     def __init__(self, adapter: Adapter, output: Path, topics: Sequence[str]) -> None:
@@ -60,7 +60,7 @@ class _Recording:
         await self._adapter.open(self, deadline=loop.time() + _OPEN_SECONDS)
         try:
             writer = RecordingWriter(
-                self._output, self._adapter.capabilities.encoding, self._definition_of, require_room
+                self._output, self._adapter.capabilities.encoding, self._schemas.definition_of, require_room
             )
             self._live.add(writer, lambda topic: any(fnmatchcase(topic, glob) for glob in self._topics))
             progress = loop.create_task(self._tell(writer, ended))
@@ -80,16 +80,6 @@ class _Recording:
         if self._loop is not None and not self._loop.is_closed():
             with contextlib.suppress(RuntimeError):
                 self._loop.call_soon_threadsafe(self._live.refresh)
-
-    def goal_changed(self, goal: GoalId, event: GoalEvent) -> None:
-        """Not of interest."""
-
-    def parameter_changed(self, name: str) -> None:
-        """Not of interest."""
-
-    def _definition_of(self, ref: TypeRef) -> str:
-        found = self._schemas.find_cached(ref) or self._schemas.find_cached_by_name(ref.name)
-        return found.definition if isinstance(found, MessageSchema) else ""
 
     async def _tell(self, writer: RecordingWriter, ended: asyncio.Event) -> None:
         """Say how far it is: over and over in one line of a terminal; nowhere else. End with the recording."""

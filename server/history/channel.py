@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from rosld.adapters.model import Encoding, Sample, TypeRef
+from rosld.adapters.model.mcap import Fields
 from rosld.server.history import mcap_records as mcap
 
 _LATCHED = """- history: keep_last
@@ -53,7 +54,7 @@ def schema_record(number: int, type: TypeRef, encoding: Encoding, definition: st
     return mcap.schema(number, _recorded_name(type.name, encoding), _SYNTAXES[encoding], definition)
 
 
-def read_channel(fields: mcap.Fields, types: Mapping[int, str]) -> tuple[int, Channel]:
+def read_channel(fields: Fields, types: Mapping[int, str]) -> tuple[int, Channel]:
     """A channel and its number from its record; `types` are the names of schemas. Raises ValueError, KeyError."""
     number, schema = fields.uint(2), fields.uint(2)
     topic, encoding, said = fields.text(), Encoding(fields.text()), fields.texts()

@@ -118,8 +118,7 @@ class HistoryRecording:
     def _library(self, encoding: Encoding) -> TypeLibrary:
         found = self._libraries.get(encoding)
         if found is None:
-            version = 1 if encoding is Encoding.ROS1 else 2
-            found = TypeLibrary(ros_version=1 if version == 1 else 2, folders=self._folders)
+            found = TypeLibrary(ros_version=1 if encoding is Encoding.ROS1 else 2, folders=self._folders)
             self._libraries[encoding] = found
         return found
 

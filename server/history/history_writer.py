@@ -19,7 +19,6 @@ from rosld.server.history.chunk_reader import ChunkMessage
 from rosld.server.history.mcap_writer import McapWriter
 from rosld.server.history.segments import Segments, sample_of
 from rosld.server.history.topic_chunk import TopicChunk
-from rosld.server.storage.disk_reserve import free_bytes
 
 log = logging.getLogger("rosld.history")
 _RETRY = 5.0
@@ -105,8 +104,7 @@ class HistoryWriter:
 
     def close(self) -> None:
         """Write what there is, and finish the segment. Idempotent."""
-        if self._current is not None:
-            self._write(list(self._open.values()))
+        self.write_all()
         if self._current is not None:
             self._finish()
 
@@ -257,5 +255,5 @@ def require_room(folder: Path | None) -> None:
     if folder is None:
         return
     found = os.statvfs(folder)
-    if free_bytes(folder) < min(_RESERVE, found.f_blocks * found.f_frsize // _RESERVED_PART):
+    if found.f_bavail * found.f_frsize < min(_RESERVE, found.f_blocks * found.f_frsize // _RESERVED_PART):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

@@ -12,7 +12,6 @@ if sys.version_info >= (3, 14):
 else:
     from backports import zstd
 
-MAGIC = b"\x89MCAP0\r\n"
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = 1, 2, 3, 4, 5, 6, 7, 8
 STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFSET, DATA_END = 0x0B, 0x0C, 0x0D, 0x0E, 0x0F
 ZSTD = "zstd"
@@ -152,42 +151,6 @@ def chunk_head(data: bytes, at: int = 0) -> ChunkHead:
     except (struct.error, UnicodeDecodeError) as error:
         raise ValueError(f"the chunk at {at} has no head: {error}") from error
     return ChunkHead(start, end, size, crc, compression, name + length + 8)
-
-
-class Fields:
-    """The fields of a record, read one after the other. Raises ValueError where it is too short."""
-
-    def __init__(self, data: bytes) -> None:
-        self._data = data
-        self._at = 0
-
-    def uint(self, size: int) -> int:
-        """An unsigned integer of so many bytes."""
-        return int.from_bytes(self._take(size), "little")
-
-    def text(self) -> str:
-        """A string."""
-        return self._take(self.uint(4)).decode("utf-8", "surrogateescape")
-
-    def octets(self) -> bytes:
-        """Bytes with their length before them."""
-        return self._take(self.uint(4))
-
-    def texts(self) -> dict[str, str]:
-        """A map of strings."""
-        inner = Fields(self.octets())
-        found: dict[str, str] = {}
-        while inner._at < len(inner._data):
-            key = inner.text()
-            found[key] = inner.text()
-        return found
-
-    def _take(self, size: int) -> bytes:
-        data = self._data[self._at : self._at + size]
-        if len(data) != size:
-            raise ValueError("a record is shorter than its fields")
-        self._at += size
-        return data
 
 
 def compress(data: bytes) -> bytes:

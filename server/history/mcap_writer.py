@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rosld.adapters.model import Encoding, TypeRef
+from rosld.adapters.model.mcap import MAGIC
 from rosld.server.history import mcap_records as mcap
 from rosld.server.history.channel import PROFILES, Channel, channel_record, schema_record
 from rosld.server.history.segment_file import SegmentFile
@@ -47,7 +48,7 @@ class McapWriter:
         self._written: set[int] = set()
         self._records: dict[int, bytes] = {}
         self._summary = Summary()
-        begin = mcap.MAGIC + mcap.header(PROFILES[encoding], f"rosld {version('rosld')}")
+        begin = MAGIC + mcap.header(PROFILES[encoding], f"rosld {version('rosld')}")
         file.append(begin + mcap.metadata(NUMBERS, {"first": str(first)}))
 
     @property
@@ -151,7 +152,7 @@ class Summary:
         summary = b"".join([*(group for _, group in groups), *offsets])
         footer = mcap.RECORD_HEAD.pack(mcap.FOOTER, 20) + struct.pack("<QQ", start, offset)
         crc = struct.pack("<I", zlib.crc32(footer, zlib.crc32(summary)))
-        return data_end + summary + footer + crc + mcap.MAGIC
+        return data_end + summary + footer + crc + MAGIC
 
 
 def _shifted(entries: array[int], offset: int) -> bytes:

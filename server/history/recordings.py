@@ -14,8 +14,9 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 
-from rosld.adapters.base import Adapter, AdapterOptions, Recording
-from rosld.adapters.model import GoalEvent, GoalId, Graph, RosError, TypeRef
+from rosld.adapters.base import Adapter, AdapterOptions, NullSink, Recording
+from rosld.adapters.model import RosError, TypeRef
+from rosld.adapters.model.mcap import MAGIC
 from rosld.adapters.registry import adapter_for
 from rosld.server.history.history import NAME as HISTORY
 from rosld.server.history.history import History
@@ -28,7 +29,7 @@ log = logging.getLogger("rosld.history")
 FOLDER = "bags"
 SUFFIX = ".mcap"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
-_SUFFIXES = {b"#ROSBAG ": ".bag", b"\x89MCAP0\r\n": SUFFIX, b"SQLite f": ".db3"}
+_SUFFIXES = {b"#ROSBAG ": ".bag", MAGIC: SUFFIX, b"SQLite f": ".db3"}
 _OPEN_SECONDS = 60.0
 _REVISION_SECONDS = 5.0
 """How old what a query is told of a recording that is being made may be."""
@@ -226,7 +227,7 @@ class Recordings:
         adapter = adapter_for(f"recording:{path}", AdapterOptions())
         deadline = asyncio.get_running_loop().time() + _OPEN_SECONDS
         try:
-            await adapter.open(_NobodyListens(), deadline=deadline)
+            await adapter.open(NullSink(), deadline=deadline)
         except RosError as error:
             with contextlib.suppress(RosError):
                 await adapter.close()
@@ -263,19 +264,6 @@ class Recordings:
             self._folder = Path(self._temporary.name)
         self._folder.mkdir(parents=True, exist_ok=True)
         return self._folder / f"{name}{suffix}"
-
-
-class _NobodyListens:
-    """The sink of an adapter that plays to nobody."""
-
-    def graph_changed(self, graph: Graph) -> None:
-        """Not of interest."""
-
-    def goal_changed(self, goal: GoalId, event: GoalEvent) -> None:
-        """Not of interest."""
-
-    def parameter_changed(self, name: str) -> None:
-        """Not of interest."""
 
 
 def _write(write: Callable[[bytes], object], folder: Path, data: bytes) -> None:

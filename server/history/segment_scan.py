@@ -7,6 +7,7 @@ from array import array
 from collections import Counter
 from dataclasses import dataclass, field
 
+from rosld.adapters.model.mcap import MAGIC, Fields
 from rosld.server.history import mcap_records as mcap
 from rosld.server.history.channel import Channel, read_channel
 from rosld.server.history.mcap_writer import NUMBERS, Place, Summary
@@ -40,13 +41,13 @@ class Scan:
 
 def scan(data: bytes) -> Scan:
     """What the bytes of a file hold, up to the last chunk that is whole. Raises ValueError for another format."""
-    if not data.startswith(mcap.MAGIC):
+    if not data.startswith(MAGIC):
         raise ValueError("it is no MCAP file")
-    found = Scan(end=len(mcap.MAGIC))
+    found = Scan(end=len(MAGIC))
     names: dict[int, str] = {}
     pending: tuple[mcap.Record, ScannedChunk, Counter[int]] | None = None
     index_at: dict[int, int] = {}
-    for record in mcap.records_in(data, len(mcap.MAGIC)):
+    for record in mcap.records_in(data, len(MAGIC)):
         begin = record.at - mcap.RECORD_HEAD.size
         if record.op == mcap.MESSAGE_INDEX and pending is not None:
             index_at[int.from_bytes(data[record.at : record.at + 2], "little")] = begin
@@ -60,10 +61,10 @@ def scan(data: bytes) -> Scan:
                 break
             pending = record, chunk, counts
         elif record.op == mcap.DATA_END and pending is None:
-            found.is_finished = data.endswith(mcap.MAGIC) and len(data) > record.end
+            found.is_finished = data.endswith(MAGIC) and len(data) > record.end
             break
         elif record.op == mcap.METADATA and pending is None:
-            fields = mcap.Fields(data[record.at : record.end])
+            fields = Fields(data[record.at : record.end])
             if fields.text() == NUMBERS:
                 found.first = int(fields.texts()["first"])
             found.end = record.end
@@ -120,13 +121,13 @@ def _chunk(found: Scan, data: bytes, record: mcap.Record, names: dict[int, str])
     numbers, counts, topic = array("Q"), Counter[int](), ""
     for each in mcap.records_in(inner):
         if each.op == mcap.SCHEMA:
-            fields = mcap.Fields(inner[each.at : each.end])
+            fields = Fields(inner[each.at : each.end])
             number, name, _, text = fields.uint(2), fields.text(), fields.text(), fields.text()
             names[number] = name
             found.definitions[name] = text
             found.described[inner[each.at - mcap.RECORD_HEAD.size : each.end]] = None
         elif each.op == mcap.CHANNEL:
-            number, channel = read_channel(mcap.Fields(inner[each.at : each.end]), names)
+            number, channel = read_channel(Fields(inner[each.at : each.end]), names)
             found.channels[number] = channel
             found.described[inner[each.at - mcap.RECORD_HEAD.size : each.end]] = None
         elif each.op == mcap.MESSAGE:

@@ -20,6 +20,7 @@ from functools import lru_cache
 from types import MappingProxyType
 from typing import TypeAlias, TypeVar
 
+from rosld.adapters.model import Action as RosAction
 from rosld.adapters.model import (
     ActionSchema,
     GoalStatus,
@@ -28,6 +29,7 @@ from rosld.adapters.model import (
     Parameter,
     Primitive,
     Schema,
+    Service,
     ServiceSchema,
     Topic,
     TypeRef,
@@ -56,6 +58,7 @@ from rosld.server.hypermedia.type_inference import is_convertible, value_fields,
 SchemaOf: TypeAlias = Callable[[TypeRef], "Schema | None"]
 
 _S = TypeVar("_S", Getter, Setter)
+_Kind = TypeVar("_Kind", ServiceSchema, ActionSchema)
 
 _PLACE = re.compile(r"\{([nN]ame)\}")
 _ACTIONLIB = {
@@ -201,7 +204,7 @@ def catalogue(graph: Graph, schema_of: SchemaOf, conventions: Conventions = CONV
     Of several services that would read one property the first that can is its getter, in the order of the templates;
     all others are actions; and so with setters.
     """
-    services = _services(graph, schema_of, conventions)
+    services = _schemas(graph.services.values(), ServiceSchema, schema_of, conventions)
     topics = {topic.name: TopicSource(topic.name, _message_schema(topic.type, schema_of)) for topic in _topics(graph)}
     parameters = {
         parameter.name: ParameterSource(parameter.name)
@@ -210,7 +213,7 @@ def catalogue(graph: Graph, schema_of: SchemaOf, conventions: Conventions = CONV
     }
     getters = _by_property(services, conventions.getters, _getter)
     setters = _by_property(services, conventions.setters, _setter)
-    pursued = _actions(graph, schema_of, conventions)
+    pursued = _schemas(graph.actions.values(), ActionSchema, schema_of, conventions)
     properties = {part.name: part for name, schema in pursued.items() for part in _parts(name, schema)}
     properties |= {
         name: _property(name, topics.get(name), getters.get(name, ()), setters.get(name, ()), parameters.get(name))
@@ -248,16 +251,6 @@ def _is_of_actionlib(topic: Topic, graph: Graph) -> bool:
     return ending is not None and action in graph.actions and all(ref.name.endswith(ending) for ref in topic.types)
 
 
-def _actions(graph: Graph, schema_of: SchemaOf, conventions: Conventions) -> Mapping[str, ActionSchema | None]:
-    """The actions of ROS that are in resources, with their schemas."""
-    found: dict[str, ActionSchema | None] = {}
-    for action in graph.actions.values():
-        if not conventions.excludes(action.name):
-            schema = schema_of(action.type) if action.type is not None else None
-            found[action.name] = schema if isinstance(schema, ActionSchema) else None
-    return found
-
-
 def _parts(action: str, schema: ActionSchema | None) -> Iterator[Property]:
     """The properties below an action's name: how its goal stands and, where its type is known, what is told of it."""
     yield Property(
@@ -272,13 +265,15 @@ def _parts(action: str, schema: ActionSchema | None) -> Iterator[Property]:
             yield Property(f"{action}/{part.value}", kind, (GoalSource(action, part, half),))
 
 
-def _services(graph: Graph, schema_of: SchemaOf, conventions: Conventions) -> Mapping[str, ServiceSchema | None]:
-    """The services that are in resources, with their schemas."""
-    found: dict[str, ServiceSchema | None] = {}
-    for service in graph.services.values():
-        if not conventions.excludes(service.name):
-            schema = schema_of(service.type) if service.type is not None else None
-            found[service.name] = schema if isinstance(schema, ServiceSchema) else None
+def _schemas(
+    things: Iterable[RosAction | Service], kind: type[_Kind], schema_of: SchemaOf, conventions: Conventions
+) -> Mapping[str, _Kind | None]:
+    """The services, or the actions of ROS, that are in resources, with their schemas."""
+    found: dict[str, _Kind | None] = {}
+    for thing in things:
+        if not conventions.excludes(thing.name):
+            schema = schema_of(thing.type) if thing.type is not None else None
+            found[thing.name] = schema if isinstance(schema, kind) else None
     return found
 
 

@@ -8,7 +8,6 @@ from collections.abc import Hashable, Mapping, Sequence
 from functools import cached_property
 
 from rosld.adapters.base import Adapter, Recording
-from rosld.adapters.model import MessageSchema, TypeRef
 from rosld.server.history.history import NAME as HISTORY
 from rosld.server.history.history import History
 from rosld.server.history.recordings import Recordings
@@ -70,7 +69,7 @@ class Robot(Session):
             self, self.mappings, self.property_reader, self.states, lambda: self.limits
         )
         self.holds = Holds(self)
-        self.bags = Recordings(adapter, settings, self.schemas.get, self._definition_of)
+        self.bags = Recordings(adapter, settings, self.schemas.get, self.schemas.definition_of)
         self.software_stop = SoftwareStop(self, self.holds, lambda: self.mappings.mapping_set.stop_commands())
 
     @cached_property
@@ -141,11 +140,6 @@ class Robot(Session):
         await self.bags.stop()
         await self.close()
         await self.records.close()
-
-    def _definition_of(self, ref: TypeRef) -> str:
-        """The text of a message type as far as it is at hand, empty where it is not."""
-        found = self.schemas.find_cached(ref) or self.schemas.find_cached_by_name(ref.name)
-        return found.definition if isinstance(found, MessageSchema) else ""
 
     def _kept(self, changes: Sequence[RecordChange]) -> None:
         for each in changes:

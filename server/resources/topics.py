@@ -298,16 +298,14 @@ class TopicResource(CommandResource):
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """`?series=FIELD`, `?at=TIME`: out of the history."""
-        if exchange.method not in ("GET", "HEAD"):
-            return await super().select_variant(exchange)
-        if "accept-datetime" in exchange.headers and "at" not in exchange.query:
-            raise self._negotiated(exchange.headers["accept-datetime"])
-        if not exchange.request.scope["query_string"]:
-            return await super().select_variant(exchange)
-        if "series" in exchange.query:
-            return series_of(self.robot, self.name, exchange)
-        if "at" in exchange.query:
-            return await self._past(exchange.query["at"])
+        if exchange.method in ("GET", "HEAD"):
+            if "accept-datetime" in exchange.headers and "at" not in exchange.query:
+                raise self._negotiated(exchange.headers["accept-datetime"])
+            if exchange.request.scope["query_string"]:
+                if "series" in exchange.query:
+                    return series_of(self.robot, self.name, exchange)
+                if "at" in exchange.query:
+                    return await self._past(exchange.query["at"])
         return await super().select_variant(exchange)
 
     def _negotiated(self, wanted: str) -> Problem:

@@ -33,6 +33,11 @@ class Schemas:
         """A schema at hand of this name, whatever its hash."""
         return self._named.get(name)
 
+    def definition_of(self, ref: TypeRef) -> str:
+        """The text of a message type as far as it is at hand, empty where it is not."""
+        found = self.find_cached(ref) or self.find_cached_by_name(ref.name)
+        return found.definition if isinstance(found, MessageSchema) else ""
+
     def add(self, ref: TypeRef, schema: Schema) -> None:
         """Have a schema at hand that was found elsewhere, such as in a recording."""
         self._known.setdefault(schema.ref, schema)

@@ -1,0 +1,51 @@
+"""The fields of MCAP records (https://mcap.dev/spec): little endian; lengths before strings, bytes and maps. Pure."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+MAGIC = b"\x89MCAP0\r\n"
+
+
+class Fields:
+    """The fields of a record, read one after the other. Raises `too_short` where it is too short."""
+
+    too_short: ClassVar[type[Exception]] = ValueError
+    errors: ClassVar[str] = "surrogateescape"
+    """What becomes of bytes that are not UTF-8."""
+
+    def __init__(self, data: bytes) -> None:
+        self._data = data
+        self._at = 0
+
+    def uint(self, size: int) -> int:
+        """An unsigned integer of so many bytes."""
+        return int.from_bytes(self._take(size), "little")
+
+    def text(self) -> str:
+        """A string."""
+        return self._take(self.uint(4)).decode("utf-8", self.errors)
+
+    def octets(self) -> bytes:
+        """Bytes with their length before them."""
+        return self._take(self.uint(4))
+
+    def texts(self) -> dict[str, str]:
+        """A map of strings."""
+        inner = type(self)(self.octets())
+        found: dict[str, str] = {}
+        while inner.more():
+            key = inner.text()
+            found[key] = inner.text()
+        return found
+
+    def more(self) -> bool:
+        """Whether anything is left."""
+        return self._at < len(self._data)
+
+    def _take(self, size: int) -> bytes:
+        data = self._data[self._at : self._at + size]
+        if len(data) != size:
+            raise self.too_short("a record is shorter than its fields")
+        self._at += size
+        return data

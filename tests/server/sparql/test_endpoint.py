@@ -36,7 +36,8 @@ async def rows_in_time(endpoint: Any, query: str) -> list[str]:
         try:
             rows: list[str] = await endpoint.rows(query)
         except Problem as problem:
-            assert problem.status == 503, problem.detail
+            if problem.status != 503:
+                raise
         else:
             return rows
 

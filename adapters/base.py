@@ -22,7 +22,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol, TypeAlias
+from typing import NamedTuple, Protocol, TypeAlias
 
 from rosld.adapters.model import Encoding, GoalEvent, GoalId, Graph, Operation, Qos, Ref, Sample, Schema, TypeRef
 from rosld.adapters.model import ParameterValue as ParameterValue
@@ -136,6 +136,38 @@ class RecordedMessage:
     sample: Sample
 
 
+FOR_EVER = 1 << 62
+"""A time in ns, and a number of messages, that none is above."""
+
+
+@dataclass(frozen=True, slots=True)
+class MessageFilter:
+    """Which messages of a recording: of `topics` (None: all), recorded from `from_ns` to `to_ns`, both included.
+
+    Their indexes are from `start` on and below `end`.
+    """
+
+    topics: frozenset[str] | None = None
+    from_ns: int = 0
+    to_ns: int = FOR_EVER
+    start: int = 0
+    end: int = FOR_EVER
+
+
+class MessagePage(NamedTuple):
+    """Some messages in the order of their indexes, and the `start` of those that come after them; None: there are none.
+
+    What cannot be read is left out.
+    """
+
+    messages: Sequence[RecordedMessage]
+    next: int | None
+
+
+PAGE_BYTES = 16 * 1024 * 1024
+"""Bytes of messages after which a page ends, whatever its limit."""
+
+
 class Recording(Protocol):
     """A recording (a ROS bag) that can be read message by message."""
 
@@ -185,6 +217,10 @@ class Recording(Protocol):
 
     def messages(self) -> Iterator[RecordedMessage]:
         """All messages in recorded order, those that cannot be decoded included."""
+        ...
+
+    def select(self, wanted: MessageFilter, limit: int) -> MessagePage:
+        """At most `limit` messages, of about `PAGE_BYTES`; no more is read than these take."""
         ...
 
     def schema(self, ref: TypeRef) -> Schema:

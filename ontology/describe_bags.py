@@ -187,6 +187,34 @@ def bag_messages_document(bag: Bag, space: Space, page: int | None = None, size:
     return Document(subject.value, tuple(triples))
 
 
+def bag_selection_document(bag: Bag, space: Space, url: str, messages: Sequence[BagMessage]) -> Document:
+    """Some messages of a recording, as the page at `url` lists them: their numbers, topics and times."""
+    container = NamedNode(space.bag_messages(bag.name))
+    nodes = [NamedNode(space.bag_message(bag.name, each.index)) for each in messages]
+    triples = triples_about(
+        container,
+        *CONTAINER,
+        (dcterms.title, text(f"Messages of {bag.name}")),
+        (ros.recordedIn, NamedNode(space.bag(bag.name))),
+        (ros.count, integer(bag.count)),
+        *statements(ldp.contains, nodes),
+    )
+    for node, message in zip(nodes, messages, strict=True):
+        triples += triples_about(node, *_record(bag, message, space))
+    return Document(url, tuple(triples))
+
+
+def _record(bag: Bag, message: BagMessage, space: Space) -> list[Statement]:
+    return [
+        (rdf.type, ros.Record),
+        *RDF_SOURCE,
+        (ros.recordedIn, NamedNode(space.bag(bag.name))),
+        (ros.index, integer(message.index)),
+        (ros.onTopic, NamedNode(space.topic(message.topic))),
+        (ros.recordedAt, date_time_literal(message.sample.received_ns)),
+    ]
+
+
 def bag_message_document(
     bag: Bag, message: BagMessage, space: Space, lifted: LiftedMessage | None, *, unreadable: str | None = None
 ) -> Document:
@@ -194,12 +222,7 @@ def bag_message_document(
     url = space.bag_message(bag.name, message.index)
     triples = triples_about(
         NamedNode(url),
-        (rdf.type, ros.Record),
-        *RDF_SOURCE,
-        (ros.recordedIn, NamedNode(space.bag(bag.name))),
-        (ros.index, integer(message.index)),
-        (ros.onTopic, NamedNode(space.topic(message.topic))),
-        (ros.recordedAt, date_time_literal(message.sample.received_ns)),
+        *_record(bag, message, space),
         (ros.recordedMessage, NamedNode(url + MESSAGE) if lifted else None),
         (ros.unreadable, text(unreadable)),
     )

@@ -12,7 +12,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from rosld.adapters.base import RecordedMessage, RecordedTopic
+from rosld.adapters.base import PAGE_BYTES, MessageFilter, MessagePage, RecordedMessage, RecordedTopic
 from rosld.adapters.model import NotFound, Sample, Schema, TypeRef, Unreachable
 from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.model.names import global_name
@@ -80,6 +80,36 @@ class Bag:
                 log.warning("%s", error)
             else:
                 yield RecordedMessage(index, self.streams[stream].topic, sample)
+
+    def select(self, wanted: MessageFilter, limit: int) -> MessagePage:
+        """At most `limit` messages; the table tells which, and only these are read."""
+        indexes = self._indexes(wanted, limit + 1)
+        found: list[RecordedMessage] = []
+        size = 0
+        for place, index in enumerate(indexes):
+            if place == limit or size >= PAGE_BYTES:
+                return MessagePage(found, index)
+            try:
+                message = self.message(index)
+            except Unreachable as error:
+                log.warning("%s", error)
+            else:
+                found.append(message)
+                size += len(message.sample.data)
+        return MessagePage(found, None)
+
+    def _indexes(self, wanted: MessageFilter, limit: int) -> list[int]:
+        """The indexes of the first `limit` messages of a filter."""
+        first = max(wanted.start, int(np.searchsorted(self.times, wanted.from_ns, "left")))
+        beyond = min(wanted.end, int(np.searchsorted(self.times, wanted.to_ns, "right")))
+        if wanted.topics is None:
+            return list(range(first, min(beyond, first + limit)))
+        found: list[int] = []
+        for stream in self.streams:
+            if stream.topic in wanted.topics:
+                begin = int(np.searchsorted(stream.positions, first))
+                found += (each for each in stream.positions[begin : begin + limit].tolist() if each < beyond)
+        return sorted(found)[:limit]
 
     def sample(self, index: int, sequence: int, epoch: int = 0) -> Sample:
         """Message `index` as a sample with this sequence and epoch. Raises Unreachable."""

@@ -173,6 +173,34 @@ class ChunkIndex:
             ).fetchall()
         return list(map(ChunkRow._make, rows))
 
+    def of_numbers(
+        self, segment: int, topic: str | None, start: int, from_ns: int, to_ns: int, after: int, limit: int
+    ) -> list[ChunkRow]:
+        """The chunks of a segment with messages of number `start` or above, of a topic (None: all) within times.
+
+        At most `limit` of them in the order of their first messages, whose numbers are above `after`.
+        """
+        topical = "" if topic is None else "AND topic = ?"
+        bound = (segment, start, from_ns, to_ns, after, *(() if topic is None else (topic,)), limit)
+        with self._lock:
+            rows = self._db.execute(
+                "SELECT * FROM chunk WHERE segment = ? AND last >= ? AND end_ns >= ? AND start_ns <= ? AND first > ? "
+                f"{topical} ORDER BY first LIMIT ?",
+                bound,
+            ).fetchall()
+        return list(map(ChunkRow._make, rows))
+
+    def times_between(self, first: int, beyond: int) -> tuple[int, int] | None:
+        """Times in ns that all messages numbered from `first` and below `beyond` lie between; None where there is none.
+
+        It looks at whole chunks: the times may be somewhat wider.
+        """
+        with self._lock:
+            row = self._db.execute(
+                "SELECT min(start_ns), max(end_ns) FROM chunk WHERE last >= ? AND first < ?", (first, beyond)
+            ).fetchone()
+        return None if row[0] is None else (int(row[0]), int(row[1]))
+
     def newest(self, topic: str, until_ns: int, limit: int) -> list[ChunkRow]:
         """The chunks of a topic that begin at a time or before, the newest first."""
         with self._lock:

@@ -11,7 +11,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TypeAlias
 
-from rosld.adapters.base import Adapter, RecordedMessage, RecordedTopic
+from rosld.adapters.base import Adapter, MessageFilter, MessagePage, RecordedMessage, RecordedTopic
 from rosld.adapters.model import Encoding, NotFound, Schema, TypeRef, UnknownType, Unreachable
 from rosld.adapters.model.library import TypeLibrary
 from rosld.server.history.file_digests import FileDigests
@@ -19,6 +19,7 @@ from rosld.server.history.history_writer import HistoryWriter
 from rosld.server.history.live_recorder import LiveRecorder
 from rosld.server.history.recorder import Sink
 from rosld.server.history.segments import HistoryLimits, Segments
+from rosld.server.history.selection import select_messages
 from rosld.server.settings import Settings
 
 log = logging.getLogger("rosld.history")
@@ -102,6 +103,10 @@ class HistoryRecording:
                 yield self.message(index)
             except (NotFound, Unreachable):
                 continue
+
+    def select(self, wanted: MessageFilter, limit: int) -> MessagePage:
+        """At most `limit` messages: the index tells which chunks have them, and these are read."""
+        return select_messages(self._writer, wanted, limit)
 
     def schema(self, ref: TypeRef) -> Schema:
         """The schema of a type as it was recorded. Raises UnknownType."""

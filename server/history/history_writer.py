@@ -131,6 +131,27 @@ class HistoryWriter:
         channels = list(current[1].channels)
         return [sample_of(channels[each.channel - 1], each, each.sequence) for each in found]
 
+    def unwritten_messages(self) -> list[tuple[int, Channel, Sample]]:
+        """The messages of all topics that are not in the index yet, with their numbers, ascending."""
+        with self._lock:
+            current = self._current
+            found = [each for chunk in (*self._closing, *self._open.values()) for each in chunk.messages()]
+        if current is None:
+            return []
+        channels = list(current[1].channels)
+        found.sort(key=_sequence)
+        return [
+            (each.sequence, channels[each.channel - 1], sample_of(channels[each.channel - 1], each, each.sequence))
+            for each in found
+        ]
+
+    @property
+    def settled(self) -> int:
+        """The number below which no message is to be written any more."""
+        with self._lock:
+            numbers = [chunk.numbers[0] for chunk in (*self._closing, *self._open.values()) if chunk.count]
+            return min(numbers, default=self.next)
+
     def latest_at(self, topic: str, time_ns: int) -> Sample | None:
         """The message of a topic that was the newest at a time. Raises OSError, ValueError."""
         samples = [each for each in self.unwritten(topic) if each.received_ns <= time_ns]
@@ -233,6 +254,10 @@ class HistoryWriter:
 
 def _received(sample: Sample) -> int:
     return sample.received_ns
+
+
+def _sequence(message: ChunkMessage) -> int:
+    return message.sequence
 
 
 def _row(segment: int, chunk: TopicChunk, at: int, length: int) -> ChunkRow:

@@ -50,6 +50,11 @@ class Segments:
         return self._index
 
     @property
+    def rows(self) -> list[SegmentRow]:
+        """The segments, the oldest first. Any thread may ask."""
+        return self._rows
+
+    @property
     def first(self) -> int | None:
         """The number of the oldest message that is kept; None where there is no segment."""
         return self._rows[0].first if self._rows else None

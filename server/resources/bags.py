@@ -12,8 +12,8 @@ import orjson
 from starlette.responses import Response
 
 from rosld.adapters.base import RecordedMessage, RecordedTopic, Recording, Watch
-from rosld.adapters.model import NotFound, UnknownType
-from rosld.ontology.describe_bags import bag_document, bag_message_document, bag_messages_document
+from rosld.adapters.model import NotFound
+from rosld.ontology.describe_bags import bag_document, bag_messages_document
 from rosld.ontology.describe_containers import container_document
 from rosld.ontology.document import Document
 from rosld.server.history.recordings import RecordingRefused, RunningRecording
@@ -23,8 +23,10 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import DataSchema
 from rosld.server.hypermedia.json_schema import ANYTHING
 from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.resources.bag_selection import PARAMETERS, selection_of
 from rosld.server.resources.context import Robot
 from rosld.server.resources.messages import decode, field_response, lift_sample
+from rosld.server.resources.recorded_messages import DecodedRecord, learn_type, record_document
 from rosld.server.resources.recording_order import MEDIA_TYPES, SCHEMA, read_order
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import MERGE_PATCH
@@ -250,7 +252,7 @@ class BagMessages(Resource):
         self.number = page
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem(f"The messages of {self.recording.name}", query=(FORMAT, _PAGE))
+        return PathItem(f"The messages of {self.recording.name}", query=(FORMAT, _PAGE, *PARAMETERS))
 
     @property
     def conforms_to(self) -> Sequence[str]:
@@ -273,10 +275,10 @@ class BagMessages(Resource):
         return tuple(SequenceLink(rel, f"{base}?page={at}") for rel, at in places.items() if first <= at <= last)
 
     async def select_variant(self, exchange: Exchange) -> Resource:
-        """The page that `?page=` asks for; a 404 Problem where there is none."""
+        """The page that `?page=`, or a filter, asks for; a 404 Problem where there is none."""
         wanted = exchange.query.get("page")
         if wanted is None:
-            return self
+            return selection_of(self.robot, self.recording, exchange) or self
         first, last = _pages(self.recording)
         if not (wanted.isascii() and wanted.isdigit()) or int(wanted) > last:
             raise Problem(404, f"?page={wanted}: the pages of {self.recording.name} are {first} to {last}.")
@@ -313,10 +315,7 @@ class BagMessage(Resource):
             message = await asyncio.to_thread(self.recording.message, self.index)
         except NotFound as error:
             raise Problem(410 if self.index < self.recording.first else 404, error.sentence) from error
-        type = message.sample.schema
-        if self.robot.schemas.find_cached(type) is None:
-            with contextlib.suppress(UnknownType):
-                self.robot.schemas.add(type, await asyncio.to_thread(self.recording.schema, type))
+        await learn_type(self.robot, self.recording, message)
         return message
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
@@ -340,9 +339,7 @@ class BagMessage(Resource):
             return lift_sample(robot, decoded).lifter.json(decoded.message, self.url)
 
         def describe() -> Document:
-            found = lift_sample(robot, decoded) if decoded.message is not None else None
-            said = bag_message_document(recording, message, robot.space, found, unreadable=decoded.reason)
-            return replace(said, simulated_time=robot.graph.simulated_time)
+            return record_document(robot, recording, DecodedRecord(message, decoded))
 
         shapes = () if decoded.schema is None else robot.space.shapes_of(decoded.schema)
         return robot.states.put(self.url, 0, State(describe, plain, shapes=shapes))

@@ -1,0 +1,205 @@
+"""`/bags/B/messages/?topic=&from=&to=`: the messages of a recording by topic and time, page by page."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Sequence
+from enum import Enum
+from fnmatch import fnmatchcase
+from functools import partial
+from urllib.parse import quote
+
+import orjson
+from pyoxigraph import NamedNode, Triple
+
+from rosld.adapters.base import FOR_EVER, MessageFilter, MessagePage, Recording
+from rosld.ontology.describe_bags import bag_selection_document
+from rosld.ontology.document import Document
+from rosld.ontology.literals import date_time
+from rosld.ontology.triples import date_time_literal
+from rosld.server.auth.permissions import Permissions
+from rosld.server.html import MemberColumns, SequenceLink
+from rosld.server.html.page import Cell
+from rosld.server.http import negotiation
+from rosld.server.http.conditional import digest
+from rosld.server.http.link import Link
+from rosld.server.http.problem import Problem
+from rosld.server.resources.context import Robot
+from rosld.server.resources.messages import lift_sample
+from rosld.server.resources.recorded_messages import DecodedRecord, decode_records, record_triples
+from rosld.server.resources.series import read_time
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.formats import FORMATS, HTML, JSON, OFFERS
+from rosld.server.rest.path_item import QueryParameter
+from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource
+from rosld.server.rest.state import State
+
+LIMIT, MAX_LIMIT = 100, 1000
+_TRIPLE_BYTES = 100
+_MAX_TOPIC = 1000
+PARAMETERS = (
+    QueryParameter("topic", "Messages of this topic, or of those that a glob such as `/camera/*` fits."),
+    QueryParameter("from", "Recorded since: an xsd:dateTime, or seconds before now as `-60`."),
+    QueryParameter("to", "Recorded until, alike."),
+    QueryParameter("start", "The number of the first message of the page.", {"type": "integer", "minimum": 0}),
+    QueryParameter("limit", "The most messages on a page.", {"type": "integer", "minimum": 1, "maximum": MAX_LIMIT}),
+)
+_NAMES = tuple(parameter.name for parameter in PARAMETERS)
+
+
+class _Detail(Enum):
+    """What of its messages a page tells: that they are there, or what they say, in RDF or in JSON."""
+
+    LIST = "list"
+    RDF = "rdf"
+    JSON = "json"
+
+
+class BagSelection(Resource):
+    """A page of the messages of a recording that fit a filter."""
+
+    kind = "Messages"
+    is_cacheable = False
+
+    def __init__(
+        self, robot: Robot, recording: Recording, wanted: MessageFilter, limit: int, query: str, detail: _Detail
+    ) -> None:
+        self._base = robot.space.bag_messages(recording.name)
+        self._query = query
+        self.start = wanted.start
+        super().__init__(self._page_url(self.start))
+        self.title = f"Messages of {recording.name}"
+        self.robot = robot
+        self.recording = recording
+        self.wanted = wanted
+        self.limit = limit
+        self._detail = detail
+        self._page: MessagePage | None = None
+
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self.robot.space.document_shape("Container"), self.robot.space.document_shape("Record"))
+
+    async def prepare(self) -> None:
+        """Read the page: what comes after it is told in Link."""
+        await self._read()
+        self.links = (RESOURCE, RDF_SOURCE, *(Link(step.url, step.rel) for step in self.navigation_links()))
+
+    async def state(self) -> State:
+        page = await self._read()
+        token = digest(f"{[each.index for each in page.messages]} {page.next}".encode())
+        describe = partial(bag_selection_document, self.recording, self.robot.space, self.url, page.messages)
+        if self._detail is _Detail.LIST:
+            return State(describe, token=token)
+        records = await decode_records(self.robot, self.recording, page.messages)
+        if self._detail is _Detail.JSON:
+            data = await asyncio.to_thread(self._json, records)
+            return State(describe, lambda: data, token=token)
+        said = await asyncio.to_thread(record_triples, self.robot, self.recording, records)
+        triples = (*describe().triples, *said)
+        return State(partial(_document, self.url, triples), token=token, weight=len(triples) * _TRIPLE_BYTES)
+
+    def redact(self, state: State, permissions: Permissions) -> State:
+        plain = state.plain
+
+        def permitted() -> bytes:
+            assert plain is not None
+            said = orjson.loads(plain())
+            said["messages"] = [each for each in said["messages"] if permissions.may_read(each["url"])]
+            return orjson.dumps(said)
+
+        return state.redact(permissions, plain=None if plain is None else permitted)
+
+    def listing(self) -> MemberColumns | None:
+        if self._page is None:
+            return None
+        space, name = self.robot.space, self.recording.name
+        cells: dict[str, tuple[Cell, ...]] = {
+            space.bag_message(name, each.index): (
+                NamedNode(space.topic(each.topic)),
+                date_time_literal(each.sample.received_ns) or "",
+            )
+            for each in self._page.messages
+        }
+        return MemberColumns(("topic", "recorded"), cells)
+
+    def navigation_links(self) -> tuple[SequenceLink, ...]:
+        first = SequenceLink("first", self._page_url(0))
+        after = None if self._page is None else self._page.next
+        return (first,) if after is None else (first, SequenceLink("next", self._page_url(after)))
+
+    async def _read(self) -> MessagePage:
+        if self._page is None:
+            self._page = await asyncio.to_thread(self.recording.select, self.wanted, self.limit)
+        return self._page
+
+    def _page_url(self, start: int) -> str:
+        query = "&".join(part for part in (self._query, f"start={start}" if start else "") if part)
+        return f"{self._base}?{query}" if query else f"{self._base}?start=0"
+
+    def _json(self, records: Sequence[DecodedRecord]) -> bytes:
+        after = next((step.url for step in self.navigation_links() if step.rel == "next"), None)
+        return orjson.dumps({"messages": [self._json_of(one) for one in records], "next": after})
+
+    def _json_of(self, one: DecodedRecord) -> dict[str, object]:
+        message, decoded = one.message, one.decoded
+        url = self.robot.space.bag_message(self.recording.name, message.index)
+        said: dict[str, object] = {
+            "url": url,
+            "index": message.index,
+            "topic": message.topic,
+            "time": date_time(0, message.sample.received_ns),
+        }
+        if decoded.message is None:
+            return said | {"unreadable": decoded.reason}
+        return said | {"message": orjson.Fragment(lift_sample(self.robot, decoded).lifter.json(decoded.message, url))}
+
+
+def _document(url: str, triples: tuple[Triple, ...]) -> Document:
+    return Document(url, triples)
+
+
+def selection_of(robot: Robot, recording: Recording, exchange: Exchange) -> BagSelection | None:
+    """The page that a request asks for; None where it names neither topic nor time nor number. Raises Problems."""
+    query = exchange.query
+    given = {name: query[name] for name in _NAMES if name in query}
+    if not given:
+        return None
+    now = time.time_ns()
+    topics = _topics(recording, given["topic"]) if "topic" in given else None
+    since = read_time(given["from"], now) if "from" in given else 0
+    until = read_time(given["to"], now) if "to" in given else FOR_EVER
+    if since > until:
+        raise Problem(400, "?from= is after ?to=.")
+    start = _number("start", given.get("start", "0"), 0, FOR_EVER)
+    limit = _number("limit", given.get("limit", str(LIMIT)), 1, MAX_LIMIT)
+    text = "&".join(f"{name}={quote(value, safe='/:.-*')}" for name, value in given.items() if name != "start")
+    wanted = MessageFilter(topics, max(since, 0), until, max(start, recording.first))
+    if start and start < recording.first:
+        raise Problem(410, f"?start={start}: the oldest messages were removed, the first is {recording.first}.")
+    return BagSelection(robot, recording, wanted, limit, text, _detail(exchange))
+
+
+def _topics(recording: Recording, text: str) -> frozenset[str]:
+    if not text.startswith(("/", "*")) or len(text) > _MAX_TOPIC:
+        raise Problem(400, f"?topic={text[:60]}: a name or a glob begins with a slash or a star, such as /odom.")
+    names = recording.topics
+    found = frozenset({text} if text in names else {name for name in names if fnmatchcase(name, text)})
+    if not found:
+        few = ", ".join(sorted(names)[:10]) or "none"
+        raise Problem(404, f"{recording.name} has no topic {text[:200]}; it has {few}{'...' * (len(names) > 10)}.")
+    return found
+
+
+def _number(name: str, text: str, least: int, most: int) -> int:
+    if not (text.isascii() and text.isdecimal() and len(text) < 19 and least <= int(text) <= most):
+        bound = f"from {least}" if most == FOR_EVER else f"from {least} to {most}"
+        raise Problem(400, f"?{name}={text[:20]} is no number {bound}.")
+    return int(text)
+
+
+def _detail(exchange: Exchange) -> _Detail:
+    asked = exchange.query.get("format")
+    chosen = FORMATS.get(asked) if asked else negotiation.choose(exchange.accept, OFFERS)
+    return {HTML: _Detail.LIST, JSON: _Detail.JSON}.get(chosen or "", _Detail.RDF)

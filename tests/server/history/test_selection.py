@@ -1,0 +1,182 @@
+"""Messages by topic, time and number: of the history as of a file, each page what a look at all messages gives."""
+
+from __future__ import annotations
+
+import random
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
+
+import pytest
+
+from rosld.adapters.base import FOR_EVER, MessageFilter, RecordedMessage
+from rosld.server.history import selection
+from rosld.server.history.chunk_index import ChunkRow
+from rosld.server.history.history_writer import HistoryWriter
+from rosld.server.history.selection import select_messages
+from tests.adapters.recording.recorder import lines, write_rosbag1
+from tests.server.history.test_segments import LIMITS, START, open_writer, sample
+from tests.waiting import until
+
+JSON = {"Accept": "application/json"}
+NTRIPLES = {"Accept": "application/n-triples"}
+TOPICS = ("/a", "/b", "/c", "/seldom")
+
+
+class _Said(NamedTuple):
+    number: int
+    topic: str
+    time_ns: int
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[HistoryWriter, list[_Said]]]:
+    """A history of three segments, the last chunks not written yet, whose times are not quite in order."""
+    at_random = random.Random(19)
+    writer = open_writer(tmp_path_factory.mktemp("history"), LIMITS)
+    said: list[_Said] = []
+    for part in range(3):
+        for _ in range(300):
+            topic = at_random.choices(TOPICS, (50, 30, 19, 1))[0]
+            one = sample(writer.next)
+            one = one._replace(received_ns=one.received_ns + at_random.randrange(-30_000_000, 30_000_000))
+            said.append(_Said(writer.next, topic, one.received_ns))
+            writer.add(topic, one)
+            if at_random.random() < 0.02:
+                writer.write_due(time.monotonic() + at_random.choice((0, 2)))
+        if part < 2:
+            writer.close()
+    yield writer, said
+    writer.close()
+    writer.segments.close()
+
+
+def everything(writer: HistoryWriter, wanted: MessageFilter, limit: int) -> list[RecordedMessage]:
+    """All pages together."""
+    found: list[RecordedMessage] = []
+    start: int | None = wanted.start
+    while start is not None:
+        page = select_messages(
+            writer, MessageFilter(wanted.topics, wanted.from_ns, wanted.to_ns, start, wanted.end), limit
+        )
+        assert len(page.messages) <= limit
+        assert page.next is None or page.next > page.messages[-1].index
+        found += page.messages
+        start = page.next
+    return found
+
+
+@pytest.mark.parametrize("limit", [7, 1000])
+@pytest.mark.parametrize("topics", [None, {"/a"}, {"/seldom", "/b"}, {"/none"}])
+def test_pages_of_the_history_are_what_a_look_at_every_message_gives(
+    written: tuple[HistoryWriter, list[_Said]], topics: set[str] | None, limit: int
+) -> None:
+    writer, said = written
+    end = START + 900 * 10_000_000
+    spans = [(0, FOR_EVER), (START + 2_500_000_000, START + 3_500_000_000), (end - 2_000_000_000, FOR_EVER), (5, 6)]
+    for since, until_ns in spans:
+        for start, beyond in ((0, FOR_EVER), (299, 302), (150, 700)):
+            wanted = MessageFilter(None if topics is None else frozenset(topics), since, until_ns, start, beyond)
+            expected = [
+                one
+                for one in said
+                if (topics is None or one.topic in topics)
+                and since <= one.time_ns <= until_ns
+                and start <= one.number < beyond
+            ]
+            found = everything(writer, wanted, limit)
+            assert [(each.index, each.topic, each.sample.received_ns) for each in found] == expected
+            assert all(each.sample.data == sample(each.index).data for each in found)
+
+
+def test_a_page_reads_only_the_chunks_that_its_messages_are_in(
+    written: tuple[HistoryWriter, list[_Said]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    writer, _ = written
+    read: list[ChunkRow] = []
+    messages_of = writer.segments.messages_of
+
+    def counting(row: ChunkRow) -> Any:
+        read.append(row)
+        return messages_of(row)
+
+    monkeypatch.setattr(writer.segments, "messages_of", counting)
+    page = selection.select_messages(writer, MessageFilter(frozenset({"/a"})), 10)
+    assert len(page.messages) == 10
+    needed = {one.index for one in page.messages}
+    assert {row.topic for row in read} == {"/a"}
+    assert all(any(row.first <= each <= row.last for each in needed) for row in read)
+
+
+@pytest.fixture(scope="module")
+def talk(start_server: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """An aircraft that was sent a recording of 20 lines, one each 10 ms."""
+    folder = tmp_path_factory.mktemp("talk")
+    server = start_server("aircraft", "--history", "/aircraft/*", "--data", str(folder / "data"))
+    sent = write_rosbag1(folder / "talk.bag", lines(count=20))
+    assert server.http.put("/bags/talk", content=sent.read_bytes()).status_code == 201
+    return server
+
+
+def pages(http: Any, path: str) -> list[Any]:
+    """The messages of all pages, in JSON."""
+    found: list[Any] = []
+    while path:
+        answer = http.get(path, headers=JSON)
+        assert answer.status_code == 200, answer.text
+        assert answer.links.get("next", {}).get("url") == answer.json()["next"]
+        found += answer.json()["messages"]
+        path = answer.json()["next"]
+    return found
+
+
+def test_a_recording_is_listed_by_topic_and_time_in_pages_in_every_representation(talk: Any) -> None:
+    http, base = talk.http, "/bags/talk/messages/"
+    every = pages(http, f"{base}?limit=7")
+    assert [one["index"] for one in every] == list(range(20))
+    assert [one["message"] for one in every] == [{"data": str(number)} for number in range(20)]
+    assert [http.get(one["url"], headers=JSON).json() for one in every[:3]] == [one["message"] for one in every[:3]]
+    topic = every[0]["topic"]
+    since, until_time = every[4]["time"], every[9]["time"]
+    some = pages(http, f"{base}?topic={topic}&from={since}&to={until_time}&limit=4")
+    assert [one["index"] for one in some] == list(range(4, 10))
+    rdf = http.get(f"{base}?from={since}&to={until_time}", headers=NTRIPLES)
+    alone: Sequence[str] = [line for one in some for line in http.get(one["url"], headers=NTRIPLES).text.splitlines()]
+    assert set(alone) <= set(rdf.text.splitlines()), "each as it stands at its own URL"
+    html = http.get(f"{base}?topic={topic}&limit=4", headers={"Accept": "text/html"})
+    assert html.status_code == 200
+    assert '/bags/talk/messages/3"' in html.text, html.text
+    assert "start=4" in html.text, "the next page is linked"
+
+
+def test_the_history_is_listed_by_topic_while_it_is_written(talk: Any) -> None:
+    http, topic = talk.http, "/aircraft/engine/speed"
+    path = f"/bags/history/messages/?topic={topic}&limit=1000"
+    until(lambda: len(http.get(path, headers=JSON).json().get("messages", ())) > 30, "a past")
+    found = pages(http, f"/bags/history/messages/?topic={topic}&limit=9&from=-3600&to=-0.5")
+    assert {one["topic"] for one in found} == {topic}
+    assert [one["index"] for one in found] == sorted({one["index"] for one in found})
+    assert [one["time"] for one in found] == sorted(one["time"] for one in found)
+    rows = pages(http, "/bags/history/messages/?topic=/aircraft/*&limit=50&to=-0.5")
+    assert [one for one in rows if one["topic"] == topic] == found[: len(rows)] or len(rows) > len(found)
+
+
+@pytest.mark.parametrize(
+    ("query", "status"),
+    [
+        ("topic=odom", 400),
+        ("topic=", 400),
+        ("topic=/none", 404),
+        ("from=yesterday", 400),
+        ("from=-1&to=-2", 400),
+        ("start=-1", 400),
+        ("start=x", 400),
+        ("start=99999999999999999999", 400),
+        ("limit=0", 400),
+        ("limit=1001", 400),
+    ],
+)
+def test_a_parameter_that_makes_no_sense_is_refused_and_says_why(talk: Any, query: str, status: int) -> None:
+    answer = talk.http.get(f"/bags/talk/messages/?{query}", headers=JSON)
+    assert answer.status_code == status, answer.text
+    assert len(answer.json()["detail"]) > 20

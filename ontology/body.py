@@ -81,6 +81,12 @@ class RdfBody:
         """The subjects of a type."""
         return [subject for subject in self.subjects if type in self.objects(subject, rdf.type)]
 
+    def literals(self) -> Iterator[Literal]:
+        """All literals."""
+        for properties in self.subjects.values():
+            for objects in properties.values():
+                yield from (each for each in objects if isinstance(each, Literal))
+
     def roots(self) -> list[Subject]:
         """The subjects that are nobody's object."""
         inner = {each for properties in self.subjects.values() for objects in properties.values() for each in objects}

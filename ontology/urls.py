@@ -218,6 +218,12 @@ class Space:
         """The class of a message or service type: an IRI in the types' namespace, not of this server."""
         return self.types + "/".join(map(encode_segment, name.split("/")))
 
+    def type_of(self, iri: str) -> str | None:
+        """The type whose class an IRI is; None for all other IRIs."""
+        if not iri.startswith(self.types):
+            return None
+        return "/".join(decode_segment(each) for each in iri[len(self.types) :].split("/"))
+
     def property_of(self, name: str, field: str) -> str:
         """The property of a field (or a constant) of a type."""
         return f"{self.class_of(name)}#{quote(field, safe='')}"

@@ -512,6 +512,7 @@ class sh(Namespace, iri="http://www.w3.org/ns/shacl#"):
     description: NamedNode
     defaultValue: NamedNode
     order: NamedNode
+    group: NamedNode
     datatype: NamedNode
     node: NamedNode
     nodeKind: NamedNode
@@ -522,6 +523,8 @@ class sh(Namespace, iri="http://www.w3.org/ns/shacl#"):
     maxInclusive: NamedNode
     minExclusive: NamedNode
     maxExclusive: NamedNode
+    lessThan: NamedNode
+    lessThanOrEquals: NamedNode
     hasValue: NamedNode
     in_: NamedNode
     flags: NamedNode

@@ -7,7 +7,7 @@ itself: whatever conforms to it, as any validator has it, fits and is within the
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence, Set
 from typing import TypeAlias, cast
 
 from pyoxigraph import Literal, NamedNode
@@ -19,11 +19,12 @@ from rosld.ontology.lower_graph import IGNORED
 from rosld.ontology.triples import RDF_SOURCE, Statement, Value, integer, statements, text
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import dcterms, rdf, rdfs, ros, sh, xsd
-from rosld.shapes.accepted_values import PARAMETERS, AcceptedValues
+from rosld.shapes.accepted_values import PARAMETERS, AcceptedValues, OpenParameter
 from rosld.shapes.demand import NO_DEMAND, Demand
+from rosld.shapes.limit_parts import write_limit
+from rosld.shapes.limited_texts import is_limited_text, limited_texts
 from rosld.shapes.message import write_message_shapes
-from rosld.shapes.value import Bounds
-from rosld.shapes.writer import ShapesWriter
+from rosld.shapes.writer import ShapesWriter, within
 
 _DATE_TIME = (
     r"^\s*[0-9]{4}-[0-9]{2}-[0-9]{2}T[0-9]{2}:[0-9]{2}:[0-9]{2}(\.[0-9]{1,9}0{0,21})?(Z|[+-][0-9]{2}:[0-9]{2})\s*$"
@@ -50,12 +51,12 @@ def accepted_message_document(
             (sh.message, text(f"A node of the type <{class_.value}> is missing.")),
         )
         writer.add(writer.node("body"), (rdf.type, sh.NodeShape), (sh.targetNode, class_), (sh.property, present))
-    fields.write_bounds(demand.bounds)
+    fields.write_demand(demand)
     return Document(url, tuple(writer.triples))
 
 
-Accepted: TypeAlias = Primitive | MessageSchema | ParameterType
-"""What a value may be: a scalar, a message, or a scalar that a node declares as a parameter's."""
+Accepted: TypeAlias = Primitive | MessageSchema | ParameterType | OpenParameter
+"""What a value may be: a scalar, a message, or what a parameter may be, declared by its node or not."""
 
 
 def accepted_value_document(
@@ -77,11 +78,11 @@ def accepted_value_document(
         if isinstance(kind, MessageSchema):
             fields = AcceptedFields(writer, kind, space, values, is_target=False)
             write_message_shapes(writer, kind, space, fields)
-            fields.write_bounds(demand.bounds)
+            fields.write_demand(demand)
             is_one = writer.blank((sh.path, rdf.type), (sh.hasValue, NamedNode(space.class_of(kind.ref.name))))
             alternatives.append(writer.blank((sh.node, fields.node(kind.ref.name)), (sh.property, is_one)))
             continue
-        alternatives.append(_scalar(writer, values, kind, [each for path, each in demand.bounds if not path]))
+        alternatives.append(_scalar(writer, values, kind, demand.at("")))
     value = writer.node("value")
     writer.add(
         value,
@@ -96,20 +97,29 @@ def accepted_value_document(
 
 
 def _scalar(
-    writer: ShapesWriter, values: AcceptedValues, kind: Primitive | ParameterType, bounds: Sequence[Bounds]
+    writer: ShapesWriter, values: AcceptedValues, kind: Primitive | ParameterType | OpenParameter, demand: Demand
 ) -> Value:
-    """The shape of a scalar within bounds."""
+    """The shape of a literal of which more is demanded."""
+    if isinstance(kind, OpenParameter):
+        ranges = [each for _, bounds in demand.bounds for each in values.bounds(Primitive("float64"), bounds)]
+        shapes: list[Value] = [values.open_parameter(kind), *(writer.blank(*each) for each in ranges)]
+        return writer.blank((sh.and_, writer.list_of(shapes)))
+    if isinstance(kind, ParameterType) and kind not in PARAMETERS:
+        return values.parameter_array(kind)
     primitive, datatype = (kind, None) if isinstance(kind, Primitive) else (PARAMETERS[kind], None)
     if kind is ParameterType.INTEGER:
         datatype = xsd.integer
     own = values.scalar(kind) if isinstance(kind, Primitive) else values.parameter(kind)
-    demands = [writer.blank(*statements) for each in bounds for statements in values.bounds(primitive, each, datatype)]
+    bounds = [each for _, bounds in demand.bounds for each in values.bounds(primitive, bounds, datatype)]
+    demands = [writer.blank(*each) for each in bounds]
+    demands += [write_limit(writer, values, part) for _, part in demand.value_parts]
+    demands += [writer.blank((sh.datatype, xsd.string))] if is_limited_text(primitive, demand) else []
     return writer.blank((sh.and_, writer.list_of([own, *demands])))
 
 
 def _describe(writer: ShapesWriter, space: Space, title: str, demand: Demand) -> None:
     more = None if demand.is_all else NamedNode(space.shape("limits"))
-    comment = "Further limits hold, which are no bounds of single values: those of the shapes graph beside this one."
+    comment = "Further limits hold, which look at more than values: those of the shapes graph beside this one."
     writer.add(
         writer.node(),
         *RDF_SOURCE,
@@ -191,15 +201,32 @@ class AcceptedFields:
         derived = writer.blank(*statements(sh.property, [*none, moment]))
         return [writer.either([told, derived])]
 
-    def write_bounds(self, bounds: Iterable[tuple[str, Bounds]]) -> None:
-        """Write the bounds of single scalars, by their dotted paths from the message on."""
-        for path, each in bounds:
-            found = self._way(path)
-            if found is not None:
-                way, kind = found
-                for statements in self._values.bounds(kind, each):
-                    bounded = self._writer.blank((sh.path, way), *statements)
-                    self._writer.add(self.node(self._schema.ref.name), (sh.property, bounded))
+    def write_demand(self, demand: Demand) -> None:
+        """Write what limits demand of the message, of those within, and of single scalars."""
+        root = self.node(self._schema.ref.name)
+        for name, part in demand.type_parts:
+            self._writer.add(self.node(name), (sh.node, write_limit(self._writer, self._values, part)))
+        for path, part in demand.value_parts:
+            shape = write_limit(self._writer, self._values, part)
+            way = self._way(path) if path else None
+            whole = (
+                (sh.node, shape)
+                if way is None
+                else (sh.property, self._writer.blank((sh.path, way[0]), (sh.node, shape)))
+            )
+            self._writer.add(root, whole)
+        self._write_texts(limited_texts(demand, self._schema, self._space))
+        for path, bounds in demand.bounds:
+            if (found := self._way(path)) is not None:
+                for each in self._values.bounds(found[1], bounds):
+                    self._writer.add(root, (sh.property, self._writer.blank((sh.path, found[0]), *each)))
+
+    def _write_texts(self, properties: Set[NamedNode]) -> None:
+        """Texts that limits are about are written as text."""
+        for kind in self._schema.types.values() if properties else ():
+            for field in kind.fields:
+                if NamedNode(self._space.property_of(kind.name, field.name)) in properties:
+                    self._writer.add(within(self.node(kind.name), field.name), (sh.datatype, xsd.string))
 
     def _way(self, path: str) -> tuple[Value, Primitive] | None:
         """The property path to a scalar, and what that is; None where the message has none there."""

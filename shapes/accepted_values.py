@@ -8,6 +8,7 @@ for a float all numbers, rounded to the nearest, and INF, -INF and NaN. What is 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import NamedTuple
 
 from pyoxigraph import Literal, NamedNode
 
@@ -17,7 +18,13 @@ from rosld.ontology.lexical import NUMBERS
 from rosld.ontology.literals import DATATYPES, OCTETS, STRINGS
 from rosld.ontology.triples import Statement, Value, integer, text
 from rosld.ontology.vocab import rdf, rdfs, sh, xsd
-from rosld.shapes.lexical_patterns import WHOLE_DECIMAL, base64_pattern, hex_pattern, json_array_pattern
+from rosld.shapes.lexical_patterns import (
+    WHOLE_DECIMAL,
+    base64_pattern,
+    hex_pattern,
+    json_array_pattern,
+    parameter_array_pattern,
+)
 from rosld.shapes.lists import LIST, list_of, write_list_shape
 from rosld.shapes.terms import number
 from rosld.shapes.value import Bounds
@@ -29,8 +36,26 @@ PARAMETERS: Mapping[ParameterType, Primitive] = {
     ParameterType.DOUBLE: Primitive("float64"),
     ParameterType.STRING: Primitive("string"),
 }
-"""The scalars that nodes declare of parameters; of all others there is no shape but what is told."""
+"""The scalars that nodes declare of parameters."""
+PARAMETER_ARRAYS: Mapping[ParameterType, Primitive] = {
+    ParameterType.BOOLEAN_ARRAY: Primitive("bool"),
+    ParameterType.INTEGER_ARRAY: Primitive("int64"),
+    ParameterType.DOUBLE_ARRAY: Primitive("float64"),
+    ParameterType.STRING_ARRAY: Primitive("string"),
+}
+"""The elements of the arrays that they declare; that of octets is told as octets."""
+
+
+class OpenParameter(NamedTuple):
+    """A parameter of which nothing is declared: integers have `bits`, and XML has to carry it (ROS 1) or not."""
+
+    bits: int = 64
+    is_in_xml: bool = False
+
+
 _FLOATS = (xsd.double, xsd.float)
+_XML_TEXT = r"^[^\x00-\x08\x0B\x0C\x0E-\x1F]*$"
+"""Characters that XML can carry, as far as they are in use."""
 _GREATEST = Literal("1.7976931348623157E308", datatype=xsd.double)
 _LEAST = Literal("-1.7976931348623157E308", datatype=xsd.double)
 _BEYOND = Literal("3.4028235677973366E38", datatype=xsd.double)
@@ -73,6 +98,19 @@ class AcceptedValues:
         if type is ParameterType.STRING:
             return self._named("text", lambda: [(sh.datatype, xsd.string)])
         return self.scalar(PARAMETERS[type])
+
+    def parameter_array(self, type: ParameterType) -> NamedNode:
+        """The shape of an array that is a parameter's: one literal."""
+        if type is ParameterType.BYTE_ARRAY:
+            octets = [(sh.datatype, xsd.base64Binary), (sh.pattern, text(base64_pattern()))]
+            return self._named("octets", lambda: octets)
+        element = PARAMETER_ARRAYS[type]
+        array = [(sh.datatype, rdf.JSON), (sh.pattern, text(parameter_array_pattern(element)))]
+        return self._named(f"{element.name}-array", lambda: array)
+
+    def open_parameter(self, kind: OpenParameter) -> NamedNode:
+        """The shape of the value of a parameter of which nothing is declared: what it may be, by datatype."""
+        return self._named("parameter", lambda: [self._open(kind)])
 
     def list(self, elements: Sequence[Statement], kind: Array) -> Sequence[Statement]:
         """What a list is, each element of which fulfils `elements`."""
@@ -170,6 +208,24 @@ class AcceptedValues:
         ]
         special = [Literal(name, datatype=datatype) for datatype in _FLOATS for name in SPECIALS]
         return self._either(*finite, *_integers(within), [(sh.in_, self._writer.list_of(special))])
+
+    def _open(self, kind: OpenParameter) -> Statement:
+        integers = self._scalar(Primitive(f"int{kind.bits}"))
+        reals: list[Sequence[Statement]] = [[(sh.datatype, xsd.double), *_RANGES["float64"]]]
+        reals += [[(sh.datatype, xsd.float), *_RANGES["float32"]], [(sh.datatype, xsd.decimal), *_RANGES["float64"]]]
+        special = [Literal(name, datatype=datatype) for datatype in _FLOATS for name in SPECIALS]
+        reals += [] if kind.is_in_xml else [[(sh.in_, self._writer.list_of(special))]]
+        zone = "" if kind.is_in_xml else r"([.][0-9]{1,6}0*)?(Z|[+-][0-9]{2}:[0-9]{2})?"
+        moment = rf"^\s*[0-9]{{4}}-[0-9]{{2}}-[0-9]{{2}}T[0-9]{{2}}:[0-9]{{2}}:[0-9]{{2}}{zone}\s*$"
+        return self._either(
+            [(sh.datatype, xsd.string), (sh.pattern, text(_XML_TEXT if kind.is_in_xml else None))],
+            self._scalar(Primitive("bool")),
+            integers,
+            *reals,
+            [(sh.datatype, xsd.base64Binary), (sh.pattern, text(base64_pattern()))],
+            [(sh.datatype, xsd.dateTime), (sh.pattern, text(moment))],
+            [(sh.datatype, rdf.JSON), (sh.pattern, text(r"^\s*\["))],
+        )
 
     def _array(self, kind: Array, element: Primitive) -> Sequence[Statement]:
         writer = self._writer

@@ -18,7 +18,7 @@ from pyoxigraph import BlankNode, NamedNode, Triple
 from rosld.ontology.violations import Violation
 from rosld.shapes.bounds import is_exact, merge_bounds
 from rosld.shapes.compiled_shape import ShapeValidator
-from rosld.shapes.shapes_graph import ShapesGraph
+from rosld.shapes.shapes_graph import Node, ShapesGraph
 from rosld.shapes.value import Bounds
 from rosld.shapes.view import TripleView, View
 
@@ -32,7 +32,8 @@ class NodeShape:
 
     `paths` are the predicates that its simple property shapes look at (None where a path is not a predicate);
     `bounds` what it demands of the one value of each, as far as bounds can say it, `within` the same by the predicates
-    on the way (`(twist:linear, vector3:x)`). `is_bounds`: it demands nothing but what `within` says.
+    on the way (`(twist:linear, vector3:x)`). `is_bounds`: it demands nothing but what `within` says. `sources` are the
+    shapes as they were written, each in its shapes graph.
     """
 
     iri: str
@@ -40,6 +41,7 @@ class NodeShape:
     within: Mapping[tuple[NamedNode, ...], Bounds]
     judges: tuple[ShapeValidator, ...]
     is_bounds: bool
+    sources: tuple[tuple[ShapesGraph, Node], ...] = ()
 
     @property
     def bounds(self) -> Mapping[NamedNode, Bounds]:
@@ -66,6 +68,7 @@ class NodeShape:
             within=merge_bounds(self.within, other.within),
             judges=self.judges + other.judges,
             is_bounds=self.is_bounds and other.is_bounds and is_exact(self.within, other.within),
+            sources=self.sources + other.sources,
         )
 
 
@@ -82,7 +85,7 @@ def compile_shape(graph: ShapesGraph, iri: NamedNode | BlankNode) -> NodeShape:
     """The same of a shapes graph that has been read."""
     shape = graph.shape(iri)
     judge: ShapeValidator = shape if shape.is_simple else graph.pyshacl_shape(iri)
-    return NodeShape(iri.value, shape.paths, shape.within, (judge,), shape.is_bounds)
+    return NodeShape(iri.value, shape.paths, shape.within, (judge,), shape.is_bounds, ((graph, iri),))
 
 
 def conjunction(shapes: Sequence[NodeShape]) -> NodeShape:

@@ -1,10 +1,11 @@
-"""What limits demand of what is written, as far as bounds can say it."""
+"""What limits demand of what is written, as far as a shape of it can say that."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from rosld.shapes.limit_parts import LimitPart
 from rosld.shapes.value import Bounds
 
 
@@ -12,16 +13,40 @@ from rosld.shapes.value import Bounds
 class Demand:
     """What limits demand of a message or a value, beyond its type.
 
-    `bounds` are those of single scalars, by dotted path ("" is the value itself); `is_all` is False where limits hold
-    that bounds cannot say.
+    `bounds` are those of single scalars, by dotted path ("" is the value itself). `value_parts` are limits that say
+    more, by the same paths, and `type_parts` those on all messages of a type, by its name. `is_all` is False where
+    limits hold that none of these can say.
     """
 
     bounds: Sequence[tuple[str, Bounds]] = ()
     is_all: bool = True
+    value_parts: Sequence[tuple[str, LimitPart]] = ()
+    type_parts: Sequence[tuple[str, LimitPart]] = ()
 
     def __and__(self, other: Demand) -> Demand:
         """What demands both."""
-        return Demand((*self.bounds, *other.bounds), self.is_all and other.is_all)
+        return Demand(
+            (*self.bounds, *other.bounds),
+            self.is_all and other.is_all,
+            (*self.value_parts, *other.value_parts),
+            (*self.type_parts, *other.type_parts),
+        )
+
+    def of_bounds(self) -> Demand:
+        """What bounds can say of it."""
+        return Demand(self.bounds, self.is_all and not self.value_parts and not self.type_parts)
+
+    def of_ranges(self) -> Demand:
+        """What ranges of numbers can say of it."""
+        ranges = [(path, each) for path, each in self.bounds if each == each.range]
+        return Demand(ranges, self.of_bounds().is_all and len(ranges) == len(self.bounds))
+
+    def at(self, path: str) -> Demand:
+        """What is demanded of the value at a path, where that is written alone; `is_all` is False where more is."""
+        bounds = [("", each) for where, each in self.bounds if where == path]
+        parts = [("", each) for where, each in self.value_parts if where == path]
+        is_all = self.is_all and len(parts) == len(self.value_parts) and not self.type_parts
+        return Demand(bounds, is_all, parts)
 
 
 NO_DEMAND = Demand()

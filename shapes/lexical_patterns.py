@@ -71,6 +71,28 @@ def json_array_pattern(kind: Array, element: Primitive) -> str:
     return rf"^{_SPACE}\[{_SPACE}{elements if least else f'({elements})?'}\]{_SPACE}$"
 
 
+def parameter_array_pattern(element: Primitive) -> str:
+    """An array of a primitive in JSON, as parameters have it: what JSON cannot hold is an object with a datatype."""
+    one = f"({_parameter_element(element)})"
+    return rf"^{_SPACE}\[{_SPACE}({one}({_SPACE},{_SPACE}{one})*{_SPACE})?\]{_SPACE}$"
+
+
+def _parameter_element(kind: Primitive) -> str:
+    if kind.name in RANGES:
+        number = integer_pattern(*RANGES[kind.name])
+        return f"{number}|{_typed(number, 'integer')}"
+    if kind.name in _FLOATS:
+        return f"-?({'|'.join(_FLOATS[kind.name])})|{_typed('(NaN|-?INF)', 'double')}"
+    return _json_element(kind) if kind.name == "bool" else rf'"{_CHARACTER}*"'
+
+
+def _typed(value: str, datatype: str) -> str:
+    """An object of a value, as text, and its datatype."""
+    members = rf'"@value"{_SPACE}:{_SPACE}"{value}"', rf'"@type"{_SPACE}:{_SPACE}"xsd:{datatype}"'
+    comma = f"{_SPACE},{_SPACE}"
+    return rf"\{{{_SPACE}({comma.join(members)}|{comma.join(reversed(members))}){_SPACE}\}}"
+
+
 def _json_element(kind: Primitive) -> str:
     if kind.name == "bool":
         return "(true|false)"

@@ -27,6 +27,8 @@ from rosld.ontology.vocab import rdf, rdfs, sh, xsd
 from rosld.shapes.bounds import merge_bounds
 from rosld.shapes.constraints import MAX_VIOLATIONS, NodeShape, compile_shape, conjunction
 from rosld.shapes.demand import NO_DEMAND, Demand
+from rosld.shapes.limit_parts import InexpressibleError, LimitPart, limit_part
+from rosld.shapes.limit_paths import Place, ResourcePlace, ValuePlace
 from rosld.shapes.shapes_graph import ShapesGraph
 from rosld.shapes.value import UNBOUNDED, Bounds
 from rosld.shapes.view import TripleView
@@ -143,9 +145,13 @@ class Limits:
 
     def demand_of_message(self, schema: MessageSchema) -> Demand:
         """What is demanded of messages of a type, and of those within."""
-        shapes = [self.by_class.get(Space("http://0/", self.types).class_of(name)) for name in schema.types]
-        bounds = tuple(self.bounds_of_message(schema).items())
-        return Demand(bounds, all(shape is None or shape.is_bounds for shape in shapes))
+        demand, space = Demand(tuple(self.bounds_of_message(schema).items())), Space("http://0/", self.types)
+        for name in schema.types:
+            shape = self.by_class.get(space.class_of(name))
+            if shape is not None and not shape.is_bounds:
+                parts = _parts(shape, ValuePlace.message(schema, name), space)
+                demand &= Demand(is_all=parts is not None, type_parts=[(name, part) for part in parts or ()])
+        return demand
 
     def demand_of_value(
         self, url: str, predicate: NamedNode, schema: MessageSchema, scalar: str | None = None
@@ -158,16 +164,38 @@ class Limits:
         if scalar is not None and (predicate,) in shape.within:
             bounds = {scalar: shape.within[predicate,]}
         about = [way for way in shape.within if way[0] == predicate]
-        return Demand(tuple(bounds.items()), shape.is_bounds and len(about) == len(bounds))
+        demand = Demand(tuple(bounds.items()))
+        if shape.is_bounds and len(about) == len(bounds):
+            return demand
+        whole = ValuePlace.message(schema)
+        place = whole if scalar is None else whole.field(scalar)
+        return demand & _of_parts(shape, predicate, place, self.types, scalar or "")
 
-    def demand_of_scalar(self, url: str, predicate: NamedNode) -> Demand:
-        """What is demanded of the scalar that is a resource's value of a predicate."""
+    def demand_of_scalar(self, url: str, predicate: NamedNode, place: ValuePlace | None = None) -> Demand:
+        """What is demanded of the scalar that is a resource's value of a predicate, which `place` says the kind of."""
         shape = self.by_url.get(url)
         if shape is None:
             return NO_DEMAND
         found = {way: bounds for way, bounds in shape.within.items() if way[0] == predicate}
         bounds = [("", each) for way, each in found.items() if len(way) == 1]
-        return Demand(tuple(bounds), shape.is_bounds and len(bounds) == len(found))
+        if shape.is_bounds and len(bounds) == len(found):
+            return Demand(tuple(bounds))
+        return Demand(tuple(bounds)) & _of_parts(shape, predicate, place, self.types, "")
+
+
+def _parts(shape: NodeShape, place: Place, space: Space) -> list[LimitPart] | None:
+    """The shapes that one is made of, as parts of a shape of what is written; None where one cannot be."""
+    try:
+        parts = [limit_part(graph, node, place, space) for graph, node in shape.sources]
+    except InexpressibleError:
+        return None
+    return [each for each in parts if not each.is_empty]
+
+
+def _of_parts(shape: NodeShape, predicate: NamedNode, place: ValuePlace | None, types: str, path: str) -> Demand:
+    """What a limit on a resource demands of its value, which is told at a dotted path."""
+    parts = _parts(shape, ResourcePlace(predicate, place), Space("http://0/", types))
+    return Demand(is_all=parts is not None, value_parts=[(path, part.of_value()) for part in parts or ()])
 
 
 def _targets(graph: Sequence[Triple], shapes: ShapesGraph) -> Iterator[tuple[NamedNode | BlankNode, NamedNode, Term]]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from functools import cache
 
 from pyoxigraph import Literal, NamedNode, Triple
 
@@ -14,10 +16,11 @@ from rosld.ontology.triples import boolean, double, integer, text, triples_about
 from rosld.ontology.urls import Space
 from rosld.ontology.violations import LoweringError, Violation, brief_value
 from rosld.ontology.vocab import dcterms, rdf, rdfs, ros, sh, xsd
-from rosld.shapes.accepted_values import PARAMETERS
+from rosld.shapes.accepted_values import PARAMETER_ARRAYS, PARAMETERS
 from rosld.shapes.affordance import value_shape_triples
 from rosld.shapes.components import component, list_terms, phrase
 from rosld.shapes.demand import Demand
+from rosld.shapes.lexical_patterns import parameter_array_pattern
 from rosld.shapes.value import NO_MEASURE, Bounds, Measure, OpenShape, ScalarShape
 from rosld.shapes.writer import within
 
@@ -138,18 +141,16 @@ def violations(descriptor: Descriptor, name: str, url: str, value: ParameterValu
     What the type admits in another form (1 for 1.0) fits.
     """
     type = descriptor.type
-    if type is None:
-        return ()
-    fit = coerce(value, type)
+    fit = value if type is None else coerce(value, type)
     term = None if isinstance(value, dict) else parameter_literal(value)
     written = brief_value(plain_value(value) if term is None else phrase(term)) or ""
     broken: tuple[NamedNode, str] | None = None
     if fit is None:
-        broken = component(sh.datatype), f"is declared as {type.value}, which {written} is not"
+        broken = component(sh.datatype), f"is declared as {type.value if type else 'any'}, which {written} is not"
     elif descriptor.choices and fit not in [choice.value for choice in descriptor.choices]:
         broken = component(sh.in_), f"must be one of {list_terms(_chosen(descriptor))}, not {written}"
-    elif isinstance(fit, int | float) and not isinstance(fit, bool) and (range := _range(descriptor)) is not None:
-        broken = _outside(range, fit, written)
+    else:
+        broken = _outside_range(descriptor, fit, written)
     if broken is None:
         return ()
     found, words = broken
@@ -167,12 +168,41 @@ def violations(descriptor: Descriptor, name: str, url: str, value: ParameterValu
     )
 
 
-def require_integer_form(descriptor: Descriptor | None, term: Term) -> None:
-    """Raise LoweringError for a float where an integer is declared: no shape could say which of those are whole."""
-    is_integer = descriptor is not None and descriptor.type is ParameterType.INTEGER
-    if is_integer and isinstance(term, Literal) and term.datatype in (xsd.double, xsd.float):
+def require_form(descriptor: Descriptor | None, term: Term) -> None:
+    """Raise LoweringError where RDF has another form of what is declared than its shape can tell.
+
+    That is a float where an integer is declared, since no shape could say which of those are whole, and in an array
+    what is written as no value of its type is.
+    """
+    type = None if descriptor is None else descriptor.type
+    if type is None or not isinstance(term, Literal):
+        return
+    words = None
+    if type is ParameterType.INTEGER and term.datatype in (xsd.double, xsd.float):
         words = "is declared as integer: write an integer, or a decimal"
+    elif type is ParameterType.BYTE_ARRAY and term.datatype != xsd.base64Binary:
+        words = "is declared as octets: write an xsd:base64Binary"
+    elif type in PARAMETER_ARRAYS and (term.datatype != rdf.JSON or not _array(type).fullmatch(term.value)):
+        words = f"is declared as {type.value}: write an rdf:JSON array of such values"
+    if words is not None:
         raise LoweringError(Violation("", words, brief_value(phrase(term))))
+
+
+@cache
+def _array(type: ParameterType) -> re.Pattern[str]:
+    return re.compile(parameter_array_pattern(PARAMETER_ARRAYS[type]))
+
+
+def _outside_range(descriptor: Descriptor, value: ParameterValue, written: str) -> tuple[NamedNode, str] | None:
+    """What a number, or one of an array, breaks of the range declared, or else of that of all integers."""
+    numbers = value if isinstance(value, list) and descriptor.type is not None else [value]
+    for each in numbers:
+        range = _INT64 if isinstance(each, int) and descriptor.range is None else descriptor.range
+        if isinstance(each, int | float) and not isinstance(each, bool) and range is not None:
+            broken = _outside(range, each, written)
+            if broken is not None:
+                return broken
+    return None
 
 
 def _outside(range: Range, value: int | float, written: str) -> tuple[NamedNode, str] | None:

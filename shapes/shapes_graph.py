@@ -118,6 +118,14 @@ class ShapesGraph:
                 assert isinstance(node, NamedNode | BlankNode)
                 yield node
 
+    def statements(self, node: Node) -> Mapping[NamedNode, Sequence[Term]]:
+        """What is said of a node, by predicate."""
+        return self._said.get(node, {})
+
+    def members(self, head: Term) -> Sequence[Term]:
+        """The members of a list."""
+        return self._list(head)
+
     def name(self, node: Term) -> str:
         """A shape as an error calls it."""
         if isinstance(node, NamedNode):

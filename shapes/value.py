@@ -36,6 +36,11 @@ class Bounds:
         """Whether anything is demanded."""
         return self != UNBOUNDED
 
+    @property
+    def range(self) -> Bounds:
+        """The range alone."""
+        return Bounds(self.minimum, self.maximum, self.exclusive_minimum, self.exclusive_maximum)
+
 
 UNBOUNDED = Bounds()
 

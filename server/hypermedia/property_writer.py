@@ -52,7 +52,7 @@ from rosld.server.robot.publication import Publication, publish
 from rosld.server.robot.session import Session
 from rosld.server.robot.velocity import passes_stop
 from rosld.server.robot.write_policy import denied_reason, parameter_denied_reason
-from rosld.shapes.parameter import require_integer_form
+from rosld.shapes.parameter import require_form
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -157,7 +157,7 @@ def plan_write(session: Session, property: Property, content: object, *, default
         case ParameterSource():
             parameter = session.graph.parameters.get(writer.name)
             if isinstance(content, Literal):
-                require_integer_form(None if parameter is None else parameter.descriptor, content)
+                require_form(None if parameter is None else parameter.descriptor, content)
             return PlannedWrite(property.name, writer, StoredValue(_parameter_value(property.kind, content)))
         case _:
             raise Problem(405, not_writable_reason(session, property))

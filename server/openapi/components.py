@@ -67,6 +67,13 @@ PARAMETERS: Mapping[str, Json] = {
         "description": "The ETag of a state: wait until the resource is in another, or `timeout` is over (304).",
         "schema": TEXT,
     },
+    "shape": {
+        "name": "shape",
+        "in": "query",
+        "description": "Where it is there, whatever its value: the SHACL shape of the RDF that may be written here.",
+        "schema": TEXT,
+        "allowEmptyValue": True,
+    },
     "until": {
         "name": "until",
         "in": "query",

@@ -11,7 +11,7 @@ import orjson
 
 from rosld.server.events.query_params import EVENT_STREAM
 from rosld.server.hypermedia.data_schema import Json
-from rosld.server.hypermedia.json_schema import ANYTHING, Schema
+from rosld.server.hypermedia.json_schema import ANYTHING, JSON_LD, Schema
 from rosld.server.openapi.components import (
     READING,
     WRITING,
@@ -163,6 +163,8 @@ def _parameters(path: DescribedPath, method: str) -> Iterator[Json]:
         yield from (_query(one) for one in path.item.query)
         if path.item.is_paged:
             yield from (reference("parameters", name) for name in ("page", "Prefer.container"))
+        if path.item.has_shape:
+            yield reference("parameters", "shape")
         yield reference("parameters", "If-None-Match")
         if path.item.streams:
             own = {one.name for one in path.item.query}
@@ -214,7 +216,10 @@ def _ways(path: DescribedPath) -> tuple[int, ...]:
 def _read(path: DescribedPath) -> dict[str, Json]:
     if path.item.is_document:
         return document()
-    return representation((*path.item.reads, EVENT_STREAM) if path.item.streams else path.item.reads, path.item.plain)
+    plain = path.item.plain
+    if path.item.has_shape and plain is not None:
+        plain = {"anyOf": [plain, JSON_LD]}
+    return representation((*path.item.reads, EVENT_STREAM) if path.item.streams else path.item.reads, plain)
 
 
 def _done(path: DescribedPath, method: str, status: int) -> dict[str, Json]:

@@ -20,6 +20,7 @@ from rosld.server.openapi.described_path import DescribedPath
 from rosld.server.resources.channels import channel_item, source_item
 from rosld.server.resources.context import Robot
 from rosld.server.resources.namespaces import listed_graph, namespaces
+from rosld.server.resources.types import SHAPES_GRAPHS
 from rosld.server.rest.path_item import ANY_TYPE, FIELD_READS, FORMAT, PathItem
 from rosld.server.rest.resource import Resource
 
@@ -183,7 +184,7 @@ class PathCollector:
             yield self._template(f"/{room}/{{package}}/{{kind}}/", f"/{room}/a/msg/", package=package, kind=kind)
             one = f"/{room}/{{package}}/{{kind}}/{{name}}"
             yield self._template(one, f"/{room}/a/msg/B", package=package, kind=kind, name=name)
-        for path in ("data", "limits", "mapping", "query"):
+        for path in SHAPES_GRAPHS:
             yield self._path(f"/shapes/{path}")
         yield self._template("/shapes/{name}", "/shapes/any", name="One segment, as in the URL.")
 

@@ -5,8 +5,12 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable, Iterator, Sequence
 from dataclasses import replace
 
-from rosld.adapters.model import Kind, MessageSchema, Primitive
+from pyoxigraph import NamedNode
+
+from rosld.adapters.model import Descriptor, Kind, MessageSchema, Primitive
+from rosld.ontology.body import RdfBody
 from rosld.ontology.document import Document
+from rosld.ontology.lexical import BINARIES
 from rosld.ontology.vocab import rdf, ros
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.catalogue import ParameterSource, Property, Setter, TopicSource, Writer
@@ -16,13 +20,14 @@ from rosld.server.hypermedia.resource_tree import PropertyPlan
 from rosld.server.hypermedia.value import scalar_field, select_fields
 from rosld.server.hypermedia.value_body import layouts
 from rosld.server.resources.context import Robot
-from rosld.server.resources.limit_checks import message_demand, parameter_demand
+from rosld.server.resources.limit_checks import message_demand, parameter_demand, require_no_octets
 from rosld.server.rest.path_item import PathItem
-from rosld.server.rest.resource import Resource
+from rosld.server.rest.resource import ABSENT, Resource
 from rosld.server.rest.state import State
 from rosld.shapes.accepted import Accepted, accepted_message_document, accepted_value_document
-from rosld.shapes.accepted_values import PARAMETERS
-from rosld.shapes.demand import Demand
+from rosld.shapes.accepted_values import PARAMETERS, OpenParameter
+from rosld.shapes.demand import NO_DEMAND, Demand
+from rosld.shapes.limited_texts import is_limited_text, limited_texts
 from rosld.shapes.message import SHACL_SHACL
 
 _LINK = "shape"
@@ -53,6 +58,8 @@ class AcceptedShape(Resource):
         return PathItem("The shape of what may be written")
 
     async def state(self) -> State:
+        if await self._of.current_methods() == ABSENT:
+            await self._of.state()  # raises what the resource answers
         document = await self._describe(self.url)
         if document is None:
             raise Problem(404, f"No shape says what may be written to {self._of.url}.")
@@ -67,14 +74,13 @@ async def message_shape(robot: Robot, kind: Kind, name: str, schema: MessageSche
     return accepted_message_document(shape, schema, space, f"What may be sent to {name}", demand)
 
 
-def is_declared_scalar(robot: Robot, name: str) -> bool:
-    """Whether a node declares a parameter as a scalar of one type."""
-    parameter = robot.graph.parameters.get(name)
-    return parameter is not None and parameter.descriptor is not None and parameter.descriptor.type in PARAMETERS
+def has_parameter_shape(robot: Robot, name: str) -> bool:
+    """Whether there is such a parameter, which is no tree of others."""
+    return name in robot.graph.parameters
 
 
 async def parameter_shape(robot: Robot, name: str, shape: str) -> Document | None:
-    """What a parameter may be set to; None where its node declares no scalar."""
+    """What a parameter may be set to; None where there is none."""
     url, kinds = robot.space.parameter(name), await _of_parameter(robot, name)
     title = f"What {name} may be set to"
     return accepted_value_document(shape, url, ros.value, kinds, robot.space, title) if kinds else None
@@ -97,7 +103,7 @@ def has_property_shape(robot: Robot, plan: PropertyPlan) -> bool:
     """Whether `property_shape` has a shape of a property."""
     match property_writer(robot, plan.source):
         case ParameterSource(name=name):
-            return plan.member.field is None and is_declared_scalar(robot, name)
+            return plan.member.field is None and has_parameter_shape(robot, name)
         case TopicSource(schema=schema):
             return schema is not None
         case Setter():
@@ -106,12 +112,30 @@ def has_property_shape(robot: Robot, plan: PropertyPlan) -> bool:
             return False
 
 
+async def require_property_text(
+    robot: Robot, plan: PropertyPlan, body: RdfBody, subject: NamedNode, predicate: NamedNode
+) -> None:
+    """Raise LoweringError where a body writes a text of a property that limits are about as octets."""
+    octets = [each for each in body.literals() if each.datatype in BINARIES] if robot.limits else []
+    writer = property_writer(robot, plan.source) if octets else None
+    for kind, demand in () if writer is None else await _of_writer(robot, plan, writer):
+        if isinstance(kind, MessageSchema):
+            require_no_octets(body, limited_texts(demand, kind, robot.space))
+        elif isinstance(kind, Primitive) and is_limited_text(kind, demand.at("")):
+            require_no_octets(body, {predicate} & body.properties(subject).keys())
+
+
 async def _of_parameter(robot: Robot, name: str) -> list[tuple[Accepted, Demand]]:
     parameter = robot.graph.parameters.get(name)
-    descriptor = None if parameter is None else parameter.descriptor
-    if descriptor is None or descriptor.type is None or descriptor.type not in PARAMETERS:
+    if parameter is None:
         return []
-    return [(descriptor.type, await parameter_demand(robot, name, descriptor))]
+    descriptor = parameter.descriptor or Descriptor()
+    is_scalar = descriptor.type in PARAMETERS
+    demand = await parameter_demand(robot, name, descriptor if is_scalar else Descriptor())
+    if descriptor.type is None:
+        in_xml = robot.adapter.capabilities.parameter_server
+        return [(OpenParameter(32 if in_xml else 64, in_xml), demand.of_ranges())]
+    return [(descriptor.type, demand if is_scalar else Demand(is_all=demand == NO_DEMAND))]
 
 
 async def _of_writer(robot: Robot, plan: PropertyPlan, writer: Writer) -> list[tuple[Accepted, Demand]]:
@@ -134,12 +158,12 @@ def _of_message(own: Property, schema: MessageSchema, demand: Demand) -> Iterato
     """The scalar that a message is, and the messages that say all of its fields."""
     scalar = scalar_field(schema.type.fields)
     if scalar is not None and isinstance(scalar.type, Primitive):
-        yield scalar.type, _at(demand, scalar.name)
+        yield scalar.type, _of_one_field(demand, schema, scalar.name)
     fields = [(field.name, field.type) for field in schema.type.fields]
     parts = {part.ref.name: part for each in layouts(own) if (part := select_fields(each.schema, each.fields))}
     for part in parts.values():
         if [(field.name, field.type) for field in part.type.fields] == fields:
-            yield part, demand
+            yield part, demand if part.ref.name == schema.ref.name else demand.of_bounds()
 
 
 def _of_field(robot: Robot, plan: PropertyPlan, demand: Demand) -> Iterator[tuple[Accepted, Demand]]:
@@ -147,9 +171,10 @@ def _of_field(robot: Robot, plan: PropertyPlan, demand: Demand) -> Iterator[tupl
     path = plan.member.field or ""
     shape = robot.affordances.member_affordance(plan.member, write=True).shape
     if isinstance(kind := getattr(shape, "kind", None), Primitive):
-        yield kind, _at(demand, path)
+        yield kind, demand.at(path)
 
 
-def _at(demand: Demand, path: str) -> Demand:
-    """What is demanded of the scalar at a path."""
-    return replace(demand, bounds=tuple(("", bounds) for each, bounds in demand.bounds if each == path))
+def _of_one_field(demand: Demand, schema: MessageSchema, name: str) -> Demand:
+    """What is demanded of the one field of a message: all that is demanded of the message is about it."""
+    parts = [(name, part.of_value()) for type, part in demand.type_parts if type == schema.ref.name]
+    return replace(demand, value_parts=(*demand.value_parts, *parts), type_parts=()).at(name)

@@ -89,7 +89,7 @@ class ActionResource(CommandResource):
             shows=_goal_schema(schemas, schema),
             query=(STRICT,),
         )
-        return PathItem(f"The action {self.name}", writes={"POST": send})
+        return PathItem(f"The action {self.name}", writes={"POST": send}, has_shape=self.action.type is not None)
 
     @property
     def conforms_to(self) -> Sequence[str]:
@@ -158,7 +158,7 @@ class ActionResource(CommandResource):
     async def read_goal(self, exchange: Exchange, url: str) -> tuple[ActionSchema, Message]:
         """The goal in a request to a URL, within the limits. Raises LoweringError, and Problems."""
         robot, schema = self.robot, await self._schema()
-        message = await read_message(exchange, robot, schema.goal, url, "#goal")
+        message = await read_message(exchange, robot, Kind.ACTION, self.name, schema.goal, url)
         await require_message(robot, Kind.ACTION, self.name, schema.goal, message, self.url, "#goal")
         return schema, message
 

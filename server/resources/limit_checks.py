@@ -6,19 +6,24 @@ that URL belongs to. What a node declares of a parameter is one.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 
-from pyoxigraph import NamedNode, Triple
+from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
 from rosld.adapters.model import Descriptor, Kind, Message, MessageSchema, ParameterValue
+from rosld.ontology.body import RdfBody, Term
+from rosld.ontology.lexical import BINARIES
 from rosld.ontology.lift import lifter
-from rosld.ontology.violations import LoweringError, Violation
-from rosld.ontology.vocab import rdf, ros
+from rosld.ontology.violations import LoweringError, Violation, brief_value
+from rosld.ontology.vocab import rdf, ros, sh
 from rosld.server.hypermedia.conditions import url_of, value_triples
 from rosld.server.hypermedia.value import MessageValue, Reading, StoredValue, Value, scalar_field
 from rosld.server.resources.context import Robot
 from rosld.shapes.bounds import merge_bounds
+from rosld.shapes.components import component
 from rosld.shapes.demand import NO_DEMAND, Demand
+from rosld.shapes.limit_paths import ValuePlace
+from rosld.shapes.limited_texts import limited_texts
 from rosld.shapes.parameter import declared_demand, violations
 from rosld.shapes.value import Bounds
 
@@ -44,6 +49,35 @@ async def require_message(
         raise LoweringError(*broken)
 
 
+async def require_text(
+    robot: Robot, kind: Kind, name: str, schema: MessageSchema, body: RdfBody, url: str, node: str
+) -> None:
+    """Raise LoweringError where a body writes a text that limits are about as octets."""
+    if not any(each.datatype in BINARIES for each in body.literals()) or not robot.limits:
+        return
+    require_no_octets(
+        body, limited_texts(await message_demand(robot, kind, name, schema, url, node), schema, robot.space)
+    )
+
+
+def require_no_octets(body: RdfBody, texts: Set[NamedNode]) -> None:
+    """Raise LoweringError where the value of one of these properties is octets."""
+    for subject, properties in body.subjects.items() if texts else ():
+        for text in texts & properties.keys():
+            for each in properties[text]:
+                if isinstance(each, Literal) and each.datatype in BINARIES:
+                    raise octets_error(text.value.rpartition("#")[2], each, subject)
+
+
+def octets_error(path: str, value: Literal, subject: Term) -> LoweringError:
+    """What is said of a text with limits that is written as octets."""
+    focus = subject if isinstance(subject, NamedNode | BlankNode) else None
+    words = "has a limit, which looks at characters: write it as text, not as octets"
+    return LoweringError(
+        Violation(path, words, brief_value(value.value), component(sh.datatype), focus=focus, term=value)
+    )
+
+
 async def message_demand(robot: Robot, kind: Kind, name: str, schema: MessageSchema, url: str, node: str) -> Demand:
     """What all limits demand of a message that is sent to what is called `name`, at a URL."""
     limits = robot.limits
@@ -55,9 +89,10 @@ async def message_demand(robot: Robot, kind: Kind, name: str, schema: MessageSch
         if field is None:
             demand &= limits.demand_of_value(shown, rdf.value, schema, None if scalar is None else scalar.name)
         else:
-            own = limits.demand_of_scalar(shown, rdf.value)
+            own = limits.demand_of_scalar(shown, rdf.value, ValuePlace.message(schema).field(field))
             is_all = own.is_all and not any(step.isdecimal() for step in field.split("."))
-            demand &= Demand(tuple((field, bounds) for _, bounds in own.bounds), is_all)
+            parts = tuple((field, part) for _, part in own.value_parts)
+            demand &= Demand(tuple((field, bounds) for _, bounds in own.bounds), is_all, parts)
     return demand
 
 
@@ -66,9 +101,10 @@ async def parameter_demand(robot: Robot, name: str, descriptor: Descriptor) -> D
     limits, demand = robot.limits, declared_demand(descriptor)
     if not limits:
         return demand
-    demand &= limits.demand_of_scalar(robot.space.parameter(name), ros.value)
+    place = None if descriptor.type is None else ValuePlace(descriptor.type)
+    demand &= limits.demand_of_scalar(robot.space.parameter(name), ros.value, place)
     for shown, _ in await _property_names(robot, Kind.PARAMETER, name):
-        demand &= limits.demand_of_scalar(shown, rdf.value)
+        demand &= limits.demand_of_scalar(shown, rdf.value, place)
     return demand
 
 
@@ -101,8 +137,8 @@ async def require_parameter(robot: Robot, name: str, value: ParameterValue) -> N
 def _undeclared(robot: Robot, name: str, value: ParameterValue) -> list[Violation]:
     """What a value, or one in a tree, breaks of what the nodes declare."""
     parameter = robot.graph.parameters.get(name)
-    if parameter is not None and parameter.descriptor is not None:
-        return list(violations(parameter.descriptor, name, robot.space.parameter(name), value))
+    if parameter is not None:
+        return list(violations(parameter.descriptor or Descriptor(), name, robot.space.parameter(name), value))
     if not isinstance(value, dict):
         return []
     inner = (_undeclared(robot, f"{name.rstrip('/')}/{key}", each) for key, each in value.items())

@@ -405,9 +405,7 @@ class RobotGraphs:
         shapes = types.shapes_document(self._robot)
         yield _described(shapes.url, IdentityKey(shapes), lambda: shapes)
         for name in SHAPES_GRAPHS:
-            yield _described(
-                space.shape(name), IdentityKey(self._robot.limits), partial(shapes_graph, self._robot, name)
-            )
+            yield _described(space.shape(name), *shapes_graph(self._robot, name))
         variants = known_types(self._robot)
         for schema in self._robot.schemas.all():
             yield from self._type(schema, variants)

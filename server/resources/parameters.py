@@ -44,7 +44,7 @@ from rosld.server.hypermedia.data_schema import DataSchema
 from rosld.server.hypermedia.json_schema import ANYTHING, OBJECT
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.patches.patch import apply_update, merge_patch
-from rosld.server.resources.accepted_shape import is_declared_scalar, parameter_shape, shape_query
+from rosld.server.resources.accepted_shape import has_parameter_shape, parameter_shape, shape_query
 from rosld.server.resources.command import CommandResource
 from rosld.server.resources.context import Robot
 from rosld.server.resources.limit_checks import require_parameter
@@ -88,10 +88,9 @@ from rosld.server.robot.write_policy import parameter_denied_reason, resources_o
 from rosld.server.runtime.signals import call_every, combine_watches
 from rosld.shapes.parameter import (
     choice_words,
-    constraint_url,
     declared_shape,
     declared_triples,
-    require_integer_form,
+    require_form,
 )
 from rosld.shapes.value import OpenShape
 
@@ -229,9 +228,9 @@ class ParameterResource(_Parameters):
 
     @property
     def constrained_by(self) -> str | None:
-        if is_declared_scalar(self.robot, self.name):
+        if has_parameter_shape(self.robot, self.name):
             return shape_query(self.url)
-        return constraint_url(self.url, self._descriptor(self.name)) or super().constrained_by
+        return super().constrained_by
 
     async def accepted(self, url: str) -> Document | None:
         return await parameter_shape(self.robot, self.name, url)
@@ -251,6 +250,7 @@ class ParameterResource(_Parameters):
                 "PATCH": WriteMethod(sends=_NEW_VALUE, done=(200, 204)),
                 "DELETE": WriteMethod(done=(204,)),
             },
+            has_shape=True,
             alike="parameter",
         )
 
@@ -347,7 +347,7 @@ class ParameterResource(_Parameters):
             return lower_json(parse_json(data))
         body = parse_body(data, exchange.media_type, self.url)
         for term in body.objects(NamedNode(self.url), ros.value):
-            require_integer_form(self._descriptor(self.name), term)
+            require_form(self._descriptor(self.name), term)
         return lower_parameter(body, self.url)
 
     def _check_place(self, value: ParameterValue, before: ParameterValue | None) -> None:

@@ -36,6 +36,7 @@ from rosld.server.resources.accepted_shape import (
     has_property_shape,
     message_shape,
     property_shape,
+    require_property_text,
     shape_query,
 )
 from rosld.server.resources.actions import ActionResource
@@ -117,6 +118,7 @@ class MemberResource(CommandResource):
                 "PATCH": WriteMethod(sends=ANYTHING if value is None else patch_schema(value), done=(200, 202, 204)),
                 "POST": invoke,
             },
+            has_shape=self._has_shape,
         )
 
     def methods(self) -> frozenset[str]:
@@ -163,14 +165,16 @@ class MemberResource(CommandResource):
 
     @property
     def constrained_by(self) -> str | None:
+        return shape_query(self.url) if self._has_shape else f"{self.url}#property/shape"
+
+    @property
+    def _has_shape(self) -> bool:
+        """Whether there is a shape of what may be written here."""
         tree = self._tree
         action = tree.action(self.name) if tree is not None else None
-        if action is not None and action.request is not None:
-            return shape_query(self.url)
         plan = tree.property(self.name) if tree is not None else None
-        if plan is not None and has_property_shape(self.robot, plan):
-            return shape_query(self.url)
-        return f"{self.url}#property/shape"
+        is_invoked = action is not None and action.request is not None
+        return is_invoked or (plan is not None and has_property_shape(self.robot, plan))
 
     async def accepted(self, url: str) -> Document | None:
         tree = await self.robot.affordances.tree()
@@ -271,7 +275,7 @@ class MemberResource(CommandResource):
 
     async def put(self, exchange: Exchange) -> Answer:
         tree, plan = await self._property()
-        content = self._content(exchange, plan, await exchange.body())
+        content = await self._content(exchange, plan, await exchange.body())
         changed = () if plan.member.field is None else (plan.source.name,)
         async with self.robot.affordances.lock(tree, self.name, modified=changed):
             written = await self._write(tree, plan, content, defaults=not is_strict(exchange))
@@ -302,7 +306,7 @@ class MemberResource(CommandResource):
         if triples is None:
             raise Problem(403, f"{self.name} is there for as long as the robot has it: it cannot be dropped.")
         body = index_triples(triples)
-        written = await self._write(tree, plan, self._stated(plan, body))
+        written = await self._write(tree, plan, await self._stated(plan, body))
 
         async def carried_out() -> bool:
             return await carry_out(self.robot, written) is not WriteOutcome.UNHEARD
@@ -320,7 +324,7 @@ class MemberResource(CommandResource):
         async with self.robot.affordances.lock(tree, self.name, modified=(plan.source.name,)):
             snapshot = await read_fresh_state(self.robot, tree, plan.reads)
             require_writable(self.robot, plan, snapshot)
-            content = self._whole(plan, snapshot, self._patch(exchange, plan, snapshot, data))
+            content = self._whole(plan, snapshot, await self._patch(exchange, plan, snapshot, data))
             written = await plan_property_write(self.robot, plan.source, content)
             return await self._answer(exchange, written)
 
@@ -340,20 +344,21 @@ class MemberResource(CommandResource):
             else with_field(plan.source, snapshot.readings[plan.source.name], self.name, field, content)
         )
 
-    def _content(self, exchange: Exchange, plan: PropertyPlan, data: bytes) -> object:
+    async def _content(self, exchange: Exchange, plan: PropertyPlan, data: bytes) -> object:
         if exchange.media_type == JSON:
             return parse_json(data)
-        return self._stated(plan, parse_body(data, exchange.media_type, self.url))
+        return await self._stated(plan, parse_body(data, exchange.media_type, self.url))
 
-    def _stated(self, plan: PropertyPlan, body: RdfBody) -> object:
+    async def _stated(self, plan: PropertyPlan, body: RdfBody) -> object:
         """What RDF states the value to be: by rdf:value, or by the relation that a mapping gives it."""
         subject, predicate = NamedNode(self.url), rdf.value
         home = NamedNode(url_of(plan.parent, self.robot.space))
         if plan.mapped is not None and body.objects(home, plan.mapped.predicate):
             subject, predicate = home, plan.mapped.predicate
+        await require_property_text(self.robot, plan, body, subject, predicate)
         return content_from_rdf(body, subject, predicate, plan.source, self.robot.lifting)
 
-    def _patch(self, exchange: Exchange, plan: PropertyPlan, snapshot: Snapshot, data: bytes) -> object:
+    async def _patch(self, exchange: Exchange, plan: PropertyPlan, snapshot: Snapshot, data: bytes) -> object:
         view = self.robot.affordances.property_view(plan, snapshot)
         if view.reading.value is None:
             why = view.reading.failure or "it has no value yet"
@@ -361,7 +366,7 @@ class MemberResource(CommandResource):
         if exchange.media_type == MERGE_PATCH:
             return merge_patch(parse_json(property_json(view, self.robot.lifting.unelided)), parse_json(data))
         before = property_document(view, self.robot.space, self.robot.lifting.unelided)
-        return self._stated(plan, apply_update(data, before.all_triples(), self.url, by_value=True))
+        return await self._stated(plan, apply_update(data, before.all_triples(), self.url, by_value=True))
 
     async def post(self, exchange: Exchange) -> Answer:
         robot, tree = self.robot, await self.robot.affordances.tree()
@@ -372,7 +377,7 @@ class MemberResource(CommandResource):
             return await self._send_goal(exchange, tree, plan)
         if not isinstance(plan.schema, ServiceSchema):
             raise Problem(409, f"{self.name} cannot be invoked: the type of the service is not known.")
-        request = await read_request(exchange, robot, plan.schema, self.url)
+        request = await read_request(exchange, robot, plan.service, plan.schema, self.url)
         url = robot.space.service(plan.service)
         await require_message(robot, Kind.SERVICE, plan.service, plan.schema.request, request, url, "#request")
         async with robot.affordances.lock(tree, self.name):

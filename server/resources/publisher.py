@@ -18,7 +18,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
 from rosld.server.patches.patch import apply_update, merge_patch
 from rosld.server.resources.context import Robot
-from rosld.server.resources.limit_checks import require_message
+from rosld.server.resources.limit_checks import require_message, require_text
 from rosld.server.resources.messages import decode
 from rosld.server.resources.strictness import is_strict
 from rosld.server.rest.exchange import Exchange
@@ -71,7 +71,7 @@ class Publisher:
             return schema, self._from_json(exchange, schema, data)
         body = parse_body(data, exchange.media_type, self.url)
         schema = await (self._schema() if self._typed() else self._stated_schema(body))
-        return schema, self._lower(schema, body)
+        return schema, await self._lower(schema, body)
 
     async def message_of(self, exchange: Exchange, schema: MessageSchema, url: str) -> Message:
         """The message of a schema in a body that was sent to `url`. Raises LoweringError, and Problems."""
@@ -79,6 +79,7 @@ class Publisher:
         if exchange.media_type == JSON:
             return self._from_json(exchange, schema, data)
         body = parse_body(data, exchange.media_type, url)
+        await require_text(self.robot, Kind.TOPIC, self.name, schema, body, self.url, "#message")
         return lowerer(schema, self.robot.lifting).from_body(body, url)
 
     def _from_json(self, exchange: Exchange, schema: MessageSchema, data: bytes) -> Message:
@@ -99,7 +100,7 @@ class Publisher:
         if node in body.subjects and not body.objects(node, rdf.type):
             class_ = NamedNode(self.robot.space.class_of(schema.ref.name))
             body = index_triples([*triples, Triple(node, rdf.type, class_)])
-        return await self._publish(schema, self._lower(schema, body), latch=False)
+        return await self._publish(schema, await self._lower(schema, body), latch=False)
 
     async def plan_patch(self, exchange: Exchange, description: Sequence[Triple]) -> PlannedPublish:
         """What a PATCH of the latest message asks to be published; `description` is said of the topic beside it."""
@@ -116,7 +117,7 @@ class Publisher:
             message = lowerer(base.schema, self.robot.lifting).from_json(patched)
         else:
             before = [*description, *whole.triples(base.message, self.url, "#message")]
-            message = self._lower(base.schema, apply_update(data, before, self.url, by_value=True))
+            message = await self._lower(base.schema, apply_update(data, before, self.url, by_value=True))
         return await self._publish(base.schema, message, exchange.query_flag("latch"))
 
     async def _publish(self, schema: MessageSchema, message: Message, latch: bool) -> PlannedPublish:
@@ -125,8 +126,9 @@ class Publisher:
         passes = passes_stop(self.robot, self.name, schema, message)
         return PlannedPublish(Publication(self.name, schema.ref, data, latch, passes), creates=self.topic is None)
 
-    def _lower(self, schema: MessageSchema, body: RdfBody) -> Message:
+    async def _lower(self, schema: MessageSchema, body: RdfBody) -> Message:
         self._check_stable(body)
+        await require_text(self.robot, Kind.TOPIC, self.name, schema, body, self.url, "#message")
         return lowerer(schema, self.robot.lifting).from_body(body, self.url)
 
     def _check_stable(self, body: RdfBody) -> None:

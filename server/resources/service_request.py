@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from rosld.adapters.model import Message, MessageSchema, Refused, Sent, ServiceSchema
+from rosld.adapters.model import Kind, Message, MessageSchema, Refused, Sent, ServiceSchema
 from rosld.ontology.body import parse_body
 from rosld.ontology.lower import lowerer, parse_json
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.value import refusal_text
 from rosld.server.resources.context import Robot
+from rosld.server.resources.limit_checks import require_text
 from rosld.server.resources.strictness import is_strict
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON
@@ -15,13 +16,15 @@ from rosld.server.rest.ros_problems import problem_of
 from rosld.server.robot.calls import CallOutcome, IdempotencyKeyReused
 
 
-async def read_request(exchange: Exchange, robot: Robot, schema: ServiceSchema, url: str) -> Message:
-    """The request in a body sent to `url`; an empty one where the request has no fields."""
-    return await read_message(exchange, robot, schema.request, url, "#request")
+async def read_request(exchange: Exchange, robot: Robot, service: str, schema: ServiceSchema, url: str) -> Message:
+    """The request of a service in a body sent to `url`; an empty one where the request has no fields."""
+    return await read_message(exchange, robot, Kind.SERVICE, service, schema.request, url)
 
 
-async def read_message(exchange: Exchange, robot: Robot, schema: MessageSchema, url: str, node: str) -> Message:
-    """The message in a body sent to `url`, in RDF the one at `node`.
+async def read_message(
+    exchange: Exchange, robot: Robot, kind: Kind, name: str, schema: MessageSchema, url: str
+) -> Message:
+    """The request or the goal in a body sent to `url`, for what is called `name`.
 
     No body is a message without fields: for one that has some, `{}` asks for its defaults, and a body that got lost
     does not move the robot.
@@ -32,7 +35,9 @@ async def read_message(exchange: Exchange, robot: Robot, schema: MessageSchema, 
         return lowering.from_json({}, defaults=exchange.query_flag("defaults"))
     if exchange.media_type == JSON:
         return lowering.from_json(parse_json(data), defaults=not is_strict(exchange))
-    body = parse_body(data, exchange.media_type, url)
+    body, node = parse_body(data, exchange.media_type, url), "#goal" if kind is Kind.ACTION else "#request"
+    own = robot.space.action(name) if kind is Kind.ACTION else robot.space.service(name)
+    await require_text(robot, kind, name, schema, body, own, node)
     return lowering.from_body(body, url, node)
 
 

@@ -66,7 +66,7 @@ class ServiceResource(CommandResource):
             shows=ANYTHING if schema is None else nullable(schemas.read(schema.response)),
             query=(STRICT,),
         )
-        return PathItem(f"The service {self.name}", writes={"POST": call})
+        return PathItem(f"The service {self.name}", writes={"POST": call}, has_shape=self.service.type is not None)
 
     @property
     def conforms_to(self) -> Sequence[str]:
@@ -114,7 +114,7 @@ class ServiceResource(CommandResource):
 
     async def post(self, exchange: Exchange) -> Answer:
         schema = await self._schema()
-        request = await read_request(exchange, self.robot, schema, self.url)
+        request = await read_request(exchange, self.robot, self.name, schema, self.url)
         await require_message(self.robot, Kind.SERVICE, self.name, schema.request, request, self.url, "#request")
         outcome = await call_service(exchange, self.robot, self.name, schema, request)
         problem = call_problem(self.robot, outcome)

@@ -117,6 +117,7 @@ class TopicResource(CommandResource):
             ANYTHING if schema is None else nullable(schemas.read(schema)),
             (FORMAT, FIELD, *PARAMETERS),
             writes,
+            has_shape=topic is not None and topic.type is not None,
             methods=methods | {"DELETE"} if "PUT" in methods else methods,  # once rosld publishes
         )
 

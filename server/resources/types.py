@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import replace
+from functools import partial
 
 from pyoxigraph import Triple
 
@@ -26,6 +27,7 @@ from rosld.server.resources.ldp.bodies import require_small
 from rosld.server.resources.ldp.containers import ContainerResource
 from rosld.server.resources.ldp.representation import all_members
 from rosld.server.resources.ldp.routes import stored_route
+from rosld.server.resources.limit_places import datatypes_of_limits, load_limited_types
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import FORMAT, PAGE, PathItem, QueryParameter
 from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource, permanent_redirect
@@ -136,17 +138,19 @@ class ShapesGraphResource(Resource):
         return (SHACL_SHACL,)
 
     async def state(self) -> State:
-        return self.robot.states.get_or_make(
-            self.url, IdentityKey(self.robot.limits), lambda: State(lambda: shapes_graph(self.robot, self.title))
-        )
+        if self.title == LIMITS:
+            await load_limited_types(self.robot)
+        key, describe = shapes_graph(self.robot, self.title)
+        return self.robot.states.get_or_make(self.url, key, lambda: State(describe))
 
 
-def shapes_graph(robot: Robot, name: str) -> Document:
-    """One of the shapes graphs of WHOLE."""
+def shapes_graph(robot: Robot, name: str) -> tuple[object, Callable[[], Document]]:
+    """One of SHAPES_GRAPHS: what tells whether it is the same as before, and what describes it."""
     url = robot.space.shape(name)
-    if name == LIMITS:
-        return Document(url, robot.limits.graph)
-    return _SHAPES[name](url)
+    if name != LIMITS:
+        return name, partial(_SHAPES[name], url)
+    datatypes, graph = datatypes_of_limits(robot), robot.limits.graph
+    return (IdentityKey(robot.limits), datatypes), lambda: Document(url, (*graph, *datatypes))
 
 
 _SHAPES: Mapping[str, Callable[[str], Document]] = {

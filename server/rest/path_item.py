@@ -67,6 +67,8 @@ class PathItem:
     query: tuple[QueryParameter, ...] = (FORMAT,)
     writes: Mapping[str, WriteMethod] = field(default_factory=dict)
     streams: bool = True
+    has_shape: bool = False
+    """Whether `?shape` asks for the shape of what may be written."""
     also: tuple[int, ...] = ()
     is_paged: bool = False
     """Whether it is a container that may come in pages: GET then takes `page` and the preferences of LDP."""

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import httpx
 import pytest
+import rdflib
+from rdflib import SH, XSD
 
 from tests.server.robots.durable import running
 
@@ -68,6 +70,20 @@ def test_the_limits_of_a_file_have_names_below_the_document_that_shows_them(plan
     said = plane.get("/shapes/limits", headers=NT).text
     assert f"{name} <http://www.w3.org/ns/shacl#targetNode> <{plane.base_url}resources/aircraft/engine/speed>" in said
     assert f"<{plane.base_url}#" not in said
+
+
+def test_limits_tell_the_datatypes_of_the_fields_that_they_are_about(plane: httpx.Client) -> None:
+    said = rdflib.Graph().parse(data=plane.get("/shapes/limits", headers=NT).text, format="nt")
+    found = {
+        str(said.value(shape, SH.targetNode)).rpartition("/")[2]: said.value(
+            said.value(shape, SH.property), SH.datatype
+        )
+        for shape in said.subjects(SH.targetNode)
+    }
+    assert found == {"speed": XSD.double, "direction": XSD.double, "power": XSD.string}
+    query = "SELECT (COUNT(*) AS ?n) { GRAPH ?g { ?s <http://www.w3.org/ns/shacl#datatype> ?o } FILTER(?g = <%s>) }"
+    counted = plane.get("/sparql", params={"query": query % f"{plane.base_url}shapes/limits", "format": "json"})
+    assert counted.json()["results"]["bindings"][0]["n"]["value"] == "3"
 
 
 def test_a_limit_is_in_force_from_the_put_to_the_delete(plane: httpx.Client) -> None:

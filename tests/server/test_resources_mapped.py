@@ -241,6 +241,7 @@ def test_a_condition_that_does_not_hold_hides_all_that_lies_below(arm: MadeUp, s
     for path in paths:
         assert "manual" in detail(http.get(path), 404), path
         assert http.head(path).status_code == 404
+        assert "manual" in detail(http.get(path, params={"shape": ""}), 404), path
     for path in ("", "finger/"):  # what there ever is, clients keep
         assert http.get(f"/resources/arm/hand/{path}?format=td").status_code == 200
     for method, path, body in (

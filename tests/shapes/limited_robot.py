@@ -13,7 +13,7 @@ import rdflib
 from pyoxigraph import BlankNode, Literal, NamedNode, RdfFormat, Triple, serialize
 
 from rosld.adapters.model import Choice, Descriptor, ParameterType, Range
-from rosld.ontology.vocab import rdf, ros
+from rosld.ontology.vocab import rdf, ros, xsd
 from rosld.server.http.link import parse
 from rosld.shapes.message import SHACL_SHACL
 from tests.server.robots.made_up import MadeUp, served
@@ -29,7 +29,13 @@ DECLARED = {
     "/lamp/name": ("Ada", Descriptor(ParameterType.STRING)),
     "/lamp/lit": (True, Descriptor(ParameterType.BOOLEAN)),
     "/lamp/mode": (1, Descriptor(ParameterType.INTEGER, choices=(Choice(0, "off"), Choice(1, "on")))),
+    "/lamp/flags": ([True], Descriptor(ParameterType.BOOLEAN_ARRAY)),
+    "/lamp/counts": ([1], Descriptor(ParameterType.INTEGER_ARRAY)),
+    "/lamp/gains": ([0.5], Descriptor(ParameterType.DOUBLE_ARRAY)),
+    "/lamp/names": (["a"], Descriptor(ParameterType.STRING_ARRAY)),
+    "/lamp/octets": (b"a", Descriptor(ParameterType.BYTE_ARRAY)),
 }
+UNDECLARED = {"/lamp/anything": 1, "/lamp/bounded": 1}
 LIMITS = f"""
     @prefix sh: <http://www.w3.org/ns/shacl#> . @prefix rdf: <{rdf.iri}> . @prefix ros: <{ros.iri}> .
     @prefix float: <{TYPES}std_msgs/msg/Float64#> . @prefix point: <{TYPES}geometry_msgs/msg/Point#> .
@@ -46,7 +52,30 @@ LIMITS = f"""
       sh:property [ sh:path point:x ; sh:minInclusive -1 ; sh:maxInclusive 1000 ] .
     <#name> a sh:NodeShape ; sh:targetNode <parameters/lamp/name> ;
       sh:property [ sh:path ros:value ; sh:pattern "^a" ] .
+    <#bounded> a sh:NodeShape ; sh:targetNode <parameters/lamp/bounded> ;
+      sh:property [ sh:path ros:value ; sh:minInclusive 0 ; sh:maxExclusive 100.5e0 ] .
 """
+RELATIONS = f"""
+    @prefix sh: <http://www.w3.org/ns/shacl#> . @prefix rdf: <{rdf.iri}> . @prefix ros: <{ros.iri}> .
+    @prefix point: <{TYPES}geometry_msgs/msg/Point#> . @prefix range: <{TYPES}made_up/srv/SetRange_Request#> .
+    @prefix stamped: <{TYPES}geometry_msgs/msg/PointStamped#> . @prefix header: <{TYPES}std_msgs/msg/Header#> .
+    @prefix text: <{TYPES}std_msgs/msg/String#> . @prefix float: <{TYPES}std_msgs/msg/Float64#> .
+    <#point> a sh:NodeShape ; sh:targetClass <{TYPES}geometry_msgs/msg/Point> ;
+      sh:property [ sh:path point:x ; sh:lessThanOrEquals point:y ; sh:datatype <{xsd.double.value}> ] ;
+      sh:not [ sh:property [ sh:path point:z ; sh:hasValue 7.0e0 ] ] .
+    <#aim> a sh:NodeShape ; sh:targetNode <../topics/aim> ; sh:property [ sh:path ros:latest ; sh:or (
+      [ sh:property [ sh:path stamped:header ; sh:property [ sh:path header:frame_id ; sh:in ( "map" "odom" ) ] ] ]
+      [ sh:property [ sh:path stamped:point ; sh:property [ sh:path point:x ; sh:maxInclusive 0 ] ] ] ) ] .
+    <#range> a sh:NodeShape ; sh:targetNode <../resources/arm/range> ;
+      sh:property [ sh:path rdf:value ; sh:nodeKind sh:IRI ;
+        sh:property [ sh:path range:low ; sh:lessThan range:high ] ] .
+    <#text> a sh:NodeShape ; sh:targetClass <{TYPES}std_msgs/msg/String> ;
+      sh:or ( [ sh:property [ sh:path text:data ; sh:pattern "^a" ] ]
+              [ sh:property [ sh:path text:data ; sh:maxLength 1 ] ] ) .
+    <#speed> a sh:NodeShape ; sh:targetNode <../topics/speed> ; sh:property [ sh:path ros:latest ; sh:property [
+      sh:path float:data ; sh:xone ( [ sh:minInclusive 100 ] [ sh:maxInclusive 5.0e-1 ] ) ] ] .
+"""
+"""Limits that are more than bounds of single values."""
 
 
 VALUES = (*SOME, NamedNode("http://h/x"), rdf.nil, BlankNode("b"))
@@ -60,7 +89,7 @@ def served_robot(folder: Path) -> Iterator[httpx.Client]:
     robot.capabilities = replace(robot.capabilities, parameter_trees=False)
     robot.owners = ("/lamp",)
     robot.declared = {name: descriptor for name, (_, descriptor) in DECLARED.items()}
-    for name, (value, _) in DECLARED.items():
+    for name, value in {**UNDECLARED, **{name: value for name, (value, _) in DECLARED.items()}}.items():
         robot.parameter(name, value)
     robot.variable("/arm/grip", "Byte", value=1)
     robot.variable("/arm/words", "Words", words="a")

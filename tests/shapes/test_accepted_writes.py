@@ -10,10 +10,14 @@ import pytest
 import rdflib
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
+from rosld.ontology.parameters import lower_term
+from rosld.ontology.violations import LoweringError
 from rosld.ontology.vocab import rdf, ros
 from tests.shapes.limited_robot import (
     DECLARED,
+    RELATIONS,
     TYPES,
+    UNDECLARED,
     VALUES,
     difference,
     is_taken,
@@ -23,7 +27,7 @@ from tests.shapes.limited_robot import (
     served_robot,
     stamped,
 )
-from tests.shapes.values import graph, typed
+from tests.shapes.values import JSON, graph, typed
 
 STRANGE = NamedNode("http://example.org/strange")
 
@@ -47,21 +51,28 @@ def conforming(shapes: rdflib.Graph, bodies: Sequence[Sequence[Triple]], node: N
     return together.conforming(report)
 
 
-TEXTS = ("resources/arm/words", "resources/arm/label")
-OCTETS = (typed("61", "hexBinary"), typed("YQ==", "base64Binary"))
+def is_malformed(value: object) -> bool:
+    """Whether a value is no well-formed array of a parameter in rdf:JSON: whoever knows rdf:JSON sees that."""
+    if not isinstance(value, Literal) or value.datatype != rdf.JSON:
+        return False
+    try:
+        lower_term(value)
+    except LoweringError:
+        return True
+    return False
 
 
 @pytest.mark.parametrize(
     ("path", "predicate"),
     [
         *((f"resources/arm/{name}", rdf.value) for name in ("grip", "words", "label")),
-        *((f"parameters{name}", ros.value) for name in DECLARED),
+        *((f"parameters{name}", ros.value) for name in (*DECLARED, *UNDECLARED)),
     ],
 )
 def test_a_value_is_taken_where_it_conforms(client: httpx.Client, path: str, predicate: NamedNode) -> None:
     url = NamedNode(str(client.base_url.join(f"/{path}")))
-    # Text that has limits is written as text: octets that come to it pass the server, and no shape could tell.
-    values = [value for value in VALUES if not (path in TEXTS and value in OCTETS)]
+    values = [*VALUES, *(typed(text, rdf.JSON) for text in JSON)] if path.startswith("parameters") else VALUES
+    values = [each for each in values if not (path.removeprefix("parameters") in UNDECLARED and is_malformed(each))]
     bodies: list[list[Triple]] = [[Triple(url, predicate, value)] for value in values]
     bodies += [
         [],
@@ -164,10 +175,58 @@ def test_a_property_that_is_a_message_is_taken_where_it_conforms(client: httpx.C
     assert sum(by_server) == 2
 
 
-def test_limits_that_are_more_than_bounds_are_linked(client: httpx.Client) -> None:
-    target = "<../resources/arm/range>"
+@pytest.fixture
+def related(client: httpx.Client) -> Iterator[httpx.Client]:
+    """The same robot while limits are in force that relate values."""
+    kept = client.put("/shapes/relations", content=RELATIONS, headers={"Content-Type": "text/turtle"})
+    assert kept.status_code == 201, kept.text
+    yield client
+    client.delete("/shapes/relations")
+
+
+def test_limits_that_relate_values_are_in_the_linked_shape(related: httpx.Client) -> None:
+    limits = rdflib.URIRef(str(related.base_url.join("/shapes/limits")))
+    url = str(related.base_url.join("/topics/aim"))
+    node, place = NamedNode(f"{url}#message"), BlankNode("p")
+    head = [each for each in stamped(url)[:-3] if "frame_id" not in each.predicate.value]
+    frame, header = NamedNode(f"{TYPES}std_msgs/msg/Header#frame_id"), BlankNode("h")
+    bodies = [
+        [*head, Triple(header, frame, name), *point(place, *values)]
+        for name in (Literal("map"), Literal("base"), typed("bWFw", "base64Binary"), typed("6d6170", "hexBinary"))
+        for values in (("1", "2", "3"), ("2", "1", "3"), ("-1", "2", "3"), ("0", "0", "7"), ("1e0", "1.0", "-7"))
+    ]
+    shapes = linked_shape(related, url)
+    assert limits not in shapes.objects(None, rdflib.RDFS.seeAlso)
+    by_server = [is_taken(related, url, body) for body in bodies]
+    assert not difference(bodies, by_server, conforming(shapes, bodies, node))
+    assert 1 < sum(by_server) < len(bodies) / 2
+
+
+def test_limits_that_relate_the_fields_of_a_property_are_in_the_linked_shape(related: httpx.Client) -> None:
+    url = NamedNode(str(related.base_url.join("/resources/arm/range")))
+    node, iri = BlankNode("v"), f"{TYPES}made_up/srv/SetRange_Request"
+    is_one = [Triple(url, rdf.value, node), Triple(node, rdf.type, NamedNode(iri))]
+    bodies = [
+        [*is_one, Triple(node, NamedNode(f"{iri}#low"), low), Triple(node, NamedNode(f"{iri}#high"), high)]
+        for low in (Literal(1), Literal(2.5))
+        for high in (Literal(1), Literal(2.0), Literal(3.5))
+    ]
+    shapes = linked_shape(related, url.value)
+    by_server = [is_taken(related, url.value, body) for body in bodies]
+    assert not difference(bodies, by_server, [conforms(shapes, body) for body in bodies])
+    assert 0 < sum(by_server) < len(bodies)
+
+
+@pytest.mark.parametrize(("path", "type"), [("text", "std_msgs/msg/String"), ("speed", "std_msgs/msg/Float64")])
+def test_logic_of_limits_is_in_the_linked_shape(related: httpx.Client, path: str, type: str) -> None:
+    test_a_message_of_one_field_is_taken_where_it_conforms(related, path, type, "data")
+
+
+def test_limits_that_no_shape_of_what_is_written_can_say_are_linked(client: httpx.Client) -> None:
+    range = f"{TYPES}made_up/srv/SetRange_Request#"
     more = f"""@prefix sh: <http://www.w3.org/ns/shacl#> . @prefix rdf: <{rdf.iri}> .
-        <#range> a sh:NodeShape ; sh:targetNode {target} ; sh:property [ sh:path rdf:value ; sh:nodeKind sh:IRI ] ."""
+        <#range> a sh:NodeShape ; sh:targetNode <../resources/arm/range> ;
+          sh:property [ sh:path rdf:value ; sh:property [ sh:path <{range}low> ; sh:disjoint <{range}high> ] ] ."""
     url = str(client.base_url.join("/resources/arm/range"))
     limits = rdflib.URIRef(str(client.base_url.join("/shapes/limits")))
     assert limits not in linked_shape(client, url).objects(None, rdflib.RDFS.seeAlso)
@@ -176,3 +235,8 @@ def test_limits_that_are_more_than_bounds_are_linked(client: httpx.Client) -> No
     assert limits in linked_shape(client, url).objects(None, rdflib.RDFS.seeAlso)
     client.delete("/shapes/more")
     assert limits not in linked_shape(client, url).objects(None, rdflib.RDFS.seeAlso)
+
+
+def test_what_is_not_there_has_no_shape(client: httpx.Client) -> None:
+    for path in ("/parameters/lamp/none?shape", "/resources/arm/none?shape", "/topics/none?shape"):
+        assert client.get(path).status_code == 404

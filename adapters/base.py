@@ -219,6 +219,23 @@ class Recording(Protocol):
         """All messages in recorded order, those that cannot be decoded included."""
         ...
 
+    @property
+    def identity(self) -> str:
+        """What tells it from all other recordings, of the same name too: a few letters and digits.
+
+        While it is the same a message's index means the same message.
+        """
+        ...
+
+    def times_between(self, start: int, end: int) -> tuple[int, int] | None:
+        """Times in ns that all messages from index `start` and below `end` lie between; None where there is none."""
+        ...
+
+    @property
+    def settled(self) -> int:
+        """The index below which no message comes any more."""
+        ...
+
     def select(self, wanted: MessageFilter, limit: int) -> MessagePage:
         """At most `limit` messages, of about `PAGE_BYTES`; no more is read than these take."""
         ...

@@ -114,6 +114,7 @@ def bag_document(
         (ros.start, date_time_literal(bag.start_ns) if bag.count else None),
         (ros.end, date_time_literal(bag.end_ns) if bag.count else None),
         (ldp.contains, messages if order is None else None),
+        (rdfs.seeAlso, NamedNode(space.bag_stream(bag.name)) if order is None else None),
         *statements(ros.hasRecordedTopic, tracks),
         (spdx.checksum, None if sha256 is None else NamedNode(f"{url}#checksum")),
     )

@@ -70,14 +70,21 @@ class LiftedMessage:
 class Document:
     """The RDF of the resource at `url`: its description, and the messages it carries.
 
-    `simulated_time`: stamps are no wall-clock times, so no xsd:dateTime is derived from them.
+    `simulated_time`: stamps are no wall-clock times, so no xsd:dateTime is derived from them. `parts` are documents
+    that it quotes whole: syntaxes that have named graphs put each into the graph of its URL.
     """
 
     url: str
     triples: tuple[Triple, ...]
     messages: tuple[LiftedMessage, ...] = ()
     simulated_time: bool = False
+    parts: tuple[Document, ...] = ()
 
     def all_triples(self) -> list[Triple]:
-        """The description and the messages, as terms."""
-        return [*self.triples, *(triple for message in self.messages for triple in message.triples(self))]
+        """The description, the messages and the parts, as terms."""
+        own = [*self.triples, *(triple for message in self.messages for triple in message.triples(self))]
+        return own + [triple for part in self.parts for triple in part.all_triples()]
+
+    def joined(self) -> Document:
+        """The same as one graph."""
+        return Document(self.url, tuple(self.all_triples())) if self.parts else self

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 from rosld.ontology.document import Document
 from rosld.ontology.jsonld import jsonld
@@ -16,10 +17,15 @@ __all__ = ["CannotCarry", "Syntax", "serialize", "serialize_named"]
 def serialize(document: Document, syntax: Syntax | str) -> bytes:
     """The document in a syntax (or the syntax of a media type), UTF-8. All syntaxes say the same.
 
-    A document is one graph (LDP 4.3.1), so N-Quads and TriG have its triples in the default graph. Raises CannotCarry
-    where the syntax cannot hold what the document says, ValueError for a media type that is no RDF syntax.
+    A document is one graph (LDP 4.3.1), so N-Quads and TriG have its triples in the default graph, but those of its
+    parts in graphs of their own. Raises CannotCarry where the syntax cannot hold what the document says, ValueError for
+    a media type that is no RDF syntax.
     """
-    return _WRITERS[syntax if isinstance(syntax, Syntax) else Syntax.of(syntax)](document)
+    syntax = syntax if isinstance(syntax, Syntax) else Syntax.of(syntax)
+    if document.parts and syntax in _NAMED_WRITERS:
+        named = (_NAMED_WRITERS[syntax](part) for part in document.parts)
+        return b"".join([_WRITERS[syntax](replace(document, parts=())), *named])
+    return _WRITERS[syntax](document.joined())
 
 
 def serialize_named(document: Document, syntax: Syntax) -> bytes:

@@ -214,6 +214,14 @@ class Space:
         """Message `index` of a recording."""
         return self.url("bags", (name, "messages", str(index)))
 
+    def bag_stream(self, name: str) -> str:
+        """The messages of a recording as an event stream."""
+        return self.url("bags", (name, "ldes"))
+
+    def bag_stream_page(self, name: str, page: str) -> str:
+        """A page of that stream."""
+        return self.url("bags", (name, "ldes", page))
+
     def class_of(self, name: str) -> str:
         """The class of a message or service type: an IRI in the types' namespace, not of this server."""
         return self.types + "/".join(map(encode_segment, name.split("/")))

@@ -627,8 +627,38 @@ class wotsec(Namespace, iri="https://www.w3.org/2019/wot/security#"):
 class sosa(Namespace, iri="http://www.w3.org/ns/sosa/"):
     """SOSA, 2023 edition: what observes and acts, and the platform that carries it."""
 
+    Observation: NamedNode
     Platform: NamedNode
+    hasResult: NamedNode
     hosts: NamedNode
+    hasSimpleResult: NamedNode
+    madeBySensor: NamedNode
+    observedProperty: NamedNode
+    resultTime: NamedNode
+
+
+class tree(Namespace, iri="https://w3id.org/tree#"):
+    """TREE: collections in pages that tell what is behind their links."""
+
+    GreaterThanOrEqualToRelation: NamedNode
+    LessThanOrEqualToRelation: NamedNode
+    Node: NamedNode
+    Relation: NamedNode
+    member: NamedNode
+    node: NamedNode
+    path: NamedNode
+    relation: NamedNode
+    shape: NamedNode
+    value: NamedNode
+    view: NamedNode
+
+
+class ldes(Namespace, iri="https://w3id.org/ldes#"):
+    """Linked Data Event Streams."""
+
+    EventStream: NamedNode
+    timestampPath: NamedNode
+    versionOfPath: NamedNode
 
 
 class cora(Namespace, iri="http://purl.org/ieee1872-owl/cora-bare#"):
@@ -778,6 +808,8 @@ _SPACES = (
     htv,
     prov,
     sosa,
+    tree,
+    ldes,
     cora,
     qudt,
     hydra,

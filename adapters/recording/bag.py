@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import zlib
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -80,6 +81,21 @@ class Bag:
                 log.warning("%s", error)
             else:
                 yield RecordedMessage(index, self.streams[stream].topic, sample)
+
+    @property
+    def settled(self) -> int:
+        """All messages are there."""
+        return self.count
+
+    @property
+    def identity(self) -> str:
+        """By its first and last times, and the number of its messages."""
+        return f"{zlib.crc32(f'{self.start_ns} {self.end_ns} {self.count}'.encode()):08x}"
+
+    def times_between(self, start: int, end: int) -> tuple[int, int] | None:
+        """The times of the first and the last message from index `start` and below `end`."""
+        found = self.times[start:end]
+        return (int(found[0]), int(found[-1])) if len(found) else None
 
     def select(self, wanted: MessageFilter, limit: int) -> MessagePage:
         """At most `limit` messages; the table tells which, and only these are read."""

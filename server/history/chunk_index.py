@@ -5,6 +5,7 @@ It can be made again from the segments at any time, so it is never waited for: n
 
 from __future__ import annotations
 
+import secrets
 import sqlite3
 import threading
 import zlib
@@ -67,7 +68,7 @@ class ChunkRow(NamedTuple):
 
 
 class ChunkIndex:
-    """The tables. Any thread may ask; one writes."""
+    """The tables. Any thread may ask; one writes. `identity` tells the numbering of its messages from all others."""
 
     def __init__(self, path: Path | None) -> None:
         """Open or make it; None: in memory. Raises sqlite3.Error."""
@@ -79,6 +80,10 @@ class ChunkIndex:
         if found not in (0, _VERSION):
             self._db.close()
             raise sqlite3.DatabaseError(f"the index has version {found}, not {_VERSION}")
+        (self.identity,) = self._db.execute("PRAGMA application_id").fetchone()
+        if not self.identity:
+            self.identity = secrets.randbits(31) or 1
+            self._db.execute(f"PRAGMA application_id = {self.identity}")
         self._db.executescript(_TABLES)
         self._db.execute(f"PRAGMA user_version = {_VERSION}")
 

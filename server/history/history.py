@@ -104,6 +104,20 @@ class HistoryRecording:
             except (NotFound, Unreachable):
                 continue
 
+    @property
+    def settled(self) -> int:
+        """The number below which no message is to be written any more."""
+        return self._writer.settled
+
+    @property
+    def identity(self) -> str:
+        """That of its index: one that was made anew has others."""
+        return f"{self._writer.segments.index.identity:08x}"
+
+    def times_between(self, start: int, end: int) -> tuple[int, int] | None:
+        """Times that all messages numbered from `start` and below `end` lie between, which are written all."""
+        return self._writer.segments.index.times_between(start, end)
+
     def select(self, wanted: MessageFilter, limit: int) -> MessagePage:
         """At most `limit` messages: the index tells which chunks have them, and these are read."""
         return select_messages(self._writer, wanted, limit)

@@ -196,6 +196,11 @@ class PathCollector:
             yield self._path(self._of(space.bag(name)))
             if recording.path.is_file():
                 yield self._path(self._of(f"{space.bag(name)}file"))
+            stream = self._of(space.bag_stream(name))
+            yield self._path(stream)
+            if recording.count:
+                page = f"{recording.identity}-0-{recording.first // 100}"
+                yield self._template(f"{stream}/{{page}}", f"{stream}/{page}", page="As the stream links to it.")
             path = self._of(space.bag_messages(name))
             yield self._path(path)
             if recording.count:

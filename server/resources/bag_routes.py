@@ -8,6 +8,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.resources.bag_files import BagFile, BagUpload
 from rosld.server.resources.bags import BagContainer, BagMessage, BagMessages, BagResource, RunningBag
 from rosld.server.resources.context import Robot
+from rosld.server.resources.event_stream import EventStreamResource, event_stream_page
 from rosld.server.rest.resource import Resource, permanent_redirect
 
 
@@ -23,6 +24,10 @@ def bag_route(robot: Robot, location: Location) -> Resource:
             return BagResource(robot, _recording(robot, name)) if running is None else RunningBag(robot, running)
         case (name, "file") if not location.is_container:
             return BagFile(robot, _recording(robot, name))
+        case (name, "ldes") if not location.is_container:
+            return EventStreamResource(robot, _recording(robot, name))
+        case (name, "ldes", page) if not location.is_container:
+            return event_stream_page(robot, _recording(robot, name), page)
         case (name, "messages"):
             recording = _recording(robot, name)
             return BagMessages(robot, recording) if location.is_container else _slash(robot, location)
@@ -35,7 +40,7 @@ def bag_route(robot: Robot, location: Location) -> Resource:
             if is_number and int(index) < first:
                 raise Problem(410, f"Message {index} of {name} was removed: the oldest is {first}.")
             raise Problem(404, f"{name} has the messages {first} to {beyond - 1}, not {index}.")
-    raise Problem(404, "Under /bags/B/ there are messages/ and file, and nothing else.")
+    raise Problem(404, "Under /bags/B/ there are messages/, ldes and file, and nothing else.")
 
 
 def _slash(robot: Robot, location: Location) -> Resource:

@@ -11,7 +11,7 @@ from functools import partial
 from urllib.parse import quote
 
 import orjson
-from pyoxigraph import NamedNode, Triple
+from pyoxigraph import NamedNode
 
 from rosld.adapters.base import FOR_EVER, MessageFilter, MessagePage, Recording
 from rosld.ontology.describe_bags import bag_selection_document
@@ -36,7 +36,6 @@ from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource
 from rosld.server.rest.state import State
 
 LIMIT, MAX_LIMIT = 100, 1000
-_TRIPLE_BYTES = 100
 _MAX_TOPIC = 1000
 PARAMETERS = (
     QueryParameter("topic", "Messages of this topic, or of those that a glob such as `/camera/*` fits."),
@@ -98,7 +97,7 @@ class BagSelection(Resource):
             return State(describe, lambda: data, token=token)
         said = await asyncio.to_thread(record_triples, self.robot, self.recording, records)
         triples = (*describe().triples, *said)
-        return State(partial(_document, self.url, triples), token=token, weight=len(triples) * _TRIPLE_BYTES)
+        return State(lambda: Document(self.url, triples), token=token, is_long=True)
 
     def redact(self, state: State, permissions: Permissions) -> State:
         plain = state.plain
@@ -154,10 +153,6 @@ class BagSelection(Resource):
         if decoded.message is None:
             return said | {"unreadable": decoded.reason}
         return said | {"message": orjson.Fragment(lift_sample(self.robot, decoded).lifter.json(decoded.message, url))}
-
-
-def _document(url: str, triples: tuple[Triple, ...]) -> Document:
-    return Document(url, triples)
 
 
 def selection_of(robot: Robot, recording: Recording, exchange: Exchange) -> BagSelection | None:

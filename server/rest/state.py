@@ -42,6 +42,7 @@ class State:
     that outlives this run of the server. `part` ends the variant of its ETags where it is only a part of the resource,
     so that the part guards a write as the whole does. `headers` go with every representation.
     `shapes` are the URLs of those that the messages in it conform to, beside that of its class.
+    `is_long`: what it says takes a while to be written, so that a thread does it.
     `weight` is about how many bytes of N-Triples it says, where that may be many: from `LARGE_BYTES` on its
     representations are made in worker processes, to which `describe` goes as a pickle. A state is kept as long as
     nothing changes, and its renderings with it.
@@ -58,6 +59,7 @@ class State:
     headers: Mapping[str, str] = field(default_factory=dict)
     shapes: tuple[str, ...] = ()
     weight: int = 0
+    is_long: bool = False
     renderings: dict[str, Rendering] = field(default_factory=dict)
     redactions: dict[str, State] = field(default_factory=dict)
     """What `redact` returned, by the key of the rights that it was made for."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import time
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -256,6 +257,8 @@ class Dispatcher:
             body = state.plain()
         elif state.is_large:
             raise Problem(406, "This is too large to be sent here: GET it, or follow it by its notifications.")
+        elif state.is_long:
+            body = await asyncio.to_thread(_serialize, state, _JSON_IS_JSONLD.get(media_type, media_type))
         else:
             body = _serialize(state, _JSON_IS_JSONLD.get(media_type, media_type))
         name = f"{self.instance_id}-{digest(body)}" if media_type == HTML else self._name(state)  # a page shows more

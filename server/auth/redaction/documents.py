@@ -31,7 +31,8 @@ def redact_document(document: Document, permissions: Permissions) -> Document:
     redaction = _Redaction(document, permissions)
     triples = redaction.triples()
     messages = tuple(each for message in document.messages if (each := redaction.message(message)) is not None)
-    return replace(document, triples=tuple(triples), messages=messages)
+    parts = tuple(redact_document(part, permissions) for part in document.parts if permissions.may_read(part.url))
+    return replace(document, triples=tuple(triples), messages=messages, parts=parts)
 
 
 class _Redaction:

@@ -1,0 +1,212 @@
+"""`/bags/B/ldes`: the messages of a recording as a Linked Data Event Stream, in pages of a search tree (TREE).
+
+A page is of a hundred messages, or of a hundred pages, by their numbers: it never changes once all of them are there.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import re
+from collections.abc import Hashable, Iterator, Sequence
+from typing import NamedTuple
+
+from rosld.adapters.base import MessageFilter, Recording
+from rosld.ontology.describe_event_stream import (
+    StreamLink,
+    StreamProfile,
+    event_stream_document,
+    observation_triples,
+)
+from rosld.ontology.document import Document
+from rosld.ontology.urls import Space
+from rosld.server.http.conditional import digest
+from rosld.server.http.link import Link
+from rosld.server.http.problem import Problem
+from rosld.server.http.profiles import QUERY, VARY, choose_profile
+from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.resources.context import Robot
+from rosld.server.resources.messages import lift_sample
+from rosld.server.resources.recorded_messages import DecodedRecord, decode_records, record_document
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.path_item import FORMAT, PathItem, QueryParameter
+from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource
+from rosld.server.rest.state import State
+
+MEMBERS = 100
+"""Messages on a page, and links to pages on a page of links."""
+_YEAR = 365 * 24 * 3600
+_SHORT = 2
+_NAME = re.compile(r"[0-9a-f]+-[0-9]{1,2}-[0-9]{1,15}", re.ASCII)
+_PROFILES = {"ros": StreamProfile.RECORD.value, "sosa": StreamProfile.OBSERVATION.value}
+PROFILE = QueryParameter(
+    QUERY, "What members are described as, before Accept-Profile.", {"type": "string", "enum": [*_PROFILES]}
+)
+
+
+class PageNumber(NamedTuple):
+    """The page `number` of a level: of messages on level 0, of pages of the level below on the others."""
+
+    level: int
+    number: int
+
+    @property
+    def size(self) -> int:
+        """How many messages a page of its level leads to."""
+        return int(MEMBERS ** (self.level + 1))
+
+    @property
+    def start(self) -> int:
+        """The first message of it."""
+        return self.number * self.size
+
+    @property
+    def end(self) -> int:
+        """The message after its last."""
+        return self.start + self.size
+
+    def within(self, first: int, beyond: int) -> Iterator[PageNumber]:
+        """The pages of the level below on it that have messages from `first` and below `beyond`."""
+        return pages_between(self.level - 1, max(self.start, first), min(self.end, beyond))
+
+
+def pages_between(level: int, first: int, beyond: int) -> Iterator[PageNumber]:
+    """The pages of a level that have messages from `first` and below `beyond`."""
+    size = MEMBERS ** (level + 1)
+    return (PageNumber(level, number) for number in range(first // size, -(-beyond // size)))
+
+
+def top_level(first: int, beyond: int) -> int:
+    """The lowest level of which one page of links can have all pages."""
+    level = 0
+    while -(-beyond // MEMBERS ** (level + 1)) - first // MEMBERS ** (level + 1) > MEMBERS:
+        level += 1
+    return level
+
+
+class EventStreamResource(Resource):
+    """An event stream (`page` is None), or a page of it."""
+
+    kind = "Event stream"
+    is_cacheable = False
+
+    def __init__(self, robot: Robot, recording: Recording, page: PageNumber | None = None, query: str = "") -> None:
+        self.robot = robot
+        self.recording = recording
+        self._page = page
+        self._profile = StreamProfile.RECORD
+        self._suffix = query
+        super().__init__(_url(robot.space, recording, page) + query)
+        self.title = f"Messages of {recording.name}"
+
+    @property
+    def variant_key(self) -> Hashable:
+        return self._profile
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        return PathItem(f"The messages of {self.recording.name} as an event stream", query=(FORMAT, PROFILE))
+
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self.robot.space.document_shape("EventStream"),)
+
+    async def select_variant(self, exchange: Exchange) -> Resource:
+        """In the profile that the request prefers; one named in the query is in the URLs of all pages."""
+        asked = exchange.query.get(QUERY)
+        found = choose_profile(_PROFILES, exchange.header("accept-profile"), exchange.prefer, asked)
+        if asked is not None and found is None:
+            raise Problem(406, f"?{QUERY}={asked[:60]} is unknown; there are {', '.join(_PROFILES)}.")
+        suffix = "" if asked is None or found is None else f"?{QUERY}={_short_name(found)}"
+        chosen = EventStreamResource(self.robot, self.recording, self._page, suffix)
+        chosen._profile = StreamProfile(found) if found else StreamProfile.RECORD
+        chosen.links = (RESOURCE, RDF_SOURCE, Link(chosen._profile.value, "profile"))
+        return chosen
+
+    async def state(self) -> State:
+        recording, page = self.recording, self._page
+        first, beyond, settled = recording.first, recording.first + recording.count, recording.settled
+        is_immutable = page is not None and first <= page.start and page.end <= max(settled, 0)
+        is_immutable = is_immutable or (page is not None and settled == beyond and self._is_finished)
+        version = "immutable" if is_immutable else (recording.identity, first, beyond, settled)
+        key = f"{self.url} {self._profile.name}"
+        known = self.robot.states.find(key, version)
+        if known is not None:
+            return known
+        members = await self._members(page) if page is not None and page.level == 0 else ()
+        document = event_stream_document(
+            _url(self.robot.space, recording) + self._suffix,
+            self.url,
+            self._profile,
+            await asyncio.to_thread(self._links, first, beyond, settled),
+            members,
+            self.robot.space.document_shape("Record") if self._profile is StreamProfile.RECORD else None,
+        )
+        age = f"max-age={_YEAR}, immutable" if is_immutable else f"max-age={_SHORT}"
+        headers = {"cache-control": age, "vary": VARY, "content-profile": f"<{self._profile.value}>"}
+        token = digest(f"{key} {version}".encode())
+        return self.robot.states.put(key, version, State(lambda: document, token=token, headers=headers, is_long=True))
+
+    @property
+    def _is_finished(self) -> bool:
+        return self.recording is not self.robot.history.recording
+
+    def _links(self, first: int, beyond: int, settled: int) -> list[StreamLink]:
+        if self._page is None:
+            pages = pages_between(top_level(first, beyond), first, beyond)
+        elif self._page.level:
+            pages = self._page.within(first, beyond)
+        else:
+            return []
+        return [self._link(each, first, settled) for each in pages]
+
+    def _link(self, page: PageNumber, first: int, settled: int) -> StreamLink:
+        url = _url(self.robot.space, self.recording, page) + self._suffix
+        if page.end > settled and not self._is_finished:
+            return StreamLink(url)
+        times = self.recording.times_between(max(page.start, first), page.end)
+        return StreamLink(url) if times is None else StreamLink(url, *times)
+
+    async def _members(self, page: PageNumber) -> Sequence[Document]:
+        """All messages of a page: those of many bytes are read and lifted some at a time."""
+        found: list[Document] = []
+        start: int | None = page.start
+        while start is not None:
+            wanted = MessageFilter(start=max(start, self.recording.first), end=page.end)
+            some = await asyncio.to_thread(self.recording.select, wanted, MEMBERS)
+            records = await decode_records(self.robot, self.recording, some.messages)
+            found += await asyncio.to_thread(list, map(self._member, records))
+            start = some.next
+        return found
+
+    def _member(self, one: DecodedRecord) -> Document:
+        said = record_document(self.robot, self.recording, one)
+        if self._profile is StreamProfile.RECORD or one.decoded.message is None:
+            return said.joined() if said.parts else Document(said.url, tuple(said.all_triples()))
+        lifted = lift_sample(self.robot, one.decoded).triples(said)
+        own = observation_triples(said.url, one.message, self.robot.space, lifted)
+        return Document(said.url, (*own, *lifted))
+
+
+def event_stream_page(robot: Robot, recording: Recording, name: str) -> EventStreamResource:
+    """The page of this name. Raises 404 and 410 Problems."""
+    identity, *numbers = name.split("-")
+    if not _NAME.fullmatch(name):
+        raise Problem(404, f"{name[:60]} is no page of the stream: {_url(robot.space, recording)} links to them.")
+    if identity != recording.identity:
+        raise Problem(410, f"This was a page of another recording of the name {recording.name}, which is gone.")
+    page = PageNumber(*map(int, numbers))
+    beyond = recording.first + recording.count
+    if page.level > top_level(0, beyond) or page.start >= beyond:
+        raise Problem(404, f"{recording.name} has no messages from {page.start} on: {beyond} is the next.")
+    if page.end <= recording.first:
+        raise Problem(410, f"The messages of this page were removed: the oldest is {recording.first}.")
+    return EventStreamResource(robot, recording, page)
+
+
+def _url(space: Space, recording: Recording, page: PageNumber | None = None) -> str:
+    if page is None:
+        return space.bag_stream(recording.name)
+    return space.bag_stream_page(recording.name, f"{recording.identity}-{page.level}-{page.number}")
+
+
+def _short_name(iri: str) -> str:
+    return next(name for name, known in _PROFILES.items() if known == iri)

@@ -24,6 +24,7 @@ PARTS = (
     "history_kills.py",
     "pauses.py",
     "clients.py",
+    "pictures.py",
 )
 
 

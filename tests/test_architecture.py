@@ -158,6 +158,7 @@ LAYERS = [
     "hypermedia",
     "robot",
     "history",
+    "pictures",
     "dataset",
     "receipts",
     "storage",

@@ -3,7 +3,8 @@
 Nothing here knows a robot or a store: a `Page` (or one of its kin) goes in, bytes come out. Whatever came from a robot
 is text to these pages, never markup, and `HEADERS` tells the browser to run nothing but `live.js`, which keeps a page
 up to date while it is looked at, `filter.js`, which finds things on long ones, `find.js`, which shows what is found
-while words are typed, and `drive.js`, which drives a robot. Without them every page is as whole.
+while words are typed, `drive.js`, which drives a robot, and `picture.js`, which moves pictures. Without them every page
+is as whole.
 """
 
 from rosld.server.html.affordances import action_form, cancel_forms, forms_of, property_form
@@ -51,6 +52,7 @@ from rosld.server.html.render import (
     FIND_SCRIPT,
     HEADERS,
     ICON,
+    PICTURE_SCRIPT,
     SCRIPT,
     STYLESHEET,
     prepare_pages,
@@ -71,6 +73,7 @@ __all__ = [
     "FIND_SCRIPT",
     "HEADERS",
     "ICON",
+    "PICTURE_SCRIPT",
     "SCRIPT",
     "STYLESHEET",
     "Alternate",

@@ -100,6 +100,7 @@ Without this file, or with scripts off, the page is what it was when it was load
   function mergeAttributes(old, now) {
     const isOurs = (name) =>
       name === "data-changed" || name === "data-filtered" || name === "data-ago" || name === "inert" ||
+      (matches(old, "img[data-motion]") && ["src", "data-still", "data-moving"].includes(name)) ||
       (name === "open" && matches(old, "details")) || (name === "hidden" && matches(old, ".filter"));
     for (const { name, value } of attributesOf(now))
       if (!isOurs(name) && attribute(old, name) !== value) set(old, name, value);

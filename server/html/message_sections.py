@@ -11,12 +11,15 @@ from rosld.ontology.document import Document, LiftedMessage
 from rosld.ontology.vocab import ros
 from rosld.server.html.labels import capitalize, label
 from rosld.server.html.messages import message_view
+from rosld.server.html.picture_view import PictureView, picture_view
 from rosld.server.html.site import Anchor, Site
 from rosld.server.html.terms import iri_view
 from rosld.server.html.timestamps import time_view
 from rosld.server.html.view import TableView, View, escape_controls
 
 _TITLES = {ros.latest: "Latest message", ros.recordedMessage: "Message", ros.heldMessage: "Message"}
+_DRAWN = frozenset({ros.latest, ros.recordedMessage})
+"""By what a message is linked from a resource that can be had as a picture."""
 NEWEST = "#message"
 
 
@@ -32,13 +35,17 @@ class MessageSection:
     sequence: int | None = None
     publisher: View | None = None
     aside: bool = False
+    picture: PictureView | None = None
 
 
-def message_sections(document: Document, site: Site) -> tuple[MessageSection, ...]:
-    """The sections of a document's messages; those of single publishers stand aside when there are several."""
+def message_sections(document: Document, site: Site, query: str = "") -> tuple[MessageSection, ...]:
+    """The sections of a document's messages; those of single publishers stand aside when there are several.
+
+    `query` is what the URL of the page ends in.
+    """
     roles = _roles(document)
     return tuple(
-        _section(document, site, each, roles.get(each.node, ros.recordedMessage)) for each in document.messages
+        _section(document, site, each, roles.get(each.node, ros.recordedMessage), query) for each in document.messages
     )
 
 
@@ -52,7 +59,7 @@ def _roles(document: Document) -> Mapping[str, NamedNode]:
     }
 
 
-def _section(document: Document, site: Site, each: LiftedMessage, role: NamedNode) -> MessageSection:
+def _section(document: Document, site: Site, each: LiftedMessage, role: NamedNode, query: str) -> MessageSection:
     schema = each.lifter.schema
     body = message_view(
         schema,
@@ -71,6 +78,7 @@ def _section(document: Document, site: Site, each: LiftedMessage, role: NamedNod
         sequence=envelope.sequence if envelope else None,
         publisher=iri_view(publisher, site) if publisher else None,
         aside=role == ros.latestFrom,
+        picture=picture_view(schema, each.message, query, moves=role == ros.latest) if role in _DRAWN else None,
     )
 
 

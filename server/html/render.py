@@ -28,6 +28,7 @@ from rosld.server.html.message_sections import message_sections
 from rosld.server.html.offer import FormTarget, form_targets, offer_view
 from rosld.server.html.page import (
     ALTERNATES,
+    PICTURE_ALTERNATES,
     THING,
     EntryPage,
     Notice,
@@ -79,7 +80,9 @@ FIND_SCRIPT = (_HERE / "find.js").read_bytes()
 """Served at `find.js` below the base: shows what is found while words are typed into the box of every page."""
 DRIVE_SCRIPT = (_HERE / "drive.js").read_bytes()
 """Served at `drive.js` below the base: the pad on the page of a topic that commands a velocity."""
-_FILES = STYLESHEET + ICON + SCRIPT + FILTER_SCRIPT + FIND_SCRIPT + DRIVE_SCRIPT
+PICTURE_SCRIPT = (_HERE / "picture.js").read_bytes()
+"""Served at `picture.js` below the base: pictures move while they are looked at."""
+_FILES = STYLESHEET + ICON + SCRIPT + FILTER_SCRIPT + FIND_SCRIPT + DRIVE_SCRIPT + PICTURE_SCRIPT
 _VERSION = hashlib.blake2b(_FILES, digest_size=4).hexdigest()
 
 _NOTICED = (
@@ -151,6 +154,10 @@ class _Frame:
         return f"{self.site.root}drive.js?v={_VERSION}"
 
     @property
+    def picture_script(self) -> str:
+        return f"{self.site.root}picture.js?v={_VERSION}"
+
+    @property
     def icon(self) -> str:
         return f"{self.site.root}icon.svg?v={_VERSION}"
 
@@ -213,6 +220,7 @@ def render_page(page: Page) -> bytes:
     Notices, what is on offer or messages, contents, forms as far as allowed, and all that is said of it.
     """
     posted = form_targets(_fitting(page), page.allow, page.csrf, page.site)
+    body = _body(page, posted)
     return _render(
         "page.html",
         _frame(page.site, page.title, page.document.url, page.notices + _own_notices(page), is_refreshed(page)),
@@ -221,11 +229,15 @@ def render_page(page: Page) -> bytes:
         forms=[each for each in posted if not (isinstance(page.offer, ComplexView) and each.form.action)],
         formats=[
             replace(each, query=page.query)
-            for each in (*page.alternates, *((THING,) if isinstance(page.offer, ComplexView) else ()))
+            for each in (
+                *page.alternates,
+                *((THING,) if isinstance(page.offer, ComplexView) else ()),
+                *(PICTURE_ALTERNATES if body["has_picture"] else ()),
+            )
         ],
         steps=[(_STEPS.get(step.rel, step.rel), step.rel, page.site.href(step.url)) for step in page.steps],
         curl=_curl(page.document.url.partition("?")[0] + (f"?{page.query}" if page.query else ""), "text/turtle"),
-        **_body(page, posted),
+        **body,
     )
 
 
@@ -247,6 +259,7 @@ def _body(page: Page, posted: tuple[FormTarget, ...]) -> dict[str, object]:
     if page.offer is not None:
         return {
             "offer": offer_view(page.offer, site, posted),
+            "has_picture": False,
             "messages": (),
             "asides": (),
             "contents": None,
@@ -256,13 +269,14 @@ def _body(page: Page, posted: tuple[FormTarget, ...]) -> dict[str, object]:
             "told": None,
             "folded": describe(document, site),
         }
-    messages = message_sections(document, site)
+    messages = message_sections(document, site, page.query)
     own = {each.predicate for each in document.triples if each.subject == NamedNode(document.url)}
     left = own.intersection(_DRAWN[1:])
     sections = describe(document, site, without=_DRAWN)
     groups = group_sections(sections[1:])
     return {
         "offer": None,
+        "has_picture": any(each.picture is not None for each in messages),
         "messages": [each for each in messages if not each.aside],
         "asides": [each for each in messages if each.aside],
         "contents": container_table(document, site, page.listing),

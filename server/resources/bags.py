@@ -26,6 +26,7 @@ from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.bag_selection import PARAMETERS, selection_of
 from rosld.server.resources.context import Robot
 from rosld.server.resources.messages import decode, field_response, lift_sample
+from rosld.server.resources.pictures import explicit_picture_type, picture_response, require_picture
 from rosld.server.resources.recorded_messages import DecodedRecord, learn_type, record_document
 from rosld.server.resources.recording_order import MEDIA_TYPES, SCHEMA, read_order
 from rosld.server.rest.exchange import Exchange
@@ -345,6 +346,12 @@ class BagMessage(Resource):
         return robot.states.put(self.url, 0, State(describe, plain, shapes=shapes))
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
+        """`?field=PATH`: the bytes of one field; or its picture, where that is preferred."""
+        wanted = explicit_picture_type(exchange)
+        if wanted is not None:
+            message = await self.message()
+            require_picture(message.topic, (message.sample.schema,))
+            return await picture_response(self, self.robot, self.url, message.sample, exchange, wanted)
         if "field" not in exchange.query:
             return None
         return await field_response(self.robot, (await self.message()).sample, exchange.query["field"])

@@ -15,6 +15,7 @@ from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.latest_values import LatestValues
 from rosld.server.hypermedia.mappings import Mappings
 from rosld.server.hypermedia.property_reader import PropertyReader
+from rosld.server.pictures.picture_cache import PictureCache
 from rosld.server.policies import active_limits, stored_mappings, stored_queries
 from rosld.server.policies.active_limits import ActiveLimits, initial_limits
 from rosld.server.policies.stored_mappings import initial_mappings, load_stored_mappings
@@ -77,6 +78,11 @@ class Robot(Session):
         """The newest value of each topic in brief, as far as it is at hand."""
         return LatestValues(self.topics, self.schemas)
 
+    @cached_property
+    def pictures(self) -> PictureCache:
+        """The pictures that somebody looks at."""
+        return PictureCache()
+
     @property
     def revision(self) -> Hashable:
         """Another one whenever anything has changed but values and what clients keep."""
@@ -132,6 +138,7 @@ class Robot(Session):
     async def stop(self) -> None:
         """Give everything back to the robot; idempotent."""
         self.holds.close("rosld ended")
+        self.pictures.close()
         await self.workers.close()
         await self.holds.wait_closed()
         await self.software_stop.wait_ended()

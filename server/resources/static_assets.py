@@ -90,6 +90,17 @@ def drive_script(robot: Robot) -> FileResource:
     )
 
 
+def picture_script(robot: Robot) -> FileResource:
+    """`/picture.js`."""
+    return FileResource(
+        robot,
+        "picture.js",
+        html.PICTURE_SCRIPT,
+        "text/javascript; charset=utf-8",
+        "The script of pictures that move while they are looked at",
+    )
+
+
 def icon(robot: Robot) -> FileResource:
     """`/icon.svg`."""
     return FileResource(robot, "icon.svg", html.ICON, "image/svg+xml", "The icon of pages")
@@ -107,6 +118,7 @@ FILES: dict[str, Callable[[Robot], FileResource]] = {
     "filter.js": filter_script,
     "find.js": find_script,
     "drive.js": drive_script,
+    "picture.js": picture_script,
     "icon.svg": icon,
     "favicon.ico": favicon,
 }

@@ -11,6 +11,7 @@ from dataclasses import replace
 from datetime import datetime, timezone
 from email.utils import format_datetime, parsedate_to_datetime
 from typing import cast
+from urllib.parse import quote
 
 from pyoxigraph import Triple
 from starlette.responses import Response
@@ -29,6 +30,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import message_schema
 from rosld.server.hypermedia.json_schema import ANYTHING, OBJECT, nullable, patch_schema
 from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.pictures.picture import can_draw
 from rosld.server.resources.accepted_shape import message_shape, shape_query
 from rosld.server.resources.command import CommandResource
 from rosld.server.resources.context import IdentityKey, Robot
@@ -36,11 +38,22 @@ from rosld.server.resources.holds import create_hold, hold_form, hold_parameters
 from rosld.server.resources.limit_checks import topic_bounds
 from rosld.server.resources.messages import DecodedSample, decode, field_response, lift_sample
 from rosld.server.resources.namespaces import redirect_to_namespace
+from rosld.server.resources.pictures import (
+    MOTION,
+    PICTURE_FORMAT,
+    PICTURE_PARAMETERS,
+    PICTURES,
+    picture_motion,
+    picture_response,
+    picture_type,
+    require_picture,
+)
 from rosld.server.resources.publisher import Publisher
 from rosld.server.resources.series import PARAMETERS, read_time, require_history, series_of
 from rosld.server.resources.strictness import STRICT
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH, RDF_BODIES, SPARQL_UPDATE
+from rosld.server.rest.motion import Motion
 from rosld.server.rest.path_item import FIELD, FIELD_READS, FORMAT, PathItem, QueryParameter, WriteMethod
 from rosld.server.rest.plan import Plan, RobotWrite
 from rosld.server.rest.resource import READ, Answer, Resource
@@ -113,9 +126,11 @@ class TopicResource(CommandResource):
         methods = self.methods()
         return PathItem(
             "A topic that may be made" if topic is None else f"The topic {self.name}",
-            FIELD_READS,
+            (*FIELD_READS, *PICTURES) if self.is_picture else FIELD_READS,
             ANYTHING if schema is None else nullable(schemas.read(schema)),
-            (FORMAT, FIELD, *PARAMETERS),
+            (PICTURE_FORMAT, FIELD, *PARAMETERS, *PICTURE_PARAMETERS)
+            if self.is_picture
+            else (FORMAT, FIELD, *PARAMETERS),
             writes,
             has_shape=topic is not None and topic.type is not None,
             methods=methods | {"DELETE"} if "PUT" in methods else methods,  # once rosld publishes
@@ -331,8 +346,17 @@ class TopicResource(CommandResource):
             raise Problem(404, f"Nothing is recorded of {self.name} until {text}.")
         return PastTopic(self.robot, self.name, sample, text, is_settled=at < now - _SETTLED_NS)
 
-    async def custom_get(self, exchange: Exchange) -> Response | None:
-        """`?field=PATH`: the bytes of one field of the latest message."""
+    @property
+    def is_picture(self) -> bool:
+        """Whether its messages can be drawn."""
+        topic = self.topic
+        return topic is not None and any(can_draw(ref.name) for ref in topic.types)
+
+    async def custom_get(self, exchange: Exchange) -> Response | Motion | None:
+        """`?field=PATH`: the bytes of one field of the latest message; or its picture, where that is preferred."""
+        wanted = picture_type(exchange, is_picture=self.is_picture)
+        if wanted is not None:
+            return await self._picture(exchange, wanted)
         if b"field=" not in exchange.request.scope["query_string"] or "field" not in exchange.query:
             return None
         if self.topic is None:
@@ -341,6 +365,17 @@ class TopicResource(CommandResource):
         if view.newest is None:
             raise Problem(404, f"{self.name} has no message yet, so no field {exchange.query['field']!r}.")
         return await field_response(self.robot, view.newest, exchange.query["field"])
+
+    async def _picture(self, exchange: Exchange, wanted: str) -> Response | Motion:
+        if self.topic is None:
+            raise self._missing()
+        require_picture(self.name, self.topic.types)
+        view = await self.robot.topics.read(self.name, wait_for_publisher=True)
+        if wanted == MOTION:
+            return await picture_motion(self.robot, self.name, view.newest, exchange)
+        if view.newest is None:
+            raise Problem(404, f"{self.name} has no message yet, so no picture.")
+        return await picture_response(self, self.robot, self.name, view.newest, exchange, wanted)
 
     async def plan_graph_write(self, triples: Sequence[Triple] | None) -> Plan:
         denied_reason = self.unwritable_reason()
@@ -389,6 +424,10 @@ class PastTopic(TopicResource):
     def variant_key(self) -> Hashable:
         return self._text
 
+    @property
+    def query(self) -> str:
+        return f"at={quote(self._text, safe=':')}"
+
     def methods(self) -> frozenset[str]:
         return READ
 
@@ -405,7 +444,11 @@ class PastTopic(TopicResource):
         return ()
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
-        """`?field=PATH` of the message that was the newest then."""
+        """`?field=PATH` of the message that was the newest then, or its picture."""
+        wanted = picture_type(exchange, is_picture=self.is_picture)
+        if wanted is not None:
+            require_picture(self.name, (self._sample.schema,))
+            return await picture_response(self, self.robot, self.name, self._sample, exchange, wanted)
         if "field" not in exchange.query:
             return None
         return await field_response(self.robot, self._sample, exchange.query["field"])

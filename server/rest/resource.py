@@ -22,6 +22,7 @@ from rosld.server.http.link import Link, to_uri
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.motion import Motion
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.plan import Plan
 from rosld.server.rest.ros_problems import problem_of
@@ -206,8 +207,8 @@ class Resource:
         """
         return nullcontext()
 
-    async def custom_get(self, exchange: Exchange) -> Response | None:
-        """An answer to a GET that is no representation of the whole, such as the bytes of one field."""
+    async def custom_get(self, exchange: Exchange) -> Response | Motion | None:
+        """An answer to a GET that is no representation of the whole, such as the bytes of one field, or a picture."""
         return None
 
     async def plan_graph_write(self, triples: Sequence[Triple] | None) -> Plan:

@@ -23,6 +23,7 @@ from rosld.server.events import query_params
 from rosld.server.events.broadcaster import Broadcasters
 from rosld.server.events.event_stream import HEADERS, EventStream, StreamEnd, StreamFormat
 from rosld.server.events.long_poll import wait_for_state
+from rosld.server.events.motion_stream import MotionStream
 from rosld.server.events.until import Until
 from rosld.server.html import Notice
 from rosld.server.http import link, negotiation
@@ -34,6 +35,7 @@ from rosld.server.rest.file_response import file_stream
 from rosld.server.rest.formats import FORMATS, HTML, JSON, OFFERS, VARIANTS
 from rosld.server.rest.keyed_lock import KeyedLock
 from rosld.server.rest.large import LargeDocuments
+from rosld.server.rest.motion import Motion
 from rosld.server.rest.pages import InvalidForm, PageRenderer
 from rosld.server.rest.raw_response import RawResponse
 from rosld.server.rest.resource import LDP, Answer, CreatedAnswer, Resource, ShownAnswer, allow_field
@@ -126,6 +128,8 @@ class Dispatcher:
     async def read(self, exchange: Exchange, resource: Resource) -> Response:
         """GET and HEAD."""
         special = await resource.custom_get(exchange)
+        if isinstance(special, Motion):
+            return self._motion(exchange, resource, special)
         if special is not None:
             return special
         if query_params.stream_is_preferred(exchange.accept, OFFERS):
@@ -302,6 +306,15 @@ class Dispatcher:
         known, lease = exchange.header("last-event-id"), resource.keep_alive(exchange)
         end = None if until is None else StreamEnd(until.holds, seconds)
         return EventStream(self.broadcasters, resource, stream_format, rate, known, headers, lease, end)
+
+    def _motion(self, exchange: Exchange, resource: Resource, motion: Motion) -> Response:
+        """Pictures that replace each other, as fast as they are taken. What can be refused was before."""
+        rate = query_params.parse_rate(exchange.query)
+        self.broadcasters.require_capacity(exchange.request.client)
+        stream = MotionStream(
+            self.broadcasters, motion, rate, _encode(resource_headers(resource)), exchange.auth.is_valid
+        )
+        return RawResponse(200, b"", stream.raw_headers) if exchange.method == "HEAD" else stream
 
     async def _wait_for_another(self, exchange: Exchange, resource: Resource, state: State) -> None:
         """Until the state is another than `?after=`, at most `?timeout=`."""

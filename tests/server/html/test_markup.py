@@ -82,12 +82,17 @@ def test_nothing_is_run_and_nothing_is_styled_in_place(page: Reader) -> None:
         assert not [name for name in attributes if name.startswith("on") or name in ("style", "srcdoc", "formaction")]
 
 
+OF_SOME = ("/drive.js", "/picture.js")
+"""The scripts of pages that have what these are for."""
+
+
 def test_scripts_are_our_own_files_and_wait_for_the_page(page: Reader) -> None:
     live = [each for each in page.all("main") if "data-live" in each]
     pads = [each for each in page.all("div") if "data-drive" in each]
     scripts = page.all("script")
     names = [re.sub(r"\?v=[0-9a-f]{8}", "", each["src"] or "") for each in scripts]
-    assert [name for name in names if name != "/drive.js"] == [*["/live.js" for _ in live], "/find.js"]
+    assert [name for name in names if name not in OF_SOME] == [*["/live.js" for _ in live], "/find.js"]
+    assert names.count("/picture.js") == len([each for each in page.all("img") if "data-motion" in each])
     assert names.count("/drive.js") >= len(pads)
     assert all(each.keys() == {"src", "defer"} for each in scripts)
 
@@ -101,7 +106,7 @@ def test_only_http_and_local_references_are_links(page: Reader) -> None:
 
 
 def test_nothing_is_fetched_from_elsewhere(page: Reader) -> None:
-    assert all((each["src"] or "").startswith("/icon.svg") for each in page.all("img"))
+    assert all((each["src"] or "").startswith(("/icon.svg", "?format=jpeg&")) for each in page.all("img"))
     fetched = [each for each in page.all("link") if each["rel"] in ("stylesheet", "icon")]
     assert fetched
     assert all((each["href"] or "").startswith("/") for each in fetched)

@@ -1,0 +1,71 @@
+"""A picture of a message: drawn, made smaller, written as a file. Pure, for a thread."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+
+from PIL import Image
+
+from rosld.adapters.model import Message, MessageSchema, Sample
+from rosld.server.pictures.colour_map import DEFAULT_RANGE, DepthRange
+from rosld.server.pictures.compressed_image import JPEG, PNG, draw_compressed, file_type, is_depth
+from rosld.server.pictures.raw_image import draw_raw, read_bytes, read_field, read_raw_image
+from rosld.server.pictures.refusal import UnknownPicture
+
+__all__ = ["JPEG", "PNG", "PictureForm", "can_draw", "draw_sample"]
+
+RAW_IMAGE, COMPRESSED_IMAGE = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+_QUALITY = 80
+_PNG_EFFORT = 1
+"""Of zlib: 6 takes six times as long, and the file is 15 % smaller."""
+
+
+@dataclass(frozen=True, slots=True)
+class PictureForm:
+    """How a picture is wanted: its media type, at most how wide, and the distances that colours stand for."""
+
+    media_type: str = JPEG
+    width: int | None = None
+    shown: DepthRange = DEFAULT_RANGE
+
+
+def can_draw(type_name: str) -> bool:
+    """Whether messages of a type are pictures."""
+    return type_name in (RAW_IMAGE, COMPRESSED_IMAGE)
+
+
+def draw_sample(schema: MessageSchema, sample: Sample, form: PictureForm) -> bytes:
+    """The file of a sample's picture. Raises CannotDraw, and ValueError for bytes that are no such message."""
+    message = schema.codec.decode(sample.data, sample.encoding)
+    if schema.ref.name == COMPRESSED_IMAGE:
+        return _compressed(message, form)
+    if schema.ref.name == RAW_IMAGE:
+        return write_picture(draw_raw(read_raw_image(message), form.shown), form)
+    raise UnknownPicture(f"A {schema.ref.name} is no picture")
+
+
+def write_picture(picture: Image.Image, form: PictureForm) -> bytes:
+    """The file of a picture."""
+    small = _shrink(picture, form.width)
+    target = io.BytesIO()
+    if form.media_type == PNG:
+        small.save(target, "PNG", compress_level=_PNG_EFFORT)
+    else:
+        (small.convert("RGB") if small.mode == "RGBA" else small).save(target, "JPEG", quality=_QUALITY)
+    return target.getvalue()
+
+
+def _shrink(picture: Image.Image, width: int | None) -> Image.Image:
+    if width is None or width >= picture.width:
+        return picture
+    height = max(1, round(picture.height * width / picture.width))
+    return picture.resize((width, height), Image.Resampling.BOX)
+
+
+def _compressed(message: Message, form: PictureForm) -> bytes:
+    """The file as it came where that is what is wanted, else one drawn anew."""
+    format, data = str(read_field(message, "format")), read_bytes(message).tobytes()
+    if form.width is None and file_type(data) == form.media_type and not is_depth(format):
+        return data
+    return write_picture(draw_compressed(format, data, form.shown, form.width), form)

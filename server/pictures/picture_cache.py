@@ -1,0 +1,65 @@
+"""The pictures that somebody looks at: each is drawn once for all who look, on one thread of its own."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import OrderedDict
+from collections.abc import Hashable
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+
+from rosld.adapters.model import MessageSchema, Sample
+from rosld.server.pictures.picture import PictureForm, draw_sample
+
+_MAX_KEPT = 32
+_MAX_BYTES = 32 * 1024 * 1024
+
+
+class PictureCache:
+    """Pictures by their samples and forms: one being drawn is waited for, one that was is handed out.
+
+    One thread draws: pictures never take more than one core, whoever asks for them, and the event loop none.
+    """
+
+    def __init__(self) -> None:
+        self._thread = ThreadPoolExecutor(1, "rosld-pictures")
+        self._drawing: dict[Hashable, asyncio.Task[bytes]] = {}
+        self._kept: OrderedDict[Hashable, bytes] = OrderedDict()
+        self._bytes = 0
+        self.drawn = 0
+        """How many were drawn since the start."""
+
+    async def picture(self, topic: str, schema: MessageSchema, sample: Sample, form: PictureForm) -> bytes:
+        """The file of a sample's picture. Raises CannotDraw, ValueError and MemoryError."""
+        key = (topic, sample.publisher, sample.epoch, sample.sequence, sample.received_ns, form)
+        found = self._kept.get(key)
+        if found is not None:
+            self._kept.move_to_end(key)
+            return found
+        task = self._drawing.get(key)
+        if task is None:
+            task = self._drawing[key] = asyncio.ensure_future(self._draw(key, schema, sample, form))
+            task.add_done_callback(partial(self._drew, key))
+        return await asyncio.shield(task)
+
+    def _drew(self, key: Hashable, task: asyncio.Task[bytes]) -> None:
+        self._drawing.pop(key, None)
+        if not task.cancelled():
+            task.exception()  # whoever waited for it may have left
+
+    async def _draw(self, key: Hashable, schema: MessageSchema, sample: Sample, form: PictureForm) -> bytes:
+        self.drawn += 1
+        data = await asyncio.get_running_loop().run_in_executor(self._thread, draw_sample, schema, sample, form)
+        self._keep(key, data)
+        return data
+
+    def _keep(self, key: Hashable, data: bytes) -> None:
+        self._kept[key] = data
+        self._bytes += len(data)
+        while self._kept and (len(self._kept) > _MAX_KEPT or self._bytes > _MAX_BYTES):
+            _, oldest = self._kept.popitem(last=False)
+            self._bytes -= len(oldest)
+
+    def close(self) -> None:
+        """Draw nothing more; what is being drawn is ended."""
+        self._thread.shutdown(wait=False, cancel_futures=True)

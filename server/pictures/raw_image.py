@@ -1,0 +1,244 @@
+"""sensor_msgs/Image as a picture, in all encodings of `sensor_msgs/image_encodings.h` that are one. Pure."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image
+
+from rosld.adapters.model import Message
+from rosld.server.pictures.bayer import PATTERNS, demosaic
+from rosld.server.pictures.colour_map import DEFAULT_RANGE, DepthRange, draw_depth
+from rosld.server.pictures.refusal import CannotDraw, UnknownPicture, require_size
+from rosld.server.pictures.yuv import convert_packed, convert_yuv
+
+_MILLIMETRES, _METRES = 0.001, 1.0
+_ABSTRACT = re.compile(r"(8|16|32|64)([USF])C([0-9]{1,3})")
+_KINDS = {"U": "u", "S": "i", "F": "f"}
+
+
+@dataclass(frozen=True, slots=True)
+class RawImage:
+    """The fields of a sensor_msgs/Image."""
+
+    encoding: str
+    width: int
+    height: int
+    step: int
+    is_bigendian: bool
+    data: npt.NDArray[np.uint8]
+
+
+def read_raw_image(message: Message) -> RawImage:
+    """The fields of a message. Raises CannotDraw where it has others: types of one name may differ."""
+    try:
+        width, height, step = (int(read_field(message, name)) for name in ("width", "height", "step"))
+    except (TypeError, ValueError) as error:
+        raise CannotDraw("The message has other fields than a sensor_msgs/Image") from error
+    encoding, is_bigendian = str(read_field(message, "encoding")), bool(read_field(message, "is_bigendian"))
+    return RawImage(encoding, width, height, step, is_bigendian, read_bytes(message))
+
+
+def read_field(message: Message, name: str) -> Any:
+    """The value of a field. Raises CannotDraw where there is none."""
+    found = getattr(message, name, None)
+    if found is None:
+        raise CannotDraw(f"The message has no field {name}, as images have")
+    return found
+
+
+def read_bytes(message: Message) -> npt.NDArray[np.uint8]:
+    """The field `data`. Raises CannotDraw where it is no array of bytes."""
+    found = np.asarray(read_field(message, "data"))
+    if found.dtype != np.uint8 or found.ndim != 1:
+        raise CannotDraw("The field data of the message is no array of bytes")
+    return np.ascontiguousarray(found)
+
+
+Draw = Callable[[RawImage, DepthRange], Image.Image]
+
+
+def draw_raw(image: RawImage, shown: DepthRange = DEFAULT_RANGE) -> Image.Image:
+    """The picture of an image, in mode L, RGB or RGBA. Raises CannotDraw."""
+    draw = _DRAWINGS.get(image.encoding)
+    if draw is None:
+        raise UnknownPicture(f"{image.encoding[:40]!r} is no encoding that is drawn: there are {', '.join(_DRAWINGS)}")
+    require_size(image.width, image.height)
+    return draw(image, shown)
+
+
+def depth_scale(encoding: str) -> float | None:
+    """Metres of a unit of an image of distances; None of other encodings."""
+    return _DEPTHS.get(encoding)
+
+
+def to_bytes(values: npt.NDArray[np.generic]) -> npt.NDArray[np.uint8]:
+    """Values of the whole range of their unsigned type, floats from 0 to 1, as bytes; what is no number is 0."""
+    if values.dtype.kind == "f":
+        with np.errstate(all="ignore"):
+            found: npt.NDArray[np.uint8] = np.round(np.clip(np.nan_to_num(values), 0.0, 1.0) * 255).astype(np.uint8)
+        return found
+    if values.dtype.itemsize == 1:
+        return values.astype(np.uint8, copy=False)
+    return ((values.astype(np.uint32) + 128) // 257).astype(np.uint8)
+
+
+def _pixels(image: RawImage, kind: str, channels: int) -> npt.NDArray[np.generic]:
+    """The values as an array of rows, columns and channels, without a copy. Raises CannotDraw where data are short."""
+    item = np.dtype(kind).newbyteorder(">" if image.is_bigendian else "<")
+    pixel = item.itemsize * channels
+    _require_rows(image, image.width * pixel, image.height)
+    shape, strides = (image.height, image.width, channels), (image.step, pixel, item.itemsize)
+    found: npt.NDArray[np.generic] = np.ndarray(shape, item, image.data, strides=strides)
+    return found
+
+
+def _require_rows(image: RawImage, row: int, rows: int) -> None:
+    if image.step < row:
+        words = f"a row of {image.width} pixels of {image.encoding} takes {row} bytes, and step is {image.step}"
+        raise CannotDraw(f"The image contradicts itself: {words}")
+    needed = image.step * (rows - 1) + row
+    if image.data.size < needed:
+        raise CannotDraw(f"The image is cut off: it takes {needed:,} bytes, and data has {image.data.size:,}")
+
+
+def _plain(mode: str, order: str, channels: int) -> Draw:
+    """8 bits a channel: Pillow reads these as they are."""
+
+    def draw(image: RawImage, _: DepthRange) -> Image.Image:
+        _require_rows(image, image.width * channels, image.height)
+        data, step = image.data, image.step
+        if data.size < step * image.height:  # the padding of the last row may be left out
+            rows: npt.NDArray[np.uint8] = np.ndarray(
+                (image.height, image.width * channels), np.uint8, data, strides=(step, 1)
+            )
+            data, step = np.ascontiguousarray(rows), image.width * channels
+        return Image.frombuffer(mode, (image.width, image.height), data, "raw", order, step, 1)
+
+    return draw
+
+
+def _channels(kind: str, order: str) -> Draw:
+    """More than 8 bits a channel, which a picture has not; `order` is RGB, BGR, RGBA or BGRA."""
+    mode = "RGBA" if len(order) == 4 else "RGB"
+    places = [order.index(channel) for channel in mode]
+
+    def draw(image: RawImage, _: DepthRange) -> Image.Image:
+        return _picture(to_bytes(_pixels(image, kind, len(order))[:, :, places]), mode)
+
+    return draw
+
+
+def _picture(values: npt.NDArray[np.uint8], mode: str) -> Image.Image:
+    size = (values.shape[1], values.shape[0])
+    return Image.frombuffer(mode, size, np.ascontiguousarray(values), "raw", mode, 0, 1)
+
+
+def _grey16(image: RawImage, _: DepthRange) -> Image.Image:
+    return _picture(to_bytes(_pixels(image, "u2", 1)[:, :, 0]), "L")
+
+
+def _distances(kind: str, scale: float) -> Draw:
+    def draw(image: RawImage, shown: DepthRange) -> Image.Image:
+        return draw_depth(_pixels(image, kind, 1)[:, :, 0], scale, shown)
+
+    return draw
+
+
+def _bayer(kind: str, pattern: str) -> Draw:
+    def draw(image: RawImage, _: DepthRange) -> Image.Image:
+        return _picture(demosaic(to_bytes(_pixels(image, kind, 1)[:, :, 0]), pattern), "RGB")
+
+    return draw
+
+
+def _packed(*, luma_first: bool) -> Draw:
+    def draw(image: RawImage, _: DepthRange) -> Image.Image:
+        if image.width % 2:
+            raise CannotDraw(f"{image.encoding} has two pixels in four bytes, and the image is {image.width} wide")
+        values = _pixels(image, "u1", 2).astype(np.uint8, copy=False)
+        pairs = np.ascontiguousarray(values).reshape(image.height, image.width // 2, 4)
+        return _picture(convert_packed(pairs, luma_first=luma_first), "RGB")
+
+    return draw
+
+
+def _planes(image: RawImage, rows: int) -> npt.NDArray[np.uint8]:
+    """So many rows of bytes as wide as the picture."""
+    _require_rows(image, image.width, rows)
+    return _rows(image, image.width, rows)
+
+
+def _rows(image: RawImage, row: int, rows: int) -> npt.NDArray[np.uint8]:
+    found: npt.NDArray[np.uint8] = np.ndarray((rows, row), np.uint8, image.data, strides=(image.step, 1))
+    return found
+
+
+def _nv21(image: RawImage, _: DepthRange) -> Image.Image:
+    if image.width % 2 or image.height % 2:
+        raise CannotDraw(f"nv21 has colours for squares of four pixels: {image.width} by {image.height} has none")
+    planes = _planes(image, image.height * 3 // 2)
+    colours = planes[image.height :].repeat(2, axis=0)
+    v, u = colours[:, 0::2].repeat(2, axis=1), colours[:, 1::2].repeat(2, axis=1)
+    return _picture(convert_yuv(planes[: image.height], u, v), "RGB")
+
+
+def _nv24(image: RawImage, _: DepthRange) -> Image.Image:
+    """A row of luma is followed, after all such rows, by rows of two values a pixel, which take two rows' bytes."""
+    planes = _planes(image, image.height * 3)
+    colours = planes[image.height :].reshape(image.height, image.width, 2)
+    return _picture(convert_yuv(planes[: image.height], colours[:, :, 0], colours[:, :, 1]), "RGB")
+
+
+_DEPTHS = {
+    "16UC1": _MILLIMETRES,
+    "16SC1": _MILLIMETRES,
+    "32SC1": _MILLIMETRES,
+    "32FC1": _METRES,
+    "64FC1": _METRES,
+}
+
+
+def _drawings() -> Mapping[str, Draw]:
+    found: dict[str, Draw] = {
+        "rgb8": _plain("RGB", "RGB", 3),
+        "bgr8": _plain("RGB", "BGR", 3),
+        "rgba8": _plain("RGBA", "RGBA", 4),
+        "bgra8": _plain("RGBA", "BGRA", 4),
+        "mono8": _plain("L", "L", 1),
+        "rgb16": _channels("u2", "RGB"),
+        "bgr16": _channels("u2", "BGR"),
+        "rgba16": _channels("u2", "RGBA"),
+        "bgra16": _channels("u2", "BGRA"),
+        "mono16": _grey16,
+        "8UC1": _plain("L", "L", 1),
+        "8UC3": _plain("RGB", "BGR", 3),
+        "8UC4": _plain("RGBA", "BGRA", 4),
+    }
+    for bits, kind in (("16U", "u2"), ("32F", "f4"), ("64F", "f8")):
+        found[f"{bits}C3"] = _channels(kind, "BGR")
+        found[f"{bits}C4"] = _channels(kind, "BGRA")
+    for encoding, scale in _DEPTHS.items():
+        match = _ABSTRACT.fullmatch(encoding)
+        assert match is not None
+        found[encoding] = _distances(f"{_KINDS[match[2]]}{int(match[1]) // 8}", scale)
+    for pattern in PATTERNS:
+        found[f"bayer_{pattern}8"] = _bayer("u1", pattern)
+        found[f"bayer_{pattern}16"] = _bayer("u2", pattern)
+    for name in ("yuv422", "uyvy"):
+        found[name] = _packed(luma_first=False)
+    for name in ("yuv422_yuy2", "yuyv"):
+        found[name] = _packed(luma_first=True)
+    found |= {"nv21": _nv21, "nv24": _nv24}
+    return MappingProxyType(found)
+
+
+_DRAWINGS = _drawings()
+ENCODINGS = tuple(_DRAWINGS)
+"""The encodings that are drawn."""

@@ -1,0 +1,30 @@
+"""Why a message cannot be drawn."""
+
+from __future__ import annotations
+
+from rosld.server.runtime.process_memory import PROCESS_MEMORY
+
+MAX_PIXELS = 36_000_000
+"""Pixels of a picture that is drawn at all: 8K video has 33 million."""
+_PER_PIXEL = 24
+"""Bytes that a pixel takes while it is drawn: of 64 bits with four channels, and as floats."""
+
+
+class CannotDraw(ValueError):
+    """A message that is no picture, or none that is drawn here; its text is a sentence without its full stop."""
+
+
+class UnknownPicture(CannotDraw):
+    """A kind of picture that is not drawn here, whatever its data are."""
+
+
+def require_size(width: int, height: int) -> None:
+    """Raise CannotDraw for a picture without pixels, and for one with too many.
+
+    Raises NotEnoughMemory where there is none to draw it.
+    """
+    if width <= 0 or height <= 0:
+        raise CannotDraw(f"The image is {width} by {height} pixels, so there is nothing to be seen")
+    if width * height > MAX_PIXELS:
+        raise CannotDraw(f"The image has {width} by {height} pixels, and at most {MAX_PIXELS:,} are drawn")
+    PROCESS_MEMORY.require(width * height * _PER_PIXEL, f"a picture of {width} by {height} pixels")

@@ -1,0 +1,180 @@
+"""Pictures of topics and recorded messages: JPEG and PNG by content negotiation, and motion streams."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+from starlette.responses import Response
+
+from rosld.adapters.base import Watch
+from rosld.adapters.model import MessageSchema, RosError, Sample, TypeRef
+from rosld.server.http import negotiation
+from rosld.server.http.conditional import ETag, check_preconditions, digest
+from rosld.server.http.problem import Problem
+from rosld.server.pictures.colour_map import DEFAULT_RANGE, DepthRange
+from rosld.server.pictures.picture import COMPRESSED_IMAGE, JPEG, PNG, RAW_IMAGE, PictureForm, can_draw
+from rosld.server.pictures.refusal import CannotDraw, UnknownPicture
+from rosld.server.resources.context import Robot
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.formats import FORMATS, OFFERS
+from rosld.server.rest.motion import Motion
+from rosld.server.rest.path_item import QueryParameter
+from rosld.server.rest.raw_response import RawResponse, bytes_response
+from rosld.server.rest.resource import Resource
+from rosld.server.rest.resource_headers import resource_headers
+
+MOTION = "multipart/x-mixed-replace"
+PICTURES = (JPEG, PNG, MOTION)
+"""What a topic of images is read as besides, the default first."""
+PICTURE_FORMATS = {"jpeg": JPEG, "png": PNG, "mjpeg": MOTION}
+MAX_WIDTH = 8192
+_MAX_NAME = 20
+PICTURE_FORMAT = QueryParameter(
+    "format", "The representation wanted, before Accept.", {"type": "string", "enum": [*FORMATS, *PICTURE_FORMATS]}
+)
+PICTURE_PARAMETERS = (
+    QueryParameter(
+        "width", "The most pixels a row of the picture.", {"type": "integer", "minimum": 1, "maximum": MAX_WIDTH}
+    ),
+    QueryParameter("range", "The distances in metres from the nearest to the farthest colour, such as `0.5,4`."),
+)
+_NAMES = {JPEG: "jpeg", PNG: "png"}
+
+
+def picture_type(exchange: Exchange, *, is_picture: bool) -> str | None:
+    """The media type of the picture that a request prefers to all else; None for what is no picture.
+
+    Raises a 406 Problem where none that is offered is acceptable, images included.
+    """
+    if not is_picture:
+        return explicit_picture_type(exchange)
+    if b"format=" in exchange.request.scope["query_string"] and exchange.query.get("format"):
+        return PICTURE_FORMATS.get(exchange.query["format"])
+    accept = exchange.accept
+    if accept is None or ("image/" not in accept and "multipart/" not in accept):
+        return None
+    found = negotiation.choose(accept, (*OFFERS, *PICTURES))
+    if found is None:
+        raise Problem(406, f"None of {accept!r} is offered; there are {', '.join((*OFFERS, *PICTURES))}.")
+    return found if found in PICTURES else None
+
+
+def explicit_picture_type(exchange: Exchange) -> str | None:
+    """The media type of a picture that nothing but a picture satisfies."""
+    if b"format=" in exchange.request.scope["query_string"] and exchange.query.get("format"):
+        return PICTURE_FORMATS.get(exchange.query["format"])
+    accept = exchange.accept
+    if accept is None or "image/" not in accept or negotiation.choose(accept, OFFERS) is not None:
+        return None
+    return negotiation.choose(accept, (JPEG, PNG))
+
+
+def require_picture(name: str, types: Sequence[TypeRef]) -> None:
+    """Raise a 406 Problem where messages of these types are not drawn."""
+    if not any(can_draw(ref.name) for ref in types):
+        said = ", ".join(ref.name for ref in types) or "an unknown type"
+        words = f"{name} has messages of {said}: only {RAW_IMAGE} and {COMPRESSED_IMAGE} are drawn as pictures."
+        raise Problem(406, words)
+
+
+async def picture_response(
+    resource: Resource, robot: Robot, name: str, sample: Sample, exchange: Exchange, media_type: str
+) -> Response:
+    """The picture of a sample, 304 where it is known. Raises Problems."""
+    if media_type not in _NAMES:
+        raise Problem(406, "This picture does not move: ask for image/jpeg or image/png.")
+    form = _form(exchange, media_type)
+    schema = await _schema(robot, sample)
+    etag = ETag(f"{robot.instance_id}-{_identity(sample)}", _variant(form))
+    standing = {**resource_headers(resource), "x-content-type-options": "nosniff"}
+    if check_preconditions(
+        "GET", etag, if_match=exchange.header("if-match"), if_none_match=exchange.header("if-none-match")
+    ):
+        told = {**standing, "etag": str(etag), "vary": "Accept", "cache-control": "no-cache"}
+        return RawResponse(304, b"", [(key.encode("latin-1"), value.encode("latin-1")) for key, value in told.items()])
+    data = await _draw(robot, name, schema, sample, form)
+    return bytes_response(exchange, data, media_type, etag, standing.items())
+
+
+async def picture_motion(robot: Robot, name: str, first: Sample | None, exchange: Exchange) -> Motion:
+    """The pictures of a topic from now on; the first is drawn at once, for what it refuses. Raises Problems."""
+    form = _form(exchange, JPEG)
+    if first is not None:
+        await _draw(robot, name, await _schema(robot, first), first, form)
+    last: Sample | None = None
+
+    async def newest() -> bytes | None:
+        nonlocal last
+        view = robot.topics.find_view(name)
+        sample = None if view is None else view.newest
+        if sample is None or sample is last:
+            return None
+        last = sample
+        try:
+            return await _draw(robot, name, await _schema(robot, sample), sample, form)
+        except Problem:
+            return None  # the next one may be drawn again
+
+    async def watch(wake: Callable[[], None]) -> Watch:
+        return await robot.topics.watch(name, wake)
+
+    return Motion(JPEG, watch, newest)
+
+
+async def _schema(robot: Robot, sample: Sample) -> MessageSchema:
+    require_picture("This", (sample.schema,))
+    try:
+        return await robot.schemas.message(sample.schema)
+    except RosError as error:
+        raise Problem(406, f"The message cannot be read: {error}.") from error
+
+
+async def _draw(robot: Robot, name: str, schema: MessageSchema, sample: Sample, form: PictureForm) -> bytes:
+    try:
+        return await robot.pictures.picture(name, schema, sample, form)
+    except UnknownPicture as error:
+        raise Problem(406, f"{error}.") from error
+    except CannotDraw as error:
+        raise Problem(422, f"{error}.") from error
+    except ValueError as error:
+        raise Problem(406, f"The message cannot be read: {error}.") from error
+
+
+def _form(exchange: Exchange, media_type: str) -> PictureForm:
+    """How a request wants its picture. Raises 400 Problems."""
+    query = exchange.query
+    return PictureForm(media_type, _width(query.get("width")), _range(query.get("range")))
+
+
+def _width(text: str | None) -> int | None:
+    if text is None:
+        return None
+    if not (text.isascii() and text.isdecimal() and 1 <= int(text[:9]) <= MAX_WIDTH):
+        raise Problem(400, f"?width={text[:_MAX_NAME]}: a whole number of pixels from 1 to {MAX_WIDTH}.")
+    return int(text)
+
+
+def _range(text: str | None) -> DepthRange:
+    if text is None:
+        return DEFAULT_RANGE
+    nearest, _, farthest = text.partition(",")
+    try:
+        found = DepthRange(float(nearest), float(farthest))
+    except ValueError:
+        found = DepthRange(math.nan, math.nan)
+    if not (-1e9 < found.nearest < found.farthest < 1e9):
+        raise Problem(400, f"?range={text[:_MAX_NAME]}: two distances in metres, the nearer first, such as 0.5,4.")
+    return found
+
+
+def _identity(sample: Sample) -> str:
+    """A short text that tells a sample from all others of its topic."""
+    said = f"{sample.publisher}\0{sample.epoch}\0{sample.sequence}\0{sample.received_ns}"
+    return digest(said.encode("utf-8", "replace"))
+
+
+def _variant(form: PictureForm) -> str:
+    width = "" if form.width is None else f"-{form.width}"
+    shown = "" if form.shown == DEFAULT_RANGE else f"-{digest(repr(form.shown).encode())}"
+    return f"{_NAMES[form.media_type]}{width}{shown}"

@@ -1,0 +1,186 @@
+"""Pictures of topics over HTTP: negotiated as all else, refused in words, in motion for many at once."""
+
+from __future__ import annotations
+
+import base64
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from typing import Any
+
+import cv2
+import httpx
+import numpy as np
+import pytest
+
+from rosld.server.events.motion_stream import Pace
+from rosld.server.pictures.picture import draw_sample
+from tests.waiting import until
+
+IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+CAMERA = "topics/camera"
+BROWSER = "text/html,application/xhtml+xml,application/xml;q=0.9,image/avif,image/webp,image/apng,*/*;q=0.8"
+IMG = "image/avif,image/webp,image/apng,image/svg+xml,image/*,*/*;q=0.8"
+STAMP = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": "eye"}
+
+
+def image(values: np.ndarray, encoding: str = "bgr8", **changes: Any) -> dict[str, Any]:
+    height, width = values.shape[:2]
+    data = base64.b64encode(values.tobytes()).decode()
+    return {"header": STAMP, "height": height, "width": width, "encoding": encoding, "is_bigendian": 0,
+            "step": values.nbytes // height, "data": data, **changes}  # fmt: skip
+
+
+def frame(number: int, size: tuple[int, int] = (48, 64)) -> np.ndarray:
+    """A picture that tells its number by its colour."""
+    return np.full((*size, 3), (number * 20 % 256, 40, 200), np.uint8)
+
+
+def decoded(file: bytes) -> np.ndarray:
+    return cv2.imdecode(np.frombuffer(file, np.uint8), cv2.IMREAD_UNCHANGED)
+
+
+def get(http: httpx.Client, path: str = CAMERA, accept: str = "*/*", **headers: str) -> httpx.Response:
+    return http.get(path, headers={"Accept": accept, **headers})
+
+
+@pytest.fixture
+def camera(robot: Any) -> Any:
+    """A robot with a camera that shows frame 0, others that cannot be drawn, and one that is silent."""
+    robot.topic("/camera", IMAGE, image(frame(0)))
+    robot.topic("/odd", IMAGE, image(frame(0), "yuv420"))
+    robot.topic("/short", IMAGE, image(frame(0), step=1000))
+    robot.topic("/huge", IMAGE, image(frame(0), width=2**31, height=2**31))
+    robot.topic("/words", "std_msgs/msg/String", {"data": "<img>"})
+    robot.topic("/silent", IMAGE, published=False)
+    file = cv2.imencode(".jpg", frame(3))[1].tobytes()
+    robot.topic("/file", COMPRESSED, {"header": STAMP, "format": "jpeg", "data": base64.b64encode(file).decode()})
+    return robot
+
+
+def test_a_picture_is_one_of_the_representations(camera: Any, serving: Any) -> None:
+    http = serving()
+    for accept, media_type in (
+        ("image/png", "image/png"), ("image/jpeg", "image/jpeg"), (IMG, "image/jpeg"),
+        ("image/jpeg;q=0.2, image/png;q=0.3", "image/png"), ("text/turtle;q=0.1, image/png;q=0.2", "image/png"),
+        ("text/turtle;q=0.3, image/png;q=0.2", "text/turtle"), (BROWSER, "text/html"), ("*/*", "text/turtle"),
+    ):  # fmt: skip
+        answer = get(http, accept=accept)
+        assert answer.status_code == 200, answer.text
+        assert (answer.headers["content-type"].partition(";")[0], answer.headers["vary"]) == (media_type, "Accept")
+    png = get(http, accept="image/png")
+    assert (decoded(png.content) == frame(0)).all()
+    jpeg = get(http, f"{CAMERA}?format=jpeg&width=32")
+    assert decoded(jpeg.content).shape == (24, 32, 3)
+    assert np.abs(decoded(jpeg.content).astype(int) - frame(0)[:24, :32]).max() < 4
+    tags = {png.headers["etag"], jpeg.headers["etag"], get(http).headers["etag"]}
+    assert len(tags) == 3
+    assert get(http, accept="image/png", **{"If-None-Match": png.headers["etag"]}).status_code == 304
+    camera.publishes("/camera", image(frame(9)))
+    again = get(http, accept="image/png", **{"If-None-Match": png.headers["etag"]})
+    assert (decoded(again.content) == frame(9)).all()
+    assert http.head(CAMERA, headers={"Accept": "image/png"}).headers["content-length"] == str(len(again.content))
+
+
+def test_a_file_passes_as_it_came_unless_another_is_asked_for(camera: Any, serving: Any) -> None:
+    http = serving()
+    sent = http.get("topics/file?field=data").content
+    assert get(http, "topics/file", "image/jpeg").content == sent
+    assert get(http, "topics/file", "image/png").content.startswith(b"\x89PNG")
+    assert decoded(get(http, "topics/file?format=jpeg&width=16").content).shape == (12, 16, 3)
+
+
+def test_what_cannot_be_drawn_is_refused_in_words(camera: Any, serving: Any) -> None:
+    http = serving()
+    for path, status, words in (
+        ("topics/odd?format=png", 406, "'yuv420' is no encoding that is drawn: there are rgb8"),
+        ("topics/short?format=jpeg", 422, "cut off"), ("topics/huge?format=mjpeg", 422, "36,000,000"),
+        ("topics/words?format=png", 406, "std_msgs/msg/String: only sensor_msgs/msg/Image"),
+        ("topics/silent?format=jpeg", 404, "no message yet"), ("topics/none?format=jpeg", 404, "no topic"),
+        (f"{CAMERA}?format=jpeg&width=0", 400, "from 1 to"), (f"{CAMERA}?format=jpeg&range=4", 400, "two distances"),
+        (f"{CAMERA}?format=mjpeg&rate=x", 400, "rate"),
+    ):  # fmt: skip
+        answer = get(http, path)
+        assert (answer.status_code, words in answer.json()["detail"]) == (status, True), (path, answer.text)
+    assert "image/png" in get(http, accept="image/webp").json()["detail"]
+    assert get(http, "topics/words", "image/png").status_code == 406
+    page = get(http, "topics/odd", BROWSER).text
+    assert "Images of the encoding yuv420 are not drawn." in page
+    assert '<img src="?format=jpeg' not in page
+
+
+@contextmanager
+def connected(http: httpx.Client, query: str) -> Iterator[socket.socket]:
+    """A motion stream as bytes of a connection."""
+    url = http.base_url
+    with socket.create_connection((url.host, url.port or 80), timeout=60) as found:
+        head = f"GET /{CAMERA}?{query} HTTP/1.1\r\nHost: {url.host}:{url.port}\r\n"
+        found.sendall(f"{head}Accept: multipart/x-mixed-replace, */*;q=0.1\r\n\r\n".encode())
+        yield found
+
+
+class Viewer:
+    """Reads a motion stream on a thread of its own: the pictures that came."""
+
+    def __init__(self, http: httpx.Client, query: str) -> None:
+        self.files: list[bytes] = []
+        self._http, self._query = http, query
+        self._thread = threading.Thread(target=self._read, daemon=True)
+        self._thread.start()
+
+    def _read(self) -> None:
+        with connected(self._http, self._query) as connection:
+            rest = b""
+            while chunk := connection.recv(65536):
+                rest += chunk
+                while (start := rest.find(b"\xff\xd8\xff")) >= 0 and (end := rest.find(b"\xff\xd9", start)) >= 0:
+                    self.files.append(rest[start : end + 2])
+                    rest = rest[end + 2 :]
+
+    def has(self, number: int, size: tuple[int, int] = (48, 64)) -> bool:
+        """Whether the last picture is that of a number."""
+        return bool(self.files) and np.abs(decoded(self.files[-1]).astype(int) - frame(number, size)).max() < 6
+
+
+def test_many_see_one_motion_that_is_drawn_once(camera: Any, serving: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn = []
+    counting = "rosld.server.pictures.picture_cache.draw_sample"
+    monkeypatch.setattr(counting, lambda *given: drawn.append(given) or draw_sample(*given))
+    http = serving()
+    viewers = [Viewer(http, "rate=100&width=64") for _ in range(10)]
+    for number in range(12):
+        camera.publishes("/camera", image(frame(number)))
+        until(lambda number=number: all(each.has(number) for each in viewers), f"picture {number} at all viewers")
+    assert len(drawn) <= 13
+    assert all(len(each.files) >= 12 for each in viewers)
+
+
+def test_a_reader_that_takes_nothing_holds_up_nobody(camera: Any, serving: Any) -> None:
+    http, size = serving(), (480, 640)
+    noise = np.random.default_rng(1).integers(0, 255, (*size, 3), np.uint8)
+    with ExitStack() as connections:
+        for _ in range(3):
+            connections.enter_context(connected(http, "rate=100"))
+        viewer = Viewer(http, "rate=100")
+        for number in range(25):
+            before = len(viewer.files)
+            camera.publishes("/camera", image(noise))
+            until(lambda before=before: len(viewer.files) > before, f"picture {number}")
+        camera.publishes("/camera", image(frame(7, size)))
+        until(lambda: viewer.has(7, size), "the last picture")
+    assert get(http, accept="image/png").status_code == 200
+
+
+def test_fewer_pictures_are_drawn_where_fewer_are_wanted() -> None:
+    times = np.arange(0, 4, 0.04) + 100.013
+    taken = []
+    for start in (0, 3, 7):
+        pace, own = Pace(5.0), []
+        for now in times[start:]:
+            if pace.wait(now) == 0.0:
+                pace.take(now)
+                own.append(now)
+        taken.append(set(own[1:]))
+    assert taken[0] >= taken[1] >= taken[2]
+    assert len(taken[0]) in (19, 20)

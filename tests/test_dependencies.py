@@ -18,6 +18,8 @@ import pytest
 ROOT = Path(__file__).parent.parent
 PACKAGE = ("adapters", "ontology", "queries", "server", "shapes")
 NAMES = {
+    "PIL": "pillow",
+    "cv2": "opencv-python-headless",
     "backports": "backports-zstd",
     "jwt": "pyjwt",
     "mcap_ros1": "mcap-ros1-support",

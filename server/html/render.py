@@ -276,7 +276,7 @@ def _body(page: Page, posted: tuple[FormTarget, ...]) -> dict[str, object]:
     groups = group_sections(sections[1:])
     return {
         "offer": None,
-        "has_picture": any(each.picture is not None for each in messages),
+        "has_picture": any(each.picture is not None and not each.picture.refused for each in messages),
         "messages": [each for each in messages if not each.aside],
         "asides": [each for each in messages if each.aside],
         "contents": container_table(document, site, page.listing),

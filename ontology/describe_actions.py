@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from pyoxigraph import NamedNode
+from pyoxigraph import NamedNode, Triple
 
 from rosld.adapters.model import Action, GoalStatus, Graph, Message, MessageSchema
 from rosld.ontology.affordances import BODIES, SSE, STREAM, affordance, forms
@@ -98,18 +98,12 @@ def goal_document(goal: GoalView, space: Space, settings: LiftSettings = _SETTIN
         messages.append(LiftedMessage("#feedback", lifter(schema, settings), message, envelope))
     if goal.result is not None:
         messages.append(LiftedMessage("#result", lifter(goal.result[0], settings), goal.result[1]))
-    triples = triples_about(
+    triples = goal_outline(goal.id, goal.action, goal.status, (goal.created_ns, goal.ended_ns), goal.words, space)
+    triples += triples_about(
         subject,
-        (rdf.type, ros.Goal),
         *RDF_SOURCE,
-        (ros.isGoalOf, NamedNode(space.action(goal.action))),
         (ros.goalId, text(goal.goal_id)),
         (ros.own, boolean(goal.own)),
-        (ros.status, _TERMS[goal.status]),
-        (ros.statusWord, text(goal.status.value)),
-        (ros.words, text(goal.words)),
-        (prov.startedAtTime, date_time_literal(goal.created_ns)),
-        (prov.endedAtTime, date_time_literal(goal.ended_ns)),
         (ros.unreadable, text(goal.unreadable)),
         (ros.goalMessage, NamedNode(f"{url}#goal") if goal.goal else None),
         (ros.feedback, NamedNode(f"{url}#feedback") if goal.feedback else None),
@@ -123,3 +117,19 @@ def goal_document(goal: GoalView, space: Space, settings: LiftSettings = _SETTIN
         triples += affordance(subject, "cancel", td.hasActionAffordance, td.ActionAffordance)
         triples += forms(NamedNode(f"{url}#cancel"), "cancel", "DELETE", td.cancelAction, url)
     return Document(url, tuple(triples), tuple(messages))
+
+
+def goal_outline(
+    id: str, action: str, status: GoalStatus, times_ns: tuple[int | None, int | None], words: str | None, space: Space
+) -> list[Triple]:
+    """What is told of a goal in a list, too: of which action it is, how it stands, and when it was sent and ended."""
+    return triples_about(
+        NamedNode(space.goal(id)),
+        (rdf.type, ros.Goal),
+        (ros.isGoalOf, NamedNode(space.action(action))),
+        (ros.status, _TERMS[status]),
+        (ros.statusWord, text(status.value)),
+        (ros.words, text(words)),
+        (prov.startedAtTime, date_time_literal(times_ns[0])),
+        (prov.endedAtTime, date_time_literal(times_ns[1])),
+    )

@@ -79,17 +79,12 @@ def hold_document(hold: HoldView, space: Space, settings: LiftSettings = _SETTIN
     messages = [LiftedMessage("#message", lifter(hold.message[0], settings), hold.message[1])]
     if hold.release_message is not None:
         messages.append(LiftedMessage("#then", lifter(hold.release_message[0], settings), hold.release_message[1]))
-    triples = triples_about(
+    triples = hold_outline(hold.id, hold.topic, hold.holder, hold.rate, hold.created_ns, hold.last_error, space)
+    triples += triples_about(
         subject,
-        (rdf.type, ros.Hold),
         *RDF_SOURCE,
-        (ros.holds, NamedNode(space.topic(hold.topic))),
-        (ros.holder, text(hold.holder)),
-        (ros.publishRate, double(hold.rate)),
         (ros.leaseTime, double(hold.lease)),
         (ros.leaseUntil, date_time_literal(hold.until_ns)),
-        (prov.startedAtTime, date_time_literal(hold.created_ns)),
-        (ros.words, text(hold.last_error)),
         (ros.heldMessage, NamedNode(f"{url}#message")),
         (ros.then, NamedNode(f"{url}#then") if hold.release_message else None),
         (ros.atTheEnd, text(hold.release_requested)),
@@ -105,6 +100,21 @@ def hold_document(hold: HoldView, space: Space, settings: LiftSettings = _SETTIN
         triples += affordance(subject, "end", td.hasActionAffordance, td.ActionAffordance)
         triples += forms(NamedNode(f"{url}#end"), "delete", "DELETE", td.cancelAction, url)
     return Document(url, tuple(triples), tuple(messages))
+
+
+def hold_outline(
+    id: str, topic: str, holder: str, rate: float, created_ns: int, last_error: str | None, space: Space
+) -> list[Triple]:
+    """What is told of a hold in a list, too: of which topic, whose it is, since when, and what is wrong with it."""
+    return triples_about(
+        NamedNode(space.hold(id)),
+        (rdf.type, ros.Hold),
+        (ros.holds, NamedNode(space.topic(topic))),
+        (ros.holder, text(holder)),
+        (ros.publishRate, double(rate)),
+        (prov.startedAtTime, date_time_literal(created_ns)),
+        (ros.words, text(last_error)),
+    )
 
 
 def holdable(topic: str, shape: str | None = None, *, commands_velocity: bool = False) -> list[Triple]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from pyoxigraph import NamedNode
+from pyoxigraph import NamedNode, Triple
 
 from rosld.adapters.model import Graph, Message, MessageSchema, Service
 from rosld.ontology.describe_topics import type_url
@@ -73,14 +73,25 @@ def call_document(call: CallView, space: Space, settings: LiftSettings = _SETTIN
     )
     triples = triples_about(
         NamedNode(url),
-        (rdf.type, ros.Call),
         *RDF_SOURCE,
-        (ros.isCallOf, NamedNode(space.service(call.service))),
-        (ros.state, ros.terms()[call.state]),
-        (prov.startedAtTime, date_time_literal(call.created_ns)),
-        (prov.endedAtTime, date_time_literal(call.answered_ns)),
-        (ros.words, text(call.words)),
         (ros.request, NamedNode(f"{url}#request")),
         (ros.response, NamedNode(f"{url}#response") if call.response else None),
     )
-    return Document(url, tuple(triples), messages)
+    times = call.created_ns, call.answered_ns
+    outline = call_outline(call.id, call.service, call.state, times, call.words, space)
+    return Document(url, (*outline, *triples), messages)
+
+
+def call_outline(
+    id: str, service: str, state: str, times_ns: tuple[int, int | None], words: str | None, space: Space
+) -> list[Triple]:
+    """What is told of a call in a list, too: of which service it is, what became of it, and when."""
+    return triples_about(
+        NamedNode(space.call(id)),
+        (rdf.type, ros.Call),
+        (ros.isCallOf, NamedNode(space.service(service))),
+        (ros.state, ros.terms()[state]),
+        (prov.startedAtTime, date_time_literal(times_ns[0])),
+        (prov.endedAtTime, date_time_literal(times_ns[1])),
+        (ros.words, text(words)),
+    )

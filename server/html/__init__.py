@@ -2,9 +2,9 @@
 
 Nothing here knows a robot or a store: a `Page` (or one of its kin) goes in, bytes come out. Whatever came from a robot
 is text to these pages, never markup, and `HEADERS` tells the browser to run nothing but `live.js`, which keeps a page
-up to date while it is looked at, `filter.js`, which finds things on long ones, `find.js`, which shows what is found
-while words are typed, `drive.js`, which drives a robot, and `picture.js`, which moves pictures. Without them every page
-is as whole.
+up to date while it is looked at, `ages.js`, which says how long ago times were, `filter.js`, which finds things on
+long ones, `find.js`, which shows what is found while words are typed, `drive.js`, which drives a robot, and
+`picture.js`, which moves pictures. Without them every page is as whole.
 """
 
 from rosld.server.html.affordances import action_form, cancel_forms, forms_of, property_form
@@ -46,6 +46,7 @@ from rosld.server.html.page import (
     StoredQueryParameter,
 )
 from rosld.server.html.render import (
+    AGES_SCRIPT,
     CONTENT_SECURITY_POLICY,
     DRIVE_SCRIPT,
     FILTER_SCRIPT,
@@ -66,6 +67,7 @@ from rosld.server.html.render import (
 from rosld.server.html.site import Site
 
 __all__ = [
+    "AGES_SCRIPT",
     "ALTERNATES",
     "CONTENT_SECURITY_POLICY",
     "DRIVE_SCRIPT",

@@ -153,7 +153,6 @@ Without this file, or with scripts off, the page is what it was when it was load
       const now = page.querySelector(part.localName);
       if (now) mergeChildren(part, now);
     }
-    tellAges();
     if (!page.querySelector("main[data-live]")) end();
   }
 
@@ -165,34 +164,6 @@ Without this file, or with scripts off, the page is what it was when it was load
     box.className = "notice warning";
     if (!old) document.querySelector("main header.title").after(box);
     if (box.textContent !== text) box.replaceChildren(Object.assign(document.createElement("p"), { textContent: text }));
-  }
-
-  /* How long ago times were, beside them. The robot's clock counts, which may be wrong by years. */
-
-  const AGES = [[86400, "d"], [3600, "h"], [60, "min"], [1, "s"]]; // seconds of a unit, the longest first
-  let ahead = null; // milliseconds by which the robot's clock is ahead of this one
-
-  async function compareClocks() {
-    try {
-      const answer = await fetch(document.querySelector("link[rel=stylesheet]").href, { method: "HEAD", cache: "no-store" });
-      ahead = Date.parse(answer.headers.get("date")) - Date.now();
-    } catch {
-      // not reachable: times stay as they are
-    }
-  }
-
-  function age(milliseconds) {
-    const seconds = Math.round(milliseconds / 1000);
-    const [size, unit] = AGES.find(([each]) => seconds >= each) ?? [1, "s"];
-    return seconds < 1 ? "now" : `${Math.floor(seconds / size)} ${unit} ago`;
-  }
-
-  function tellAges() {
-    if (ahead === null || Number.isNaN(ahead)) return;
-    for (const each of document.querySelectorAll("main time[datetime]")) {
-      const since = Date.now() + ahead - Date.parse(each.getAttribute("datetime"));
-      if (since > -5000) set(each, "data-ago", age(since)); // times to come are not told of
-    }
   }
 
   /* The mark */
@@ -301,6 +272,4 @@ Without this file, or with scripts off, the page is what it was when it was load
   addEventListener("pageshow", (event) => event.persisted && open());
 
   open();
-  compareClocks().then(tellAges);
-  setInterval(tellAges, 1000);
 }

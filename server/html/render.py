@@ -74,6 +74,8 @@ ICON = (_HERE / "icon.svg").read_bytes()
 """Served at `icon.svg` below the base."""
 SCRIPT = (_HERE / "live.js").read_bytes()
 """Served at `live.js` below the base: opens the event stream of a page that is live, and shows what comes."""
+AGES_SCRIPT = (_HERE / "ages.js").read_bytes()
+"""Served at `ages.js` below the base: says how long ago times were."""
 FILTER_SCRIPT = (_HERE / "filter.js").read_bytes()
 """Served at `filter.js` below the base: finds things on a page that folds very many."""
 FIND_SCRIPT = (_HERE / "find.js").read_bytes()
@@ -82,7 +84,7 @@ DRIVE_SCRIPT = (_HERE / "drive.js").read_bytes()
 """Served at `drive.js` below the base: the pad on the page of a topic that commands a velocity."""
 PICTURE_SCRIPT = (_HERE / "picture.js").read_bytes()
 """Served at `picture.js` below the base: pictures move while they are looked at."""
-_FILES = STYLESHEET + ICON + SCRIPT + FILTER_SCRIPT + FIND_SCRIPT + DRIVE_SCRIPT + PICTURE_SCRIPT
+_FILES = STYLESHEET + ICON + SCRIPT + AGES_SCRIPT + FILTER_SCRIPT + FIND_SCRIPT + DRIVE_SCRIPT + PICTURE_SCRIPT
 _VERSION = hashlib.blake2b(_FILES, digest_size=4).hexdigest()
 
 _NOTICED = (
@@ -135,6 +137,10 @@ class _Frame:
     @property
     def script(self) -> str:
         return f"{self.site.root}live.js?v={_VERSION}"
+
+    @property
+    def ages_script(self) -> str:
+        return f"{self.site.root}ages.js?v={_VERSION}"
 
     @property
     def filter_script(self) -> str:

@@ -38,7 +38,8 @@ _TAGS = {
 }
 """The tags of URLs that are not called by the first segment."""
 _ENTRY = ("ontology", ".well-known/", ".well-known/wot", "openapi.json", "llms.txt")
-_FILES = ("style.css", "live.js", "filter.js", "find.js", "drive.js", "picture.js", "icon.svg", "favicon.ico")
+_SCRIPTS = ("live.js", "ages.js", "filter.js", "find.js", "drive.js", "picture.js")
+_FILES = ("style.css", *_SCRIPTS, "icon.svg", "favicon.ico")
 _NAME = "A name; those of several parts have slashes, as in the URL."
 
 

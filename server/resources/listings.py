@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+from pyoxigraph import Triple
 
 from rosld.adapters.base import Watch
 from rosld.adapters.model import GoalStatus
+from rosld.ontology.describe_actions import goal_outline
 from rosld.ontology.describe_containers import container_document
+from rosld.ontology.describe_holds import hold_outline
+from rosld.ontology.describe_services import call_outline
+from rosld.ontology.document import Document
 from rosld.ontology.triples import date_time_literal
 from rosld.server.html import MemberColumns
 from rosld.server.html.page import Cell
@@ -29,11 +35,12 @@ _FAILED_GOALS = frozenset({GoalStatus.ABORTED, GoalStatus.REJECTED, GoalStatus.L
 
 @dataclass(frozen=True, slots=True)
 class ListedMember:
-    """A member of a listing: its URL, what it is called and told of it, and whether it failed."""
+    """A member of a listing: its URL, what it is called and told of it, in RDF too, and whether it failed."""
 
     url: str
     name: str
     cells: tuple[Cell, ...]
+    outline: tuple[Triple, ...]
     is_failed: bool = False
 
 
@@ -70,11 +77,16 @@ class ListingResource(Resource):
     async def state(self) -> State:
         """Its state is another one whenever that of a member is: its page tells of that."""
         members = tuple(self._members())
-        urls = tuple(member.url for member in members)
         token = digest(repr(members).encode("utf-8", "replace"))
         return self._robot.states.get_or_make(
-            self.url, token, lambda: State(lambda: container_document(self.url, urls, self.kind), token=token)
+            self.url, token, lambda: State(lambda: self._document(members), token=token)
         )
+
+    def _document(self, members: Sequence[ListedMember]) -> Document:
+        """The members, and in brief what became of each: in the dataset they say it themselves."""
+        document = container_document(self.url, (member.url for member in members), self.kind)
+        outlines = (triple for member in members for triple in member.outline)
+        return replace(document, triples=(*document.triples, *outlines))
 
     def listing(self) -> MemberColumns:
         members = tuple(self._members())
@@ -97,7 +109,9 @@ def calls_listing(robot: Robot) -> ListingResource:
         outcome = _OUTCOMES.get(call.state, call.state.value.lower())
         cells = (outcome, time_cell(call.created_ns), time_cell(call.answered_ns), call.words or "")
         is_failed = call.state not in (CallState.RUNNING, CallState.SUCCEEDED)
-        return ListedMember(robot.space.call(call.id), call.service, cells, is_failed)
+        times = call.created_ns, call.answered_ns
+        outline = call_outline(call.id, call.service, call.state.value, times, call.words, robot.space)
+        return ListedMember(robot.space.call(call.id), call.service, cells, tuple(outline), is_failed)
 
     columns = ("outcome", "called", "answered", "words")
     return ListingResource(
@@ -111,7 +125,9 @@ def goals_listing(robot: Robot) -> ListingResource:
 
     def listed(goal: Goal) -> ListedMember:
         cells = (goal.status.value, time_cell(goal.created_ns), time_cell(goal.ended_ns), goal.words or "")
-        return ListedMember(robot.space.goal(goal.id), goal.action, cells, goal.status in _FAILED_GOALS)
+        times = goal.created_ns, goal.ended_ns
+        outline = tuple(goal_outline(goal.id, goal.action, goal.status, times, goal.words, robot.space))
+        return ListedMember(robot.space.goal(goal.id), goal.action, cells, outline, goal.status in _FAILED_GOALS)
 
     columns = ("status", "sent", "ended", "words")
     return ListingResource(
@@ -125,7 +141,10 @@ def holds_listing(robot: Robot) -> ListingResource:
 
     def listed(hold: Hold) -> ListedMember:
         cells = (hold.holder.name, f"{hold.rate:g} Hz", time_cell(hold.created_ns), hold.last_error or "")
-        return ListedMember(robot.space.hold(hold.id), hold.topic, cells, hold.last_error is not None)
+        outline = hold_outline(
+            hold.id, hold.topic, hold.holder.name, hold.rate, hold.created_ns, hold.last_error, robot.space
+        )
+        return ListedMember(robot.space.hold(hold.id), hold.topic, cells, tuple(outline), hold.last_error is not None)
 
     columns = ("holder", "rate", "since", "trouble")
     return ListingResource(

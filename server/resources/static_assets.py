@@ -61,6 +61,12 @@ def script(robot: Robot) -> FileResource:
     )
 
 
+def ages_script(robot: Robot) -> FileResource:
+    """`/ages.js`."""
+    summary = "The script that says how long ago times were"
+    return FileResource(robot, "ages.js", html.AGES_SCRIPT, "text/javascript; charset=utf-8", summary)
+
+
 def filter_script(robot: Robot) -> FileResource:
     """`/filter.js`."""
     return FileResource(
@@ -115,6 +121,7 @@ def favicon(robot: Robot) -> FileResource:
 FILES: dict[str, Callable[[Robot], FileResource]] = {
     "style.css": stylesheet,
     "live.js": script,
+    "ages.js": ages_script,
     "filter.js": filter_script,
     "find.js": find_script,
     "drive.js": drive_script,

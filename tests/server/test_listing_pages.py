@@ -7,11 +7,13 @@ from collections.abc import Callable
 
 import httpx
 import pytest
+import rdflib
 
 from rosld.server.html.numbers import shorten_number
 from tests.server.conftest import Served
 from tests.server.robots.made_up import MadeUp, Serving
 
+ROS = rdflib.Namespace("https://w3id.org/rosld#")
 HTML = {"Accept": "text/html"}
 FAR = {"pose": {"header": {"frame_id": "map"}, "pose": {"position": {"x": 90.0, "y": 90.0}}}}
 
@@ -22,6 +24,10 @@ def rows(http: httpx.Client, path: str) -> list[str]:
     assert page.status_code == 200, page.text
     found = re.search(r'<table class="members">.*?</table>', page.text, re.DOTALL)
     return re.findall(r"<tr data-key.*?</tr>", found[0], re.DOTALL) if found else []
+
+
+def said(http: httpx.Client, path: str) -> rdflib.Graph:
+    return rdflib.Graph().parse(data=http.get(path, headers={"Accept": "application/n-triples"}).text, format="nt")
 
 
 def words(row: str) -> str:
@@ -38,6 +44,10 @@ def test_goals_are_listed_by_action_status_and_times_and_those_that_failed_stand
     assert 'class="failed"' in row
     assert re.match(r"/navigate_to aborted \d{4}-\d\d-\d\d .* UTC", words(row))
     assert row.count("<time datetime=") == 2
+    listed = said(http, "/goals/")
+    assert (rdflib.URIRef(goal), ROS.status, ROS.Aborted) in listed
+    told = said(http, goal)
+    assert all(triple in told for triple in listed.triples((rdflib.URIRef(goal), None, None)))
 
 
 def test_a_listing_of_goals_is_in_another_state_whenever_a_goal_is(serve: Callable[..., Served]) -> None:
@@ -64,6 +74,8 @@ def test_calls_and_receipts_are_listed_by_names_and_what_was_refused_stands_out(
     [call] = rows(http, "/calls/")
     assert words(call).startswith("/dock succeeded 2")
     assert 'class="failed"' not in call
+    made = said(http, "/calls/").value(predicate=ROS.state, object=ROS.Succeeded)
+    assert (made, ROS.isCallOf, rdflib.URIRef(f"{http.base_url}services/dock")) in said(http, "/calls/")
     page = re.search(r'href="([^"]+)"', call)
     assert page
     assert "<h1><bdi>/dock</bdi></h1>" in http.get(http.base_url.join("/calls/").join(page[1]), headers=HTML).text

@@ -104,6 +104,12 @@ def test_times_say_how_long_ago_they_were_by_the_clock_of_the_robot(tab: Any, se
     tab.until(f"{received}.dataset.ago === '3 h ago'")
 
 
+def test_pages_that_follow_nothing_say_how_long_ago_times_were_too(tab: Any, served: Any) -> None:
+    served.http.put(DISPLAY, json={"data": "once"}).raise_for_status()
+    tab.open(f"{served.url}activity/")
+    tab.until("/^(now|\\d+ s ago)$/.test(document.querySelector('.members time')?.dataset.ago)")
+
+
 def test_a_parameter_that_another_sets_and_deletes(tab: Any, served: Any) -> None:
     path = "parameters/cockpit/brightness"
     watch(tab, served.url + path)

@@ -661,6 +661,17 @@ class ldes(Namespace, iri="https://w3id.org/ldes#"):
     versionOfPath: NamedNode
 
 
+class memento(Namespace, iri="http://mementoweb.org/ns#"):
+    """Memento (RFC 7089): resources as they were."""
+
+    Memento: NamedNode
+    TimeMap: NamedNode
+    memento: NamedNode
+    mementoDatetime: NamedNode
+    original: NamedNode
+    timegate: NamedNode
+
+
 class cora(Namespace, iri="http://purl.org/ieee1872-owl/cora-bare#"):
     """The Core Ontology for Robotics and Automation (IEEE 1872-2015)."""
 
@@ -810,6 +821,7 @@ _SPACES = (
     sosa,
     tree,
     ldes,
+    memento,
     cora,
     qudt,
     hydra,

@@ -15,6 +15,7 @@ from starlette.responses import Response
 from rosld.adapters.model import MessageSchema, Sample, TypeRef, UnknownType
 from rosld.ontology.describe_series import series_document
 from rosld.ontology.fields import field_at
+from rosld.ontology.literals import date_time_nanoseconds
 from rosld.server.history.series import Point, Series, SeriesRange, SeriesTooLong, read_series
 from rosld.server.http import negotiation
 from rosld.server.http.problem import Problem
@@ -168,6 +169,9 @@ def read_time(text: str, now_ns: int) -> int:
     try:
         if text.startswith("-") and text.count("-") == 1:
             return now_ns + round(float(text) * 1e9)
+        exact = date_time_nanoseconds(text.replace("z", "Z"))
+        if exact is not None:
+            return exact
         found = datetime.fromisoformat(f"{text[:-1]}+00:00" if text.endswith(("Z", "z")) else text.replace(" ", "+"))
         aware = found if found.tzinfo is not None else found.replace(tzinfo=timezone.utc)
         return int(aware.replace(microsecond=0).timestamp()) * 10**9 + aware.microsecond * 1000

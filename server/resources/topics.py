@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import re
 import time
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import replace
-from datetime import datetime, timezone
-from email.utils import format_datetime, parsedate_to_datetime
 from typing import cast
 from urllib.parse import quote
 
@@ -25,7 +22,6 @@ from rosld.ontology.lower import parse_json
 from rosld.server.html import DeleteForm, Form, MessageForm
 from rosld.server.html.inputs import Json
 from rosld.server.http.conditional import digest, require_if_match
-from rosld.server.http.link import Link
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import message_schema
 from rosld.server.hypermedia.json_schema import ANYTHING, OBJECT, nullable, patch_schema
@@ -36,6 +32,17 @@ from rosld.server.resources.command import CommandResource
 from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.holds import create_hold, hold_form, hold_parameters, hold_schema
 from rosld.server.resources.limit_checks import topic_bounds
+from rosld.server.resources.memento import (
+    SETTLED_NS,
+    TIMEMAP,
+    VARY,
+    is_recorded,
+    memento_datetime,
+    negotiate_topic,
+    read_history,
+    time_map_of,
+    timegate_links,
+)
 from rosld.server.resources.messages import DecodedSample, decode, field_response, lift_sample
 from rosld.server.resources.namespaces import redirect_to_namespace
 from rosld.server.resources.pictures import (
@@ -65,10 +72,6 @@ from rosld.server.robot.write_policy import RESERVED, denied_reason, resources_o
 from rosld.server.runtime.signals import combine_watches
 
 _LEGAL = re.compile(r"(/[A-Za-z][A-Za-z0-9_]*)+")
-
-_DATE = "Tue, 31 Jan 2030 12:00:00 GMT"
-_SETTLED_NS = 3_000_000_000
-"""How long ago what was is what will always have been: everything of then is written."""
 _LATCH = QueryParameter("latch", "Whether subscribers that come later get the message.", {"type": "boolean"})
 
 
@@ -96,6 +99,11 @@ class TopicResource(CommandResource):
     def topic(self) -> Topic | None:
         """The topic in the computation graph, None where there is none of that name."""
         return self._publishing.topic
+
+    async def prepare(self) -> None:
+        """One that is recorded is its own TimeGate, and says so."""
+        gate = timegate_links(self.url) if is_recorded(self.robot, self.name) else ()
+        self.links = (*type(self).links, *gate)
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         topic = self.topic
@@ -128,9 +136,9 @@ class TopicResource(CommandResource):
             "A topic that may be made" if topic is None else f"The topic {self.name}",
             (*FIELD_READS, *PICTURES) if self.is_picture else FIELD_READS,
             ANYTHING if schema is None else nullable(schemas.read(schema)),
-            (PICTURE_FORMAT, FIELD, *PARAMETERS, *PICTURE_PARAMETERS)
+            (PICTURE_FORMAT, FIELD, *PARAMETERS, TIMEMAP, *PICTURE_PARAMETERS)
             if self.is_picture
-            else (FORMAT, FIELD, *PARAMETERS),
+            else (FORMAT, FIELD, *PARAMETERS, TIMEMAP),
             writes,
             has_shape=topic is not None and topic.type is not None,
             methods=methods | {"DELETE"} if "PUT" in methods else methods,  # once rosld publishes
@@ -219,7 +227,10 @@ class TopicResource(CommandResource):
         graph = robot.graph
         topic = graph.topics.get(self.name) or Topic(self.name)
         hold = robot.holds.find_by_topic(self.name)
-        version = (IdentityKey(topic), IdentityKey(view), graph.simulated_time, hold and hold.id, self.is_holdable)
+        version = (
+            *(IdentityKey(topic), IdentityKey(view), graph.simulated_time, hold and hold.id, self.is_holdable),
+            is_recorded(robot, self.name),
+        )
         known = robot.states.find(self.url, version)
         if known is None:
             decoded = [await decode(robot, sample) for sample in view.samples]
@@ -246,7 +257,12 @@ class TopicResource(CommandResource):
         recorded = bool(self.robot.adapter.recordings)  # a recording's times are of the past: no Age (RFC 9111 5.1)
         received = view.newest.received_ns if view.newest and not recorded else None
         return State(
-            lambda: self._document(topic, view, decoded), plain, token, received, shapes=self._shapes(topic, decoded)
+            lambda: self._document(topic, view, decoded),
+            plain,
+            token,
+            received,
+            headers={"vary": VARY} if is_recorded(self.robot, self.name) else {},
+            shapes=self._shapes(topic, decoded),
         )
 
     def _shapes(self, topic: Topic, decoded: Sequence[DecodedSample]) -> tuple[str, ...]:
@@ -313,38 +329,28 @@ class TopicResource(CommandResource):
         return cast(Json, parse_json(lifter(decoded.schema, self.robot.lifting).json(decoded.message, self.url)))
 
     async def select_variant(self, exchange: Exchange) -> Resource:
-        """`?series=FIELD`, `?at=TIME`: out of the history."""
+        """`?series=FIELD`, `?at=TIME`, `?timemap`: out of the history."""
         if exchange.method in ("GET", "HEAD"):
-            if "accept-datetime" in exchange.headers and "at" not in exchange.query:
-                raise self._negotiated(exchange.headers["accept-datetime"])
-            if exchange.request.scope["query_string"]:
-                if "series" in exchange.query:
-                    return series_of(self.robot, self.name, exchange)
-                if "at" in exchange.query:
-                    return await self._past(exchange.query["at"])
+            query = exchange.query if exchange.request.scope["query_string"] else {}
+            if "series" in query:
+                return series_of(self.robot, self.name, exchange)
+            if "timemap" in query:
+                require_history(self.robot, self.name)
+                return time_map_of(self.robot, self.name, exchange)
+            if "at" in query:
+                return await self._past(query["at"])
+            if "accept-datetime" in exchange.headers and is_recorded(self.robot, self.name):
+                raise await negotiate_topic(self.robot, self.name, exchange.headers["accept-datetime"])
         return await super().select_variant(exchange)
-
-    def _negotiated(self, wanted: str) -> Problem:
-        """302 to the topic as it was: it is its own TimeGate (RFC 7089 4.1.1). Raises Problems."""
-        require_history(self.robot, self.name)
-        try:
-            at = parsedate_to_datetime(wanted).astimezone(timezone.utc)
-        except (ValueError, TypeError, OverflowError) as error:
-            raise Problem(400, f"Accept-Datetime: {wanted[:60]!r} is no date such as {_DATE}.") from error
-        headers = {"Location": f"{self.url}?at={at:%Y-%m-%dT%H:%M:%SZ}", "Vary": "Accept, Accept-Datetime"}
-        return Problem(302, f"It is at {headers['Location']}", title="Found", headers=headers)
 
     async def _past(self, text: str) -> Resource:
         """The topic as it was. Raises Problems."""
         require_history(self.robot, self.name)
         at, now = read_time(text, time.time_ns()), time.time_ns()
-        try:
-            sample = await asyncio.to_thread(self.robot.history.writer.latest_at, self.name, at)
-        except (OSError, ValueError, KeyError) as error:
-            raise Problem(503, f"The history cannot be read just now: {error}.") from error
+        sample = await read_history(lambda: self.robot.history.writer.latest_at(self.name, at))
         if sample is None:
             raise Problem(404, f"Nothing is recorded of {self.name} until {text}.")
-        return PastTopic(self.robot, self.name, sample, text, is_settled=at < now - _SETTLED_NS)
+        return PastTopic(self.robot, self.name, sample, text, is_settled=at < now - SETTLED_NS)
 
     @property
     def is_picture(self) -> bool:
@@ -415,7 +421,7 @@ class PastTopic(TopicResource):
 
     def __init__(self, robot: Robot, name: str, sample: Sample, text: str, *, is_settled: bool) -> None:
         super().__init__(robot, name)
-        self.links = (*self.links, Link(robot.space.topic(name), "original"))
+        self.links = (*self.links, *timegate_links(robot.space.topic(name)))
         self._sample = sample
         self._text = text
         self._is_settled = is_settled
@@ -428,6 +434,9 @@ class PastTopic(TopicResource):
     def query(self) -> str:
         return f"at={quote(self._text, safe=':')}"
 
+    async def prepare(self) -> None:
+        """All is known."""
+
     def methods(self) -> frozenset[str]:
         return READ
 
@@ -436,9 +445,8 @@ class PastTopic(TopicResource):
         topic = self.robot.graph.topics.get(self.name) or Topic(self.name)
         decoded = await decode(self.robot, self._sample)
         state = self._state(topic, TopicView((self._sample,)), [decoded])
-        received = datetime.fromtimestamp(self._sample.received_ns / 1e9, timezone.utc)
-        headers = {"memento-datetime": format_datetime(received, usegmt=True)} if self._is_settled else {}
-        return replace(state, headers=headers, received_ns=None)
+        headers = {"memento-datetime": memento_datetime(self._sample.received_ns)} if self._is_settled else {}
+        return replace(state, headers={**headers, "vary": VARY}, received_ns=None)
 
     async def forms(self) -> Sequence[Form]:
         return ()

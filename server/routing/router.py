@@ -17,7 +17,6 @@ from rosld.server.resources import listings
 from rosld.server.resources.actions import ActionResource, GoalResource
 from rosld.server.resources.activities import ActivityContainer, ActivityResource
 from rosld.server.resources.bag_routes import bag_route
-from rosld.server.resources.complex_resource import ComplexResource
 from rosld.server.resources.context import Robot
 from rosld.server.resources.entry_point import EntryResource
 from rosld.server.resources.find import FindResource
@@ -30,7 +29,7 @@ from rosld.server.resources.namespaces import NamespaceContainer
 from rosld.server.resources.nodes import NodeResource
 from rosld.server.resources.ontology import ontology_room
 from rosld.server.resources.parameters import ParameterResource, ParameterTree
-from rosld.server.resources.property_action import MemberResource
+from rosld.server.resources.past_resources import ComplexTimeGate, MemberTimeGate
 from rosld.server.resources.queries import QueryRunner, query_route
 from rosld.server.resources.services import CallResource, ServiceResource
 from rosld.server.resources.sparql_endpoint import SparqlResource
@@ -79,12 +78,12 @@ def _parameters(robot: Robot, location: Location) -> Resource:
 
 def _resources(robot: Robot, location: Location) -> Resource:
     if location.is_container:
-        return ComplexResource(robot, path_of(location.segments))
+        return ComplexTimeGate(robot, path_of(location.segments))
     if not location.segments:
         raise permanent_redirect(robot.space.container("resources"))
     if not location.segments[-1]:
         raise Problem(404, f"No resource is called {location.name}: its own name would be empty.")
-    return MemberResource(robot, location.name)
+    return MemberTimeGate(robot, location.name)
 
 
 def _well_known(robot: Robot, location: Location) -> Resource:

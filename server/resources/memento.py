@@ -1,0 +1,178 @@
+"""Mementos of topics (RFC 7089): a topic is its own TimeGate, `?at=` are its mementos, `?timemap` lists them."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable, Sequence
+from datetime import datetime, timezone
+from email.utils import format_datetime, parsedate_to_datetime
+from typing import TypeVar
+
+from starlette.responses import Response
+
+from rosld.adapters.base import MessageFilter, MessagePage
+from rosld.adapters.model import Sample
+from rosld.ontology.describe_time_map import time_map_document
+from rosld.ontology.literals import date_time
+from rosld.server.http import negotiation
+from rosld.server.http.link import Link, render
+from rosld.server.http.problem import Problem
+from rosld.server.resources.context import Robot
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.formats import OFFERS
+from rosld.server.rest.path_item import QueryParameter
+from rosld.server.rest.resource import Resource
+from rosld.server.rest.resource_headers import resource_headers
+from rosld.server.rest.state import State
+
+LINK_FORMAT = "application/link-format"
+VARY = "Accept, Accept-Datetime"
+SETTLED_NS = 3_000_000_000
+"""How long ago what was is what will always have been: everything of then is written."""
+TIMEMAP = QueryParameter("timemap", "The mementos that there are of it (RFC 7089), `start` the number of the first.")
+_PAGE = 1000
+_SECOND = 1_000_000_000
+_DATE = "Tue, 31 Jan 2030 12:00:00 GMT"
+_T = TypeVar("_T")
+
+
+def is_recorded(robot: Robot, topic: str) -> bool:
+    """Whether there are mementos of a topic."""
+    return robot.history.is_kept and topic in robot.history.writer.types
+
+
+def timegate_links(url: str) -> tuple[Link, ...]:
+    """The links of an original resource that is its own TimeGate, and of its mementos (RFC 7089 2.2)."""
+    return (
+        Link(url, "original"),
+        Link(url, "timegate"),
+        Link(f"{url}?timemap", "timemap", type=LINK_FORMAT),
+    )
+
+
+def memento_url(url: str, time_ns: int) -> str:
+    """The memento of a resource as it was at a time."""
+    return f"{url}?at={date_time(0, time_ns)}"
+
+
+def memento_datetime(time_ns: int) -> str:
+    """A time as `Memento-Datetime` and the links of mementos have it: whole seconds."""
+    return format_datetime(datetime.fromtimestamp(time_ns // _SECOND, timezone.utc), usegmt=True)
+
+
+def parse_accept_datetime(text: str) -> int:
+    """The end of the second that Accept-Datetime names, in ns. Raises a 400 Problem."""
+    try:
+        at = parsedate_to_datetime(text).astimezone(timezone.utc)
+    except (ValueError, TypeError, OverflowError) as error:
+        raise Problem(400, f"Accept-Datetime: {text[:60]!r} is no date such as {_DATE}.") from error
+    return int(at.timestamp()) * _SECOND + _SECOND - 1
+
+
+def found(location: str, links: Sequence[Link]) -> Problem:
+    """302 from a TimeGate to a memento (RFC 7089 4.1.1)."""
+    headers = {"Location": location, "Vary": VARY, "Link": render(links)}
+    return Problem(302, f"It is at {location}", title="Found", headers=headers)
+
+
+async def read_history(read: Callable[[], _T]) -> _T:
+    """What is read of the history, off the loop. Raises a 503 Problem where it cannot be."""
+    try:
+        return await asyncio.to_thread(read)
+    except (OSError, ValueError, KeyError) as error:
+        raise Problem(503, f"The history cannot be read just now: {error}.") from error
+
+
+async def negotiate_topic(robot: Robot, topic: str, accept_datetime: str) -> Problem:
+    """302 to the memento of a topic that a time asks for: before the first that is the first (RFC 7089 4.5.3).
+
+    Raises Problems.
+    """
+    wanted, url = parse_accept_datetime(accept_datetime), robot.space.topic(topic)
+    settled = time.time_ns() - SETTLED_NS
+    history = robot.history
+    only = frozenset({topic})
+
+    def look() -> tuple[Sample | None, Sample | None, Sample | None]:
+        page = history.recording.select(MessageFilter(only, to_ns=settled), 1)
+        first = page.messages[0].sample if page.messages else None
+        at = history.writer.latest_at(topic, min(wanted, settled))
+        return at or first, first, history.writer.latest_at(topic, settled)
+
+    at, first, last = await read_history(look)
+    if at is None or first is None or last is None:
+        raise Problem(404, f"There is no memento of {topic} yet: a message is one after {SETTLED_NS // _SECOND} s.")
+    ends = [("first memento", first), ("last memento", last), ("memento", at)]
+    links = [_memento(url, rel, each.received_ns) for rel, each in ends]
+    return found(memento_url(url, at.received_ns), (*timegate_links(url), *links))
+
+
+class TimeMap(Resource):
+    """The mementos of a topic, a thousand at a time, from one number of the history on."""
+
+    kind = "TimeMap"
+    is_cacheable = False
+
+    def __init__(self, robot: Robot, topic: str, start: int) -> None:
+        super().__init__(_time_map_url(robot.space.topic(topic), start))
+        self.robot = robot
+        self.title = f"Mementos of {topic}"
+        self._topic = topic
+        self._start = start
+
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self.robot.space.document_shape("TimeMap"),)
+
+    async def state(self) -> State:
+        page, original = await self._page(), self.robot.space.topic(self._topic)
+        times = [each.sample.received_ns for each in page.messages]
+        mementos = [(memento_url(original, each), each) for each in times]
+        after = None if page.next is None else _time_map_url(original, page.next)
+        return State(lambda: time_map_document(self.url, original, mementos, after))
+
+    async def custom_get(self, exchange: Exchange) -> Response | None:
+        """As links (RFC 6690), the default."""
+        if "format" in exchange.query or negotiation.choose(exchange.accept, (LINK_FORMAT, *OFFERS)) != LINK_FORMAT:
+            return None
+        page, url = await self._page(), self.robot.space.topic(self._topic)
+        times = [each.sample.received_ns for each in page.messages]
+        ends = (("from", memento_datetime(times[0])), ("until", memento_datetime(times[-1]))) if times else ()
+        links = [
+            Link(url, "original timegate"),
+            Link(self.url, "self", type=LINK_FORMAT, attributes=ends),
+            *(_memento(url, _place(number, len(times), page), each) for number, each in enumerate(times)),
+        ]
+        if page.next is not None:
+            links.append(Link(_time_map_url(url, page.next), "timemap", type=LINK_FORMAT))
+        headers = {**resource_headers(self), "vary": "Accept", "cache-control": "no-cache"}
+        return Response(",\n".join(map(str, links)) + "\n", media_type=LINK_FORMAT, headers=headers)
+
+    async def _page(self) -> MessagePage:
+        settled = time.time_ns() - SETTLED_NS
+        recording = self.robot.history.recording
+        wanted = MessageFilter(frozenset({self._topic}), to_ns=settled, start=max(self._start, recording.first))
+        return await read_history(lambda: recording.select(wanted, _PAGE))
+
+
+def time_map_of(robot: Robot, topic: str, exchange: Exchange) -> TimeMap:
+    """The TimeMap that a request to a topic asks for. Raises a 400 Problem."""
+    start = exchange.query.get("start", "0")
+    if not (start.isascii() and start.isdecimal() and len(start) < 19):
+        raise Problem(400, f"?start={start[:20]} is no number of a message.")
+    return TimeMap(robot, topic, int(start))
+
+
+def _place(number: int, count: int, page: MessagePage) -> str:
+    if number == count - 1 and page.next is None:
+        return "last memento"
+    return "memento"
+
+
+def _memento(url: str, rel: str, time_ns: int) -> Link:
+    return Link(memento_url(url, time_ns), rel, attributes=(("datetime", memento_datetime(time_ns)),))
+
+
+def _time_map_url(original: str, start: int) -> str:
+    return f"{original}?timemap&start={start}" if start else f"{original}?timemap"

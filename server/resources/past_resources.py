@@ -1,0 +1,225 @@
+"""`/resources/...?at=TIME`: resources as they were, as far as the history of their topics tells it.
+
+What getters and parameters said then nobody recorded: that is told in place of a value. Nothing is on offer
+then, and whether a mapping had it on offer is not judged.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import replace
+from urllib.parse import quote
+
+from starlette.responses import Response
+
+from rosld.adapters.model import RosError
+from rosld.server.html import Form
+from rosld.server.http.link import Link
+from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.affordance_service import Snapshot
+from rosld.server.hypermedia.catalogue import Getter, ParameterSource, Property, TopicSource
+from rosld.server.hypermedia.resource_tree import ComplexPlan, PropertyPlan
+from rosld.server.hypermedia.source_reader import decode_value
+from rosld.server.hypermedia.value import Reading
+from rosld.server.hypermedia.view_documents import complex_document, complex_json, property_document, property_json
+from rosld.server.resources.complex_resource import ComplexResource
+from rosld.server.resources.context import Robot
+from rosld.server.resources.memento import (
+    SETTLED_NS,
+    VARY,
+    found,
+    is_recorded,
+    memento_datetime,
+    memento_url,
+    parse_accept_datetime,
+    read_history,
+)
+from rosld.server.resources.property_action import MemberResource
+from rosld.server.resources.series import read_time
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.resource import READ, Resource
+from rosld.server.rest.state import State
+
+
+class PastReadings:
+    """The readings of properties at a time."""
+
+    def __init__(self, robot: Robot, at_ns: int) -> None:
+        self._robot = robot
+        self._at_ns = at_ns
+
+    async def snapshot(self, properties: Sequence[Property]) -> Snapshot:
+        """What follows from the readings of these properties."""
+        readings = [await self._reading(each) for each in properties]
+        return self._robot.affordances.snapshot(await self._robot.affordances.tree(), readings)
+
+    async def _reading(self, property: Property) -> Reading:
+        topics = [each.name for each in property.readers if isinstance(each, TopicSource)]
+        recorded = next((each for each in topics if is_recorded(self._robot, each)), None)
+        if recorded is None:
+            return Reading(property.name, None, _unknown(property))
+        sample = await read_history(lambda: self._robot.history.writer.latest_at(recorded, self._at_ns))
+        if sample is None:
+            return Reading(property.name, None, f"nothing is recorded of {recorded} until then")
+        try:
+            schema = await self._robot.schemas.message(sample.schema)
+        except RosError as error:
+            return Reading(property.name, None, f"the message of {recorded} cannot be read: {error.sentence}")
+        value, failure, read_ns = decode_value(recorded, sample, schema, property.name)
+        return Reading(property.name, value, failure, read_ns)
+
+
+class PastMember(MemberResource):
+    """A property as it was."""
+
+    kind = "Resource as it was"
+    is_cacheable = False
+
+    def __init__(self, robot: Robot, name: str, at_ns: int, text: str) -> None:
+        super().__init__(robot, name)
+        self.links = (*self.links, Link(self.url, "original"), Link(self.url, "timegate"))
+        self._at_ns, self._text = at_ns, text
+
+    @property
+    def variant_key(self) -> Hashable:
+        return self._text
+
+    @property
+    def query(self) -> str:
+        return f"at={quote(self._text, safe=':')}"
+
+    def methods(self) -> frozenset[str]:
+        return READ
+
+    async def state(self) -> State:
+        tree = await self.robot.affordances.tree()
+        plan = tree.property(self.name)
+        if plan is None:
+            raise Problem(404, f"{self.name} is an action: nothing is recorded of it.")
+        snapshot = await PastReadings(self.robot, self._at_ns).snapshot(plan.reads)
+        return _settle(self._as_it_was(replace(plan, exists_when=()), snapshot), self._at_ns)
+
+    def _as_it_was(self, plan: PropertyPlan, snapshot: Snapshot) -> State:
+        robot = self.robot
+        view = robot.affordances.property_view(plan, snapshot)
+        view = replace(view, affordance=replace(view.affordance, write=False, observe=False))
+        return replace(
+            self._shown(plan, snapshot),
+            describe=lambda: property_document(
+                view, robot.space, robot.lifting, simulated_time=robot.graph.simulated_time
+            ),
+            plain=lambda: property_json(view, robot.lifting),
+            view=None,
+        )
+
+    async def watch(self, wake: Callable[[], None]) -> None:
+        """The past changes no more."""
+
+    async def forms(self) -> Sequence[Form]:
+        return ()
+
+
+class PastComplex(ComplexResource):
+    """A complex resource as it was."""
+
+    kind = "Resource as it was"
+    is_cacheable = False
+
+    def __init__(self, robot: Robot, path: str, at_ns: int, text: str) -> None:
+        super().__init__(robot, path)
+        self.links = (*self.links, Link(self.url, "original"), Link(self.url, "timegate"))
+        self._at_ns, self._text = at_ns, text
+
+    @property
+    def variant_key(self) -> Hashable:
+        return self._text
+
+    @property
+    def query(self) -> str:
+        return f"at={quote(self._text, safe=':')}"
+
+    def methods(self) -> frozenset[str]:
+        return READ
+
+    async def state(self) -> State:
+        _, plan = await self._plan()
+        snapshot = await PastReadings(self.robot, self._at_ns).snapshot(plan.reads)
+        return _settle(self._as_it_was(replace(plan, exists_when=()), snapshot), self._at_ns)
+
+    def _as_it_was(self, plan: ComplexPlan, snapshot: Snapshot) -> State:
+        robot = self.robot
+        view = robot.affordances.complex_view(plan, snapshot)
+        members = tuple(
+            replace(each, affordance=replace(each.affordance, write=False, observe=False)) for each in view.members
+        )
+        view = replace(view, members=members, actions=())
+        return replace(
+            self._shown(plan, snapshot),
+            describe=lambda: complex_document(
+                view, robot.space, robot.lifting, simulated_time=robot.graph.simulated_time
+            ),
+            plain=lambda: complex_json(view, robot.lifting),
+            view=view,
+        )
+
+    async def custom_get(self, exchange: Exchange) -> Response | None:
+        return None
+
+    async def watch(self, wake: Callable[[], None]) -> None:
+        """The past changes no more."""
+
+    async def forms(self) -> Sequence[Form]:
+        return ()
+
+
+class MemberTimeGate(MemberResource):
+    """A property or an action, which is the TimeGate of what it was."""
+
+    async def select_variant(self, exchange: Exchange) -> Resource:
+        """`?at=TIME` and Accept-Datetime: as it was."""
+        return past_of(self, exchange) or await super().select_variant(exchange)
+
+
+class ComplexTimeGate(ComplexResource):
+    """A complex resource, which is the TimeGate of what it was."""
+
+    async def select_variant(self, exchange: Exchange) -> Resource:
+        """`?at=TIME` and Accept-Datetime: as it was."""
+        return past_of(self, exchange) or await super().select_variant(exchange)
+
+
+def past_of(resource: MemberResource | ComplexResource, exchange: Exchange) -> Resource | None:
+    """The resource as it was, where `?at=` asks for that; None where nothing does. Raises Problems: 302, 400, 404."""
+    wanted = exchange.headers.get("accept-datetime")
+    if exchange.method not in ("GET", "HEAD") or ("at" not in exchange.query and wanted is None):
+        return None
+    robot = resource.robot
+    if "at" not in exchange.query:
+        if wanted is None or not robot.history.is_kept:
+            return None
+        at_ns = min(parse_accept_datetime(wanted), time.time_ns() - SETTLED_NS)
+        raise found(memento_url(resource.url, at_ns), (Link(resource.url, "original"), Link(resource.url, "timegate")))
+    if not robot.history.is_kept:
+        raise Problem(404, "Nothing is recorded: rosld serve --history records topics.")
+    text = exchange.query["at"]
+    at_ns = read_time(text, time.time_ns())
+    if isinstance(resource, ComplexResource):
+        return PastComplex(robot, resource.path, at_ns, text)
+    return PastMember(robot, resource.name, at_ns, text)
+
+
+def _settle(state: State, at_ns: int) -> State:
+    """A state with the headers of a memento, once nothing can change it any more."""
+    is_settled = at_ns < time.time_ns() - SETTLED_NS
+    headers = {"memento-datetime": memento_datetime(at_ns)} if is_settled else {}
+    return replace(
+        state, headers={**headers, "vary": VARY}, received_ns=None, max_age=0, token=None, renderings={}, redactions={}
+    )
+
+
+def _unknown(property: Property) -> str:
+    """Why it cannot be told what a property was."""
+    kinds = {Getter: "the service", ParameterSource: "the parameter", TopicSource: "the topic"}
+    sources = [f"{kinds.get(type(each), 'the action')} {each.name}" for each in property.readers]
+    return f"what it was then is not known: {' and '.join(sources) or 'its source'} is not recorded"

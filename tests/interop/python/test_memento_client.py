@@ -1,0 +1,41 @@
+"""memento_client, the library of the authors of RFC 7089: it finds what a topic was at a time.
+
+A topic is its own TimeGate. By default this client asks mementoweb.org for the mementos of all that
+names no other, so it is told to ask the topic itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from datetime import datetime
+from typing import Any
+
+import pytest
+
+from tests.waiting import until
+
+memento_client = pytest.importorskip("memento_client", reason="memento_client is missing: pip install '.[interop]'")
+TOPIC = "topics/aircraft/engine/speed"
+
+
+@pytest.fixture(scope="module")
+def recorded(start_server: Callable[..., Any]) -> Any:
+    server = start_server("aircraft", "--history", "/aircraft/engine/speed")
+    until(lambda: server.http.get(f"/{TOPIC}?timemap").text.count('rel="memento"') > 20, "mementos")
+    return server
+
+
+@pytest.mark.parametrize(("year", "which"), [(1990, "first"), (2099, "last")])
+def test_the_client_finds_the_closest_memento_and_the_ends(recorded: Any, year: int, which: str) -> None:
+    url = recorded.url + TOPIC
+    client = memento_client.MementoClient(timegate_uri="", check_native_timegate=False)
+    found = client.get_memento_info(url, datetime(year, 1, 1))
+    assert found["original_uri"] == found["timegate_uri"] == url
+    mementos = found["mementos"]
+    assert {"closest", "first", "last"} <= mementos.keys()
+    assert mementos["closest"]["http_status_code"] == 200
+    assert mementos["closest"]["datetime"] == mementos[which]["datetime"]
+    (at,) = mementos["closest"]["uri"]
+    assert memento_client.MementoClient.is_memento(at)
+    assert memento_client.MementoClient.is_timegate(url)
+    assert client.get_original_uri(at) == url

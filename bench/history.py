@@ -73,7 +73,7 @@ class Messages:
         """The next message."""
         numbers = self._noise[self._at].tobytes()
         self._at += 1
-        head = struct.pack("<4sIII9s7x", b"\0\1\0\0", now // 10**9, now % 10**9, 9, b"imu_link\0")
+        head = struct.pack("<4sIII9s3x", b"\0\1\0\0", now // 10**9, now % 10**9, 9, b"imu_link\0")
         of = self._covariance
         return b"".join((head, numbers[:32], of, numbers[32:56], of, numbers[56:], of))
 

@@ -1,5 +1,7 @@
 """A server killed a hundred times while it records: what each kill lost, and whether others read every file.
 
+The rover sends twenty messages a second and more: the newest that is read afterwards tells how much was lost.
+
 Run: python bench/history_kills.py [times]. Aim: never more than two seconds lost, never a file that a reader refuses.
 """
 
@@ -25,7 +27,10 @@ def main() -> int:
     """Print what was lost; 1 where it was too much, or a file is not read."""
     times = int(sys.argv[1]) if len(sys.argv) > 1 else TIMES
     lost: list[float] = []
-    with tempfile.TemporaryDirectory() as name, server_on(Path(name) / "data", Path(name) / "log") as server:
+    with (
+        tempfile.TemporaryDirectory() as name,
+        server_on(Path(name) / "data", Path(name) / "log", source="rover") as server,
+    ):
         folder = Path(name) / "data" / "history"
         server.start("--history", "*")
         for _ in range(times):

@@ -30,18 +30,27 @@ from rosld.ontology.literals import (
 )
 from rosld.ontology.syntax_codegen import Json, Notation, Site
 from rosld.ontology.typenames import TypeName, type_names
+from rosld.ontology.vocab import rdf, ros
 
 TIME = "builtin_interfaces/msg/Time"
 _MAX_INLINED = 96
+_TYPE, _DATE_TIME = rdf.type.value, ros.dateTime.value
+_OF_VALUES = frozenset(one.value for one in (rdf.first, rdf.rest, ros.elidedLength, ros.bytes))
+"""Said of what fields lead to: who asks for these is told all."""
 _ATTRIBUTE = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 Lift = Callable[[object, str, str, Site, str], str]
 """A generated function: (message, node, end of line, site, what to add to the node) to text."""
 
 
-def compile_lift(schema: MessageSchema, notation: Notation, types: str, inline_limit: int) -> Lift:
-    """The function that writes messages of `schema`. Raises ValueError for a type with a bad name or no end."""
-    return _Module(schema, notation, types, inline_limit).lift()
+def compile_lift(
+    schema: MessageSchema, notation: Notation, types: str, inline_limit: int, only: frozenset[str] | None = None
+) -> Lift:
+    """The function that writes messages of `schema`. Raises ValueError for a type with a bad name or no end.
+
+    `only` (None: all) are the predicates that are of use: what is said by no other may be left out.
+    """
+    return _Module(schema, notation, types, inline_limit, only).lift()
 
 
 def minimum_size(kind: Nested | Primitive, types: Mapping[str, MessageType]) -> int:
@@ -60,8 +69,11 @@ def _field_size(field: Field, types: Mapping[str, MessageType]) -> int:
 class _Module:
     """The functions of one schema in one notation: compiled as they are met, sharing one namespace."""
 
-    def __init__(self, schema: MessageSchema, notation: Notation, types: str, inline_limit: int) -> None:
+    def __init__(
+        self, schema: MessageSchema, notation: Notation, types: str, inline_limit: int, only: frozenset[str] | None
+    ) -> None:
         self.types = schema.types
+        self._only = None if only is None or not only.isdisjoint(_OF_VALUES) else only
         self.notation = notation
         self.inline_limit = inline_limit
         self.names = type_names(schema.types, types)
@@ -108,6 +120,21 @@ class _Module:
             self.leaves(field.type.element.name, above)
         return 1 + self.leaves(field.type.name, above) if isinstance(field.type, Nested) else 1
 
+    def is_wanted(self, predicate: str) -> bool:
+        """Whether what is said by a predicate is of use."""
+        return self._only is None or predicate in self._only
+
+    def is_field_wanted(self, kind: TypeName, field: Field) -> bool:
+        """Whether a field, or anything within it, is of use."""
+        return self.is_wanted(kind.property(field.name)) or self._is_type_wanted(_nested_type(field))
+
+    def _is_type_wanted(self, name: str | None) -> bool:
+        if name is None or self._only is None:
+            return self._only is None
+        if self.is_wanted(_TYPE) or (name == TIME and self.is_wanted(_DATE_TIME)):
+            return True
+        return any(self.is_field_wanted(self.names[name], field) for field in self.types[name].fields)
+
     def inlined(self, name: str) -> bool:
         """Whether a nested message of this type is written where it stands."""
         return self.leaves(name, ()) <= _MAX_INLINED
@@ -149,8 +176,11 @@ class _Function:
         """The fragment of a whole message: its own statement and, where they come after, those of what it holds."""
         notation, name = self._notation, self._module.names[kind.name]
         head = notation.head(subject, name)
-        members, after = [head + extra if head else ""], []
+        said = head if self._module.is_wanted(_TYPE) else ""
+        members, after = [said + extra if head else ""], []
         for field in kind.fields:
+            if not self._module.is_field_wanted(name, field):
+                continue
             member, rest = self._field(name, field, f"{message}.{_attribute(field)}", subject)
             members.append(member)
             after.append(rest)
@@ -159,7 +189,8 @@ class _Function:
 
     def _time(self, kind: MessageType, message: str, subject: str) -> str:
         """The derived xsd:dateTime of a stamp."""
-        text = self._notation.time(subject, "{t}") if kind.name == TIME else ""
+        is_wanted = kind.name == TIME and self._module.is_wanted(_DATE_TIME)
+        text = self._notation.time(subject, "{t}") if is_wanted else ""
         if not text:
             return ""
         self._lines.append(f"t = '' if s.simulated_time else date_time({message}.sec, {message}.nanosec)")
@@ -232,6 +263,12 @@ class _Function:
         elided = f"elide(f'{node}', len({value}), e, s)"
         self._lines.append(f"o{number}, a{number} = {elided} if {too_large} else ({inline})")
         return f"{{o{number}}}", f"{{a{number}}}"
+
+
+def _nested_type(field: Field) -> str | None:
+    """The type of the messages in a field, None where it holds none."""
+    kind = field.type.element if isinstance(field.type, Array) else field.type
+    return kind.name if isinstance(kind, Nested) else None
 
 
 def _attribute(field: Field) -> str:

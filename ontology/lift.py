@@ -123,19 +123,21 @@ class Lifter(Protocol):
 class CompiledLifter:
     """The `Lifter` of one schema; each syntax is compiled when it is first asked for."""
 
-    def __init__(self, schema: MessageSchema, settings: LiftSettings) -> None:
+    def __init__(self, schema: MessageSchema, settings: LiftSettings, only: frozenset[str] | None = None) -> None:
+        """`only` are the predicates that are of use, None for all: what others say may be left out of N-Triples."""
         names = type_names(schema.types, settings.types)
         self.schema = schema
         self.prefixes: Mapping[str, str] = MappingProxyType(_prefixes(names.values()))
         self.context: Mapping[str, object] = MappingProxyType({**TERMS, **_terms(schema, names)})
         self._settings = settings
+        self._only = only
 
     def ntriples(
         self, message: Message, document: str, node: str, *, end: str = " .\n",
         envelope: Envelope | None = None, simulated_time: bool = False, source: str | None = None,
     ) -> str:  # fmt: skip
         subject = document + node
-        extra = "" if envelope is None else _ntriples_envelope(subject, envelope, end)
+        extra = "" if envelope is None else _ntriples_envelope(subject, envelope, end, self._only)
         return self._ntriples(message, subject, end, Site(source or document, len(subject) + 1, simulated_time), extra)
 
     def turtle(
@@ -180,7 +182,8 @@ class CompiledLifter:
         return self._compile("json")
 
     def _compile(self, notation: str) -> Lift:
-        return compile_lift(self.schema, NOTATIONS[notation], self._settings.types, self._settings.inline_limit)
+        only = self._only if notation == "ntriples" else None
+        return compile_lift(self.schema, NOTATIONS[notation], self._settings.types, self._settings.inline_limit, only)
 
 
 @lru_cache(maxsize=1024)
@@ -192,14 +195,22 @@ def lifter(schema: MessageSchema, settings: LiftSettings = LiftSettings()) -> Li
     return CompiledLifter(schema, settings)
 
 
-def _ntriples_envelope(subject: str, envelope: Envelope, end: str) -> str:
-    received = date_time(0, envelope.received_ns)
+@lru_cache(maxsize=256)
+def partial_lifter(schema: MessageSchema, settings: LiftSettings, only: frozenset[str] | None) -> Lifter:
+    """The lifter of what a schema's messages say by these predicates (None: all), in N-Triples. Raises as `lifter`."""
+    return lifter(schema, settings) if only is None else CompiledLifter(schema, settings, only)
+
+
+def _ntriples_envelope(subject: str, envelope: Envelope, end: str, only: frozenset[str] | None) -> str:
     publisher = envelope.publisher
-    return (
-        f'<{subject}> <{_RECEIVED}> "{received}"^^<{_DATE_TIME}>{end}'
-        f'<{subject}> <{_SEQUENCE}> "{envelope.sequence}"^^<{_INTEGER}>{end}'
-        f"{'' if publisher is None else f'<{subject}> <{_PUBLISHER}> <{publisher}>{end}'}"
-    )
+    said = ""
+    if only is None or _RECEIVED in only:
+        said = f'<{subject}> <{_RECEIVED}> "{date_time(0, envelope.received_ns)}"^^<{_DATE_TIME}>{end}'
+    if only is None or _SEQUENCE in only:
+        said += f'<{subject}> <{_SEQUENCE}> "{envelope.sequence}"^^<{_INTEGER}>{end}'
+    if publisher is not None and (only is None or _PUBLISHER in only):
+        said += f"<{subject}> <{_PUBLISHER}> <{publisher}>{end}"
+    return said
 
 
 def _turtle_envelope(envelope: Envelope) -> str:

@@ -129,6 +129,8 @@ class ros(Namespace, iri="https://w3id.org/rosld#"):
     elidedLength: NamedNode
     latest: NamedNode
     latestFrom: NamedNode
+    past: NamedNode
+    pastLimit: NamedNode
     received: NamedNode
     sequence: NamedNode
     sentBy: NamedNode

@@ -38,6 +38,7 @@ from rosld.server.resources.mapping_warnings import log_mapping_warnings
 from rosld.server.resources.mirror import replication_route
 from rosld.server.resources.mirror_setup import create_mirror
 from rosld.server.resources.near import near_urls
+from rosld.server.resources.past_messages import RecordedPast
 from rosld.server.resources.resource_types import types_at
 from rosld.server.resources.sparql_update.service import UpdateService
 from rosld.server.resources.status import status_route
@@ -179,7 +180,8 @@ def query_service(
         settings.query_queue,
     )
     restricted = RestrictedDatasets(process, lambda: IdentityKey(robot.graph))
-    return QueryService(process, synchroniser, analyser, robot.message_ages, limits, restricted, unread)
+    past = RecordedPast(robot)
+    return QueryService(process, synchroniser, analyser, robot.message_ages, limits, restricted, unread, past)
 
 
 class Application:

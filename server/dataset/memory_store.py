@@ -107,6 +107,20 @@ class MemoryStore:
             store.extend(Quad(*quad.triple) for quad in store.quads_for_pattern(None, None, None, graph))
         return True
 
+    def add_past(self, text: bytes, messages: Iterable[str]) -> None:
+        """Add N-Triples about recorded messages to the default graph, without what graphs of single `messages` say.
+
+        Whoever calls this must be a process that ends afterwards. Raises ValueError.
+        """
+        store = self._store
+        try:
+            store.load(encode_ntriples(text.decode()).encode(), RdfFormat.N_TRIPLES)
+        except SyntaxError as error:
+            raise ValueError(f"no N-Triples about the past: {error}") from error
+        for message in messages:
+            for quad in [*store.quads_for_pattern(None, None, None, NamedNode(message))]:
+                store.remove(Quad(*quad.triple))
+
     def lookup(self, subject: Term | None, predicate: NamedNode | None, object: Term | None, limit: int) -> list[Quad]:
         """At most so many statements with this subject, predicate and object."""
         place = cast("NamedNode | None", subject)
@@ -210,11 +224,14 @@ class MemoryStore:
         default_graphs: Sequence[str] = (),
         named_graphs: Sequence[str] = (),
         is_merged: bool = False,
+        has_past: bool = False,
     ) -> Results:
         chosen = bool(default_graphs or named_graphs)
         default: list[NamedNode | BlankNode | DefaultGraph] = [*map(NamedNode, default_graphs)]
         if is_merged:
             default = [DefaultGraph()]
+        elif has_past:
+            default.append(DefaultGraph())
         try:
             return self._store.query(
                 text,

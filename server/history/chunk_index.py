@@ -241,6 +241,12 @@ class ChunkIndex:
         typed = {topic: TypeRef(type, hash) for topic, type, hash in types}
         return {topic: (count, typed[topic]) for topic, count in counts}
 
+    def types_of(self, topic: str) -> frozenset[TypeRef]:
+        """The types of the messages of a topic."""
+        with self._lock:
+            rows = self._db.execute("SELECT DISTINCT type, hash FROM channel WHERE topic = ?", (topic,)).fetchall()
+        return frozenset(TypeRef(type, hash) for type, hash in rows)
+
     def counts_of_segment(self, segment: int) -> dict[str, int]:
         """The number of messages of each topic in one segment."""
         with self._lock:

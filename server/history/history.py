@@ -122,6 +122,28 @@ class HistoryRecording:
         """At most `limit` messages: the index tells which chunks have them, and these are read."""
         return select_messages(self._writer, wanted, limit)
 
+    def between(self, topic: str, from_ns: int, until_ns: int) -> Iterator[RecordedMessage]:
+        """The messages of a topic from one time until another, in any order; those that cannot be read are left out."""
+        at_hand = {each.sequence - 1: each for each in self._writer.unwritten(topic)}
+        for row in self._writer.segments.index.of_topic(topic, from_ns, until_ns):
+            with contextlib.suppress(OSError, ValueError, KeyError):  # a segment that is damaged, or gone
+                for _, sample in self._writer.segments.messages_of(row):
+                    if from_ns <= sample.received_ns <= until_ns:
+                        at_hand.pop(sample.sequence - 1, None)  # written in the meantime
+                        yield RecordedMessage(sample.sequence - 1, topic, sample)
+        for number, sample in at_hand.items():
+            if from_ns <= sample.received_ns <= until_ns:
+                yield RecordedMessage(number, topic, sample)
+
+    def count_between(self, topic: str, from_ns: int, until_ns: int) -> int:
+        """At most how many messages there are of a topic from one time until another, without reading them."""
+        rows = self._writer.segments.index.of_topic(topic, from_ns, until_ns)
+        return sum(row.messages for row in rows)
+
+    def types_of(self, topic: str) -> frozenset[TypeRef]:
+        """The types of the messages of a topic, of all times."""
+        return self._writer.segments.index.types_of(topic) | {each.schema for each in self._writer.unwritten(topic)}
+
     def schema(self, ref: TypeRef) -> Schema:
         """The schema of a type as it was recorded. Raises UnknownType."""
         text = self._writer.segments.index.definition(ref)

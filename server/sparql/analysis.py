@@ -15,6 +15,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.sparql.default_graph import default_lookups, names_graphs
 from rosld.server.sparql.narrowing import needs_of
 from rosld.server.sparql.needs import Needs
+from rosld.server.sparql.past import PastQuery, past_query
 from rosld.server.sparql.process.cost import JoinPlan, join_plan
 from rosld.server.sparql.rewriting import rewrite
 from rosld.server.sparql.ros_functions import AGE
@@ -45,7 +46,7 @@ class Analysis:
     `enclosed` are the graphs that all its patterns stand in (GRAPH), None where one may match in others. `plan` is how
     to find out whether it takes long over a dataset, None where it may. `asks_age`: it calls ros:age, as far as is
     known. `functions` are those that it calls by IRI, `lookups` what its patterns look for in the default graph.
-    `names_graphs`: there is a GRAPH.
+    `names_graphs`: there is a GRAPH. `past` is what it asks of recorded messages.
     """
 
     text: str
@@ -60,6 +61,7 @@ class Analysis:
     functions: frozenset[str] = frozenset()
     lookups: tuple[Lookup, ...] = ()
     names_graphs: bool = False
+    past: PastQuery | None = None
 
 
 class Analyser:
@@ -106,11 +108,12 @@ class Analyser:
             raise Problem(400, f"{keyword} is an update, and this is the endpoint for queries: it only reads.")
         query = parse_query(checked, self.prefixes, self.base, AGE, self._bounds)
         terms = VocabularyView(self._types, self.base, self._known)
+        past = past_query(query, terms)
         words = [token.text.upper() for token in checked.tokens if token.kind is Kind.WORD]
         return Analysis(
             rewrite(checked.text, query.literals, query.expressions),
             query.form,
-            needs_of(query, terms),
+            needs_of(query, terms, past.covered() if past is not None else {}),
             self._used_prefixes(checked),
             query.default,
             query.named,
@@ -120,6 +123,7 @@ class Analyser:
             query.functions,
             default_lookups(query),
             names_graphs(query.where),
+            past,
         )
 
     def _used_prefixes(self, checked: CheckedText) -> Mapping[str, str]:

@@ -31,9 +31,10 @@ there is, unless another pattern says what its ends are: such a query needs ever
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import reduce
+from types import MappingProxyType
 
 from rosld.ontology.vocab import rdf
 from rosld.server.sparql.needs import Demand, Needs, remove_covered
@@ -50,9 +51,20 @@ from rosld.server.sparql.vocabulary_view import (
 )
 
 
-def needs_of(query: Query, terms: VocabularyView) -> Needs:
-    """What a query needs, its FROM aside."""
-    parts = [PartNeeds(part, terms) for group in _groups(query.where) for part in _parts(group, terms)]
+def needs_of(
+    query: Query, terms: VocabularyView, recorded: Mapping[int, frozenset[str]] = MappingProxyType({})
+) -> Needs:
+    """What a query needs, its FROM aside.
+
+    `recorded` are the variables that stand for nodes of recorded messages, by the `id` of the group they are in: of
+    these nothing is live.
+    """
+    parts = [
+        PartNeeds(part, terms)
+        for group in _groups(query.where)
+        for part in _parts(group, terms)
+        if not _is_recorded(part, recorded.get(id(group)))
+    ]
     demands = [demand for part in parts if (demand := part.demand)]
     if any(demand.is_anything for demand in demands):
         demands.extend(_named(query.constants, terms))
@@ -75,7 +87,14 @@ def _groups(group: Group) -> Iterator[Group]:
     for child in group.children:
         yield from _groups(child)
     for inner in group.filters:
-        yield from _groups(inner if inner.graph is not None else replace(inner, graph=group.graph))
+        is_elsewhere = group.graph is not None and inner.graph is None
+        yield from _groups(replace(inner, graph=group.graph) if is_elsewhere else inner)
+
+
+def _is_recorded(part: LivePart, recorded: frozenset[str] | None) -> bool:
+    """Whether patterns are about nodes of recorded messages."""
+    subjects = (each.subject for each in part.patterns)
+    return recorded is not None and any(isinstance(each, Variable) and each.name in recorded for each in subjects)
 
 
 def _documents(query: Query) -> Iterator[str]:
@@ -186,7 +205,7 @@ class PartNeeds:
 
 def _parts(group: Group, terms: VocabularyView) -> Iterator[LivePart]:
     """The patterns of a group, by the graphs they must match in."""
-    free = [each for each in group.patterns if _is_free(each, group.patterns)]
+    free = [each for each in group.patterns if is_free(each, group.patterns)]
     bound = [each for each in group.patterns if each not in free]
     if group.graph is not None:
         names = frozenset({group.graph.value}) if isinstance(group.graph, Iri) else None
@@ -240,7 +259,7 @@ def _rooted(patterns: Sequence[Pattern]) -> set[Term]:
     return rooted
 
 
-def _is_free(pattern: Pattern, patterns: Sequence[Pattern]) -> bool:
+def is_free(pattern: Pattern, patterns: Sequence[Pattern]) -> bool:
     """Whether it may be empty between what no other pattern binds, and so match any node that there is."""
     if not pattern.empty:
         return False

@@ -11,6 +11,8 @@ from rosld.ontology.vocab import ros, xsd
 from rosld.server.http.problem import Problem
 
 _MIB = 1024 * 1024
+MAX_PAST = 250_000
+"""Recorded messages that one query may read: an hour of 50 Hz, and more."""
 _RETRY_AFTER = {"Retry-After": "1"}
 
 
@@ -37,6 +39,7 @@ def describe_limits(service: NamedNode, limits: Limits) -> tuple[Triple, ...]:
             for predicate, number in (
                 (ros.memoryLimit, limits.memory),
                 (ros.rowLimit, limits.rows),
+                (ros.pastLimit, MAX_PAST),
                 (ros.concurrencyLimit, limits.concurrency),
                 (ros.queueLimit, limits.queue),
             )
@@ -50,6 +53,7 @@ class StopReason(Enum):
     TIME = "time"
     MEMORY = "memory"
     ROWS = "rows"
+    PAST = "past"
 
 
 def out_of_time(seconds: float) -> Problem:
@@ -70,6 +74,16 @@ def out_of_memory(memory: int) -> Problem:
 def too_many_rows(rows: int) -> Problem:
     """The answer has more rows than one may have."""
     return _stopped(StopReason.ROWS, f"The answer has more than {rows} rows, this server's limit: ask with LIMIT.")
+
+
+def too_much_past(words: str) -> Problem:
+    """More of the past would have to be read than one query may read."""
+    return _stopped(
+        StopReason.PAST,
+        f"{words} Ask for less: name in the group of each ros:past a topic (or its ros:name, or a field of one message "
+        'type) and a time, as in FILTER(?received > NOW() - "PT60S"^^xsd:dayTimeDuration). What is asked of a message '
+        "that no ros:past leads to is asked of all.",
+    )
 
 
 def too_many_queries() -> Problem:

@@ -18,8 +18,10 @@ from rosld.server.runtime.loop_time import loop_time
 from rosld.server.sparql import results
 from rosld.server.sparql.analysis import Analyser, Analysis, parse_problem
 from rosld.server.sparql.disconnect import Disconnected
+from rosld.server.sparql.intervals import Interval
 from rosld.server.sparql.materializer import SeenVersions, Synchroniser
 from rosld.server.sparql.needs import Needs
+from rosld.server.sparql.past_source import PastMessages, PastSource
 from rosld.server.sparql.process.client import QueryProcess
 from rosld.server.sparql.process.work import AnswerWork, QueryWork, Work
 from rosld.server.sparql.process.work import TableWork as FirstRows
@@ -73,6 +75,7 @@ async def _nothing(needs: Needs, permissions: Permissions) -> Mapping[str, int]:
     return {}
 
 
+_SECOND = 1_000_000_000
 _LONG = 8 * 1024
 """Characters of a query that is not read on the loop."""
 
@@ -92,6 +95,7 @@ class QueryService:
         settings: QuerySettings = QuerySettings(),
         restricted: RestrictedDatasets | None = None,
         unread: UnreadGraphs = _nothing,
+        past: PastSource | None = None,
     ) -> None:
         self._process = process
         self._synchroniser = synchroniser
@@ -99,6 +103,7 @@ class QueryService:
         self._ages = ages
         self._restricted = restricted
         self._unread = unread
+        self._past = past
         self.limits = settings.limits
         self._reader = ThreadPoolExecutor(1, "sparql-reader")
         self._long = 0
@@ -127,8 +132,10 @@ class QueryService:
         await self._process.wait_ready(until)
         needs = await self._needed(analysis, request, permissions)
         unread = await self._unread(needs, permissions)
+        past = await self._read_past(analysis, request, permissions, limits, until)
         async with self._sync(needs, limits, _scope(analysis, request)):
-            work = AnswerWork(self._query(analysis, request, permissions), media_type, limits.rows)
+            query = self._query(analysis, request, permissions, self._hiding(past))
+            work = AnswerWork(query, media_type, limits.rows)
             body = await self._done(work, analysis.text, limits, until, disconnected, permissions)
         return QueryAnswer(media_type, body, unread)
 
@@ -144,8 +151,9 @@ class QueryService:
         analysis = await self._analyse(request.text, limits, until)
         await self._process.wait_ready(until)
         needs = await self._needed(analysis, request, permissions)
+        past = await self._read_past(analysis, request, permissions, limits, until)
         async with self._sync(needs, limits, _scope(analysis, request)):
-            work = FirstRows(self._query(analysis, request, permissions), limit)
+            work = FirstRows(self._query(analysis, request, permissions, self._hiding(past)), limit)
             body = await self._done(work, analysis.text, limits, until, disconnected, permissions)
         whole = body if isinstance(body, bytes) else b"".join([chunk async for chunk in body])
         table: ResultRows = pickle.loads(whole)  # from our own process
@@ -209,7 +217,32 @@ class QueryService:
         """Within it the dataset holds what the needs ask for."""
         return self._synchroniser.synchronised(needs, deadline=loop_time() + limits.seconds, scope=scope)
 
-    def _query(self, analysis: Analysis, request: QueryRequest, permissions: Permissions) -> QueryWork:
+    async def _read_past(
+        self, analysis: Analysis, request: QueryRequest, permissions: Permissions, limits: Limits, until: float
+    ) -> bytes | None:
+        """What is said of the recorded messages that a query asks for, None where it asks for none. Raises Problems."""
+        if analysis.past is None:
+            return None
+        if self._past is None:
+            raise Problem(400, "There is no past here: ros:past cannot be asked for.")
+        now = time.time_ns()
+        moments = Interval(now - _SECOND, now + int((limits.seconds + 1) * _SECOND))
+        graphs, _ = _dataset(analysis, request)
+        return await self._past.read(analysis.past, graphs, permissions, moments, until)
+
+    def _hiding(self, past: bytes | None) -> PastMessages | None:
+        """The past, with the graphs of single messages that are there: what they say twice would be found twice."""
+        if past is None:
+            return None
+        return PastMessages(past, tuple(self._synchroniser.recorded_messages))
+
+    def _query(
+        self,
+        analysis: Analysis,
+        request: QueryRequest,
+        permissions: Permissions,
+        past: PastMessages | None = None,
+    ) -> QueryWork:
         default, named = _dataset(analysis, request)
         ages = None
         if analysis.asks_age:
@@ -226,6 +259,7 @@ class QueryService:
             analysis.functions,
             analysis.lookups,
             analysis.names_graphs,
+            past,
         )
 
     async def _done(

@@ -93,7 +93,7 @@ _DESCRIBED = frozenset(
         ros.hasRecordedTopic, ros.start, ros.end, ros.count, ros.onTopic, ros.recordedMessage, ros.index,
         ros.recordedAt, ros.queryParameter, ros.text, ros.hasQos, ros.reliability, ros.durability, ros.history,
         ros.depth, ros.deadline, ros.lifespan, ros.liveliness, ros.lease, ros.hasQosMismatch, ros.policy,
-        ros.offered, ros.requested, ros.qosMismatchCount, ros.readOnly, ros.parameterType, ros.step,
+        ros.offered, ros.requested, ros.past, ros.qosMismatchCount, ros.readOnly, ros.parameterType, ros.step,
         ros.hasParameter, ros.lifecycleState, ros.lifecycleStateWord, ros.lifecycleUnknown, ros.transition,
         ros.targetState, ros.targetStateWord, ros.touches, ros.matched, ros.does, ros.duration, ros.digest,
         ros.excerpt, ros.withheld, ros.readsFrom, ros.writesTo, ros.invokes, ros.hasGoal, ros.isGoalOf,

@@ -28,6 +28,7 @@ from rosld.server.dataset.memory_store import MemoryStore
 from rosld.server.dataset.shared_triples import Lookup
 from rosld.server.http.problem import Problem
 from rosld.server.sparql import results, row_limit
+from rosld.server.sparql.past_source import PastMessages
 from rosld.server.sparql.process.cost import JoinPlan, may_take_long
 from rosld.server.sparql.ros_functions import functions, unknown_functions
 from rosld.server.sparql.update.evaluate import (
@@ -70,7 +71,8 @@ class QueryWork(NamedTuple):
     """A query as the store takes it. `ages` are the seconds since the newest message of topics, where it asks.
 
     `plan` tells how to find out whether it takes long, None where it may. `functions` are those that it calls by IRI,
-    `lookups` what it looks for in the default graph. `names_graphs`: it is also told of named graphs.
+    `lookups` what it looks for in the default graph. `names_graphs`: it is also told of named graphs. `past` are the
+    recorded messages that it is about: they are in the default graph of a fork, which nobody else asks.
     """
 
     text: str
@@ -83,10 +85,13 @@ class QueryWork(NamedTuple):
     functions: frozenset[str] = frozenset()
     lookups: tuple[Lookup, ...] = ()
     names_graphs: bool = True
+    past: PastMessages | None = None
 
     def results(self, store: MemoryStore) -> Results:
         """Its results. Raises QueryError."""
         is_merged = self._may_repeat(store) and store.merge(self.default_graphs, keep_names=self.names_graphs)
+        if self.past is not None:
+            store.add_past(self.past.text, self.past.messages)
         return store.query(
             self.text,
             base=self.base,
@@ -95,6 +100,7 @@ class QueryWork(NamedTuple):
             default_graphs=self.default_graphs,
             named_graphs=self.named_graphs,
             is_merged=is_merged,
+            has_past=self.past is not None,
         )
 
     def _known(self) -> Mapping[str, Function]:
@@ -105,6 +111,8 @@ class QueryWork(NamedTuple):
 
     def may_take_long(self, store: MemoryStore) -> bool:
         """Whether it may look at more than some hundred statements."""
+        if self.past is not None:
+            return True
         many = len(self.default_graphs) + len(self.named_graphs) > _MAX_GRAPHS
         return many or self._may_repeat(store) or may_take_long(self.plan, store)
 

@@ -182,7 +182,7 @@ class ExpressionParser(TripleParser):
             elif isinstance(about, Constant):
                 subject = about.term
             group.filters.append(Group(patterns=[Pattern(subject, frozenset({iri}), self.new_blank_node())]))
-        return Call(token.start, self.end, "", token.end, arguments)
+        return Call(token.start, self.end, "", token.end, arguments, iri)
 
     def _aggregate(self, group: Group) -> Call:
         name = self.key

@@ -6,7 +6,7 @@ lexer's. The one reading of a query tells what is wrong with it, what it needs, 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -25,6 +25,7 @@ from rosld.server.sparql.syntax.tree import (
     Query,
     Reference,
     Term,
+    Value,
     Variable,
     strip_brackets,
 )
@@ -322,7 +323,8 @@ class QueryParser(ExpressionParser):
             self.fail_expecting(_TRIPLE)
         elif key == "FILTER":
             self.advance()
-            self.add_expression(self.constraint(group), ExpressionPurpose.TEST)
+            group.tests.append(self.constraint(group))
+            self.add_expression(group.tests[-1], ExpressionPurpose.TEST)
             return  # triples around it are one block
         else:
             self.advance()
@@ -337,6 +339,7 @@ class QueryParser(ExpressionParser):
                 self.count_join()
                 graph = self._graph(group) if key == "GRAPH" else group.graph
                 child = self.group(graph)
+                child.joined, child.given = key == "GRAPH", _bound(group)
                 group.children.append(child)
                 if key != "MINUS":
                     group.visible |= child.visible
@@ -345,14 +348,19 @@ class QueryParser(ExpressionParser):
     def _union(self, group: Group) -> None:
         """One group or several alternatives, of which the largest counts."""
         before, limit = self.joins, 0
+        alternatives: list[Group] = []
         while True:
             self.joins = before
             child = self.group(group.graph)
+            child.joined, child.given = True, _bound(group)
+            alternatives.append(child)
             group.children.append(child)
             group.visible |= child.visible
             limit = max(limit, self.joins)
             if not self.take("UNION"):
                 break
+        for each in alternatives:
+            each.alternative = len(alternatives) > 1
         self.joins = limit
 
     def _graph(self, group: Group, expected: str = "the IRI of a graph, or a variable") -> Term:
@@ -385,6 +393,7 @@ class QueryParser(ExpressionParser):
             self.fail_at(variable, "has a value already, before this BIND: choose another name after AS")
         self.expect(")", "after the variable of BIND")
         group.visible.add(name)
+        group.bindings.append((name, operand))
         group.assigned = True
         group.mixed = group.mixed or isinstance(strip_brackets(operand), Constant)
 
@@ -397,32 +406,45 @@ class QueryParser(ExpressionParser):
             while not self.take(")"):
                 names.append(self.expect_variable("a variable or )").text[1:])
         self.expect("{", "and the values")
+        rows: list[Sequence[Iri | Value | None]] = []
         while not self.take("}"):
-            if is_single:
-                self._datum("a value or }")
-            else:
-                self._row(len(names))
+            rows.append([self._datum("a value or }")] if is_single else self._row(len(names)))
         group.visible.update(names)
+        for place, name in enumerate(names):
+            values = {row[place] for row in rows}
+            known = frozenset(each for each in values if each is not None)
+            group.data.append((name, None if None in values else known))
 
-    def _row(self, length: int) -> None:
+    def _row(self, length: int) -> Sequence[Iri | Value | None]:
         row = self.expect("(", "and the values of a row, or }")
-        count = 0
+        found: list[Iri | Value | None] = []
         while not self.take(")"):
-            self._datum("a value or )")
-            count += 1
-        if count != length:
-            self.fail_at(row, f"begins a row of {count} values for {length} variables")
+            found.append(self._datum("a value or )"))
+        if len(found) != length:
+            self.fail_at(row, f"begins a row of {len(found)} values for {length} variables")
+        return found
 
-    def _datum(self, expected: str) -> None:
+    def _datum(self, expected: str) -> Iri | Value | None:
+        """A value of VALUES, None for UNDEF."""
         token = self.token
         if token.kind is Kind.VARIABLE:
             self.fail_at(token, "stands among the values of VALUES, which are IRIs, literals or UNDEF")
         if token.kind is Kind.BLANK:
             self.fail_at(token, "is a blank node, which cannot be a value of VALUES")
-        if not self.take("UNDEF"):
-            term = self.term(expected)
-            if isinstance(term, Iri):
-                self.constants.add(term.value)
+        if self.take("UNDEF"):
+            return None
+        term = self.term(expected)
+        if isinstance(term, Iri):
+            self.constants.add(term.value)
+        assert not isinstance(term, Variable)
+        return term
+
+
+def _bound(group: Group) -> frozenset[str]:
+    """The variables that the patterns of a group bind, as far as it is read."""
+    return frozenset(
+        term.name for each in group.patterns for term in (each.subject, each.object) if isinstance(term, Variable)
+    )
 
 
 def _ignore(*_: object) -> None:

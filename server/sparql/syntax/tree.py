@@ -63,6 +63,11 @@ class Group:
     `graph` is the GRAPH it stands in; `scoped` says that nothing of what is around it narrows it (a subquery),
     `assigned` that it has a BIND, and `mixed` that patterns follow one or that it is of a constant: the store may join
     these in an order of its own. `filters` are groups of EXISTS, `visible` the variables in scope after it (18.2.1).
+
+    `tests` are the expressions of its FILTERs, `bindings` those of its BINDs, `data` what a variable may be by VALUES
+    (None: anything). `joined`: its solutions are joined with those around it, where it is an `alternative` (UNION)
+    together with those of the others; of OPTIONAL and MINUS it is neither. `given` are the variables that patterns
+    before it bind.
     """
 
     graph: Term | None = None
@@ -73,6 +78,12 @@ class Group:
     children: list[Group] = field(default_factory=list)
     filters: list[Group] = field(default_factory=list)
     visible: set[str] = field(default_factory=set)
+    tests: list[Operand] = field(default_factory=list)
+    bindings: list[tuple[str, Operand]] = field(default_factory=list)
+    data: list[tuple[str, frozenset[Iri | Value] | None]] = field(default_factory=list)
+    joined: bool = False
+    alternative: bool = False
+    given: frozenset[str] = frozenset()
 
 
 def graphs_around(group: Group) -> frozenset[str] | None:
@@ -175,13 +186,14 @@ class Expression(NamedTuple):
 
 
 class Call(NamedTuple):
-    """A call of a function: of a keyword, in capitals, or of an IRI (""), which ends at `name_end`."""
+    """A call of a function: of a keyword, in capitals, or of an `iri` (""), which ends at `name_end`."""
 
     start: int
     end: int
     name: str
     name_end: int
     arguments: tuple[Expression, ...]
+    iri: str = ""
 
 
 class Choices(NamedTuple):

@@ -6,6 +6,7 @@ import asyncio
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
+from rosld.server.http.problem import Problem
 from rosld.server.sparql.analysis import Analyser, Analysis
 from rosld.server.sparql.materializer import SeenVersions
 from rosld.server.sparql.needs import Demand, Needs
@@ -73,6 +74,8 @@ class UpdateEvaluator:
 
     def _asked(self, where: Where) -> _Asked:
         analysis = self._analyser.analyse(where.query)
+        if analysis.past is not None:
+            raise Problem(400, "ros:past is for queries, and this is an update: ask first, then write what you found.")
         graphs = where.default_graphs + where.named_graphs
         needs = analysis.needs.restrict_to(graphs) if graphs else analysis.needs
         scope = frozenset(graphs) if graphs else analysis.is_enclosed

@@ -1,4 +1,4 @@
-"""The aircraft on a folder of data, as a process that may be killed, on a port that it keeps."""
+"""A robot on a folder of data, as a process that may be killed, on a port that it keeps."""
 
 from __future__ import annotations
 
@@ -23,12 +23,14 @@ def free_port() -> int:
 class Server:
     """A server on a folder, once and again. What it logs is in `log`."""
 
-    def __init__(self, folder: Path, log: Path, environment: Mapping[str, str] | None = None) -> None:
+    def __init__(
+        self, folder: Path, log: Path, environment: Mapping[str, str] | None = None, source: str = "aircraft"
+    ) -> None:
         self.http = httpx.Client(timeout=30)
         self.log = log
         self.process: subprocess.Popen[str] | None = None
         self._environment = {**os.environ, **(environment or {})}
-        self._command = [sys.executable, "-m", "rosld", "serve", "aircraft", "--data", str(folder)]
+        self._command = [sys.executable, "-m", "rosld", "serve", source, "--data", str(folder)]
         self._command += ["--port", str(free_port())]
 
     def start(self, *options: str, address_space: int | None = None) -> None:
@@ -58,9 +60,11 @@ class Server:
 
 
 @contextmanager
-def server_on(folder: Path, log: Path, environment: Mapping[str, str] | None = None) -> Iterator[Server]:
+def server_on(
+    folder: Path, log: Path, environment: Mapping[str, str] | None = None, source: str = "aircraft"
+) -> Iterator[Server]:
     """A server that is not started yet, and ends with the test."""
-    server = Server(folder, log, environment)
+    server = Server(folder, log, environment, source)
     try:
         yield server
     finally:

@@ -10,7 +10,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-_STORE = get_typestore(Stores.ROS2_JAZZY)
+STORE = get_typestore(Stores.ROS2_JAZZY)
 _START_NS = 1_700_000_000_000_000_000
 
 
@@ -18,15 +18,16 @@ def record(folder: Path) -> Path:
     """A ROS 2 recording of eight topics, a few messages each."""
     writer = Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP)
     with writer:
-        for topic, message in _messages():
-            connection = writer.add_connection(topic, message.__msgtype__, typestore=_STORE)
+        for topic, message in messages():
+            connection = writer.add_connection(topic, message.__msgtype__, typestore=STORE)
             for turn in range(3):
-                data = _STORE.serialize_cdr(message, message.__msgtype__)
+                data = STORE.serialize_cdr(message, message.__msgtype__)
                 writer.write(connection, _START_NS + turn * 100_000_000, data)
     return folder
 
 
-def _messages() -> list[tuple[str, Any]]:
+def messages() -> list[tuple[str, Any]]:
+    """A message of each topic."""
     vector = _made("geometry_msgs/msg/Vector3", x=1.0, y=2.0)
     twist = _made("geometry_msgs/msg/Twist", linear=vector)
     stamped = [_made("geometry_msgs/msg/TransformStamped", child_frame_id=f"frame{each}") for each in range(2)]
@@ -46,8 +47,8 @@ def _messages() -> list[tuple[str, Any]]:
 
 def _made(type: str, /, **values: Any) -> Any:
     """A message of a type: zeros, but for these fields."""
-    fields = dict(_STORE.fielddefs[type][1])
-    return _STORE.types[type](**{field: values.get(field, _zero(kind)) for field, kind in fields.items()})
+    fields = dict(STORE.fielddefs[type][1])
+    return STORE.types[type](**{field: values.get(field, _zero(kind)) for field, kind in fields.items()})
 
 
 def _zero(definition: Any) -> Any:

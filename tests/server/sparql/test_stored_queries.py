@@ -35,6 +35,7 @@ from rosld.ontology.serialize import Syntax, serialize
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import PREFIXES
 from rosld.server.sparql.analysis import Analyser
+from rosld.server.sparql.intervals import Interval
 from rosld.server.sparql.ros_functions import functions
 from rosld.server.sparql.stored_query import bind_parameters, shipped_queries
 
@@ -380,6 +381,18 @@ def test_the_newest_values_are_asked_of_their_topic_alone() -> None:
         bind_parameters(QUERIES["latest-values"], {"topic": "/topics/x"}, BASE)
     )
     assert analysis.needs.graphs == frozenset({SPACE.topic("/x")})
+
+
+@pytest.mark.parametrize("name", ["past-rates", "past-faults", "past-messages"])
+def test_queries_about_the_past_read_no_more_than_they_are_given(name: str) -> None:
+    given = {"topic": "/topics/x"} if name == "past-messages" else {}
+    asked = Analyser(BASE, SPACE.types).analyse(bind_parameters(QUERIES[name], given, BASE)).past
+    assert asked is not None
+    selections = asked.selections(Interval(1000 * SECOND, 1001 * SECOND))
+    seconds = 600 if name == "past-faults" else 10
+    assert [each.time.low for each in selections] == [(1000 - seconds) * SECOND] * (3 if name == "past-faults" else 1)
+    assert all(each.types for each in selections) == (name == "past-faults")
+    assert (selections[0].urls is not None) == (name == "past-messages")
 
 
 def test_every_shipped_query_is_asked_here() -> None:

@@ -1,0 +1,258 @@
+"""Recorded messages for SPARQL queries: which are read, and what is said of them."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Iterator, Sequence
+from fnmatch import fnmatchcase
+
+from rosld.adapters.base import FOR_EVER, RecordedMessage, RecordedTopic, Recording
+from rosld.adapters.model import MessageSchema, RosError, TypeRef
+from rosld.ontology.describe_topics import MESSAGE
+from rosld.ontology.document import Envelope
+from rosld.ontology.lift import Lifter, partial_lifter
+from rosld.ontology.literals import date_time, quote
+from rosld.ontology.vocab import ldp, rdf, ros, xsd
+from rosld.server.auth.permissions import Permissions
+from rosld.server.history.history import HistoryRecording
+from rosld.server.history.past_reader import PastRange, count_past, merge_ranges, read_past
+from rosld.server.http.problem import Problem
+from rosld.server.resources.context import Robot
+from rosld.server.sparql.intervals import Interval
+from rosld.server.sparql.past import PastQuery, PastSelection
+from rosld.server.sparql.past_source import MAX_TEXT
+from rosld.server.sparql.query_limits import MAX_PAST, out_of_time, too_much_past
+
+_SLICE = 0.004
+"""Seconds of lifting after which the loop gets its turn."""
+
+
+class RecordedPast:
+    """The past of one robot, for its SPARQL endpoint: the recordings that it has."""
+
+    def __init__(self, robot: Robot) -> None:
+        self._robot = robot
+
+    async def read(
+        self, asked: PastQuery, graphs: tuple[str, ...], permissions: Permissions, now: Interval, until: float
+    ) -> bytes:
+        """What is said of the messages that a query asks for, as N-Triples. Raises Problems."""
+        recordings = self._recordings(asked, graphs)
+        selections = asked.selections(now)
+        readable = [one for one in recordings if self._may_read(one, permissions)]
+        for selection in selections:
+            self._require_recorded(selection, readable, permissions)
+        reading = _Reading(self._robot, asked.predicates, permissions, until)
+        try:
+            return await asyncio.to_thread(reading.read, readable, selections)
+        finally:
+            for ref, schema in reading.learned.items():
+                self._robot.schemas.add(ref, schema)
+
+    def _recordings(self, asked: PastQuery, graphs: tuple[str, ...]) -> Sequence[Recording]:
+        """The recordings that a query is about. Raises Problem 400 where there are none."""
+        robot, space = self._robot, self._robot.space
+        by_url = {space.bag(one.name): one for one in robot.recordings.values()}
+        named = asked.recordings & set(graphs) if graphs else asked.recordings
+        if graphs and not named:
+            raise Problem(
+                400,
+                "ros:past is asked for in a dataset without a recording: name one, as in FROM </bags/history/>.",
+            )
+        unknown = sorted(named - by_url.keys())
+        if unknown:
+            words = f"There is no recording <{unknown[0]}> that can be read: {space.container('bags')} lists them."
+            raise Problem(400, words)
+        if named:
+            return [by_url[url] for url in sorted(named)]
+        if robot.history.is_kept:
+            return [robot.history.recording]
+        if robot.adapter.recordings:
+            return list(robot.adapter.recordings.values())
+        raise Problem(
+            400,
+            "There is no past here, as nothing is recorded: start rosld with --history GLOB (--history '*' for all "
+            f"topics), or name a recording by ?message ros:recordedIn <{space.container('bags')}NAME/>.",
+        )
+
+    def _may_read(self, recording: Recording, permissions: Permissions) -> bool:
+        space = self._robot.space
+        return permissions.may_read(space.bag(recording.name)) and permissions.may_read(
+            space.bag_message(recording.name, recording.first)
+        )
+
+    def _require_recorded(
+        self, selection: PastSelection, recordings: Sequence[Recording], permissions: Permissions
+    ) -> None:
+        """Raise Problem 400 for a topic that is named and is not recorded: silence would look like an answer."""
+        robot = self._robot
+        for url in sorted(selection.urls or ()):
+            location = robot.space.location(url)
+            if location is None or location.kind != "topics" or not permissions.may_read(url):
+                continue
+            name = location.name
+            if any(name in one.topics or self._will_record(one, name) for one in recordings):
+                continue
+            if recordings and name in robot.graph.topics:
+                names = ", ".join(f"/bags/{one.name}/" for one in recordings)
+                raise Problem(400, f"Nothing of {name} is recorded in {names}: --history {name} records it.")
+
+    def _will_record(self, recording: Recording, topic: str) -> bool:
+        is_history = recording is self._robot.history.recording
+        return is_history and any(fnmatchcase(topic, glob) for glob in self._robot.settings.history)
+
+
+class _Reading:
+    """One reading, in a thread. `learned` are the types that were not known before."""
+
+    def __init__(self, robot: Robot, only: frozenset[str] | None, permissions: Permissions, until: float) -> None:
+        self.learned: dict[TypeRef, MessageSchema] = {}
+        self._robot = robot
+        self._only = only
+        self._permissions = permissions
+        self._until = until
+        self._size = 0
+        self._read = 0
+
+    def read(self, recordings: Sequence[Recording], selections: Sequence[PastSelection]) -> bytes:
+        """What is said of all messages. Raises Problems."""
+        plans = [(one, self._ranges(one, selections)) for one in recordings]
+        count = sum(count_past(*plan) for plan in plans)
+        topics = sorted({each.topic for _, ranges in plans for each in ranges})
+        if count > MAX_PAST + 1000 * len(topics):  # chunks at the edges count whole
+            raise self._too_much(f"{count} recorded messages of {_list(topics)} may take part in this query")
+        texts: list[str] = []
+        pause = time.monotonic() + _SLICE
+        for recording, ranges in plans:
+            said = _RecordText(self._robot, recording, self._only)
+            for message in read_past(recording, ranges):
+                self._read += 1
+                text = self._lift(recording, message, said)
+                texts.append(text)
+                self._size += len(text)
+                if self._read > MAX_PAST:
+                    raise self._too_much(f"More recorded messages of {_list(topics)} may take part in this query")
+                if self._size > MAX_TEXT:
+                    raise self._too_much(f"Recorded messages of {_list(topics)} say more than {MAX_TEXT >> 20} MiB")
+                if time.monotonic() > pause:
+                    if time.monotonic() > self._until:
+                        raise out_of_time(self._robot.settings.query_time_limit)
+                    time.sleep(_SLICE / 20)
+                    pause = time.monotonic() + _SLICE
+        return "".join(texts).encode()
+
+    def _too_much(self, what: str) -> Problem:
+        return too_much_past(f"{what}, and {MAX_PAST} are the most that one may read.")
+
+    def _ranges(self, recording: Recording, selections: Sequence[PastSelection]) -> list[PastRange]:
+        found: list[PastRange] = []
+        for name, topic in recording.topics.items():
+            url = self._robot.space.topic(name)
+            if not self._permissions.may_read(url):
+                continue
+            for each in selections:
+                if self._is_of(each, url, recording, topic):
+                    found.append(PastRange(name, max(each.time.low, 0), min(each.time.high, FOR_EVER)))
+        return merge_ranges(found)
+
+    def _is_of(self, selection: PastSelection, url: str, recording: Recording, topic: RecordedTopic) -> bool:
+        """Whether messages of a topic may be selected."""
+        if selection.urls is not None and url not in selection.urls:
+            return False
+        if selection.names is not None and topic.name not in selection.names:
+            return False
+        live = self._robot.graph.topics.get(topic.name)
+        if live is not None and not selection.topic_types <= {ref.name for ref in live.types}:
+            return False
+        if not selection.types:
+            return True
+        if isinstance(recording, HistoryRecording):
+            refs = recording.types_of(topic.name)
+        elif live is not None and len(live.types) > 1:
+            return True
+        else:
+            refs = frozenset({topic.type})
+        schemas = [self._schema(recording, ref) for ref in refs]
+        return any(schema is not None and selection.types <= schema.types.keys() for schema in schemas)
+
+    def _schema(self, recording: Recording, ref: TypeRef) -> MessageSchema | None:
+        found = self.learned.get(ref) or self._robot.schemas.find_cached(ref)
+        if found is None:
+            try:
+                found = recording.schema(ref)
+            except RosError:
+                return None
+            if isinstance(found, MessageSchema):
+                self.learned[ref] = found
+        return found if isinstance(found, MessageSchema) else None
+
+    def _lift(self, recording: Recording, message: RecordedMessage, said: _RecordText) -> str:
+        """What is said of a message, and of its record."""
+        sample = message.sample
+        schema = self._schema(recording, sample.schema)
+        url = f"{said.messages}{message.index}"
+        if schema is None:
+            return said.of_record(url, message, f"the type {sample.schema.name} is not known")
+        try:
+            decoded = schema.codec.decode(sample.data, sample.encoding)
+        except ValueError as error:
+            return said.of_record(url, message, str(error))
+        publisher = self._robot.space.node(sample.publisher) if sample.publisher else None
+        if publisher is not None and not self._permissions.may_read(publisher):
+            publisher = None
+        envelope = Envelope(sample.received_ns, sample.sequence, publisher)
+        lifter: Lifter = partial_lifter(schema, self._robot.lifting, self._only)
+        lifted = lifter.ntriples(
+            decoded, url, MESSAGE, envelope=envelope, simulated_time=self._robot.graph.simulated_time
+        )
+        return f"{said.of_record(url, message)}{lifted}"
+
+
+class _RecordText:
+    """What is said of the messages of a recording beside what they hold."""
+
+    def __init__(self, robot: Robot, recording: Recording, only: frozenset[str] | None) -> None:
+        self.messages = robot.space.bag_messages(recording.name)
+        self._bag = robot.space.bag(recording.name)
+        self._topic = robot.space.topic
+        self._only = only
+        self._is_more = only is None or not only.isdisjoint(_OF_RECORDS)
+
+    def of_record(self, url: str, message: RecordedMessage, reason: str | None = None) -> str:
+        """Of one message; `reason` is why it cannot be read, if it cannot."""
+        topic = self._topic(message.topic)
+        link = f"<{topic}> <{ros.past.value}> <{url}{MESSAGE}> .\n" if reason is None else ""
+        if not self._is_more:
+            return link
+        return link + "".join(self._more(url, topic, message, reason))
+
+    def _more(self, url: str, topic: str, message: RecordedMessage, reason: str | None) -> Iterator[str]:
+        received = f'"{date_time(0, message.sample.received_ns)}"^^<{xsd.dateTime.value}>'
+        said = [
+            *((rdf.type, f"<{each.value}>") for each in (ros.Record, ldp.Resource, ldp.RDFSource)),
+            (ros.recordedIn, f"<{self._bag}>"),
+            (ros.index, f'"{message.index}"^^<{xsd.integer.value}>'),
+            (ros.onTopic, f"<{topic}>"),
+            (ros.recordedAt, received),
+            (ros.recordedMessage, f"<{url}{MESSAGE}>") if reason is None else (ros.unreadable, quote(reason or "")),
+        ]
+        for predicate, value in said:
+            if self._only is None or predicate.value in self._only:
+                yield f"<{url}> <{predicate.value}> {value} .\n"
+        if reason is None and (self._only is None or ros.recordedIn.value in self._only):
+            yield f"<{url}{MESSAGE}> <{ros.recordedIn.value}> <{self._bag}> .\n"
+
+
+_OF_RECORDS = frozenset(
+    each.value
+    for each in (
+        rdf.type, ros.recordedIn, ros.index, ros.onTopic, ros.recordedAt, ros.recordedMessage, ros.unreadable,
+    )
+)  # fmt: skip
+
+
+def _list(topics: Sequence[str]) -> str:
+    """Some names, for people."""
+    shown = ", ".join(topics[:3])
+    return f"{shown} and {len(topics) - 3} more topics" if len(topics) > 3 else shown or "no topic"

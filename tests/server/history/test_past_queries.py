@@ -1,0 +1,211 @@
+"""The past in SPARQL over HTTP: `docs/how-to/past.md` is true, others read the same, nobody reads what they may not."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import httpx
+import pytest
+from pyoxigraph import BlankNode, RdfFormat, parse
+
+from tests.server.auth.conftest import token, tokens
+from tests.server.history.mcap_files import decode, read
+from tests.waiting import until
+
+CSV = {"Accept": "text/csv"}
+NTRIPLES = {"Accept": "application/n-triples"}
+TEXT = (Path(__file__).parents[3] / "docs" / "how-to" / "past.md").read_text("utf-8")
+EXAMPLE = re.compile(r"^\*\*(\d+)\. (.*?)\*\*.*?```sparql\n(.*?)```\n\n```csv\n(.*?)```\n", re.DOTALL | re.MULTILINE)
+EXAMPLES = {number: (query, printed) for number, _, query, printed in EXAMPLE.findall(TEXT)}
+RULES = """
+[[rule]]
+agents = ["anna"]
+modes = ["read", "write", "control", "administer"]
+paths = ["/**"]
+
+[[rule]]
+agents = ["guest"]
+modes = ["read"]
+paths = ["/sparql", "/bags/**", "/topics/**"]
+
+[[rule]]
+agents = ["guest"]
+modes = ["read"]
+paths = ["/topics/battery_state"]
+deny = true
+
+[[rule]]
+agents = ["stranger"]
+modes = ["read"]
+paths = ["/sparql", "/topics/**"]
+"""
+
+
+class Driven(NamedTuple):
+    """A rover that was driven until its battery was low: its client, and what others read in the recording of that."""
+
+    url: str
+    http: httpx.Client
+    messages: dict[str, list[Any]]
+
+
+@pytest.fixture(scope="module")
+def driven(start_server: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory) -> Driven:
+    """What the document tells, done."""
+    folder = tmp_path_factory.mktemp("driven")
+    (folder / "auth.toml").write_text(RULES + tokens("anna", "guest", "stranger"))
+    served = start_server("rover:?battery=0.202", "--history", "*", "--auth", str(folder / "auth.toml"))
+    http = served.http
+    http.headers["Authorization"] = f"Bearer {token('anna')}"
+    seen = "SELECT (COUNT(*) AS ?n) WHERE { </topics/%s> ros:past ?message }"
+    until(lambda: int(ask(http, seen % "odom")[1][0]) > 20, "some odometry")
+    answer = http.put("/topics/cmd_vel", json={"linear": {"x": 0.3}, "angular": {"z": 0.4}})
+    assert answer.status_code == 204, answer.text
+    until(lambda: len(ask(http, EXAMPLES["2"][0])) > 1, "a low battery")
+    until(lambda: len(ask(http, EXAMPLES["3"][0])) > 1 and len(ask(http, EXAMPLES["5"][0])) > 1, "a movement")
+    http.put("/topics/cmd_vel", json={})
+    http.post("/bags/", json={"name": "drive", "topics": ["*"], "before": 600, "duration": 0.5})
+    until(lambda: http.get("/bags/drive/messages/0").status_code == 200, "the recording")
+    path = folder / "drive.mcap"
+    path.write_bytes(http.get("/bags/drive/file").content)
+    messages: dict[str, list[Any]] = {}
+    for one, (topic, message) in zip(sorted(read(path), key=lambda one: one.time_ns), decode(path), strict=True):
+        assert one.topic == topic
+        messages.setdefault(topic, []).append(message)
+    return Driven(served.url, http, messages)
+
+
+def ask(http: httpx.Client, query: str, **headers: str) -> list[list[str]]:
+    answer = http.post("/sparql", data={"query": query}, headers=CSV | headers)
+    assert answer.status_code == 200, answer.text
+    return list(csv.reader(io.StringIO(answer.text)))
+
+
+def refusal(http: httpx.Client, query: str, status: int) -> str:
+    answer = http.post("/sparql", data={"query": query}, headers={"Accept": "application/problem+json, text/csv;q=0.5"})
+    assert answer.status_code == status, answer.text
+    return str(answer.json()["detail"])
+
+
+def test_there_are_ten_examples() -> None:
+    assert list(EXAMPLES) == [str(number) for number in range(1, 11)]
+
+
+@pytest.mark.parametrize("number", EXAMPLES)
+def test_an_example_answers_as_printed(driven: Driven, number: str) -> None:
+    query, printed = EXAMPLES[number]
+    expected = list(csv.reader(io.StringIO(printed)))
+    found = ask(driven.http, query)
+    assert found[0] == expected[0]
+    assert len(found) > 1
+    assert all(len(row) == len(found[0]) and all(row) for row in found[1:])
+    shapes = {tuple(map(kind, row)) for row in found[1:]}
+    assert shapes & {tuple(map(kind, row)) for row in expected[1:]}, "values of these kinds are printed"
+
+
+def kind(value: str) -> str:
+    """What a value is by its look."""
+    if re.fullmatch(r"-?[0-9.eE+-]+", value):
+        return "number"
+    return "time" if re.match(r"\d{4}-", value) else "duration" if value.startswith("PT") else "term"
+
+
+def test_examples_come_to_what_others_read_in_the_recording(driven: Driven) -> None:
+    odometry, transforms = driven.messages["/odom"], driven.messages["/tf"] + driven.messages["/tf_static"]
+    fastest, east, north, count = map(float, ask(driven.http, EXAMPLES["9"][0])[1])
+    assert fastest == max(each.twist.twist.linear.x for each in odometry)
+    assert east == max(each.pose.pose.position.x for each in odometry)
+    assert north == max(each.pose.pose.position.y for each in odometry)
+    assert count == len(odometry)
+    children = [transform.child_frame_id for message in transforms for transform in message.transforms]
+    rows = ask(driven.http, EXAMPLES["10"][0])[1:]
+    assert {row[0]: int(row[1]) for row in rows} == {child: children.count(child) for child in children}
+    least = "SELECT (MIN(?p) AS ?least) { </topics/battery_state> ros:past ?m . ?m ros:recordedIn </bags/drive/> ; "
+    least += "<https://w3id.org/rosld/types/sensor_msgs/msg/BatteryState#percentage> ?p }"
+    charges = [each.percentage for each in driven.messages["/battery_state"]]
+    assert float(ask(driven.http, least)[1][0]) == pytest.approx(min(charges))
+
+
+def test_what_a_query_tells_of_a_message_its_url_tells_too(driven: Driven) -> None:
+    for where in ("FILTER(?number < 30)", "?message ros:recordedIn </bags/drive/> FILTER(?number < 30)"):
+        query = "CONSTRUCT { ?message ?p ?o . ?record ?q ?v } WHERE { ?topic ros:past ?message . "
+        query += f"?record ros:recordedMessage ?message ; ros:index ?number . {where} ?message ?p ?o . ?record ?q ?v }}"
+        answer = driven.http.post("/sparql", data={"query": query}, headers=NTRIPLES)
+        assert answer.status_code == 200, answer.text
+        found = triples(answer.content)
+        documents = {subject.partition("#")[0] for subject in {each.subject.value for each in found}}
+        assert len(documents) == 30
+        told = {each for url in documents for each in triples(driven.http.get(url, headers=NTRIPLES).content)}
+        recorded_in = {each for each in found if each not in told}
+        assert {each.predicate.value for each in recorded_in} == {"https://w3id.org/rosld#recordedIn"}
+        assert found - recorded_in == {each for each in told if each.subject in {one.subject for one in found}}
+
+
+def triples(text: bytes) -> set[Any]:
+    """Triples without blank nodes."""
+    found = (quad.triple for quad in parse(text, RdfFormat.N_TRIPLES))
+    return {
+        each for each in found if not isinstance(each.subject, BlankNode) and not isinstance(each.object, BlankNode)
+    }
+
+
+def test_nobody_is_told_of_messages_that_they_may_not_read(driven: Driven) -> None:
+    topics = "SELECT DISTINCT ?topic WHERE { ?topic ros:past ?message }"
+    mine = {row[0] for row in ask(driven.http, topics)[1:]}
+    theirs = {row[0] for row in ask(driven.http, topics, Authorization=f"Bearer {token('guest')}")[1:]}
+    assert mine - theirs == {f"{driven.url}topics/battery_state"}
+    assert theirs
+    named = EXAMPLES["1"][0].replace("(MIN(?charge) AS ?least) (COUNT(*) AS ?messages)", "*")
+    assert len(ask(driven.http, named)) > 1
+    assert len(ask(driven.http, named, Authorization=f"Bearer {token('guest')}")) == 1
+    senders = "SELECT ?by WHERE { </topics/odom> ros:past ?message . ?message ros:sentBy ?by }"
+    assert len(ask(driven.http, senders)) > 1
+    assert len(ask(driven.http, senders, Authorization=f"Bearer {token('guest')}")) == 1, "nodes are hidden"
+    assert len(ask(driven.http, topics, Authorization=f"Bearer {token('stranger')}")) == 1, "recordings are hidden"
+
+
+@pytest.mark.parametrize(
+    ("query", "words"),
+    [
+        ("SELECT * { GRAPH ?g { ?topic ros:past ?m } }", "GRAPH"),
+        ("SELECT * { ?topic ros:past ?m . ?m ros:recordedIn </bags/lost/> }", "no recording"),
+        ("SELECT * FROM </topics/odom> { ?topic ros:past ?m }", "FROM </bags/history/>"),
+    ],
+)
+def test_what_cannot_be_asked_of_the_past_says_how_it_can(driven: Driven, query: str, words: str) -> None:
+    assert words in refusal(driven.http, query, 400)
+
+
+def test_from_says_which_recording_is_meant(driven: Driven) -> None:
+    for name in ("drive", "history"):
+        found = ask(driven.http, f"SELECT ?m FROM </bags/{name}/> {{ </topics/odom> ros:past ?m }}")
+        assert found[1][0].startswith(f"{driven.url}bags/{name}/messages/")
+
+
+def test_an_update_does_not_read_the_past(driven: Driven) -> None:
+    text = "INSERT { GRAPH </data/x> { ?m ros:sequence 1 } } WHERE { ?topic ros:past ?m }"
+    answer = driven.http.post("/sparql", content=text, headers={"Content-Type": "application/sparql-update"})
+    assert answer.status_code == 400
+    assert "ros:past is for queries" in answer.text
+
+
+def test_stored_queries_ask_the_past(driven: Driven) -> None:
+    for path in ("past-rates?seconds=60", "past-faults?minutes=5", "past-messages?topic=/topics/odom&seconds=60"):
+        answer = driven.http.get(f"/queries/{path}", headers=CSV)
+        assert answer.status_code == 200, answer.text
+        assert len(answer.text.splitlines()) > 1, path
+
+
+def test_where_nothing_is_recorded_a_query_is_told_how_to_record(http: httpx.Client) -> None:
+    assert "--history" in refusal(http, "SELECT * { ?topic ros:past ?m }", 400)
+
+
+def test_a_topic_that_is_not_recorded_is_no_empty_answer(serve: Callable[..., Any]) -> None:
+    served = serve("aircraft", "--history", "/nothing")
+    words = refusal(served.http, "SELECT * { </topics/aircraft/engine/speed> ros:past ?m }", 400)
+    assert "--history /aircraft/engine/speed" in words

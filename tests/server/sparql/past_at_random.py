@@ -1,0 +1,202 @@
+"""Queries about recorded messages, made at random: times in every spelling, patterns in every kind of group."""
+
+from __future__ import annotations
+
+from datetime import datetime, timedelta, timezone
+from random import Random
+
+PREFIXES = (
+    "PREFIX ros: <https://w3id.org/rosld#> PREFIX xsd: <http://www.w3.org/2001/XMLSchema#> "
+    "PREFIX twist: <https://w3id.org/rosld/types/geometry_msgs/msg/Twist#> "
+    "PREFIX vector: <https://w3id.org/rosld/types/geometry_msgs/msg/Vector3#> "
+    "PREFIX string: <https://w3id.org/rosld/types/std_msgs/msg/String#> "
+    "PREFIX odom: <https://w3id.org/rosld/types/nav_msgs/msg/Odometry#> "
+    "PREFIX cov: <https://w3id.org/rosld/types/geometry_msgs/msg/TwistWithCovariance#> "
+    "PREFIX tf: <https://w3id.org/rosld/types/tf2_msgs/msg/TFMessage#> "
+    "PREFIX geometry: <https://w3id.org/rosld/types/geometry_msgs/msg/> "
+    "PREFIX std: <https://w3id.org/rosld/types/std_msgs/msg/> "
+)
+_FIELDS = (
+    "twist:linear {x}", "twist:linear/vector:x {x}", "twist:linear ?v{n} . ?v{n} vector:y {x}", "string:data {x}",
+    "odom:twist/cov:twist/twist:linear/vector:x {x}", "tf:transforms/rdf:rest*/rdf:first {x}", "a geometry:Twist",
+    "a ?class{n}", "a std:String", "ros:sequence {x}", "?p{n} {x}", "(twist:linear|string:data) {x}",
+    "!ros:received {x}",
+    "ros:recordedIn {x}", "^ros:recordedMessage/ros:index {x}", "^ros:recordedMessage ?r{n} . ?r{n} ros:onTopic {x}",
+)  # fmt: skip
+
+
+class PastMaker:
+    """Makes one query about messages recorded from `start` on, for `seconds`; NOW() is taken to be `now`."""
+
+    def __init__(self, base: str, start: datetime, seconds: float, now: datetime) -> None:
+        self._base, self._start, self._seconds, self._now = base, start, seconds, now
+        self._random = Random(0)
+        self._count = 0
+
+    def query(self, seed: int) -> str:
+        """A query, the same for the same seed."""
+        random = self._random
+        random.seed(seed)
+        self._count = 0
+        group = self._group("?m", "?t", 2)
+        form = random.random()
+        if form < 0.5:
+            return f"{PREFIXES}SELECT {random.choice(['*', '?m ?t', 'DISTINCT ?t ?x1'])} WHERE {group}"
+        if form < 0.6:
+            return f"{PREFIXES}SELECT (COUNT(*) AS ?count) (MIN(?t) AS ?from) (MAX(?x1) AS ?most) WHERE {group}"
+        if form < 0.7:
+            return f"{PREFIXES}SELECT ?topic (COUNT(?m) AS ?count) WHERE {group} GROUP BY ?topic"
+        if form < 0.78:
+            return f"{PREFIXES}ASK {group}"
+        if form < 0.85:
+            return f"{PREFIXES}CONSTRUCT {{ ?m ros:received ?t ; ros:sequence ?x1 }} WHERE {group}"
+        if form < 0.9:
+            return f"{PREFIXES}DESCRIBE ?m WHERE {group}"
+        direction, limit = random.choice(["ASC", "DESC"]), random.choice([1, 3, 10])
+        return f"{PREFIXES}SELECT DISTINCT ?t WHERE {group} ORDER BY {direction}(?t) LIMIT {limit}"
+
+    def _number(self) -> int:
+        self._count += 1
+        return self._count
+
+    def _group(self, message: str, time: str, depth: int) -> str:
+        random = self._random
+        members = [self._past(message, time)]
+        for _ in range(random.choice([0, 1, 1, 2])):
+            members.insert(random.choice([0, len(members), len(members)]), self._member(message, time, depth))
+        for _ in range(random.choice([0, 1, 1, 2])):
+            members.insert(random.randrange(len(members) + 1), f"FILTER({self._test(time)})")
+        return "{ " + " ".join(members) + " }"
+
+    def _past(self, message: str, time: str) -> str:
+        random = self._random
+        topic = random.choice(["?topic", "?topic", "</topics/cmd_vel>", "</topics/chatter>", f"?topic{self._number()}"])
+        parts = [f"{topic} ros:past {message} ."]
+        if random.random() < 0.85:
+            parts.append(f"{message} ros:received {time} .")
+        if topic.startswith("?"):
+            parts.append(
+                random.choice(
+                    [
+                        "", "", f'{topic} ros:name "/odom" .', f'{topic} ros:name ?name . FILTER(?name = "/cmd_vel")',
+                        f"{topic} ros:hasMessageType geometry:Twist .",
+                        f"VALUES {topic} {{ </topics/odom> </topics/frames> }}",
+                        f"FILTER({topic} IN (</topics/odom>, </topics/chatter>))", f"{topic} a ros:Topic .",
+                        f'{topic} ros:name ?name . VALUES ?name {{ "/odom" "/frames" }}',
+                        f"BIND(</topics/odom> AS {topic}x)",
+                    ]
+                )
+            )  # fmt: skip
+        if random.random() < 0.7:
+            parts.append(self._field(message))
+        if random.random() < 0.5:
+            random.shuffle(parts)
+        if random.random() < 0.1:
+            return f"{{ {' '.join(parts)} }}"
+        return " ".join(parts)
+
+    def _field(self, message: str) -> str:
+        number = self._number()
+        return f"{message} {self._random.choice(_FIELDS).format(x=f'?x{number}', n=number)} ."
+
+    def _member(self, message: str, time: str, depth: int) -> str:
+        random = self._random
+        kind = random.choice(
+            [
+                "OPTIONAL",
+                "OPTIONAL",
+                "MINUS",
+                "FILTER EXISTS",
+                "FILTER NOT EXISTS",
+                "",
+                "UNION",
+                "SELECT",
+                "BIND",
+                "untied",
+            ]
+        )
+        if kind == "BIND":
+            number = self._number()
+            return f"BIND({self._moment()} AS ?b{number}) FILTER({time} {random.choice('<>')} ?b{number})"
+        if kind == "untied":
+            return random.choice(
+                ["", f"?any ros:received {time} .", "?any string:data ?said .", "OPTIONAL { ?m string:data ?also }"]
+            )
+        number = self._number()
+        other = f"?m{number}" if random.random() < 0.6 else message
+        at = random.choice([f"?t{number}", time])
+        test = f"FILTER({time} {random.choice(['<', '>', '<=', '='])} {at})" if random.random() < 0.6 else ""
+        if depth and random.random() < 0.7:
+            inner = self._group(other, at, depth - 1)
+        else:
+            inner = f"{{ {self._field(message)} }}"
+        inner = inner[:-1] + f" {test} }}"
+        if kind == "UNION":
+            return f"{inner} UNION {{ {self._past(message, time)} }}"
+        if kind == "SELECT":
+            chosen = random.choice([other, f"{other} {at}", f"(MAX({at}) AS ?last{number})", "*"])
+            return f"{{ SELECT {chosen} WHERE {inner} }}"
+        return f"{kind} {inner}"
+
+    # --- times
+
+    def _test(self, time: str) -> str:
+        random = self._random
+        chance = random.random()
+        if chance < 0.12:
+            return f"{self._test(time)} && {self._test(time)}"
+        if chance < 0.22:
+            return f"{self._test(time)} || {self._test(time)}"
+        if chance < 0.27:
+            return f"!({self._test(time)})"
+        if chance < 0.32:
+            return f"({self._test(time)})"
+        if chance < 0.42:
+            return random.choice(
+                [
+                    f"BOUND({time})", f"YEAR({time}) > 2000", f'STR({time}) < "3000"', "?x1 > 1", '?x1 = "hello"',
+                    f"{time} != {self._constant()}", f"{time} IN ({self._constant()}, {self._constant()})",
+                    f"COALESCE({time} > {self._constant()}, true)",
+                    f"IF(BOUND({time}), {time} < {self._constant()}, true)",
+                    f"{time} NOT IN ({self._constant()})", f"{time} = {self._constant()}", "?x1 < ?x2",
+                ]
+            )  # fmt: skip
+        one, other = time, self._moment()
+        if random.random() < 0.25:
+            one = f"{time} {random.choice('+-')} {self._duration()}"
+        if random.random() < 0.1:
+            return f"{one} - {other} {random.choice('<>')} {self._duration()}"
+        operator = random.choice(["<", ">", "<=", ">="])
+        return f"{one} {operator} {other}" if random.random() < 0.6 else f"{other} {operator} {one}"
+
+    def _moment(self) -> str:
+        random = self._random
+        chance = random.random()
+        if chance < 0.4:
+            return self._constant()
+        if chance < 0.8:
+            back = (self._now - self._start).total_seconds() - random.uniform(-1, self._seconds + 1)
+            return f'NOW() - "PT{back:.3f}S"^^xsd:{random.choice(["dayTimeDuration", "duration"])}'
+        if chance < 0.9:
+            return f"({self._constant()} - {self._duration()})"
+        return random.choice(["?t", "?t1", "?t2", "(?t1 - " + self._duration() + ")"])
+
+    def _duration(self) -> str:
+        random = self._random
+        seconds = random.choice(["0", "0.25", "1", "1.5", "3"])
+        spelt = random.choice([f"PT{seconds}S", f"PT0M{seconds}S", f"-PT{seconds}S", f"P0DT0H{seconds}S"])
+        return random.choice(
+            [f'"{spelt}"^^xsd:dayTimeDuration', f'"{spelt}"^^xsd:duration', f'xsd:dayTimeDuration("{spelt}")']
+        )
+
+    def _constant(self) -> str:
+        random = self._random
+        at = self._start + timedelta(seconds=random.choice([random.uniform(-1, self._seconds + 1), 1.0, 2.0]))
+        zone = random.choice([timezone.utc, timezone.utc, timezone(timedelta(hours=5, minutes=30))])
+        text = at.astimezone(zone).isoformat().replace("+00:00", "Z")
+        return random.choice(
+            [
+                f'"{text}"^^xsd:dateTime', f'"{text}"^^xsd:dateTime', f'xsd:dateTime("{text}")',
+                f'"{text[:19]}"^^xsd:dateTime', f'"{text}"', f'"{text[:10]}"^^xsd:date',
+            ]
+        )  # fmt: skip

@@ -1,0 +1,152 @@
+"""The past in queries: over what is read as over all that is recorded, lifted message by message as GET says it."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Iterator
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+from pyoxigraph import QueryBoolean, QuerySolutions, RdfFormat, Store
+from rosbags.rosbag2 import StoragePlugin, Writer
+
+from rosld.adapters.base import AdapterOptions
+from rosld.adapters.registry import adapter_for
+from rosld.ontology.serialize import Syntax, serialize
+from rosld.ontology.vocab import PREFIXES, ros
+from rosld.server.auth.permissions import ALLOW_ALL
+from rosld.server.http.problem import Problem
+from rosld.server.resources.bags import BagMessage
+from rosld.server.resources.context import Robot
+from rosld.server.resources.past_messages import RecordedPast
+from rosld.server.settings import Settings
+from rosld.server.sparql.analysis import Analyser
+from rosld.server.sparql.intervals import Interval
+from tests.server.sparql import recorded
+from tests.server.sparql.past_at_random import PastMaker
+
+QUERIES = 600
+MAX_ROWS = 3000
+TURNS = 8
+SECONDS = 4.0
+_SECOND = 1_000_000_000
+
+
+class Recorded(NamedTuple):
+    """A robot that serves a recording, all that is said of its messages, and from when on they are."""
+
+    robot: Robot
+    loop: asyncio.AbstractEventLoop
+    described: str
+    everything: str
+    start_ns: int
+
+
+def write(folder: Path, start_ns: int) -> Path:
+    """A recording of the topics of `recorded.py`, each some times, at times of its own."""
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        for number, (topic, message) in enumerate(recorded.messages()):
+            connection = writer.add_connection(topic, message.__msgtype__, typestore=recorded.STORE)
+            for turn in range(TURNS):
+                if topic == "/cmd_vel":
+                    message.linear.x = float(turn)
+                at = start_ns + int(turn * SECONDS / TURNS * _SECOND) + number * 7_000_001
+                writer.write(connection, at, recorded.STORE.serialize_cdr(message, message.__msgtype__))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def past(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Recorded]:
+    """A recording of a minute ago, served within this process."""
+    start_ns = time.time_ns() - 60 * _SECOND
+    source = str(write(tmp_path_factory.mktemp("past") / "run", start_ns))
+    loop = asyncio.new_event_loop()
+    robot = Robot(adapter_for(source, AdapterOptions()), Settings())
+    loop.run_until_complete(robot.start())
+    yield Recorded(robot, loop, described(robot), loop.run_until_complete(everything(robot)), start_ns)
+    loop.run_until_complete(robot.stop())
+    loop.close()
+
+
+def described(robot: Robot) -> str:
+    """What is said of topics beside their messages."""
+    space = robot.space
+    lines = []
+    for topic in robot.graph.topics.values():
+        node = f"<{space.topic(topic.name)}>"
+        lines += [f'{node} {ros.name} "{topic.name}" .', f"{node} a {ros.Topic} ."]
+        lines += [f"{node} {ros.hasMessageType} <{space.class_of(ref.name)}> ." for ref in topic.types]
+    return "\n".join(lines)
+
+
+async def everything(robot: Robot) -> str:
+    """All messages of the recording as their own URLs say them, and the links from topics and to the recording."""
+    (recording,) = robot.adapter.recordings.values()
+    texts = []
+    for index in range(recording.count):
+        document = (await BagMessage(robot, recording, index).state()).document
+        texts.append(serialize(document, Syntax.N_TRIPLES).decode())
+        topic, message = robot.space.topic(recording.message(index).topic), f"<{document.url}#message>"
+        texts.append(f"<{topic}> {ros.past} {message} .\n")
+        texts.append(f"{message} {ros.recordedIn} <{robot.space.bag(recording.name)}> .\n")
+    return "".join(texts)
+
+
+def store_of(*texts: str) -> Store:
+    store = Store()
+    for text in texts:
+        store.load(text, RdfFormat.TURTLE)
+    return store
+
+
+def answers(store: Store, query: str, base: str) -> list[str]:
+    found = store.query(query, base_iri=base, prefixes=dict(PREFIXES))
+    if isinstance(found, QueryBoolean):
+        return [str(bool(found))]
+    rows: list[str] = []
+    for row in found:
+        terms = row if isinstance(found, QuerySolutions) else row.triple if hasattr(row, "triple") else row
+        rows.append(" ".join("_" if each is not None and str(each).startswith("_:") else str(each) for each in terms))
+        if len(rows) > MAX_ROWS:
+            raise OverflowError
+    return rows if "ORDER BY" in query else sorted(rows)
+
+
+def read(past: Recorded, query: str, now_ns: int) -> str:
+    """What is read of the past for a query."""
+    space = past.robot.space
+    asked = Analyser(space.base, space.types).analyse_once(query).past
+    assert asked is not None
+    moments = Interval(now_ns, now_ns)
+    until = time.monotonic() + 60
+    text = RecordedPast(past.robot).read(asked, (), ALLOW_ALL, moments, until)
+    return past.loop.run_until_complete(text).decode()
+
+
+def test_a_query_answers_over_what_it_reads_as_over_all_that_is_recorded(past: Recorded) -> None:
+    base = past.robot.space.base
+    now_ns = time.time_ns()
+    now = datetime.fromtimestamp(now_ns // 1000 / 1e6, timezone.utc)
+    now_ns = int(now.timestamp() * 1e6) * 1000
+    start = datetime.fromtimestamp(past.start_ns // _SECOND, timezone.utc)
+    maker = PastMaker(base, start, SECONDS, now)
+    full = store_of(past.described, past.everything)
+    refused = narrowed = found = 0
+    for seed in range(QUERIES):
+        query = maker.query(seed)
+        try:
+            text = read(past, query, now_ns)
+            spelt = query.replace("NOW()", f'"{now.isoformat()}"^^xsd:dateTime')
+            expected = answers(full, spelt, base)
+        except (SyntaxError, Problem, OverflowError):
+            refused += 1
+            continue
+        assert answers(store_of(past.described, text), spelt, base) == expected, f"seed {seed}: {query}"
+        narrowed += text.count(f"{ros.past}") < TURNS * len(recorded.messages())
+        found += expected not in ([], ["False"])
+    assert refused < QUERIES / 5
+    assert narrowed > QUERIES / 4, "hardly anything is narrowed"
+    assert found > QUERIES / 4, "hardly anything is found"

@@ -773,6 +773,7 @@ class mapping(Namespace, iri="https://w3id.org/rosld/mapping#"):
     about: NamedNode
     writableWhen: NamedNode
     availableWhen: NamedNode
+    atRestWhen: NamedNode
     existsWhen: NamedNode
 
 

@@ -56,15 +56,15 @@ def stop_steps(document: Document, site: Site) -> StopSteps | None:
 def _row(said: Statements, site: Site) -> StepRow:
     state = next((term for term in said.get(ros.state, ()) if isinstance(term, NamedNode)), ros.NotSent)
     about = next((term for term in said.get(ros.touches, ()) if isinstance(term, NamedNode)), None)
-    words = escape_controls(_text(said.get(ros.words, ())))
+    words, subscribers = escape_controls(_text(said.get(ros.words, ()))), _text(said.get(ros.subscriberCount, ()))
     tone = _TONES.get(state, "")
     return StepRow(
         escape_controls(_text(said.get(rdfs.label, ()))),
         None if about is None else site.anchor(about.value),
-        _text(said.get(ros.subscriberCount, ())),
+        subscribers,
         "" if state == ros.NotSent else label(state.value),
         words,
-        "warning" if tone == "good" and words else tone,
+        "warning" if tone == "good" and words and subscribers else tone,  # a subscriber that was not reached
     )
 
 

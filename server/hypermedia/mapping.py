@@ -64,6 +64,14 @@ class MappedLink:
 
 
 @dataclass(frozen=True, slots=True)
+class MappedStop:
+    """What stops the robot, and the conditions under which it is no failure that this is refused."""
+
+    command: StopCommand
+    at_rest_when: tuple[Condition, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class ComplexResource:
     """A complex resource as a mapping has it: what it lists is what there is at `path`."""
 
@@ -74,7 +82,7 @@ class ComplexResource:
     links: tuple[MappedLink, ...] = ()
     exists_when: tuple[Condition, ...] = ()
     title: str | None = None
-    stop_commands: tuple[StopCommand, ...] = ()
+    stops: tuple[MappedStop, ...] = ()
 
     def conditions(self) -> Iterator[Condition]:
         """Every condition of it, of its properties, actions and links."""
@@ -85,6 +93,12 @@ class ComplexResource:
             yield from action.available_when
         for link in self.links:
             yield from link.available_when
+
+    def all_conditions(self) -> Iterator[Condition]:
+        """These, and those of what stops the robot, which nothing that is offered depends on."""
+        yield from self.conditions()
+        for stop in self.stops:
+            yield from stop.at_rest_when
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,4 +111,10 @@ class MappingSet:
     def stop_commands(self) -> Iterator[tuple[StopCommand, str]]:
         """The steps that stop the robot, each with the IRI of the complex resource that asks for it."""
         for resource in self.resources.values():
-            yield from ((each, resource.iri) for each in resource.stop_commands)
+            yield from ((each.command, resource.iri) for each in resource.stops)
+
+    def at_rest_when(self, command: StopCommand) -> tuple[Condition, ...]:
+        """The conditions under which it is no failure that a command is refused; none where it always is."""
+        found = [each for resource in self.resources.values() for each in resource.stops if each.command == command]
+        conditional = all(each.at_rest_when for each in found)
+        return tuple(condition for each in found for condition in each.at_rest_when) if conditional else ()

@@ -53,14 +53,14 @@ def _of_action(resource: ComplexResource, mapped: MappedAction, tree: ResourceTr
 
 
 def _of_conditions(resource: ComplexResource, tree: ResourceTree) -> Iterator[str]:
-    for condition in resource.conditions():
+    for condition in resource.all_conditions():
         about = condition.about
         if about not in (tree.paths if about.endswith("/") else tree.catalogue.properties):
             yield f"map:about {about}: nothing is there, so the condition never holds"
 
 
 def _of_stops(resource: ComplexResource, tree: ResourceTree) -> Iterator[str]:
-    for stop in resource.stop_commands:
+    for stop in (each.command for each in resource.stops):
         if stop.service is not None and stop.service not in tree.invocable:
             yield f"map:call {stop.service}: there is no such service" + _near(stop.service, tree.invocable)
         if stop.topic is not None and stop.topic not in tree.catalogue.by_topic:

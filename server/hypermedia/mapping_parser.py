@@ -31,6 +31,7 @@ from rosld.server.hypermedia.mapping import (
     MappedAction,
     MappedLink,
     MappedProperty,
+    MappedStop,
 )
 from rosld.server.robot.software_stop import StopCommand
 from rosld.shapes.constraints import compile_shape
@@ -47,7 +48,7 @@ MAX_TRIPLES = 5_000
 _MAX_VIOLATIONS = 20
 LONGEST_READING = 5.0
 """Seconds that the conditions of a document may take to be read."""
-_WHEN = (mapping.writableWhen, mapping.availableWhen, mapping.existsWhen)
+_WHEN = (mapping.writableWhen, mapping.availableWhen, mapping.existsWhen, mapping.atRestWhen)
 _TELLING = (mapping.name, mapping.member, mapping.service, mapping.target, mapping.call, mapping.publish)
 _TERMS = frozenset((*mapping.terms().values(), *superseded_mapping.terms().values()))
 _NEUTRAL = frozenset(
@@ -189,9 +190,7 @@ class _Reader:
             tuple(sorted(links, key=lambda one: (one.relation.value, one.target))),
             self.when(node, mapping.existsWhen),
             self.title(node),
-            tuple(
-                sorted(stops, key=lambda one: (one.service is None, one.service or "", one.topic or "", one.content))
-            ),
+            tuple(sorted(stops, key=_order_of_stop)),
         )
         self.check_names(found)
         return found
@@ -231,7 +230,7 @@ class _Reader:
             self.when(node, mapping.availableWhen),
         )
 
-    def stop(self, node: Term, path: str) -> StopCommand:
+    def stop(self, node: Term, path: str) -> MappedStop:
         """One thing that stops the robot; the names in it are made full ones."""
         service, topic = self.text(node, mapping.call), self.text(node, mapping.publish)
         if bool(service) == bool(topic):
@@ -243,7 +242,8 @@ class _Reader:
             is_object = False
         if not is_object:
             self.wrong(node, "map:content is the JSON of a message: an object, such as {}", content, mapping.content)
-        return StopCommand(_full(service, path) if service else None, _full(topic, path) if topic else None, content)
+        command = StopCommand(_full(service, path) if service else None, _full(topic, path) if topic else None, content)
+        return MappedStop(command, self.when(node, mapping.atRestWhen))
 
     def when(self, node: Term, predicate: NamedNode) -> tuple[Condition, ...]:
         """The conditions that a node names."""
@@ -407,6 +407,11 @@ class _Places:
         telling = (each for predicate in _TELLING for each in said.get(predicate, ()) if isinstance(each, Literal))
         first = next(telling, None)
         return "" if first is None else f'"{first.value}"'
+
+
+def _order_of_stop(stop: MappedStop) -> tuple[bool, str, str, str]:
+    command = stop.command
+    return command.service is None, command.service or "", command.topic or "", command.content
 
 
 def _full(name: str, path: str) -> str:

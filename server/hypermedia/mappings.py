@@ -77,7 +77,7 @@ def _check(document: MappingDocument, others: Iterable[MappingDocument]) -> None
 def _claims(document: MappingDocument) -> tuple[set[str], set[str]]:
     """The paths and the IRIs of conditions that are a document's own."""
     resources = document.resources
-    return {one.path for one in resources}, {each.iri for one in resources for each in one.conditions()}
+    return {one.path for one in resources}, {each.iri for one in resources for each in one.all_conditions()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +150,7 @@ def _make_index(mapping_set: MappingSet) -> _Index:
             guards.setdefault(one.member, {}).update((each.iri, each) for each in one.writable_when)
         for action in resource.actions:
             services.setdefault(action.service, []).append((resource, action))
-        for condition in resource.conditions():
+        for condition in resource.all_conditions():
             concerned.setdefault(condition.about, set()).add(resource.path)
     return _Index(
         {member: tuple(found.values()) for member, found in guards.items()},

@@ -8,6 +8,7 @@ from collections.abc import Hashable, Mapping, Sequence
 from functools import cached_property
 
 from rosld.adapters.base import Adapter, Recording
+from rosld.adapters.model import RosError
 from rosld.server.history.history import NAME as HISTORY
 from rosld.server.history.history import History
 from rosld.server.history.recordings import Recordings
@@ -23,7 +24,7 @@ from rosld.server.receipts.journal import Journal
 from rosld.server.rest.state import State
 from rosld.server.robot.hold_store import Holds
 from rosld.server.robot.session import Session
-from rosld.server.robot.software_stop import SoftwareStop
+from rosld.server.robot.software_stop import SoftwareStop, StopCommand
 from rosld.server.runtime.offload import WorkerPool
 from rosld.server.runtime.signals import Signal
 from rosld.server.runtime.version_cache import VersionCache
@@ -71,7 +72,9 @@ class Robot(Session):
         )
         self.holds = Holds(self)
         self.bags = Recordings(adapter, settings, self.schemas.get, self.schemas.definition_of)
-        self.software_stop = SoftwareStop(self, self.holds, lambda: self.mappings.mapping_set.stop_commands())
+        self.software_stop = SoftwareStop(
+            self, self.holds, lambda: self.mappings.mapping_set.stop_commands(), self._is_at_rest
+        )
 
     @cached_property
     def latest_values(self) -> LatestValues:
@@ -99,6 +102,18 @@ class Robot(Session):
             IdentityKey(self.active_limits.current),
             IdentityKey(self.mappings.mapping_set),
         )
+
+    async def _is_at_rest(self, command: StopCommand) -> bool:
+        """Whether what a mapping's stop is about says, read now, that it is at rest."""
+        conditions = self.mappings.mapping_set.at_rest_when(command)
+        if not conditions:
+            return False
+        tree = await self.affordances.tree()
+        try:
+            readings = await self.affordances.read(tree.properties_in(conditions), refresh=True)
+        except RosError:
+            return False
+        return self.affordances.snapshot(tree, readings).results.hold(conditions)
 
     @property
     def history(self) -> History:

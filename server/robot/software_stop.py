@@ -64,13 +64,21 @@ class StopCommand:
 class SoftwareStop:
     """Stops one robot. `steps` are those of the latest stop while it lasts, else what a stop would do.
 
-    `mapped` tells the steps that mappings ask for, each with the IRI of the complex resource that does.
+    `mapped` tells the steps that mappings ask for, each with the IRI of the complex resource that does. `is_at_rest`
+    reads whether what such a step stops is at rest, so that it is no failure that the step was refused.
     """
 
-    def __init__(self, session: Session, holds: Holds, mapped: Callable[[], Iterable[tuple[StopCommand, str]]]) -> None:
+    def __init__(
+        self,
+        session: Session,
+        holds: Holds,
+        mapped: Callable[[], Iterable[tuple[StopCommand, str]]],
+        is_at_rest: Callable[[StopCommand], Awaitable[bool]],
+    ) -> None:
         self._session = session
         self._holds = holds
         self._mapped = mapped
+        self._is_at_rest = is_at_rest
         self._zero = ZeroPublisher(session)
         self._steps: dict[str, StopStep] = {}
         self._running: set[asyncio.Task[None]] = set()
@@ -192,7 +200,7 @@ class SoftwareStop:
     def _goals(self) -> list[Goal]:
         return [goal for goal in self._session.goals.all() if goal.is_own and goal.is_cancelable]
 
-    def _begin(self, does: str, work: Awaitable[Reached | None], *touches: str, tells: bool = True) -> None:
+    def _begin(self, does: str, work: Awaitable[Reached | str | None], *touches: str, tells: bool = True) -> None:
         self._steps[does] = StopStep(does, touches, StepStatus.RUNNING, tells=tells)
         task = asyncio.ensure_future(self._followed(does, work))
         self._running.add(task)
@@ -202,11 +210,11 @@ class SoftwareStop:
         self._running.discard(task)
         self._revise()
 
-    async def _followed(self, does: str, work: Awaitable[Reached | None]) -> None:
+    async def _followed(self, does: str, work: Awaitable[Reached | str | None]) -> None:
         fate, words, reached = StepStatus.DONE, None, None
         try:
-            reached = await work
-            words = None if reached is None else _missed(reached)
+            found = await work
+            words, reached = (found, None) if isinstance(found, str) else (_missed(found), found)
         except (RosError, LoweringError, ValueError) as error:
             fate, words = StepStatus.FAILED, str(error)
             _log.error("while the robot was stopped: %s: %s", does, words)
@@ -221,8 +229,16 @@ class SoftwareStop:
     async def _publish_zero(self, topic: Topic) -> Reached:
         return await self._zero.publish(topic)
 
-    async def _carried_out(self, mapped: StopCommand, deadline: float) -> Reached | None:
-        """Call or publish what a mapping names, past the gate."""
+    async def _carried_out(self, mapped: StopCommand, deadline: float) -> Reached | str | None:
+        """Call or publish what a mapping names, past the gate; words where it was refused by what is at rest."""
+        try:
+            return await self._tell(mapped, deadline)
+        except (RosError, LoweringError, ValueError) as error:
+            if not await self._is_at_rest(mapped):
+                raise
+            return f"it is at rest already: {error}"
+
+    async def _tell(self, mapped: StopCommand, deadline: float) -> Reached | None:
         session, encoding = self._session, self._session.adapter.capabilities.encoding
         if mapped.service is not None:
             service = session.graph.services.get(mapped.service)
@@ -269,8 +285,10 @@ def _zero_on(topic: str) -> str:
     return f"publish zero on {topic}"
 
 
-def _missed(reached: Reached) -> str | None:
+def _missed(reached: Reached | None) -> str | None:
     """Which subscribers were not reached, in words; None where all were."""
+    if reached is None:
+        return None
     missed = reached.expected - reached.subscribers
     return f"{missed} of {reached.expected} subscribers could not be reached" if missed > 0 else None
 

@@ -154,6 +154,32 @@ def test_a_service_that_says_that_it_did_not_succeed_has_failed(robot: Stoppable
     assert "1 of 2 steps failed" in told["warning"]
 
 
+def test_what_refuses_because_it_is_at_rest_has_not_failed(robot: Stoppable, http: httpx.Client) -> None:
+    robot.offer("/arm/fold", "std_srvs/srv/Trigger", lambda _: {"success": False, "message": "the arm is off"})
+    mapping = """@prefix map: <https://w3id.org/rosld/mapping#> . @prefix sh: <http://www.w3.org/ns/shacl#> .
+        <#arm> a map:ComplexResource ; map:path "/arm/" ; map:stop [ map:call "/arm/fold" ; map:atRestWhen <#off> ] .
+        <#off> a sh:NodeShape ; map:about "/arm/label" ; sh:property [
+          sh:path <http://www.w3.org/1999/02/22-rdf-syntax-ns#value> ; sh:hasValue "off" ] ."""
+    assert http.put("/mappings/arm", content=mapping, headers=TURTLE).status_code == 204
+    for label, state, words in (("on", "Failed", "the arm is off"), ("off", "Succeeded", "it is at rest already")):
+        assert http.put("/resources/arm/label", json=label).status_code == 204
+        told = stopped(http)
+        step = told["steps"][-1]
+        assert (step["does"], step["state"], step["words"][: len(words)]) == ("call /arm/fold", state, words)
+        assert (told["warning"] is None) is (state == "Succeeded")
+        assert http.delete("/stop").status_code == 204
+
+
+def test_the_aircraft_can_be_stopped_while_it_is_off(serve: Callable[..., Any]) -> None:
+    http = serve("aircraft").http
+    told = stopped(http)
+    assert (told["warning"], {step["state"] for step in told["steps"]}) == (None, {"Succeeded"})
+    page = http.get("/stop", headers={"Accept": "text/html"}).text
+    assert 'class="notice error stopped"' in page
+    assert "is at rest already: the aircraft is off" in page
+    assert "may go on moving" not in page
+
+
 def test_a_stop_ends_holds_and_nothing_follows_but_zero(robot: Stoppable, http: httpx.Client) -> None:
     for then in ("zero", "none", "/data/creep"):
         creep = "".join(f"<#message> <{TWIST}#{part}> <#message.{part}> . " for part in ("linear", "angular"))

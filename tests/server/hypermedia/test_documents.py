@@ -143,17 +143,17 @@ def test_the_shipped_file_says_the_normative_triples_labels_and_what_stops_the_a
     normative = {_told(one) for one in read(NORMATIVE).triples}
     shipped = {_told(one) for one in aircraft().triples}
     assert normative <= shipped
-    stopping = (mapping.stop, mapping.call, mapping.publish, mapping.content)
+    stopping = (mapping.stop, mapping.call, mapping.publish, mapping.content, mapping.atRestWhen)
     assert {one[1] for one in shipped - normative} == {str(rdfs.label), *map(str, stopping)}
-    assert len(read(NORMATIVE).triples) + 2 + 6 == len(aircraft().triples)
+    assert len(read(NORMATIVE).triples) + 2 + 7 == len(aircraft().triples)
 
 
 def test_what_stops_the_robot_is_a_call_or_a_message_with_full_names_and_json() -> None:
-    [stops] = [one.stop_commands for one in aircraft().resources if one.stop_commands]
-    assert stops == (
+    [stops] = [[each.command for each in one.stops] for one in aircraft().resources if one.stops]
+    assert stops == [
         StopCommand("/aircraft/engine/set_speed", None, '{"data": 0}'),
         StopCommand(None, "/cockpit/display", '{"data": "stopped"}'),
-    )
+    ]
 
 
 @pytest.mark.parametrize(
@@ -741,6 +741,7 @@ def test_a_mapping_that_lost_a_triple_is_taken_only_where_that_triple_was_not_ne
         "name",
         "writableWhen",
         "availableWhen",
+        "atRestWhen",
         "existsWhen",
         "property",
         "action",

@@ -39,6 +39,34 @@ def field_at(schema: MessageSchema, message: Message, path: str) -> tuple[FieldT
     return kind, value
 
 
+def number_type(schema: MessageSchema, path: str) -> Primitive | Array:
+    """The type of the number, or of the array of numbers, at `path` in every message of a type.
+
+    Raises ValueError naming the path where there is no such field, or it holds no numbers.
+    """
+    kind: FieldType = Nested(schema.ref.name)
+    walked: list[str] = []
+    for step in path.split("."):
+        walked.append(step)
+        try:
+            kind = _type_step(schema, kind, step)
+        except LookupError as error:
+            raise ValueError(f"{schema.ref.name} has no field {'.'.join(walked)!r}") from error
+    element = kind.element if isinstance(kind, Array) else kind
+    if isinstance(element, Nested) or element.name in STRINGS:
+        raise ValueError(f"{path!r} of {schema.ref.name} is no number")
+    assert not isinstance(kind, Nested)
+    return kind
+
+
+def _type_step(schema: MessageSchema, kind: FieldType, step: str) -> FieldType:
+    if isinstance(kind, Nested):
+        return _field(schema, kind.name, step).type
+    if isinstance(kind, Array) and step.isdecimal() and len(step) < 12:
+        return kind.element
+    raise LookupError(step)
+
+
 def _step(schema: MessageSchema, kind: FieldType, value: object, step: str) -> tuple[FieldType, object]:
     if isinstance(kind, Nested):
         field = _field(schema, kind.name, step)

@@ -254,6 +254,8 @@ class ros(Namespace, iri="https://w3id.org/rosld#"):
     recordsTopic: NamedNode
     Series: NamedNode
     SeriesPoint: NamedNode
+    Plot: NamedNode
+    plots: NamedNode
     seriesOf: NamedNode
     seriesField: NamedNode
     hasPoint: NamedNode

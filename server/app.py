@@ -39,6 +39,7 @@ from rosld.server.resources.mirror import replication_route
 from rosld.server.resources.mirror_setup import create_mirror
 from rosld.server.resources.near import near_urls
 from rosld.server.resources.past_messages import RecordedPast
+from rosld.server.resources.plot import PlotResource, plot_route
 from rosld.server.resources.resource_types import types_at
 from rosld.server.resources.sparql_update.service import UpdateService
 from rosld.server.resources.status import status_route
@@ -94,11 +95,14 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
     notifications = Notifications(robot, Channels(robot.instance_id), broadcasters, names, router.resolve)
     router.add(routes(notifications, ROUTES[".well-known"]))
     router.add(replication_route(mirror))
+    router.add(plot_route(broadcasters))
     watchdog = Watchdog()
     router.add(status_route(watchdog))
     described = {each.url: each.document for each in fixed_resources(notifications)}
     described |= {router.endpoint.url: router.endpoint.document, router.graphs.url: router.graphs.document}
     described |= {router.search.url: router.search.document}
+    unasked = PlotResource(robot, broadcasters)
+    described[unasked.url] = unasked.document
     changing = ("/status",) if mirror is None else ("/status", "/mirror")
     source.add(described, map(router.at, changing))
     authenticator = (

@@ -3,8 +3,8 @@
 Nothing here knows a robot or a store: a `Page` (or one of its kin) goes in, bytes come out. Whatever came from a robot
 is text to these pages, never markup, and `HEADERS` tells the browser to run nothing but `live.js`, which keeps a page
 up to date while it is looked at, `ages.js`, which says how long ago times were, `filter.js`, which finds things on
-long ones, `find.js`, which shows what is found while words are typed, `drive.js`, which drives a robot, and
-`picture.js`, which moves pictures. Without them every page is as whole.
+long ones, `find.js`, which shows what is found while words are typed, `drive.js`, which drives a robot, `picture.js`,
+which moves pictures, and `plot.js` and `spark.js`, which draw numbers over time. Without them every page is as whole.
 """
 
 from rosld.server.html.affordances import action_form, cancel_forms, forms_of, property_form
@@ -37,6 +37,7 @@ from rosld.server.html.page import (
     Offer,
     Page,
     PageResults,
+    PlotPage,
     ProblemPage,
     QueryPage,
     SearchPage,
@@ -54,11 +55,16 @@ from rosld.server.html.render import (
     HEADERS,
     ICON,
     PICTURE_SCRIPT,
+    PLOT_LIBRARY,
+    PLOT_SCRIPT,
+    PLOT_STYLESHEET,
     SCRIPT,
+    SPARK_SCRIPT,
     STYLESHEET,
     prepare_pages,
     render_entry,
     render_page,
+    render_plot,
     render_problem,
     render_query,
     render_search,
@@ -76,7 +82,11 @@ __all__ = [
     "HEADERS",
     "ICON",
     "PICTURE_SCRIPT",
+    "PLOT_LIBRARY",
+    "PLOT_SCRIPT",
+    "PLOT_STYLESHEET",
     "SCRIPT",
+    "SPARK_SCRIPT",
     "STYLESHEET",
     "Alternate",
     "ChoiceForm",
@@ -94,6 +104,7 @@ __all__ = [
     "Page",
     "PageResults",
     "ParameterForm",
+    "PlotPage",
     "ProblemPage",
     "QueryPage",
     "SearchPage",
@@ -114,6 +125,7 @@ __all__ = [
     "property_form",
     "render_entry",
     "render_page",
+    "render_plot",
     "render_problem",
     "render_query",
     "render_search",

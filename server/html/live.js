@@ -93,7 +93,7 @@ Without this file, or with scripts off, the page is what it was when it was load
       renew(old, now);
     } else {
       mergeAttributes(old, now);
-      if (!matches(old, "[data-drive]")) mergeChildren(old, now); // what stands in a pad is its script's
+      if (!matches(old, "[data-drive], a.plot")) mergeChildren(old, now); // what stands in these is their scripts'
     }
   }
 
@@ -153,6 +153,7 @@ Without this file, or with scripts off, the page is what it was when it was load
       const now = page.querySelector(part.localName);
       if (now) mergeChildren(part, now);
     }
+    document.dispatchEvent(new Event("shown"));
     if (!page.querySelector("main[data-live]")) end();
   }
 

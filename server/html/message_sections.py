@@ -12,6 +12,7 @@ from rosld.ontology.vocab import ros
 from rosld.server.html.labels import capitalize, label
 from rosld.server.html.messages import message_view
 from rosld.server.html.picture_view import PictureView, picture_view
+from rosld.server.html.plot import plot_prefix
 from rosld.server.html.site import Anchor, Site
 from rosld.server.html.terms import iri_view
 from rosld.server.html.timestamps import time_view
@@ -66,6 +67,7 @@ def _section(document: Document, site: Site, each: LiftedMessage, role: NamedNod
         each.message,
         simulated_time=document.simulated_time,
         octets="?field=" if each.node == NEWEST else None,
+        plots=plot_prefix(document.url, site) if each.node == NEWEST else None,
     )
     envelope = each.envelope
     publisher = envelope.publisher if envelope else None

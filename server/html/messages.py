@@ -39,6 +39,7 @@ class _Drawing:
     types: Mapping[str, MessageType]
     simulated: bool
     octets: str | None
+    plots: str | None
     left: int = field(default=_ROWS)
 
 
@@ -49,12 +50,14 @@ def message_view(
     fields: tuple[Field, ...] | None = None,
     simulated_time: bool = False,
     octets: str | None = None,
+    plots: str | None = None,
 ) -> TableView:
     """The table of a message, or of some of its `fields`.
 
-    `octets` is the reference of a field's bytes but for the field's path, None without.
+    `octets` is the reference of a field's bytes but for the field's path, `plots` that of a number's plot; None: there
+    are none.
     """
-    drawing = _Drawing(schema.types, simulated_time, octets)
+    drawing = _Drawing(schema.types, simulated_time, octets, plots)
     kind = schema.type if fields is None else replace(schema.type, fields=fields)
     return _rows(kind, message, "", 0, drawing)
 
@@ -88,10 +91,17 @@ def _is_short(kind: MessageType) -> bool:
 
 def _value(each: Field, value: object, path: str, depth: int, drawing: _Drawing) -> View:
     if isinstance(each.type, Primitive):
-        return scalar_view(each.type, value)
+        return _plotted(scalar_view(each.type, value), each.type, path, drawing)
     if isinstance(each.type, Nested):
         return _nested(each.type, cast(Message, value), f"{path}.", depth, drawing)
     return _array(each.type, value, path, depth, drawing)
+
+
+def _plotted(view: View, kind: Primitive, path: str, drawing: _Drawing) -> View:
+    """The view with a link to its plot, where it is a number that has one."""
+    if drawing.plots is None or kind.name in STRINGS or not isinstance(view, TextView):
+        return view
+    return replace(view, plot=f"{drawing.plots}{quote(path, safe='')}")
 
 
 def level_view(level: int) -> View:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
+from rosld.ontology.describe_plot import PlottedNumber
 from rosld.ontology.describe_search import SearchResult
 from rosld.ontology.document import Document
 from rosld.ontology.syntax import Syntax
@@ -230,6 +231,17 @@ class SearchPage:
     query: str = ""
     results: tuple[SearchResult, ...] = ()
     total: int = 0
+    notices: tuple[Notice, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class PlotPage:
+    """The page at `/plot`: numbers over time, and the references (`y`) that name them."""
+
+    site: Site
+    url: str
+    numbers: tuple[PlottedNumber, ...] = ()
+    references: tuple[str, ...] = ()
     notices: tuple[Notice, ...] = ()
 
 

@@ -34,11 +34,13 @@ from rosld.server.html.page import (
     Notice,
     NoticeLevel,
     Page,
+    PlotPage,
     ProblemPage,
     QueryPage,
     SearchPage,
     SparqlPage,
 )
+from rosld.server.html.plot import PlotRow, plot_config, plot_query
 from rosld.server.html.section_groups import group_sections
 from rosld.server.html.site import Anchor, Site
 from rosld.server.html.stop_steps import stop_steps
@@ -84,7 +86,20 @@ DRIVE_SCRIPT = (_HERE / "drive.js").read_bytes()
 """Served at `drive.js` below the base: the pad on the page of a topic that commands a velocity."""
 PICTURE_SCRIPT = (_HERE / "picture.js").read_bytes()
 """Served at `picture.js` below the base: pictures move while they are looked at."""
-_FILES = STYLESHEET + ICON + SCRIPT + AGES_SCRIPT + FILTER_SCRIPT + FIND_SCRIPT + DRIVE_SCRIPT + PICTURE_SCRIPT
+PLOT_SCRIPT = (_HERE / "plot.js").read_bytes()
+"""Served at `plot.js` below the base: draws the page of a plot, by means of `PLOT_LIBRARY`."""
+SPARK_SCRIPT = (_HERE / "spark.js").read_bytes()
+"""Served at `spark.js` below the base: draws beside each number how it was lately."""
+PLOT_LIBRARY = (_HERE / "vendor" / "uplot.js").read_bytes()
+"""Served at `uplot.js` below the base: uPlot, whose licence (MIT) lies beside it."""
+PLOT_STYLESHEET = (_HERE / "vendor" / "uplot.css").read_bytes()
+"""Served at `uplot.css` below the base."""
+_FILES = b"".join(
+    (
+        *(STYLESHEET, ICON, SCRIPT, AGES_SCRIPT, FILTER_SCRIPT, FIND_SCRIPT, DRIVE_SCRIPT, PICTURE_SCRIPT),
+        *(PLOT_SCRIPT, SPARK_SCRIPT, PLOT_LIBRARY),
+    )
+)
 _VERSION = hashlib.blake2b(_FILES, digest_size=4).hexdigest()
 
 _NOTICED = (
@@ -162,6 +177,22 @@ class _Frame:
     @property
     def picture_script(self) -> str:
         return f"{self.site.root}picture.js?v={_VERSION}"
+
+    @property
+    def plot_script(self) -> str:
+        return f"{self.site.root}plot.js?v={_VERSION}"
+
+    @property
+    def spark_script(self) -> str:
+        return f"{self.site.root}spark.js?v={_VERSION}"
+
+    @property
+    def plot_library(self) -> str:
+        return f"{self.site.root}uplot.js?v={_VERSION}"
+
+    @property
+    def plot_stylesheet(self) -> str:
+        return f"{self.site.root}uplot.css?v={_VERSION}"
 
     @property
     def icon(self) -> str:
@@ -393,6 +424,30 @@ def _found_by(result: SearchResult) -> str:
     if result.field is not None:
         return f"{result.match} {result.field}"
     return result.match if result.match in ("text", "type") else ""
+
+
+def render_plot(page: PlotPage) -> bytes:
+    """The page of a plot: what its script draws from, and the numbers in a table."""
+    site = page.site
+    rows = [
+        PlotRow(
+            site.anchor(number.topic),
+            escape_controls(number.field),
+            number.type,
+            None if number.series is None else site.href(number.series),
+            f"{site.root}plot{plot_query([each for each in page.references if each != reference])}",
+        )
+        for number, reference in zip(page.numbers, page.references, strict=True)
+    ]
+    return _render(
+        "plot.html",
+        _frame(site, ", ".join(row.field for row in rows) or "Plot", page.url, page.notices),
+        page=page,
+        rows=rows,
+        references=page.references,
+        config=plot_config(page),
+        formats=[replace(each, query=page.url.partition("?")[2]) for each in ALTERNATES],
+    )
 
 
 def render_problem(page: ProblemPage) -> bytes:

@@ -15,7 +15,10 @@ _UNASSIGNED = re.compile(r"[\ud800-\udfff\ufdd0-\ufdef\ufffe\uffff\x80-\x9f]")
 
 @dataclass(frozen=True, slots=True)
 class TextView:
-    """A value as text; `full` is all of a long one, `exact` all digits of a number, `hint` its type, `tone` a style."""
+    """A value as text; `full` is all of a long one, `exact` all digits of a number, `hint` its type, `tone` a style.
+
+    `plot` refers to the plot of a number over time; empty without.
+    """
 
     kind: ClassVar[str] = "text"
     text: str
@@ -23,6 +26,7 @@ class TextView:
     full: str | None = None
     tone: str = ""
     exact: str = ""
+    plot: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,6 +31,7 @@ _OR_ANOTHER = f", or one beyond the {MAX_SINGLE} that are described one by one"
 _TAGS = {
     "": "entry",
     "find": "entry",
+    "plot": "entry",
     "sparql": "queries",
     "graphs": "queries",
     "mirror": "queries",
@@ -38,8 +39,11 @@ _TAGS = {
 }
 """The tags of URLs that are not called by the first segment."""
 _ENTRY = ("ontology", ".well-known/", ".well-known/wot", "openapi.json", "llms.txt")
-_SCRIPTS = ("live.js", "ages.js", "filter.js", "find.js", "drive.js", "picture.js")
-_FILES = ("style.css", *_SCRIPTS, "icon.svg", "favicon.ico")
+_SCRIPTS = (
+    *("live.js", "ages.js", "filter.js", "find.js", "drive.js", "picture.js"),
+    *("plot.js", "spark.js", "uplot.js"),
+)
+_FILES = ("style.css", "uplot.css", *_SCRIPTS, "icon.svg", "favicon.ico")
 _NAME = "A name; those of several parts have slashes, as in the URL."
 
 
@@ -68,7 +72,7 @@ class PathCollector:
         yield from self._queries()
         yield from self._channels()
         yield from self._activities()
-        for path in ("find", "stop", "status", "sparql", "graphs", *_ENTRY, *_FILES):
+        for path in ("find", "plot", "stop", "status", "sparql", "graphs", *_ENTRY, *_FILES):
             yield self._path(f"/{path}")
         with suppress(Problem):  # there is one only if it was asked for
             yield self._path("/mirror")

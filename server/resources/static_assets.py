@@ -107,6 +107,29 @@ def picture_script(robot: Robot) -> FileResource:
     )
 
 
+def plot_script(robot: Robot) -> FileResource:
+    """`/plot.js`."""
+    return FileResource(
+        robot, "plot.js", html.PLOT_SCRIPT, "text/javascript; charset=utf-8", "The script that draws plots"
+    )
+
+
+def spark_script(robot: Robot) -> FileResource:
+    """`/spark.js`."""
+    summary = "The script that draws beside numbers how they were lately"
+    return FileResource(robot, "spark.js", html.SPARK_SCRIPT, "text/javascript; charset=utf-8", summary)
+
+
+def plot_library(robot: Robot) -> FileResource:
+    """`/uplot.js`."""
+    return FileResource(robot, "uplot.js", html.PLOT_LIBRARY, "text/javascript; charset=utf-8", "uPlot, which draws")
+
+
+def plot_stylesheet(robot: Robot) -> FileResource:
+    """`/uplot.css`."""
+    return FileResource(robot, "uplot.css", html.PLOT_STYLESHEET, "text/css; charset=utf-8", "The style of uPlot")
+
+
 def icon(robot: Robot) -> FileResource:
     """`/icon.svg`."""
     return FileResource(robot, "icon.svg", html.ICON, "image/svg+xml", "The icon of pages")
@@ -126,6 +149,10 @@ FILES: dict[str, Callable[[Robot], FileResource]] = {
     "find.js": find_script,
     "drive.js": drive_script,
     "picture.js": picture_script,
+    "plot.js": plot_script,
+    "spark.js": spark_script,
+    "uplot.js": plot_library,
+    "uplot.css": plot_stylesheet,
     "icon.svg": icon,
     "favicon.ico": favicon,
 }

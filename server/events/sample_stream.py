@@ -1,0 +1,179 @@
+"""The event stream of numbers: those of every message of their topics, not of the newest alone."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import time
+from collections.abc import Awaitable, Callable, Sequence
+from itertools import islice
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+import orjson
+from starlette.responses import Response
+from starlette.types import Receive, Scope, Send
+
+from rosld.adapters.base import Adapter
+from rosld.adapters.model import Message, MessageSchema, RosError, Sample, TypeRef
+from rosld.ontology.fields import field_at
+from rosld.server.events import frame
+from rosld.server.events.broadcaster import RETRY_SECONDS, Broadcasters
+from rosld.server.events.event_stream import HEADERS, KEEP_ALIVE_SECONDS, Headers
+from rosld.server.history.topic_feed import TopicFeed
+
+PERIOD = 0.1
+"""Seconds between two events."""
+MAX_ELEMENTS = 16
+"""Numbers of an array that are told."""
+_DEPTH = 32
+_MOST = 200
+"""Messages of a topic that one event tells of: of more, every second, third and so on, and the newest."""
+
+Numbers: TypeAlias = "float | list[float | None] | None"
+"""A number, or those of an array; None for what is no finite number."""
+SchemaOf: TypeAlias = Callable[[TypeRef], Awaitable[MessageSchema]]
+
+
+class FollowedTopic(NamedTuple):
+    """A topic, and the paths of its numbers, each with the place that it has in the stream."""
+
+    topic: str
+    fields: tuple[tuple[int, str], ...]
+
+
+class SampleStream(Response):
+    """Tells numbers of topics until its reader leaves or the server ends.
+
+    Each event is JSON: `times` in milliseconds since 1970 by topic, `values` by place, each as long as the times of its
+    topic, `topics` the topic of each place, and `lost`, how many messages were not told of.
+    """
+
+    def __init__(
+        self,
+        broadcasters: Broadcasters,
+        adapter: Adapter,
+        schema_of: SchemaOf,
+        topics: Sequence[FollowedTopic],
+        headers: Headers,
+        is_valid: Callable[[], bool],
+    ) -> None:
+        """`is_valid`: whether the reader may still read."""
+        self.status_code = 200
+        self.body = b""
+        self.background = None
+        self.raw_headers = [*HEADERS, *headers]
+        self._broadcasters = broadcasters
+        self._adapter = adapter
+        self._numbers = [TopicNumbers(each, schema_of) for each in topics]
+        self._is_valid = is_valid
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send it."""
+        with self._broadcasters.count_reader(scope):
+            await send({"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers})
+            try:
+                await self._broadcasters.run_for_client(self._tell(send), receive)
+            finally:
+                for each in self._numbers:
+                    each.close()
+        await send({"type": "http.response.body", "body": b"", "more_body": False})
+
+    async def _tell(self, send: Send) -> None:
+        async def tell(chunk: bytes) -> None:
+            await send({"type": "http.response.body", "body": chunk, "more_body": True})
+
+        await tell(frame.opening(RETRY_SECONDS))
+        spoke = time.monotonic()
+        while self._is_valid():
+            told = [found for each in self._numbers if (found := await each.take(self._adapter)) is not None]
+            if told:
+                await tell(frame.event(orjson.dumps(told)))
+                spoke = time.monotonic()
+            elif time.monotonic() - spoke > KEEP_ALIVE_SECONDS:
+                await tell(frame.KEEP_ALIVE)
+                spoke = time.monotonic()
+            await asyncio.sleep(PERIOD)
+
+
+class TopicNumbers:
+    """The numbers of one topic: what of them is new since they were taken last."""
+
+    def __init__(self, followed: FollowedTopic, schema_of: SchemaOf) -> None:
+        self._followed = followed
+        self._schema_of = schema_of
+        self._schemas: dict[TypeRef, MessageSchema] = {}
+        self._feed: TopicFeed | None = None
+
+    async def take(self, adapter: Adapter) -> dict[str, object] | None:
+        """What is new, None where nothing is, or the topic cannot be subscribed to just now."""
+        with contextlib.suppress(RosError):
+            if self._feed is None:
+                subscription = await adapter.subscribe(self._followed.topic, depth=_DEPTH)
+                self._feed = TopicFeed(self._followed.topic, subscription, _DEPTH)
+            return await self._take(adapter, self._feed)
+        return None
+
+    def close(self) -> None:
+        """Give the subscription back. Idempotent."""
+        feed, self._feed = self._feed, None
+        if feed is not None:
+            feed.subscription.close()
+
+    async def _take(self, adapter: Adapter, feed: TopicFeed) -> dict[str, object] | None:
+        new = feed.take()
+        lost, feed.lost = feed.lost, 0
+        depth = feed.wanted_depth(new) if new else feed.depth
+        if depth > feed.depth:
+            deeper = await adapter.subscribe(feed.topic, depth=depth)
+            feed.subscription.close()
+            feed.subscription, feed.depth = deeper, depth
+        told = _thinned(new)
+        lost += len(new) - len(told)
+        if not told and not lost:
+            return None
+        rows = [(each.received_ns / 1e6, await self._numbers(each)) for each in told]
+        return {
+            "times": [at for at, _ in rows],
+            "values": {
+                str(place): [row[column] for _, row in rows] for column, (place, _) in enumerate(self._followed.fields)
+            },
+            "lost": lost,
+        }
+
+    async def _numbers(self, sample: Sample) -> list[Numbers]:
+        schema = self._schemas.get(sample.schema)
+        if schema is None:
+            schema = self._schemas[sample.schema] = await self._schema_of(sample.schema)
+        try:
+            message = schema.codec.decode(sample.data, sample.encoding)
+        except ValueError:
+            return [None] * len(self._followed.fields)
+        return [number_at(schema, message, path) for _, path in self._followed.fields]
+
+
+def number_at(schema: MessageSchema, message: Message, path: str) -> Numbers:
+    """The number, or the first numbers of the array, at a path of a message; None where there is none."""
+    try:
+        _, value = field_at(schema, message, path)
+    except ValueError:
+        return None
+    if isinstance(value, list | tuple | np.ndarray):
+        return [_finite(each) for each in islice(value, MAX_ELEMENTS)]
+    return _finite(value)
+
+
+def _finite(value: object) -> float | None:
+    if isinstance(value, str) or not hasattr(value, "__float__"):
+        return None
+    number = float(value)
+    return number if math.isfinite(number) else None
+
+
+def _thinned(samples: Sequence[Sample]) -> Sequence[Sample]:
+    """At most so many of them, evenly, with the newest."""
+    if len(samples) <= _MOST:
+        return samples
+    step = -(-len(samples) // _MOST)
+    return samples[::-1][::step][::-1]

@@ -1,0 +1,265 @@
+/* Draws numbers over time: what is recorded of them first, then every message as it comes.
+
+Without this file, or with scripts off, the page tells the numbers as they were when it was loaded. */
+"use strict";
+{
+  const KEPT = 20000; // messages of a topic that are kept; of older ones every second
+  const FRAME = 100, SECOND = 1000; // milliseconds between two drawings, and where nothing comes
+  const POINTS = 1000; // of what is recorded of a number, at most
+  const COLOURS = 8; // that the stylesheet has: --line-0 and so on
+  const HEIGHT = 360;
+  const root = document.getElementById("plot"), wanted = JSON.parse(root.dataset.plot);
+  const element = (name) => root.querySelector(`[data-part=${name}]`);
+  const figure = element("figure"), words = element("status"), pause = element("pause"), span = element("span");
+
+  /* A line is a number, or an element of an array: whose `column` of which table it is. */
+  const lines = wanted.y.map(({ label }, place) => ({ place, item: null, label }));
+  const tables = new Map(); // by topic: times (seconds) and, by place, values
+  const past = new Map(), detail = new Map(); // by place: what is recorded, as [times, values]
+  let view = null; // the times that are looked at; null: the newest
+  let isHeld = false; // while a time is chosen, nothing moves
+  let isPaused = false, ahead = 0, plot = null, isStale = true, lost = 0;
+
+  /* What comes */
+
+  function take(event) {
+    for (const { times, values, lost: more } of JSON.parse(event.data)) {
+      lost += more;
+      const places = Object.keys(values), key = places.join();
+      if (!tables.has(key)) tables.set(key, { times: [], values: new Map(places.map((each) => [Number(each), []])) });
+      const table = tables.get(key);
+      for (const at of times) table.times.push(at / 1000);
+      for (const place of places) {
+        expand(Number(place), values[place]);
+        table.values.get(Number(place)).push(...values[place]);
+      }
+      if (table.times.length > 2 * KEPT) thin(table);
+      if (times.length) ahead = times.at(-1) - Date.now();
+    }
+    isStale = true;
+    tell();
+  }
+
+  /* The first that comes of an array tells how many lines it takes. */
+  function expand(place, values) {
+    const first = values.find(Array.isArray), at = lines.findIndex((each) => each.place === place);
+    if (!first || !first.length || lines[at].item !== null) return;
+    const label = lines[at].label;
+    lines.splice(at, 1, ...first.map((_, item) => ({ place, item, label: `${label}.${item}` })));
+    build();
+  }
+
+  function thin(table) {
+    const some = (column) => column.filter((_, row) => row >= KEPT || row % 2);
+    table.times = some(table.times);
+    for (const [place, column] of table.values) table.values.set(place, some(column));
+  }
+
+  /* What is recorded */
+
+  async function recall(into, from, to) {
+    await Promise.all(wanted.y.map(async ({ series }, place) => {
+      if (!series) return;
+      const query = `&from=${encodeURIComponent(from)}${to ? `&to=${encodeURIComponent(to)}` : ""}&points=${POINTS}`;
+      try {
+        const answer = await fetch(series + query, { headers: { accept: "application/json" } });
+        if (answer.ok) into.set(place, points(await answer.json()));
+      } catch {
+        // not reachable: the status says so
+      }
+    }));
+    isStale = true;
+  }
+
+  /* Of an interval both its minimum and its maximum are drawn. */
+  function points({ time, value, min, max }) {
+    const times = [], values = [];
+    const add = (at, number) => { times.push(at); values.push(number); };
+    time.forEach((text, row) => {
+      const at = Date.parse(text) / 1000;
+      if (value) return add(at, value[row]);
+      const next = row + 1 < time.length ? Date.parse(time[row + 1]) / 1000 : at + 0.002;
+      add(at, min[row]);
+      add((at + next) / 2, max[row]);
+    });
+    return [times, values];
+  }
+
+  /* What is drawn */
+
+  const now = () => (Date.now() + ahead) / 1000;
+  const seen = () => view ?? { from: now() - Number(span.value), to: now() };
+
+  /* The rows of ascending times that lie within, and one beyond on either side. */
+  function within(times, from, to) {
+    const first = (limit) => {
+      let low = 0, high = times.length;
+      while (low < high) {
+        const middle = (low + high) >> 1;
+        if (times[middle] < limit) low = middle + 1;
+        else high = middle;
+      }
+      return low;
+    };
+    return [Math.max(first(from) - 1, 0), Math.min(first(to) + 1, times.length)];
+  }
+
+  function data({ from, to }) {
+    const parts = [], columns = [];
+    for (const { place, item } of lines) {
+      const table = [...tables.values()].find((each) => each.values.has(place));
+      const older = (view && detail.get(place)) ?? past.get(place) ?? [[], []];
+      const until = view && detail.has(place) ? Infinity : table?.times[0] ?? Infinity;
+      const times = [], values = [];
+      let [at, end] = within(older[0], from, to);
+      for (; at < end && older[0][at] < until; at++) { times.push(older[0][at]); values.push(older[1][at]); }
+      if (table && until !== Infinity) {
+        [at, end] = within(table.times, from, to);
+        const column = table.values.get(place);
+        for (; at < end; at++) {
+          times.push(table.times[at]);
+          values.push(item === null ? column[at] : column[at]?.[item] ?? null);
+        }
+      }
+      parts.push([times, values]);
+    }
+    return parts.length ? uPlot.join(parts) : [[]];
+  }
+
+  function draw() {
+    if (!plot || document.hidden || isHeld || !isStale) return;
+    const shown = seen();
+    isStale = false;
+    plot.batch(() => {
+      plot.setData(data(shown), false);
+      plot.setScale("x", { min: shown.from, max: shown.to });
+    });
+    figure.dataset.points = plot.data[0].length;
+  }
+
+  const colour = (name) => getComputedStyle(root).getPropertyValue(name).trim();
+
+  function build() {
+    plot?.destroy();
+    const axis = { stroke: colour("--quiet"), grid: { stroke: colour("--line"), width: 1 }, ticks: { stroke: colour("--line") } };
+    const drawn = lines.map(({ label, place }, at) => ({
+      label,
+      stroke: colour(`--line-${at % COLOURS}`),
+      dash: at < COLOURS ? [] : [6, 4],
+      width: 1.5,
+      spanGaps: true,
+      points: { show: false },
+      value: (_, number) => number === null || number === undefined ? "" : `${Number(number.toPrecision(7))}${wanted.y[place].unit}`,
+    }));
+    plot = new uPlot({
+      width: figure.clientWidth,
+      height: HEIGHT,
+      series: [{ label: "Time" }, ...drawn],
+      axes: [axis, { ...axis, size: 64 }],
+      cursor: { drag: { x: true, y: false, setScale: false } },
+      hooks: { setSelect: [zoom] },
+    }, [[], ...drawn.map(() => [])], figure);
+    plot.over.addEventListener("mousedown", () => { isHeld = true; });
+    plot.over.addEventListener("dblclick", follow);
+    isStale = true;
+    draw();
+  }
+
+  async function zoom(chart) {
+    const { left, width } = chart.select;
+    if (width < 4) return;
+    view = { from: chart.posToVal(left, "x"), to: chart.posToVal(left + width, "x") };
+    chart.setSelect({ left: 0, width: 0, top: 0, height: 0 }, false);
+    detail.clear();
+    isStale = true;
+    tell();
+    draw();
+    const iso = (seconds) => new Date(seconds * 1000).toISOString();
+    await recall(detail, iso(view.from), iso(view.to));
+    draw();
+  }
+
+  function follow() {
+    view = null;
+    isPaused = false;
+    detail.clear();
+    isStale = true;
+    tell();
+    draw();
+  }
+
+  /* What is said and pressed */
+
+  let stream = null, isLost = false;
+
+  function tell() {
+    const state = isLost ? "Not live" : view ? "Zoomed" : isPaused ? "Paused" : "Live";
+    const left = lost ? `, ${lost} message${lost === 1 ? "" : "s"} not drawn` : "";
+    if (words.textContent !== state + left) words.textContent = state + left;
+    pause.textContent = view || isPaused ? "Go on" : "Pause";
+  }
+
+  pause.addEventListener("click", () => {
+    if (view || isPaused) return follow();
+    const shown = seen();
+    isPaused = true;
+    view = shown;
+    tell();
+  });
+  span.addEventListener("change", () => recall(past, `-${span.value}`).then(draw));
+
+  function save(blob, name) {
+    const link = Object.assign(document.createElement("a"), { href: URL.createObjectURL(blob), download: name });
+    link.click();
+    setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+  }
+
+  const quoted = (text) => /[",\r\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text;
+
+  element("csv").addEventListener("click", () => {
+    const [times, ...columns] = data(seen());
+    const rows = times.map((at, row) => [new Date(at * 1000).toISOString(), ...columns.map((each) => each[row] ?? "")]);
+    const text = [["time", ...lines.map(({ label }) => quoted(label))], ...rows].map((row) => row.join(",")).join("\r\n");
+    save(new Blob([text + "\r\n"], { type: "text/csv" }), "plot.csv");
+  });
+
+  element("png").addEventListener("click", () => {
+    const drawn = plot.ctx.canvas, line = 22 * devicePixelRatio;
+    const whole = Object.assign(document.createElement("canvas"), { width: drawn.width, height: drawn.height + line * lines.length });
+    const context = whole.getContext("2d");
+    context.fillStyle = colour("--card");
+    context.fillRect(0, 0, whole.width, whole.height);
+    context.drawImage(drawn, 0, 0);
+    context.font = `${14 * devicePixelRatio}px sans-serif`;
+    lines.forEach(({ label }, at) => {
+      context.fillStyle = colour(`--line-${at % COLOURS}`);
+      context.fillText(`\u25a0 ${label}`, line / 2, drawn.height + line * (at + 0.7));
+    });
+    whole.toBlob((blob) => save(blob, "plot.png"), "image/png");
+  });
+
+  function open() {
+    stream?.close();
+    stream = new EventSource(wanted.stream);
+    stream.addEventListener("message", take);
+    stream.addEventListener("open", () => { isLost = false; tell(); });
+    stream.addEventListener("error", () => { isLost = true; tell(); });
+  }
+
+  addEventListener("mouseup", () => setTimeout(() => { isHeld = false; }));
+  addEventListener("resize", () => {
+    plot?.setSize({ width: figure.clientWidth, height: HEIGHT });
+    isStale = true;
+  });
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", build);
+  document.addEventListener("visibilitychange", () => { isStale = true; });
+  addEventListener("pagehide", () => stream?.close());
+  addEventListener("pageshow", (event) => event.persisted && open());
+
+  for (const each of root.querySelectorAll("[hidden]")) each.hidden = false;
+  build();
+  recall(past, `-${span.value}`).then(draw);
+  open();
+  setInterval(draw, FRAME);
+  setInterval(() => { isStale ||= !view; }, SECOND); // time goes on where nothing comes
+}

@@ -1,4 +1,4 @@
-"""Plots over HTTP: what is told of their numbers, and that the stream tells each message once, as the history has it."""
+"""Plots over HTTP: what is told of their numbers, and that the stream tells each message once, as it is recorded."""
 
 from __future__ import annotations
 

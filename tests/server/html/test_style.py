@@ -53,7 +53,10 @@ def test_every_class_in_the_stylesheet_is_used_by_a_template() -> None:
 
     templates = "".join(each.read_text() for each in (files("rosld.server.html") / "templates").iterdir())
     sources = "".join(
-        each.read_text() for each in files("rosld.server.html").iterdir() if each.name.endswith((".py", ".js"))
+        each.read_text()
+        for folder in ("", "vendor")
+        for each in (files("rosld.server.html") / folder).iterdir()
+        if each.name.endswith((".py", ".js"))
     )
     classes = set(re.findall(r"\.([a-z][a-z-]+)(?=[^{}]*\{)", re.sub(r"/\*.*?\*/|@media[^{]*", "", TEXT, flags=re.S)))
     assert not [name for name in sorted(classes) if not re.search(rf"\b{name}\b", templates + sources)]

@@ -36,7 +36,7 @@ def test_every_url_is_a_page_for_a_browser(http: httpx.Client, path: str) -> Non
     assert page.headers["content-type"] == "text/html; charset=utf-8"
     assert "default-src 'none'" in page.headers["content-security-policy"]
     assert page.text.count("<script") == sum(
-        page.text.count(f'<script src="/{own}.js?') for own in ("live", "filter", "find", "spark")
+        page.text.count(f'<script src="/{own}.js?') for own in ("live", "ages", "filter", "find", "spark")
     )
     assert "<nav" in page.text
 
@@ -138,7 +138,7 @@ def test_a_token_is_for_one_resource_only(http: httpx.Client) -> None:
 def test_what_a_robot_says_is_text_and_never_markup(http: httpx.Client) -> None:
     http.put(DISPLAY, json={"data": "<script>alert(1)</script><img src=x onerror=alert(1)>"})
     page = http.get(DISPLAY, headers=HTML).text
-    own = [page.count(f'<script src="/{name}.js?') for name in ("live", "find", "spark")]
-    assert page.count("<script") == sum(own) == 3
+    own = [page.count(f'<script src="/{name}.js?') for name in ("live", "ages", "find", "spark")]
+    assert page.count("<script") == sum(own) == 4
     assert "<img src=x" not in page
     assert "&lt;script&gt;" in page

@@ -88,7 +88,7 @@ def test_a_plot_is_saved_as_a_picture(tab: Any, rover: httpx.Client) -> None:
 
 def test_numbers_of_a_page_have_small_plots_that_lead_to_large_ones(tab: Any, rover: httpx.Client) -> None:
     tab.open(f"{rover.base_url}topics/odom")
-    link = 'document.querySelector(\'a.plot[href$="%23twist.twist.linear.x"]\')'
+    link = "document.querySelector('a.plot[href$=\"%23twist.twist.linear.x\"]')"
     tab.until(f"{link}.querySelector('polyline').getAttribute('points').split(' ').length > 3")
     tab.leave(f"{link}.click()")
     tab.until(f"{POINTS} > 5")

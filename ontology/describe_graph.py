@@ -62,6 +62,7 @@ def entry_document(
     server's.
     """
     entry, robot = NamedNode(space.base), NamedNode(f"{space.base}#robot")
+    drawing = NamedNode(f"{space.base}graph")
     rooms = {room: NamedNode(space.container(room)) for room in SECTIONS}
     ontology, sparql, graphs = (NamedNode(space.base + name) for name in ("ontology", "sparql", "graphs"))
     master = NamedNode(f"{space.base}#master") if graph.master else None
@@ -79,6 +80,7 @@ def entry_document(
         (ros.hasServerStatus, NamedNode(f"{space.base}status")),
         (rdfs.seeAlso, sparql),
         (rdfs.seeAlso, graphs),
+        (rdfs.seeAlso, drawing),
         (rdfs.seeAlso, ontology),
     )
     triples += triples_about(
@@ -107,6 +109,7 @@ def entry_document(
     triples += search_triples(entry, space)
     triples += triples_about(ontology, (rdfs.label, text("Ontology")))
     triples += triples_about(sparql, (rdfs.label, text("SPARQL")))
+    triples += triples_about(drawing, (rdfs.label, text("Who talks to whom")))
     triples += triples_about(graphs, (rdfs.label, text("Graph store")))
     return Document(space.base, tuple(triples), simulated_time=graph.simulated_time)
 

@@ -154,6 +154,7 @@ LAYERS = [
     "sparql",
     "rest",
     "html",
+    "diagrams",
     "search",
     "hypermedia",
     "robot",

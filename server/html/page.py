@@ -246,6 +246,26 @@ class PlotPage:
 
 
 @dataclass(frozen=True, slots=True)
+class GraphPage:
+    """The page at `/graph`: `svg` is its drawing, already escaped, of `shown` vertices that stand for `total` things.
+
+    `below` is the name that it is limited to, `namespaces` are those to choose from, `problems` are what is wrong, each
+    with the URL and the name of what it is wrong with.
+    """
+
+    site: Site
+    url: str
+    svg: str
+    shown: int
+    total: int
+    below: str = ""
+    everything: bool = False
+    namespaces: tuple[str, ...] = ()
+    problems: tuple[tuple[str, str, str], ...] = ()
+    notices: tuple[Notice, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class ProblemPage:
     """An error for people: RFC 9457's members, and the fields that did not fit. `url` is what was asked for.
 

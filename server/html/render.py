@@ -10,6 +10,7 @@ from importlib.resources import files
 from urllib.parse import quote
 
 from jinja2 import DictLoader, Environment, StrictUndefined
+from markupsafe import Markup
 from pyoxigraph import NamedNode
 
 from rosld.ontology.describe_search import SearchResult
@@ -30,7 +31,9 @@ from rosld.server.html.page import (
     ALTERNATES,
     PICTURE_ALTERNATES,
     THING,
+    Alternate,
     EntryPage,
+    GraphPage,
     Notice,
     NoticeLevel,
     Page,
@@ -411,6 +414,26 @@ def render_search(page: SearchPage) -> bytes:
             (anchor, result.kind, types, _found_by(result), brief_text(result.member.value or "null"))
             for result, anchor, types in found
             if anchor is not None
+        ],
+    )
+
+
+_GRAPH_FORMATS = (Alternate("SVG", "image/svg+xml", "svg"), Alternate("DOT", "text/vnd.graphviz", "dot"))
+
+
+def render_graph(page: GraphPage) -> bytes:
+    """The page of the computation graph: its drawing, what is wrong in words, a choice of namespaces."""
+    query = page.url.partition("?")[2]
+    return _render(
+        "graph.html",
+        _frame(page.site, "Graph", page.url, page.notices, live=True),
+        page=page,
+        svg=Markup(page.svg),
+        formats=[replace(each, query=query) for each in (*_GRAPH_FORMATS, *ALTERNATES)],
+        problems=[
+            (anchor, escape_controls(words))
+            for url, _, words in page.problems
+            if (anchor := page.site.anchor(url)) is not None
         ],
     )
 

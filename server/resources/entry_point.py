@@ -57,6 +57,7 @@ class EntryResource(Resource):
                 for room in ("types", "mappings", "data", "calls", *goals, "holds", "queries")
             ),
         )
+        counts = (*counts, EntryCount("Graph", None, f"{space.base}graph", "Who talks to whom, drawn."))
         counts = tuple(each for each in counts if site.may("GET", each.url))
         troubles = (Notice(problem, NoticeLevel.ERROR) for problem in self.robot.storage_problems)
         return render_entry(EntryPage(site, state.document, counts, self._example(site), (*troubles, *notices)))

@@ -21,6 +21,7 @@ from rosld.server.resources.context import Robot
 from rosld.server.resources.entry_point import EntryResource
 from rosld.server.resources.find import FindResource
 from rosld.server.resources.finder import Finder
+from rosld.server.resources.graph import GraphResource
 from rosld.server.resources.graph_store import GraphStore
 from rosld.server.resources.guide import GuideResource
 from rosld.server.resources.holds import HoldResource
@@ -139,6 +140,7 @@ ROUTES: Mapping[str, Route] = {
     "mappings": stored_route,
     ".well-known": _well_known,
     "stop": _single(StopResource),
+    "graph": _single(GraphResource),
     "llms.txt": _single(GuideResource),
     "ontology": ontology_room,
 } | {name: _single(make) for name, make in FILES.items()}

@@ -30,7 +30,7 @@ STARTED = {
     "engine": "/resources/aircraft/engine/", "number": "/resources/aircraft/engine/speed",
 }  # fmt: skip
 ROVER = {
-    "rover_camera": "/topics/camera/image_raw",
+    "rover_camera": "/topics/camera/image_raw", "graph": "/graph",
     "rover": "/", "twist": "/topics/cmd_vel", "rover_scan": "/topics/scan", "nodes": "/nodes/",
     "node": "/nodes/rover",
     "rover_resources": "/resources/rover/", "actions": "/actions/", "action": "/actions/navigate_to",

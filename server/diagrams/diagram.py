@@ -1,0 +1,202 @@
+"""The computation graph as a diagram: nodes, topics, services, actions, who talks to whom, what is wrong. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from enum import Enum
+
+from rosld.adapters.model import Graph, Topic, names
+from rosld.adapters.model.qos import Mismatch, mismatches
+from rosld.ontology.urls import Space
+
+_MAX_MISMATCHES = 50
+_OF_ROS = frozenset({"/rosout", "/rosout_agg", "/parameter_events", "/clock"})
+"""Topics that every node has to do with: they hide what the robot is about."""
+_OF_NODES = frozenset(
+    {
+        "describe_parameters", "get_parameter_types", "get_parameters", "list_parameters", "set_parameters",
+        "set_parameters_atomically", "get_loggers", "set_logger_level", "get_logger_levels", "set_logger_levels",
+        "get_type_description", "change_state", "get_state", "get_available_states", "get_available_transitions",
+        "get_transition_graph",
+    }
+)  # fmt: skip
+"""Services that every node provides, by the last part of their names."""
+
+
+class VertexKind(Enum):
+    """What a vertex stands for; its value is the word for one, with an s for several."""
+
+    NODE = "node"
+    TOPIC = "topic"
+    SERVICE = "service"
+    ACTION = "action"
+
+
+@dataclass(frozen=True, slots=True)
+class Vertex:
+    """A thing of the graph, or `count` of them folded into one.
+
+    `rate` is in messages a second, 0.0 where it is not known; `problem` says in words what is wrong with it.
+    """
+
+    key: str
+    kind: VertexKind
+    name: str
+    url: str
+    rate: float = 0.0
+    problem: str = ""
+    count: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Edge:
+    """A way that messages, calls or goals go, from one vertex to another, by their keys."""
+
+    source: str
+    target: str
+    rate: float = 0.0
+    problem: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Diagram:
+    """What is drawn; `total` are the things that it stands for."""
+
+    vertices: tuple[Vertex, ...]
+    edges: tuple[Edge, ...]
+    total: int
+
+
+@dataclass(frozen=True, slots=True)
+class Selection:
+    """What of a graph is drawn: what lies `below` a name with what that is connected to, or all.
+
+    What every node has is left out unless it is asked for (`everything`).
+    """
+
+    below: str = ""
+    everything: bool = False
+
+
+@dataclass(slots=True)
+class _Draft:
+    vertices: dict[str, Vertex] = field(default_factory=dict)
+    edges: dict[tuple[str, str], Edge] = field(default_factory=dict)
+
+    def connect(self, source: str, target: str, rate: float = 0.0, problem: str = "") -> None:
+        if source in self.vertices and target in self.vertices:
+            known = self.edges.get((source, target))
+            self.edges[source, target] = Edge(source, target, rate, problem or (known.problem if known else ""))
+
+
+def draw_graph(
+    graph: Graph,
+    space: Space,
+    selection: Selection,
+    rate: Callable[[str], float],
+    may_read: Callable[[str], bool],
+) -> Diagram:
+    """The diagram of a graph, without what the reader may not know of. `rate` gives that of a topic by its name."""
+    draft = _Draft()
+    for vertex in _vertices(graph, space, selection, rate):
+        if may_read(vertex.url):
+            draft.vertices[vertex.key] = vertex
+    for topic in graph.topics.values():
+        _connect_topic(draft, topic, rate(topic.name))
+    for service in graph.services.values():
+        for node in service.providers:
+            draft.connect(_key(VertexKind.SERVICE, service.name), _key(VertexKind.NODE, node))
+    for action in graph.actions.values():
+        own = _key(VertexKind.ACTION, action.name)
+        for node in action.clients:
+            draft.connect(_key(VertexKind.NODE, node), own)
+        for node in action.servers:
+            draft.connect(own, _key(VertexKind.NODE, node))
+    whole = Diagram(tuple(draft.vertices.values()), tuple(draft.edges.values()), len(draft.vertices))
+    return _select(whole, selection.below) if selection.below not in ("", "/") else whole
+
+
+def _key(kind: VertexKind, name: str) -> str:
+    return f"{kind.value} {name}"
+
+
+def _vertices(graph: Graph, space: Space, selection: Selection, rate: Callable[[str], float]) -> Iterator[Vertex]:
+    """All vertices, in the order of their kinds and names."""
+    for name, node in sorted(graph.nodes.items()):
+        problem = f"does not answer: {node.unreachable}" if node.unreachable else ""
+        yield Vertex(_key(VertexKind.NODE, name), VertexKind.NODE, name, space.node(name), problem=problem)
+    for name, topic in sorted(graph.topics.items()):
+        if selection.everything or not (name in _OF_ROS or names.action_of(name)):
+            key = _key(VertexKind.TOPIC, name)
+            yield Vertex(key, VertexKind.TOPIC, name, space.topic(name), rate(name), _topic_problem(topic))
+    for name, service in sorted(graph.services.items()):
+        if selection.everything or not (name.rpartition("/")[2] in _OF_NODES or names.action_of(name)):
+            problem = f"cannot be called: {service.uncallable}" if service.uncallable else ""
+            yield Vertex(_key(VertexKind.SERVICE, name), VertexKind.SERVICE, name, space.service(name), 0.0, problem)
+    for name in sorted(graph.actions):
+        yield Vertex(_key(VertexKind.ACTION, name), VertexKind.ACTION, name, space.action(name))
+
+
+def _topic_problem(topic: Topic) -> str:
+    if len(topic.types) > 1:
+        return f"types that contradict each other: {', '.join(ref.name for ref in topic.types)}"
+    if topic.publishers and not topic.subscribers:
+        return "unheard: nobody subscribes"
+    if topic.subscribers and not topic.publishers:
+        return "silent: nobody publishes"
+    return ""
+
+
+def _connect_topic(draft: _Draft, topic: Topic, rate: float) -> None:
+    own = _key(VertexKind.TOPIC, topic.name)
+    deaf: dict[str, Mismatch] = {}
+    for each in mismatches(topic.publishers, topic.subscribers, _MAX_MISMATCHES):
+        deaf.setdefault(each.subscriber, each)
+    for endpoint in topic.publishers:
+        draft.connect(_key(VertexKind.NODE, endpoint.node), own, rate, endpoint.unreachable or "")
+    for endpoint in topic.subscribers:
+        words = endpoint.unreachable or ""
+        if (one := deaf.get(endpoint.node)) is not None:
+            words = f"does not hear {one.publisher}: {one.policy} {one.offered} is offered, {one.requested} requested"
+        draft.connect(own, _key(VertexKind.NODE, endpoint.node), rate, words)
+
+
+def _select(whole: Diagram, below: str) -> Diagram:
+    """What lies below a name, and its neighbours; a node is the neighbour of its topics, and these of theirs."""
+    prefix = below.rstrip("/")
+    inside = {each.key for each in whole.vertices if each.name == prefix or each.name.startswith(f"{prefix}/")}
+    kept = inside | {
+        other
+        for edge in whole.edges
+        for own, other in ((edge.source, edge.target), (edge.target, edge.source))
+        if own in inside
+    }
+    edges = tuple(each for each in whole.edges if {each.source, each.target} & inside)
+    vertices = tuple(each for each in whole.vertices if each.key in kept)
+    return Diagram(vertices, edges, len(vertices))
+
+
+def namespaces_of(diagram: Diagram) -> tuple[str, ...]:
+    """The first segments of the names in a diagram that several have, to choose from."""
+    counts: dict[str, int] = {}
+    for each in diagram.vertices:
+        first = _prefix(each.name, 1)
+        counts[first] = counts.get(first, 0) + each.count
+    return tuple(sorted(name for name, count in counts.items() if count > 1))
+
+
+def _prefix(name: str, depth: int) -> str:
+    """The first segments of a name: `/a/b` of `/a/b/c`."""
+    return "/" + "/".join(name.strip("/").split("/")[:depth])
+
+
+def common_prefix(found: Iterable[str]) -> str:
+    """The longest namespace that all these names lie in, `/` where they share none."""
+    parts = [name.strip("/").split("/")[:-1] for name in found]
+    shared: list[str] = []
+    for segments in zip(*parts, strict=False):
+        if len(set(segments)) > 1:
+            break
+        shared.append(segments[0])
+    return "/" + "/".join(shared)

@@ -1,0 +1,41 @@
+"""A diagram in the DOT language of Graphviz. Pure."""
+
+from __future__ import annotations
+
+from rosld.server.diagrams.diagram import Diagram, Edge, Vertex, VertexKind
+from rosld.server.diagrams.svg import thickness
+
+MEDIA_TYPE = "text/vnd.graphviz"
+_SHAPES = {
+    VertexKind.NODE: 'shape=box, style="rounded,filled", fillcolor="#eef3f1"',
+    VertexKind.TOPIC: "shape=box",
+    VertexKind.SERVICE: "shape=box, style=dotted",
+    VertexKind.ACTION: "shape=box, style=dashed",
+}
+_BAD = 'color="#93231c", fontcolor="#93231c"'
+
+
+def write_dot(diagram: Diagram) -> str:
+    """The digraph: each vertex by its kind and name, with its URL; each edge with what is wrong as its label."""
+    lines = ["digraph robot {", "  rankdir=LR;", *map(_vertex, diagram.vertices), *map(_edge, diagram.edges), "}"]
+    return "\n".join(lines) + "\n"
+
+
+def _vertex(vertex: Vertex) -> str:
+    words = f"{vertex.name} ({vertex.count} {vertex.kind.value}s)" if vertex.count > 1 else vertex.name
+    told = "\n".join(filter(None, (words, vertex.problem)))
+    bad = f", {_BAD}" if vertex.problem else ""
+    return f"  {_quote(vertex.key)} [{_SHAPES[vertex.kind]}, label={_quote(told)}, URL={_quote(vertex.url)}{bad}];"
+
+
+def _edge(edge: Edge) -> str:
+    said = [f"penwidth={thickness(edge.rate):.1f}"]
+    if edge.problem:
+        said += [f"label={_quote(edge.problem)}", _BAD]
+    return f"  {_quote(edge.source)} -> {_quote(edge.target)} [{', '.join(said)}];"
+
+
+def _quote(text: str) -> str:
+    """A quoted string: what it holds is text, never an escape of DOT's own."""
+    safe = text.encode("utf-8", "replace").decode().replace("\0", "�")
+    return '"' + safe.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n") + '"'

@@ -1,0 +1,112 @@
+"""A diagram as SVG that links to everything. Whatever comes from the robot is escaped. Pure."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Sequence
+from html import escape
+
+from rosld.server.diagrams.diagram import Diagram, Edge, Vertex, VertexKind
+from rosld.server.diagrams.layout import Layout, Point, Size, lay_out
+
+MEDIA_TYPE = "image/svg+xml"
+_CHARACTER, _PADDING = 7.3, 11.0
+_HEIGHT, _LINE = 30.0, 15.0
+_LONGEST = 34
+_UNPRINTABLE = re.compile(r"[^\x20-\x7e\xa0-\ud7ff\uf900-\ufdcf\ufdf0-\ufffd]|[\u202a-\u202e\u2066-\u2069]")
+_STYLE = """
+svg { font: 13px ui-sans-serif, system-ui, "Segoe UI", Roboto, "Liberation Sans", sans-serif; color-scheme: light dark;
+  --ink: #1f2629; --quiet: #5c676b; --card: #ffffff; --edge: #8a9295; --accent: #0f5f66;
+  --bad: #93231c; --wash: #eef3f1; }
+@media (prefers-color-scheme: dark) { svg { --ink: #e2e6e4; --quiet: #9ca8ab; --card: #1a2023; --edge: #6d797d;
+  --accent: #80cac6; --bad: #f2a59d; --wash: #1e2729; background: #14191b; } }
+.vertex rect { fill: var(--card); stroke: var(--edge); } .vertex.node rect { fill: var(--wash); stroke: var(--accent); }
+.vertex.service rect { stroke-dasharray: 2 3; } .vertex.action rect { stroke-dasharray: 7 3; }
+.vertex text { fill: var(--ink); } .vertex .words { fill: var(--quiet); font-size: 11px; }
+.vertex.bad rect { stroke: var(--bad); stroke-width: 2; } .vertex.bad .words { fill: var(--bad); }
+.edge path { fill: none; stroke: var(--edge); } .edge.bad path { stroke: var(--bad); stroke-dasharray: 5 4; }
+.arrow { fill: var(--edge); } .edge.bad .arrow { fill: var(--bad); } a { text-decoration: none; }
+a:hover rect { stroke: var(--accent); stroke-width: 2; }
+"""
+"""Of a drawing by itself; on a page the style sheet of pages says the same."""
+
+
+def write_svg(diagram: Diagram, href: Callable[[str], str | None], title: str, *, alone: bool) -> str:
+    """The drawing; `href` gives the reference of a URL. `alone`: it is a document of its own, with its style."""
+    words = {each.key: _words(each) for each in diagram.vertices}
+    sizes = {each.key: _size(each, words[each.key]) for each in diagram.vertices}
+    layout = lay_out(sizes, ((each.source, each.target) for each in diagram.edges))
+    width, height = (math.ceil(each) for each in layout.size)
+    names = 'xmlns="http://www.w3.org/2000/svg" ' if alone else ""
+    parts = [
+        f'<svg {names}class="graph" width="{width}" height="{height}" viewBox="0 0 {width} {height}" role="group"'
+        f' aria-label="{_text(title)}">',
+        f"<title>{_text(title)}</title><style>{_STYLE}</style>" if alone else "",
+        *(_edge(each, layout.routes[each.source, each.target]) for each in diagram.edges),
+        *(_vertex(each, words[each.key], sizes[each.key], layout, href) for each in diagram.vertices),
+        "</svg>",
+    ]
+    return "\n".join(filter(None, parts))
+
+
+def label(vertex: Vertex) -> str:
+    """What a vertex is called: its name, the end of a long one, and how many it stands for."""
+    name = vertex.name if len(vertex.name) <= _LONGEST else f"…{vertex.name[1 - _LONGEST :]}"
+    return name if vertex.count == 1 else f"{name} ({vertex.count} {vertex.kind.value}s)"
+
+
+def _words(vertex: Vertex) -> str:
+    """The second line: what is wrong, in a word or two, and the rate."""
+    rate = f"{vertex.rate:.3g} Hz" if vertex.rate else ""
+    return ", ".join(filter(None, (vertex.problem.partition(":")[0][:_LONGEST], rate)))
+
+
+def _size(vertex: Vertex, words: str) -> Size:
+    longest = max(len(label(vertex)), len(words) * 0.87)
+    return Size(round(longest * _CHARACTER + 2 * _PADDING), _HEIGHT + (_LINE if words else 0.0))
+
+
+def _vertex(vertex: Vertex, words: str, size: Size, layout: Layout, href: Callable[[str], str | None]) -> str:
+    x, y = layout.corners[vertex.key]
+    bad = " bad" if vertex.problem else ""
+    round_corner = 14 if vertex.kind is VertexKind.NODE else 3
+    told = "; ".join(filter(None, (f"{vertex.kind.value} {label(vertex)}", vertex.problem)))
+    body = (
+        f'<g class="vertex {vertex.kind.value}{bad}"><title>{_text(told)}</title>'
+        f'<rect x="{x:.1f}" y="{y:.1f}" width="{size.width:.0f}" height="{size.height:.0f}" rx="{round_corner}"></rect>'
+        f'<text x="{x + _PADDING:.1f}" y="{y + 19.5:.1f}">{_text(label(vertex))}</text>'
+        + (f'<text class="words" x="{x + _PADDING:.1f}" y="{y + 35.5:.1f}">{_text(words)}</text>' if words else "")
+        + "</g>"
+    )
+    target = href(vertex.url)
+    return body if target is None else f'<a href="{escape(target)}" aria-label="{_text(told)}">{body}</a>'
+
+
+def _edge(edge: Edge, route: Sequence[Point]) -> str:
+    """A curve through the points, thicker the more goes along it, and an arrow at its end."""
+    bad = " bad" if edge.problem else ""
+    start, *rest = route
+    path = [f"M{start.x:.1f} {start.y:.1f}"]
+    before = start
+    for point in rest:
+        middle = (before.x + point.x) / 2
+        path.append(f"C{middle:.1f} {before.y:.1f} {middle:.1f} {point.y:.1f} {point.x:.1f} {point.y:.1f}")
+        before = point
+    end, direction = route[-1], -1.0 if route[-1].x >= route[-2].x else 1.0
+    tip = f"M{end.x:.1f} {end.y:.1f}l{direction * 8:.0f} -4v8z"
+    told = f"<title>{_text(edge.problem)}</title>" if edge.problem else ""
+    return (
+        f'<g class="edge{bad}">{told}<path d="{"".join(path)}" stroke-width="{thickness(edge.rate):.1f}"></path>'
+        f'<path class="arrow" d="{tip}" stroke-width="0"></path></g>'
+    )
+
+
+def thickness(rate: float) -> float:
+    """How thick a conversation is drawn: 1 where its rate is not known, 5 from 1000 messages a second on."""
+    return 1.0 if rate <= 0 else min(5.0, 1.5 + 3.5 * math.log10(1.0 + rate) / 3.0)
+
+
+def _text(text: str) -> str:
+    """Text as it may stand in a document, whatever the robot's names hold."""
+    return escape(_UNPRINTABLE.sub("�", text))

@@ -1,0 +1,200 @@
+"""The computation graph at `/graph`: drawn (SVG, DOT), and its edges in RDF and JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Sequence
+from functools import partial
+from urllib.parse import quote
+
+import orjson
+from starlette.responses import Response
+
+from rosld.adapters.base import Watch
+from rosld.ontology.describe_edges import edges_document
+from rosld.ontology.describe_graph import node_views
+from rosld.server.auth.permissions import ALLOW_ALL, Permissions
+from rosld.server.diagrams import dot, svg
+from rosld.server.diagrams.diagram import Diagram, Selection, draw_graph, namespaces_of
+from rosld.server.diagrams.fold import fold
+from rosld.server.html import Csrf, Form, GraphPage, Notice, Site, render_graph
+from rosld.server.http import negotiation
+from rosld.server.http.conditional import ETag, digest
+from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.data_schema import DataSchema
+from rosld.server.hypermedia.json_schema import TEXT, URI
+from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.resources.context import Robot
+from rosld.server.resources.namespaces import listed_graph
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.formats import FORMATS, OFFERS
+from rosld.server.rest.path_item import PathItem, QueryParameter
+from rosld.server.rest.raw_response import bytes_response
+from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource
+from rosld.server.rest.resource_headers import resource_headers
+from rosld.server.rest.state import State
+from rosld.server.runtime.signals import call_every
+
+_DRAWINGS = {"svg": svg.MEDIA_TYPE, "dot": dot.MEDIA_TYPE}
+_MAX_NAME = 300
+_MAX_PROBLEMS = 200
+_LOOK_SECONDS = 2.0
+_POLICY = "default-src 'none'; style-src 'unsafe-inline'; frame-ancestors 'none'"
+"""Of a drawing by itself: its own style, and nothing else."""
+_PARAMETERS = (
+    QueryParameter("below", "A name: only what lies below it is drawn, with what that is connected to."),
+    QueryParameter("all", "Whether what every node has is drawn, too.", {"type": "boolean"}),
+    QueryParameter(
+        "format", "The representation wanted, before Accept.", {"type": "string", "enum": [*FORMATS, *_DRAWINGS]}
+    ),
+)
+_PLAIN: DataSchema = {
+    "type": "object",
+    "properties": {
+        "vertices": {
+            "type": "array",
+            "items": {
+                "type": "object",
+                "properties": {
+                    "name": TEXT,
+                    "kind": {"type": "string", "enum": ["node", "topic", "service", "action"]},
+                    "url": URI,
+                    "rate": {"type": "number"},
+                    "problem": TEXT,
+                },
+                "required": ["name", "kind", "url"],
+            },
+        },
+        "edges": {
+            "type": "array",
+            "items": {
+                "type": "object",
+                "properties": {"source": URI, "target": URI, "problem": TEXT},
+                "required": ["source", "target"],
+            },
+        },
+    },
+    "required": ["vertices", "edges"],
+}
+
+
+_WHOLE = Selection()
+
+
+class GraphResource(Resource):
+    """The computation graph as a drawing, or a part of it, as one agent may see it."""
+
+    kind = "Computation graph"
+    title = "Graph"
+    links = (RESOURCE, RDF_SOURCE)
+
+    def __init__(self, robot: Robot, selection: Selection = _WHOLE, permissions: Permissions = ALLOW_ALL) -> None:
+        asked = {"below": quote(selection.below, safe="/"), "all": "true" if selection.everything else ""}
+        query = "&".join(f"{name}={value}" for name, value in asked.items() if value)
+        self._base = f"{robot.space.base}graph"
+        super().__init__(f"{self._base}?{query}" if query else self._base)
+        self.robot = robot
+        self._selection = selection
+        self._permissions = permissions
+
+    @property
+    def variant_key(self) -> Hashable:
+        return self._permissions.rights_key
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        return PathItem(
+            "Who talks to whom", (*OFFERS, *_DRAWINGS.values()), plain=_PLAIN, query=_PARAMETERS, also=(400,)
+        )
+
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self.robot.space.document_shape("Source"),)
+
+    async def select_variant(self, exchange: Exchange) -> Resource:
+        """The part that the query asks for, as the agent may see it. Raises a 400 Problem."""
+        below = exchange.query.get("below", "")
+        if below and (not below.startswith("/") or len(below) > _MAX_NAME):
+            raise Problem(400, f"?below={below[:40]}: a name of the robot, such as /camera.")
+        return GraphResource(self.robot, Selection(below, exchange.query_flag("all")), exchange.permissions)
+
+    async def watch(self, wake: Callable[[], None]) -> Watch | None:
+        """The graph itself is told of as all else; rates change all the time, and are looked at now and then."""
+        return call_every(_LOOK_SECONDS, wake)
+
+    async def state(self) -> State:
+        diagram = self._diagram()
+        plain = _plain(diagram)
+        views, urls = node_views(listed_graph(self.robot)), frozenset(each.url for each in diagram.vertices)
+        describe = partial(edges_document, self.url, views, self.robot.space, urls)
+        return State(describe, lambda: plain, digest(plain))
+
+    def _diagram(self) -> Diagram:
+        permissions = self._permissions
+        return draw_graph(listed_graph(self.robot), self.robot.space, self._selection, self._rate, permissions.may_read)
+
+    def _rate(self, topic: str) -> float:
+        """The rate of a topic to two digits, as far as it is known without a look: it shall not change all the time."""
+        view = self.robot.topics.last_view(topic)
+        return float(f"{view.rate:.2g}") if view is not None else 0.0
+
+    async def custom_get(self, exchange: Exchange) -> Response | None:
+        """The drawing as SVG, folded where it is large, or whole as DOT, where that is preferred."""
+        wanted = exchange.query.get("format")
+        media_type = (
+            negotiation.choose(exchange.accept, (*OFFERS, *_DRAWINGS.values()))
+            if wanted is None
+            else _DRAWINGS.get(wanted)
+        )
+        if media_type not in _DRAWINGS.values():
+            return None
+        headers = {**resource_headers(self), "x-content-type-options": "nosniff"}
+        if media_type == svg.MEDIA_TYPE:
+            headers["content-security-policy"] = _POLICY
+            text = self._svg(fold(self._diagram(), self._base), Site(self.robot.space.base, "").href, alone=True)
+        else:
+            text = dot.write_dot(self._diagram())
+        data, name = text.encode("utf-8", "replace"), "svg" if media_type == svg.MEDIA_TYPE else "dot"
+        etag = ETag(f"{self.robot.instance_id}-{digest(data)}", name)
+        return bytes_response(exchange, data, f"{media_type}; charset=utf-8", etag, headers.items())
+
+    def _svg(self, diagram: Diagram, href: Callable[[str], str | None], *, alone: bool) -> str:
+        return svg.write_svg(diagram, href, f"The computation graph of {self.robot.name}", alone=alone)
+
+    def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
+        diagram = self._diagram()
+        folded = fold(diagram, self._base)
+        names = {each.key: each for each in diagram.vertices}
+        problems = [(each.url, each.name, each.problem) for each in diagram.vertices if each.problem]
+        problems += [
+            (names[each.target].url, names[each.target].name, f"{names[each.source].name}: {each.problem}")
+            for each in diagram.edges
+            if each.problem
+        ]
+        return render_graph(
+            GraphPage(
+                site,
+                self.url,
+                self._svg(folded, site.href, alone=False) if folded.vertices else "",
+                len(folded.vertices),
+                diagram.total,
+                self._selection.below,
+                self._selection.everything,
+                namespaces_of(diagram),
+                tuple(problems[:_MAX_PROBLEMS]),
+                tuple(notices),
+            )
+        )
+
+
+def _plain(diagram: Diagram) -> bytes:
+    urls = {each.key: each.url for each in diagram.vertices}
+    vertices = [
+        {"name": each.name, "kind": each.kind.value, "url": each.url}
+        | ({"rate": each.rate} if each.rate else {})
+        | ({"problem": each.problem} if each.problem else {})
+        for each in diagram.vertices
+    ]
+    edges = [
+        {"source": urls[each.source], "target": urls[each.target]} | ({"problem": each.problem} if each.problem else {})
+        for each in diagram.edges
+    ]
+    return orjson.dumps({"vertices": vertices, "edges": edges})

@@ -1,0 +1,179 @@
+"""Diagrams: what is connected, what is wrong, what is folded, and that nothing stands on anything else."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterable
+from xml.etree import ElementTree
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rosld.adapters.model import Action, Endpoint, Graph, Node, Service, Topic, TypeRef
+from rosld.adapters.model.qos import Qos
+from rosld.ontology.urls import Space
+from rosld.server.diagrams.diagram import Diagram, Selection, VertexKind, common_prefix, draw_graph
+from rosld.server.diagrams.fold import MAX_VERTICES, fold
+from rosld.server.diagrams.layout import Size, lay_out
+from rosld.server.diagrams.svg import thickness, write_svg
+
+SPACE = Space("http://robot/")
+IMAGE = (TypeRef("sensor_msgs/msg/Image"),)
+
+
+def topic(name: str, publishers: Iterable[str] = (), subscribers: Iterable[str] = (), **more: Qos) -> Topic:
+    offered, requested = more.get("offered"), more.get("requested")
+    return Topic(
+        name,
+        IMAGE,
+        tuple(Endpoint(node, qos=offered) for node in publishers),
+        tuple(Endpoint(node, qos=requested) for node in subscribers),
+    )
+
+
+def graph(*topics: Topic, services: Iterable[Service] = (), actions: Iterable[Action] = ()) -> Graph:
+    nodes = {end.node for each in topics for end in (*each.publishers, *each.subscribers)}
+    nodes |= {node for each in services for node in each.providers}
+    nodes |= {node for each in actions for node in (*each.servers, *each.clients)}
+    return Graph(
+        1,
+        nodes={name: Node(name) for name in nodes},
+        topics={each.name: each for each in topics},
+        services={each.name: each for each in services},
+        actions={each.name: each for each in actions},
+    )
+
+
+def drawn(found: Graph, below: str = "", *, everything: bool = False, hidden: str = "?") -> Diagram:
+    return draw_graph(found, SPACE, Selection(below, everything), lambda _: 0.0, lambda url: hidden not in url)
+
+
+def edges(diagram: Diagram) -> set[str]:
+    return {f"{each.source} -> {each.target}" for each in diagram.edges}
+
+
+def problems(diagram: Diagram) -> dict[str, str]:
+    return {each.key: each.problem for each in diagram.vertices if each.problem} | {
+        f"{each.source} -> {each.target}": each.problem for each in diagram.edges if each.problem
+    }
+
+
+ROBOT = graph(
+    topic("/scan", ["/laser"], ["/map", "/nav"]),
+    topic("/lonely", ["/laser"]),
+    topic("/wished", [], ["/nav"]),
+    topic("/rosout", ["/laser", "/map", "/nav"], ["/log"]),
+    topic("/camera/image", ["/camera"], ["/nav"],
+          offered=Qos(reliability="best_effort"), requested=Qos(reliability="reliable")),
+    services=[Service("/map/save", None, ("/map",)), Service("/map/get_parameters", None, ("/map",))],
+    actions=[Action("/go", TypeRef("x/action/Go"), ("/nav",), ("/boss",))],
+)  # fmt: skip
+
+
+def test_everything_is_connected_the_way_that_messages_calls_and_goals_go() -> None:
+    assert edges(drawn(ROBOT)) == {
+        "node /laser -> topic /scan", "topic /scan -> node /map", "topic /scan -> node /nav",
+        "node /laser -> topic /lonely", "topic /wished -> node /nav",
+        "node /camera -> topic /camera/image", "topic /camera/image -> node /nav",
+        "service /map/save -> node /map", "node /boss -> action /go", "action /go -> node /nav",
+    }  # fmt: skip
+    assert len(edges(drawn(ROBOT, everything=True))) == 15
+    assert "rosout" not in str(edges(drawn(ROBOT)))
+
+
+def test_what_is_wrong_is_said_in_words() -> None:
+    assert problems(drawn(ROBOT)) == {
+        "topic /lonely": "unheard: nobody subscribes",
+        "topic /wished": "silent: nobody publishes",
+        "topic /camera/image -> node /nav":
+            "does not hear /camera: reliability best_effort is offered, reliable requested",
+    }  # fmt: skip
+
+
+def test_a_part_is_what_lies_below_a_name_with_its_neighbours() -> None:
+    assert {each.key for each in drawn(ROBOT, "/camera").vertices} == {
+        "node /camera", "topic /camera/image", "node /nav"
+    }  # fmt: skip
+    assert edges(drawn(ROBOT, "/map/")) == {"topic /scan -> node /map", "service /map/save -> node /map"}
+    assert not drawn(ROBOT, "/cam").vertices
+
+
+def test_what_may_not_be_read_is_not_there() -> None:
+    found = drawn(ROBOT, hidden="/nodes/nav")
+    assert "nav" not in str(edges(found)) + str([each.key for each in found.vertices])
+
+
+def large(count: int, spread: int) -> Graph:
+    """A robot with so many topics in namespaces, each published and heard by some of many nodes."""
+    choose = random.Random(7)
+    nodes = [f"/area_{number % 9}/node_{number}" for number in range(60)]
+    return graph(
+        *(
+            topic(f"/area_{number % spread}/part_{number % 17}/topic_{number}", choose.sample(nodes, 1),
+                  choose.sample(nodes, choose.choice([0, 1, 1, 2])))
+            for number in range(count)
+        )
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("count", "spread"), [(300, 5), (300, 300), (1000, 30)])
+def test_three_hundred_topics_are_folded_to_what_can_be_read(count: int, spread: int) -> None:
+    whole = drawn(large(count, spread))
+    found = fold(whole, "http://robot/graph")
+    assert len(found.vertices) <= MAX_VERTICES
+    assert sum(each.count for each in found.vertices) == len(whole.vertices) == found.total
+    assert {each.kind for each in found.vertices} == {VertexKind.NODE, VertexKind.TOPIC}
+    folded = [each for each in found.vertices if each.count > 1]
+    assert any(each.url.startswith("http://robot/graph?below=/area_") for each in folded)
+    assert any("unheard" in each.problem for each in found.vertices)
+    kinds = {each.key: each.kind for each in found.vertices}
+    assert all(kinds[each.source] is not kinds[each.target] for each in found.edges)
+
+
+def test_a_small_graph_is_not_folded() -> None:
+    assert fold(drawn(ROBOT), "http://robot/graph") == drawn(ROBOT)
+    assert common_prefix(["/a/b/c", "/a/b/d"]) == "/a/b"
+    assert common_prefix(["/a", "/b"]) == "/"
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 25), st.lists(st.tuples(st.integers(0, 24), st.integers(0, 24)), max_size=60))
+def test_no_box_stands_on_another_and_every_edge_joins_its_boxes(count: int, pairs: list[tuple[int, int]]) -> None:
+    sizes = {f"v{number}": Size(40 + number * 3, 30) for number in range(count)}
+    joined = [(f"v{one}", f"v{other}") for one, other in pairs if one < count and other < count]
+    layout = lay_out(sizes, joined)
+    assert layout.corners.keys() == sizes.keys()
+    boxes = [(*layout.corners[key], *sizes[key]) for key in sizes]
+    for index, (x, y, width, height) in enumerate(boxes):
+        assert x >= 0
+        assert y >= 0
+        assert x + width <= layout.size.width
+        assert y + height <= layout.size.height
+        for x2, y2, width2, height2 in boxes[:index]:
+            apart = x + width <= x2 or x2 + width2 <= x or y + height <= y2 + 1e-6 or y2 + height2 <= y + 1e-6
+            assert apart
+    for one, other in {pair for pair in joined if pair[0] != pair[1]}:
+        for key, point in ((one, layout.routes[one, other][0]), (other, layout.routes[one, other][-1])):
+            corner, size = layout.corners[key], sizes[key]
+            assert point.x in (corner.x, corner.x + size.width)
+            assert abs(point.y - corner.y - size.height / 2) < 1e-6
+
+
+def test_a_drawing_is_xml_whatever_the_names_hold() -> None:
+    name = "/<script>alert('&\"')</script>\x07\u202e"
+    found = drawn(graph(topic(name, ["/a\x00]]>"], ["/b"])))
+    text = write_svg(found, lambda url: url, "<robot>", alone=True)
+    root = ElementTree.fromstring(text)
+    tags = {each.tag.rpartition("}")[2] for each in root.iter()}
+    assert tags == {"svg", "title", "style", "g", "path", "rect", "text", "a"}
+    assert "<script" not in text
+    links = [each.get("href") for each in root.iter() if each.tag.endswith("}a")]
+    assert len(links) == 3
+    assert all(str(each).startswith("http://robot/") for each in links)
+
+
+def test_a_conversation_is_thicker_the_faster_it_is() -> None:
+    widths = [thickness(rate) for rate in (0.0, 0.1, 1.0, 25.0, 200.0, 1e9)]
+    assert widths == sorted(set(widths))
+    assert (widths[0], widths[-1]) == (1.0, 5.0)

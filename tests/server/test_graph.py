@@ -1,0 +1,88 @@
+"""The computation graph at /graph: the same edges in every form, for whoever may see them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Any
+from xml.etree import ElementTree
+
+import httpx
+import pytest
+from rdflib import Graph, URIRef
+
+from rosld.adapters.base import AdapterOptions
+from rosld.adapters.registry import adapter_for
+from tests.server.robots.made_up import served
+
+ROS = "https://w3id.org/rosld#"
+EDGES = f"""PREFIX ros: <{ROS}>
+SELECT ?subject ?predicate ?object WHERE {{
+  VALUES ?predicate {{ ros:publishes ros:subscribes ros:provides ros:sendsGoalsTo }}
+  ?node a ros:Node . ?subject ?predicate ?object . FILTER(?subject = ?node) }}"""
+FORWARD = {"publishes", "sendsGoalsTo"}
+
+
+@pytest.fixture(scope="module")
+def rover() -> Iterator[httpx.Client]:
+    with served(adapter_for("rover", AdapterOptions())) as client:
+        yield client
+
+
+def get(http: httpx.Client, path: str = "graph", accept: str = "*/*", **headers: str) -> httpx.Response:
+    return http.get(path, headers={"Accept": accept, **headers})
+
+
+def test_each_form_has_the_edges_that_a_query_finds(rover: httpx.Client) -> None:
+    answer = rover.post("sparql", data={"query": EDGES}, headers={"Accept": "application/sparql-results+json"})
+    rows = answer.json()["results"]["bindings"]
+    found = {tuple(row[name]["value"] for name in ("subject", "predicate", "object")) for row in rows}
+    assert len(found) >= 14
+    turtle = Graph().parse(data=get(rover, "graph?all=true").text, format="turtle")
+    said = {tuple(map(str, each)) for each in turtle if str(each[1]).startswith(ROS)}
+    assert said == found
+    expected = {
+        (subject, object) if predicate.removeprefix(ROS) in FORWARD else (object, subject)
+        for subject, predicate, object in found
+    }
+    told = get(rover, "graph?all=true", "application/json").json()
+    assert {(each["source"], each["target"]) for each in told["edges"]} == expected
+    dot = get(rover, "graph?all=true", "text/vnd.graphviz").text
+    urls = dict(re.findall(r'^  "([^"]+)" \[.*URL="([^"]+)"', dot, re.MULTILINE))
+    arrows = re.findall(r'^  "([^"]+)" -> "([^"]+)"', dot, re.MULTILINE)
+    assert {(urls[source], urls[target]) for source, target in arrows} == expected
+
+
+def test_it_is_negotiated_and_has_a_tag(rover: httpx.Client) -> None:
+    browser = "text/html,application/xhtml+xml,application/xml;q=0.9,image/avif,image/webp,*/*;q=0.8"
+    for accept, media_type in (
+        ("image/svg+xml", "image/svg+xml"), ("text/vnd.graphviz", "text/vnd.graphviz"), ("*/*", "text/turtle"),
+        (browser, "text/html"), ("image/svg+xml;q=0.1, text/turtle;q=0.2", "text/turtle"),
+    ):  # fmt: skip
+        answer = get(rover, accept=accept)
+        assert answer.headers["content-type"].partition(";")[0] == media_type
+    drawing = get(rover, "graph?format=svg")
+    assert "default-src 'none'" in drawing.headers["content-security-policy"]
+    links = [each.get("href") for each in ElementTree.fromstring(drawing.text).iter() if each.tag.endswith("}a")]
+    assert {"/nodes/rover", "/topics/cmd_vel", "/services/dock", "/actions/navigate_to"} <= set(links)
+    again = get(rover, "graph?format=svg", **{"If-None-Match": drawing.headers["etag"]})
+    assert again.status_code == 304
+    assert get(rover, "graph?below=camera").status_code == 400
+    assert get(rover, "graph?format=gif").status_code == 406
+
+
+def test_a_part_of_it_is_drawn_and_described(rover: httpx.Client) -> None:
+    turtle = Graph().parse(data=get(rover, "graph?below=/camera").text, format="turtle")
+    topics = {str(each).rpartition("/topics")[2] for each in turtle.objects(None, URIRef(f"{ROS}publishes"))}
+    assert topics == {"/camera/image_raw", "/camera/image_raw/compressed", "/camera/camera_info"}
+    page = get(rover, "graph?below=/camera", "text/html").text
+    assert "below <bdi>/camera</bdi>" in page
+    assert page.count("<rect") == 4
+    assert "unheard: nobody subscribes" in page
+
+
+def test_a_name_is_text_on_the_page(robot: Any, serving: Any) -> None:
+    robot.topic("/<b>bold</b>", "std_msgs/msg/String", {"data": ""})
+    page = get(serving(), accept="text/html").text
+    assert "<b>bold" not in page
+    assert "/&lt;b&gt;bold&lt;/b&gt;" in page

@@ -11,19 +11,20 @@ from rosld.server.diagrams.diagram import Diagram, Edge, Vertex, VertexKind, com
 
 MAX_VERTICES = 70
 """What a person can look through."""
+EDGES_PER_VERTEX = 2
 _DEEPEST = 4
 
 
 def fold(diagram: Diagram, graph_url: str, limit: int = MAX_VERTICES) -> Diagram:
-    """The diagram with at most `limit` vertices where folding gets there.
+    """The diagram with at most `limit` vertices, and `EDGES_PER_VERTEX` times as many edges, where folding gets there.
 
     First what has the same neighbours is folded, then what lies in one namespace, the deepest first, and nodes last.
     """
     found = diagram
-    for key_of in _stages(diagram):
-        if len(found.vertices) <= limit:
+    for grouping in _STAGES:
+        if len(found.vertices) <= limit and len(found.edges) <= limit * EDGES_PER_VERTEX:
             return found
-        found = _merge(found, key_of(found), graph_url)
+        found = _merge(found, grouping(found), graph_url)
     return found
 
 
@@ -31,38 +32,46 @@ Grouping = Callable[[Diagram], Callable[[Vertex], Hashable]]
 """Of a diagram, what tells the group of a vertex; None: it stays by itself."""
 
 
-def _stages(diagram: Diagram) -> Sequence[Grouping]:
-    depths = range(_DEEPEST, 0, -1)
-    return (
-        _by_neighbours,
-        *(_by_namespace(depth, nodes=False) for depth in depths),
-        *(_by_namespace(depth, nodes=True) for depth in depths),
-        lambda _: lambda vertex: vertex.kind,
-    )
+def _by_neighbours(depth: int) -> Grouping:
+    """What has the same neighbours and is wrong or right alike, within namespaces of so many segments."""
 
+    def of_diagram(diagram: Diagram) -> Callable[[Vertex], Hashable]:
+        before, after = defaultdict[str, set[str]](set), defaultdict[str, set[str]](set)
+        for edge in diagram.edges:
+            before[edge.target].add(edge.source)
+            after[edge.source].add(edge.target)
 
-def _by_neighbours(diagram: Diagram) -> Callable[[Vertex], Hashable]:
-    before, after = defaultdict[str, set[str]](set), defaultdict[str, set[str]](set)
-    for edge in diagram.edges:
-        before[edge.target].add(edge.source)
-        after[edge.source].add(edge.target)
+        def key_of(vertex: Vertex) -> Hashable:
+            if vertex.kind is VertexKind.NODE:
+                return None
+            ends = frozenset(before[vertex.key]), frozenset(after[vertex.key])
+            return vertex.kind, bool(vertex.problem), _namespace(vertex)[:depth], *ends
 
-    def key_of(vertex: Vertex) -> Hashable:
-        if vertex.kind is VertexKind.NODE:
-            return None
-        return vertex.kind, bool(vertex.problem), frozenset(before[vertex.key]), frozenset(after[vertex.key])
+        return key_of
 
-    return key_of
+    return of_diagram
 
 
 def _by_namespace(depth: int, *, nodes: bool) -> Grouping:
     def key_of(vertex: Vertex) -> Hashable:
-        if (vertex.kind is VertexKind.NODE) is not nodes:
-            return None
-        segments = vertex.name.strip("/").split("/")
-        return (vertex.kind, tuple(segments[:depth])) if len(segments) > depth or depth == 1 else None
+        return (vertex.kind, _namespace(vertex)[:depth]) if (vertex.kind is VertexKind.NODE) is nodes else None
 
     return lambda _: key_of
+
+
+def _namespace(vertex: Vertex) -> tuple[str, ...]:
+    """The segments before the last of a name; all of what is folded already, whose name ends in a slash."""
+    return tuple(filter(None, vertex.name.rpartition("/")[0].split("/")))
+
+
+_STAGES: Sequence[Grouping] = (
+    _by_neighbours(1),
+    *(_by_namespace(depth, nodes=False) for depth in range(_DEEPEST, 0, -1)),
+    *(_by_namespace(depth, nodes=True) for depth in range(_DEEPEST, 0, -1)),
+    _by_neighbours(0),
+    _by_namespace(0, nodes=False),
+    _by_namespace(0, nodes=True),
+)
 
 
 def _merge(diagram: Diagram, key_of: Callable[[Vertex], Hashable], graph_url: str) -> Diagram:

@@ -125,7 +125,9 @@ def test_three_hundred_topics_are_folded_to_what_can_be_read(count: int, spread:
     assert sum(each.count for each in found.vertices) == len(whole.vertices) == found.total
     assert {each.kind for each in found.vertices} == {VertexKind.NODE, VertexKind.TOPIC}
     folded = [each for each in found.vertices if each.count > 1]
-    assert any(each.url.startswith("http://robot/graph?below=/area_") for each in folded)
+    assert folded
+    assert len(found.edges) <= 2 * MAX_VERTICES
+    assert all(each.url.startswith(("http://robot/graph?below=/area_", "http://robot/topics/")) for each in folded)
     assert any("unheard" in each.problem for each in found.vertices)
     kinds = {each.key: each.kind for each in found.vertices}
     assert all(kinds[each.source] is not kinds[each.target] for each in found.edges)

@@ -54,8 +54,8 @@ def test_every_class_in_the_stylesheet_is_used_by_a_template() -> None:
     templates = "".join(each.read_text() for each in (files("rosld.server.html") / "templates").iterdir())
     sources = "".join(
         each.read_text()
-        for folder in ("", "vendor")
-        for each in (files("rosld.server.html") / folder).iterdir()
+        for folder in ("html", "html/vendor", "diagrams")
+        for each in (files("rosld.server") / folder).iterdir()
         if each.name.endswith((".py", ".js"))
     )
     classes = set(re.findall(r"\.([a-z][a-z-]+)(?=[^{}]*\{)", re.sub(r"/\*.*?\*/|@media[^{]*", "", TEXT, flags=re.S)))

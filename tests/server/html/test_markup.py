@@ -91,7 +91,7 @@ def test_scripts_are_our_own_files_and_wait_for_the_page(page: Reader) -> None:
     pads = [each for each in page.all("div") if "data-drive" in each]
     scripts = page.all("script")
     names = [re.sub(r"\?v=[0-9a-f]{8}", "", each["src"] or "") for each in scripts]
-    assert [name for name in names if name not in OF_SOME] == [*["/live.js" for _ in live], "/ages.js", "/find.js"]
+    assert [name for name in names if name not in OF_SOME] == [*["/live.js" for _ in live], "/find.js"]
     assert names.count("/picture.js") == len([each for each in page.all("img") if "data-motion" in each])
     assert "/spark.js" in names or not live or not any(each.get("class") == "plot" for each in page.all("a"))
     assert names.count("/drive.js") >= len(pads)

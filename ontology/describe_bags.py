@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from decimal import Decimal
 from types import MappingProxyType
 from typing import Protocol
+from urllib.parse import urljoin
 
 from pyoxigraph import Literal, NamedNode
 
@@ -69,6 +70,17 @@ class BagMessage(Protocol):
     def sample(self) -> Sample: ...
 
 
+class Trigger(Protocol):
+    """What is described of what begins a recording."""
+
+    @property
+    def condition(self) -> str: ...
+    @property
+    def resource(self) -> str | None: ...
+    @property
+    def limit(self) -> int: ...
+
+
 class RecordingOrder(Protocol):
     """What is described of how a recording is made: topics or globs, seconds before it began, seconds it lasts."""
 
@@ -78,6 +90,8 @@ class RecordingOrder(Protocol):
     def before(self) -> float: ...
     @property
     def duration(self) -> float | None: ...
+    @property
+    def trigger(self) -> Trigger | None: ...
 
 
 def bag_document(
@@ -89,12 +103,14 @@ def bag_document(
     problem: str | None = None,
     size: int | None = None,
     order: RecordingOrder | None = None,
+    triggered: int | None = None,
 ) -> Document:
     """A recording: how it is stored, from when to when, its topics with their types and counts.
 
     `sha256` is the digest of its file in hexadecimal, where that is known.
     `dropped` are messages by topic that were sent and are not in it, `problem` says why it does not go on. `size` are
-    the bytes of its file, `order` says how it is being made: it has no messages that could be read yet.
+    the bytes of its file, `order` says how it is being made: it has no messages that could be read yet. `triggered` is
+    how many recordings its trigger has begun, where it waits for that.
     """
     url, messages = space.bag(bag.name), NamedNode(space.bag_messages(bag.name))
     tracks = {
@@ -110,7 +126,7 @@ def bag_document(
         (ros.recordingProblem, text(problem)),
         (ros.recordedBytes, None if size is None else integer(size)),
         (ros.recordedFile, NamedNode(f"{url}file") if size is not None and order is None else None),
-        *(() if order is None else _order(order)),
+        *(() if order is None else _order(order, space, triggered)),
         (ros.start, date_time_literal(bag.start_ns) if bag.count else None),
         (ros.end, date_time_literal(bag.end_ns) if bag.count else None),
         (ldp.contains, messages if order is None else None),
@@ -135,8 +151,15 @@ def bag_document(
     return Document(url, tuple(triples))
 
 
-def _order(order: RecordingOrder) -> Iterator[Statement]:
-    yield ros.recordingStatus, text("recording")
+def _order(order: RecordingOrder, space: Space, triggered: int | None) -> Iterator[Statement]:
+    yield ros.recordingStatus, text("recording" if triggered is None else "armed")
+    yield ros.triggerCount, integer(triggered)
+    if order.trigger is not None:
+        condition, resource = order.trigger.condition, order.trigger.resource
+        yield ros.triggerShape, NamedNode(condition) if resource is None else None
+        yield ros.triggerCondition, text(condition) if resource is not None else None
+        yield ros.triggerResource, None if resource is None else NamedNode(urljoin(space.base, resource))
+        yield ros.triggerLimit, integer(order.trigger.limit)
     yield from ((ros.recordsTopic, text(topic)) for topic in order.topics)
     yield ros.secondsBefore, _seconds(order.before) if order.before else None
     yield ros.secondsLong, None if order.duration is None else _seconds(order.duration)

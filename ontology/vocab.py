@@ -107,6 +107,11 @@ class ros(Namespace, iri="https://w3id.org/rosld#"):
     rate: NamedNode
     briefValue: NamedNode
     namespace: NamedNode
+    triggerCondition: NamedNode
+    triggerCount: NamedNode
+    triggerLimit: NamedNode
+    triggerResource: NamedNode
+    triggerShape: NamedNode
     value: NamedNode
     writable: NamedNode
     readOnly: NamedNode

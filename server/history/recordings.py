@@ -9,8 +9,8 @@ import re
 import tempfile
 import time
 from collections import Counter
-from collections.abc import AsyncIterator, Awaitable, Callable, Hashable, Mapping
-from dataclasses import dataclass
+from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable, Hashable, Mapping
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 
@@ -33,6 +33,8 @@ _SUFFIXES = {b"#ROSBAG ": ".bag", MAGIC: SUFFIX, b"SQLite f": ".db3"}
 _OPEN_SECONDS = 60.0
 _REVISION_SECONDS = 5.0
 """How old what a query is told of a recording that is being made may be."""
+_MAX_ARMED = 16
+"""Recordings that wait for triggers at a time."""
 _MAX_RUNNING = 16
 """Recordings that are made at a time."""
 
@@ -46,13 +48,29 @@ class RecordingRefused(Exception):
 
 
 @dataclass(frozen=True, slots=True)
+class Trigger:
+    """When a recording begins: as `condition` comes to hold of the value at the URL `resource`.
+
+    Without a resource the condition is the IRI of one of a mapping. `limit` is how often that begins a recording.
+    """
+
+    condition: str
+    resource: str | None = None
+    limit: int = 1
+
+
+@dataclass(frozen=True, slots=True)
 class RecordingOrder:
-    """What is to be recorded: topics by name or glob, from `before` seconds ago, for `duration` (None: until ended)."""
+    """What is to be recorded: topics by name or glob, from `before` seconds ago, for `duration` (None: until ended).
+
+    With a trigger it begins when that says so, and `before` counts from then.
+    """
 
     topics: tuple[str, ...]
     name: str | None = None
     before: float = 0.0
     duration: float | None = None
+    trigger: Trigger | None = None
 
 
 class RunningRecording:
@@ -67,6 +85,17 @@ class RunningRecording:
         self.dropped_before = dropped_before
         self.timer: asyncio.TimerHandle | None = None
         self.ending: asyncio.Task[None] | None = None
+
+
+class ArmedRecording:
+    """A recording that waits for its trigger, which has begun `count` recordings so far. `problem`: why it waits."""
+
+    def __init__(self, name: str, order: RecordingOrder) -> None:
+        self.name = name
+        self.order = order
+        self.count = 0
+        self.problem: str | None = None
+        self.task: asyncio.Task[None] | None = None
 
 
 class Recordings:
@@ -94,6 +123,7 @@ class Recordings:
         self._folder = None if settings.data is None else settings.data / FOLDER
         self._temporary: tempfile.TemporaryDirectory[str] | None = None
         self._running: dict[str, RunningRecording] = {}
+        self._armed: dict[str, ArmedRecording] = {}
         self._opened: dict[str, tuple[Adapter, Recording]] = {}
 
     @property
@@ -111,6 +141,11 @@ class Recordings:
     def running(self) -> Mapping[str, RunningRecording]:
         """Those that are being made, by name."""
         return self._running
+
+    @property
+    def armed(self) -> Mapping[str, ArmedRecording]:
+        """Those that wait for their triggers, by name."""
+        return self._armed
 
     async def start(self) -> None:
         """Begin the history, and open what is there. What cannot be read is left out, with a warning."""
@@ -145,6 +180,55 @@ class Recordings:
         self._changes += 1
         return one
 
+    def arm(
+        self,
+        order: RecordingOrder,
+        may_record: Callable[[str], bool],
+        occurrences: Callable[[ArmedRecording], AsyncGenerator[None, None]],
+    ) -> ArmedRecording:
+        """Have a recording wait for its trigger, each of whose `occurrences` begins one. Raises RecordingRefused."""
+        if len(self._armed) >= _MAX_ARMED:
+            raise RecordingRefused(f"{_MAX_ARMED} recordings wait for triggers already: delete one first", taken=True)
+        one = ArmedRecording(self._free_name(order.name), order)
+        self._armed[one.name] = one
+        one.task = asyncio.get_running_loop().create_task(self._wait(one, may_record, occurrences))
+        self._changes += 1
+        return one
+
+    def disarm(self, name: str) -> bool:
+        """Have a recording wait no more; whether there was one that did. What it has begun goes on."""
+        one = self._armed.pop(name, None)
+        if one is None:
+            return False
+        self._changes += 1
+        if one.task is not None:
+            one.task.cancel()
+        return True
+
+    async def _wait(
+        self,
+        one: ArmedRecording,
+        may_record: Callable[[str], bool],
+        occurrences: Callable[[ArmedRecording], AsyncGenerator[None, None]],
+    ) -> None:
+        trigger = one.order.trigger
+        assert trigger is not None, "what is armed has a trigger"
+        async with contextlib.aclosing(occurrences(one)) as found:
+            async for _ in found:
+                one.count += 1
+                is_last = one.count >= trigger.limit
+                name = one.name if trigger.limit == 1 else f"{one.name}-{one.count}"
+                if is_last:
+                    del self._armed[one.name]
+                try:
+                    self.begin(replace(one.order, name=name), may_record)
+                except (RecordingRefused, OSError) as error:
+                    one.problem = f"The recording {name} could not be begun: {error}."
+                    log.error("%s", one.problem)
+                self._changes += 1
+                if is_last:
+                    return
+
     def can_be_named(self, name: str) -> bool:
         """Whether a recording may be called this: it is a name, and nobody's."""
         return _NAME.fullmatch(name) is not None and not self._is_taken(name)
@@ -175,7 +259,9 @@ class Recordings:
             raise
 
     async def delete(self, name: str) -> bool:
-        """End and delete a recording; whether there was one."""
+        """End and delete a recording, or what waits for its trigger; whether there was one."""
+        if self.disarm(name):
+            return True
         await self.end(name)
         found = self._opened.pop(name, None)
         if found is None:
@@ -196,6 +282,8 @@ class Recordings:
 
     async def stop(self) -> None:
         """End all that are being made, and let go of the files."""
+        for name in list(self._armed):
+            self.disarm(name)
         for name in list(self._running):
             await self.end(name)
         await self._live.stop()
@@ -256,7 +344,8 @@ class Recordings:
             raise RecordingRefused(f"there is a recording {name} already: DELETE it, or take another name", taken=True)
 
     def _is_taken(self, name: str) -> bool:
-        return name == HISTORY or name in self._running or name in self._opened or name in self._adapter.recordings
+        known = (self._running, self._armed, self._opened, self._adapter.recordings)
+        return name == HISTORY or any(name in each for each in known)
 
     def _path(self, name: str, suffix: str) -> Path:
         if self._folder is None:

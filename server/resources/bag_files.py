@@ -79,9 +79,14 @@ class BagUpload(Resource):
         self.name = name
 
     def methods(self) -> frozenset[str]:
-        is_there = self.name in self.robot.recordings or self.name in self.robot.bags.running
+        is_there = self._is_there
         sent = frozenset[str]() if self.robot.settings.read_only else frozenset({"PUT"})
         return (READ if is_there else ABSENT) | sent
+
+    @property
+    def _is_there(self) -> bool:
+        bags = self.robot.bags
+        return self.name in self.robot.recordings or self.name in bags.running or self.name in bags.armed
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         put = WriteMethod(
@@ -93,7 +98,7 @@ class BagUpload(Resource):
         return exchange.method == "PUT"
 
     async def state(self) -> State:
-        if self.name in self.robot.recordings or self.name in self.robot.bags.running:
+        if self._is_there:
             raise permanent_redirect(self.robot.space.bag(self.name))
         raise Problem(404, f"There is no recording {self.name}.")
 

@@ -6,19 +6,22 @@ from rosld.adapters.base import Recording
 from rosld.ontology.urls import Location
 from rosld.server.http.problem import Problem
 from rosld.server.resources.bag_files import BagFile, BagUpload
-from rosld.server.resources.bags import BagContainer, BagMessage, BagMessages, BagResource, RunningBag
+from rosld.server.resources.bags import ArmedBag, BagContainer, BagMessage, BagMessages, BagResource, RunningBag
 from rosld.server.resources.context import Robot
 from rosld.server.resources.event_stream import EventStreamResource, event_stream_page
+from rosld.server.resources.recording_trigger import Find
 from rosld.server.rest.resource import Resource, permanent_redirect
 
 
-def bag_route(robot: Robot, location: Location) -> Resource:
+def bag_route(robot: Robot, location: Location, find: Find | None = None) -> Resource:
     """`/bags/` and below."""
     match location.segments:
         case ():
-            return BagContainer(robot) if location.is_container else _slash(robot, location)
+            return BagContainer(robot, find) if location.is_container else _slash(robot, location)
         case (name,) if not location.is_container:
             return BagUpload(robot, name)
+        case (name,) if name in robot.bags.armed:
+            return ArmedBag(robot, robot.bags.armed[name])
         case (name,):
             running = robot.bags.running.get(name)
             return BagResource(robot, _recording(robot, name)) if running is None else RunningBag(robot, running)
@@ -50,6 +53,8 @@ def _slash(robot: Robot, location: Location) -> Resource:
 
 def _recording(robot: Robot, name: str) -> Recording:
     found = robot.recordings.get(name)
+    if found is None and name in robot.bags.armed:
+        raise Problem(404, f"The recording {name} waits for its trigger: it has no messages yet.")
     if found is None and name in robot.bags.running:
         raise Problem(404, f'The recording {name} is still being made: PATCH it with {{"status": "ended"}} first.')
     if found is None:

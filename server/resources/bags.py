@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
-import orjson
 from starlette.responses import Response
 
 from rosld.adapters.base import RecordedMessage, RecordedTopic, Recording, Watch
@@ -16,8 +15,8 @@ from rosld.adapters.model import NotFound
 from rosld.ontology.describe_bags import bag_document, bag_messages_document
 from rosld.ontology.describe_containers import container_document
 from rosld.ontology.document import Document
-from rosld.server.history.recordings import RecordingRefused, RunningRecording
-from rosld.server.html import SequenceLink
+from rosld.server.history.recordings import ArmedRecording, RecordingRefused, RunningRecording
+from rosld.server.html import ChoiceForm, DeleteForm, Form, SequenceLink
 from rosld.server.http.link import Link
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import DataSchema
@@ -28,9 +27,11 @@ from rosld.server.resources.context import Robot
 from rosld.server.resources.messages import decode, field_response, lift_sample
 from rosld.server.resources.pictures import explicit_picture_type, picture_response, require_picture
 from rosld.server.resources.recorded_messages import DecodedRecord, learn_type, record_document
+from rosld.server.resources.recording_form import recording_form
 from rosld.server.resources.recording_order import MEDIA_TYPES, SCHEMA, read_order
+from rosld.server.resources.recording_patch import PATCHES, require_end
+from rosld.server.resources.recording_trigger import Find, trigger_of
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.formats import MERGE_PATCH
 from rosld.server.rest.path_item import FIELD, FIELD_READS, FORMAT, PathItem, QueryParameter, WriteMethod
 from rosld.server.rest.resource import (
     BASIC_CONTAINER,
@@ -57,9 +58,14 @@ class BagContainer(Resource):
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
     accepts: Mapping[str, Sequence[str]] = {"POST": MEDIA_TYPES}
 
-    def __init__(self, robot: Robot) -> None:
+    def __init__(self, robot: Robot, find: Find | None = None) -> None:
+        """`find` gives the resource at a path below the base, which a trigger may be about."""
         super().__init__(robot.space.container("bags"))
         self.robot = robot
+        self._find = find
+
+    async def forms(self) -> Sequence[Form]:
+        return (recording_form(),) if "POST" in self.methods() else ()
 
     def methods(self) -> frozenset[str]:
         return READ | {"POST"} if can_record(self.robot) else READ
@@ -85,7 +91,7 @@ class BagContainer(Resource):
 
     async def post(self, exchange: Exchange) -> Answer:
         """Begin a recording of topics that who asks may read."""
-        order = read_order(await exchange.body(), exchange.media_type, self.url)
+        order = read_order(await exchange.body(), exchange.media_type, self.url, is_form=bool(exchange.typed))
         slug = exchange.header("slug")
         if order.name is None and slug is not None and self.robot.bags.can_be_named(slug):
             order = replace(order, name=slug)
@@ -93,13 +99,21 @@ class BagContainer(Resource):
         for topic in order.topics:
             if not set(topic) & set("*?[") and not permissions.may_read(space.topic(topic)):
                 raise Problem(403, f"You may not read {topic}, so you may not record it.")
+
+        def may_record(topic: str) -> bool:
+            return permissions.may_read(space.topic(topic))
+
+        resource: Resource
         try:
-            one = self.robot.bags.begin(order, lambda topic: permissions.may_read(space.topic(topic)))
+            if order.trigger is None:
+                resource = RunningBag(self.robot, self.robot.bags.begin(order, may_record))
+            else:
+                occurrences = await trigger_of(self.robot, order.trigger, self._find, exchange)
+                resource = ArmedBag(self.robot, self.robot.bags.arm(order, may_record, occurrences))
         except RecordingRefused as error:
             raise Problem(409 if error.taken else 422, f"{error}.") from error
         except OSError as error:
             raise Problem(507, f"The recording cannot be stored: {error.strerror or error}.") from error
-        resource = RunningBag(self.robot, one)
         return CreatedAnswer(resource.url, resource, await resource.state())
 
 
@@ -140,6 +154,10 @@ class BagResource(Resource):
         history = self.robot.history
         return None if self.recording is history.recording else history.digests.watch(self.recording.path, wake)
 
+    async def forms(self) -> Sequence[Form]:
+        about = "The recording and its file are deleted."
+        return (DeleteForm("Delete the recording", "Delete", about),) if "DELETE" in self.methods() else ()
+
     async def delete(self, exchange: Exchange) -> Answer:
         """Delete the recording and its file."""
         await self.robot.bags.delete(self.recording.name)
@@ -152,7 +170,7 @@ class RunningBag(Resource):
     kind = "Recording being made"
     is_cacheable = False
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
-    accepts: Mapping[str, Sequence[str]] = {"PATCH": (MERGE_PATCH,)}
+    accepts: Mapping[str, Sequence[str]] = {"PATCH": PATCHES}
 
     def __init__(self, robot: Robot, one: RunningRecording) -> None:
         super().__init__(robot.space.bag(one.name))
@@ -174,13 +192,9 @@ class RunningBag(Resource):
         return State(partial(describe_running, self.robot, self.one))
 
     async def patch(self, exchange: Exchange) -> Answer:
-        """End it: `{"status": "ended"}`."""
-        try:
-            said: object = orjson.loads(await exchange.body())
-        except orjson.JSONDecodeError as error:
-            raise Problem(400, f"This is no JSON: {error}.") from error
-        if said != {"status": "ended"}:
-            raise Problem(422, 'A recording can be ended, and nothing else: send {"status": "ended"}.')
+        """End it: `{"status": "ended"}`, or that `ros:recordingStatus` is "ended" from now on."""
+        before = describe_running(self.robot, self.one).triples
+        require_end(await exchange.body(), exchange.media_type, self.url, before)
         await self.robot.bags.end(self.one.name)
         recording = self.robot.recordings.get(self.one.name)
         if recording is None:
@@ -188,10 +202,70 @@ class RunningBag(Resource):
         resource = BagResource(self.robot, recording)
         return ShownAnswer(resource, await resource.state())
 
+    async def forms(self) -> Sequence[Form]:
+        if "PATCH" not in self.methods():
+            return ()
+        end = ChoiceForm("status", ("ended",), "End the recording", method="PATCH", about="It can then be read.")
+        return (end, DeleteForm("Delete the recording", "Delete", "It ends, and what there is of it is deleted."))
+
     async def delete(self, exchange: Exchange) -> Answer:
         """End it, and delete what there is of it."""
         await self.robot.bags.delete(self.one.name)
         return Response(status_code=204)
+
+
+class ArmedBag(Resource):
+    """A recording that waits for its trigger. PATCH and DELETE have it wait no more."""
+
+    kind = "Recording that waits for its trigger"
+    is_cacheable = False
+    links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
+    accepts: Mapping[str, Sequence[str]] = {"PATCH": PATCHES}
+
+    def __init__(self, robot: Robot, one: ArmedRecording) -> None:
+        super().__init__(robot.space.bag(one.name))
+        self.robot = robot
+        self.one = one
+
+    def methods(self) -> frozenset[str]:
+        return READ if self.robot.settings.read_only else READ | {"PATCH", "DELETE"}
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        ends: DataSchema = {"type": "object", "properties": {"status": {"const": "ended"}}, "required": ["status"]}
+        return PathItem(f"The recording {self.one.name}", writes={"PATCH": WriteMethod("Ends it", sends=ends)})
+
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self.robot.space.document_shape("Bag"),)
+
+    async def state(self) -> State:
+        return State(partial(describe_armed, self.robot, self.one))
+
+    async def forms(self) -> Sequence[Form]:
+        about = "It waits no more for its trigger. What that has begun stays."
+        return (DeleteForm("Disarm", "Disarm", about),) if "DELETE" in self.methods() else ()
+
+    async def patch(self, exchange: Exchange) -> Answer:
+        """Have it wait no more."""
+        before = describe_armed(self.robot, self.one).triples
+        require_end(await exchange.body(), exchange.media_type, self.url, before)
+        return await self.delete(exchange)
+
+    async def delete(self, exchange: Exchange) -> Answer:
+        """Have it wait no more."""
+        self.robot.bags.disarm(self.one.name)
+        return Response(status_code=204)
+
+
+class ArmedView:
+    """A recording that waits for its trigger, as it is described."""
+
+    format = "MCAP"
+    first = count = start_ns = end_ns = 0
+    topics: Mapping[str, RecordedTopic] = {}
+
+    def __init__(self, name: str) -> None:
+        self.name = name
 
 
 class RunningView:
@@ -216,8 +290,9 @@ def can_record(robot: Robot) -> bool:
 
 
 def bag_urls(robot: Robot) -> tuple[str, ...]:
-    """The URLs of all recordings, those that are being made included."""
-    return tuple(robot.space.bag(name) for name in dict.fromkeys((*robot.recordings, *robot.bags.running)))
+    """The URLs of all recordings, those that are being made, and those that wait to be, included."""
+    names = (*robot.recordings, *robot.bags.running, *robot.bags.armed)
+    return tuple(map(robot.space.bag, dict.fromkeys(names)))
 
 
 def describe_bag(robot: Robot, recording: Recording) -> Document:
@@ -236,6 +311,12 @@ def describe_running(robot: Robot, one: RunningRecording) -> Document:
     writer, dropped = one.writer, robot.bags.dropped(one)
     view = RunningView(one)
     return bag_document(view, robot.space, dropped=dropped, problem=writer.problem, size=writer.size, order=one.order)
+
+
+def describe_armed(robot: Robot, one: ArmedRecording) -> Document:
+    """The document of a recording that waits for its trigger."""
+    view = ArmedView(one.name)
+    return bag_document(view, robot.space, problem=one.problem, order=one.order, triggered=one.count)
 
 
 class BagMessages(Resource):

@@ -47,7 +47,7 @@ from rosld.server.hypermedia.resource_tree import path_of
 from rosld.server.policies import active_limits, stored_queries
 from rosld.server.resources import types
 from rosld.server.resources.actions import ActionResource, GoalResource
-from rosld.server.resources.bags import BagMessage, bag_urls, describe_bag, describe_running
+from rosld.server.resources.bags import BagMessage, bag_urls, describe_armed, describe_bag, describe_running
 from rosld.server.resources.complex_resource import ComplexResource
 from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.holds import HoldResource
@@ -423,6 +423,9 @@ class RobotGraphs:
             digest = self._robot.history.digests.known(recording.path)
             size = recording.first, recording.count, self._robot.history.problem, digest
             yield _described(space.bag(recording.name), size, partial(describe_bag, self._robot, recording))
+        for armed in self._robot.bags.armed.values():
+            waits = armed.count, armed.problem
+            yield _described(space.bag(armed.name), waits, partial(describe_armed, self._robot, armed))
         for one in self._robot.bags.running.values():
             progress = one.writer.count, one.writer.problem
             yield _described(space.bag(one.name), progress, partial(describe_running, self._robot, one))

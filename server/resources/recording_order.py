@@ -11,17 +11,28 @@ from pyoxigraph import Literal, NamedNode
 from rosld.ontology.body import MEDIA_TYPES as RDF_TYPES
 from rosld.ontology.body import RdfBody, Subject, parse_body
 from rosld.ontology.vocab import ros
-from rosld.server.history.recordings import RecordingOrder
+from rosld.server.history.recordings import RecordingOrder, Trigger
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import DataSchema
 from rosld.server.hypermedia.json_schema import TEXT
+from rosld.server.resources.recording_form import order_of_form
 from rosld.server.rest.formats import JSON
 
 MEDIA_TYPES = (JSON, *RDF_TYPES)
 MAX_TOPICS = 1000
 _MAX_NAME = 1000
 _MAX_SECONDS = 30 * 86400.0
+MAX_TRIGGERED = 100
 _SECONDS: DataSchema = {"type": "number", "minimum": 0}
+_TRIGGER: DataSchema = {
+    "type": "object",
+    "properties": {
+        "resource": TEXT,
+        "condition": TEXT,
+        "limit": {"type": "integer", "minimum": 1, "maximum": MAX_TRIGGERED},
+    },
+    "required": ["condition"],
+}
 SCHEMA: DataSchema = {
     "type": "object",
     "properties": {
@@ -29,22 +40,28 @@ SCHEMA: DataSchema = {
         "topics": {"type": "array", "items": TEXT, "minItems": 1},
         "before": _SECONDS,
         "duration": _SECONDS,
+        "trigger": _TRIGGER,
     },
     "required": ["topics"],
 }
 
 
-def read_order(data: bytes, media_type: str, url: str) -> RecordingOrder:
+def read_order(data: bytes, media_type: str, url: str, *, is_form: bool = False) -> RecordingOrder:
     """The order in a body that was sent to `url`. Raises BodyError, and a 422 Problem that names what is wrong."""
     said = _of_json(data) if media_type == JSON else _of_rdf(parse_body(data, media_type, url))
-    unknown = said.keys() - {"name", "topics", "before", "duration"}
+    said = order_of_form(said) if is_form else said
+    unknown = said.keys() - {"name", "topics", "before", "duration", "trigger"}
     if unknown:
-        raise Problem(422, f"{', '.join(sorted(unknown))[:200]} is unknown here: name, topics, before, duration.")
+        known = "name, topics, before, duration, trigger"
+        raise Problem(422, f"{', '.join(sorted(unknown))[:200]} is unknown here: {known}.")
     name = said.get("name")
     if name is not None and not isinstance(name, str):
         raise Problem(422, f"name is {str(name)[:100]!r}, not a string.")
     before = _seconds(said, "before")
-    return RecordingOrder(_topics(said.get("topics")), name, before or 0.0, _seconds(said, "duration"))
+    duration, trigger = _seconds(said, "duration"), _trigger(said.get("trigger"))
+    if trigger is not None and trigger.limit > 1 and duration is None:
+        raise Problem(422, "What a trigger begins more than once has a duration, after which it ends.")
+    return RecordingOrder(_topics(said.get("topics")), name, before or 0.0, duration, trigger)
 
 
 def _of_json(data: bytes) -> dict[str, object]:
@@ -66,8 +83,33 @@ def _of_rdf(body: RdfBody) -> dict[str, object]:
     terms = {"name": ros.name, "before": ros.secondsBefore, "duration": ros.secondsLong}
     said = {key: _literal(body, subject, term) for key, term in terms.items()}
     numbers = {key: _number(key, said[key]) for key in ("before", "duration")}
-    given = {"name": said["name"], **numbers}
+    given = {"name": said["name"], **numbers, "trigger": _trigger_of_rdf(body, subject)}
     return {"topics": topics, **{key: value for key, value in given.items() if value is not None}}
+
+
+def _trigger(value: object) -> Trigger | None:
+    if value is None:
+        return None
+    if not isinstance(value, dict) or value.keys() - {"resource", "condition", "limit"}:
+        raise Problem(422, 'trigger is an object such as {"resource": "/topics/odom", "condition": "x > 1"}.')
+    condition, resource, limit = value.get("condition"), value.get("resource"), value.get("limit", 1)
+    if not isinstance(condition, str) or not condition or not isinstance(resource, str | None):
+        raise Problem(422, "trigger has a condition, a string, and a resource, the URL of what it is about.")
+    if not isinstance(limit, int) or isinstance(limit, bool) or not 1 <= limit <= MAX_TRIGGERED:
+        raise Problem(422, f"limit is {str(limit)[:50]}: how often a trigger begins a recording, 1 to {MAX_TRIGGERED}.")
+    return Trigger(condition, resource, limit)
+
+
+def _trigger_of_rdf(body: RdfBody, subject: Subject) -> dict[str, object] | None:
+    condition, limit = _literal(body, subject, ros.triggerCondition), _literal(body, subject, ros.triggerLimit)
+    named = [each.value for each in body.objects(subject, ros.triggerResource) if isinstance(each, NamedNode)]
+    shapes = [each.value for each in body.objects(subject, ros.triggerShape) if isinstance(each, NamedNode)]
+    if condition is None and not shapes:
+        return None
+    found: dict[str, object] = {"condition": condition or shapes[0]}
+    if limit is not None:
+        found["limit"] = int(limit) if limit.isascii() and limit.isdecimal() and len(limit) < 9 else limit
+    return found | ({"resource": named[0]} if named else {})
 
 
 def _literal(body: RdfBody, subject: Subject, term: NamedNode) -> str | None:

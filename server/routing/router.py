@@ -151,6 +151,7 @@ def _holding(at: Callable[[str], Resource]) -> Mapping[str, Route]:
     return {
         "topics": _named("topics", lambda robot, name: TopicResource(robot, name, at)),
         "holds": _holds(at),
+        "bags": lambda robot, location: bag_route(robot, location, at),
     }
 
 

@@ -1,0 +1,53 @@
+"""The form of the page `/bags/` that begins a recording, or has one wait for its trigger."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+
+from rosld.adapters.model import MessageSchema
+from rosld.adapters.model.library import TypeLibrary
+from rosld.server.html import MessageForm
+
+_FIELDS = """string name
+string topics
+float64 before
+float64 duration
+string trigger_resource
+string trigger_condition
+uint8 trigger_limit
+"""
+_ABOUT = (
+    "Topics are names or globs with spaces between them, such as /odom /camera/*. Before: seconds out of the history. "
+    "Duration: seconds, 0 for as long as it takes. With a trigger it begins as a condition, such as percentage < 0.2, "
+    "comes to hold of the value at a URL."
+)
+
+
+@cache
+def _schema() -> MessageSchema:
+    return TypeLibrary(ros_version=2, folders=()).learn_message("rosld/msg/Recording", _FIELDS)
+
+
+def recording_form() -> MessageForm:
+    """The form."""
+    return MessageForm(
+        _schema(),
+        method="POST",
+        title="Record",
+        button="Record",
+        value={"topics": "*", "trigger_limit": 1},
+        about=_ABOUT,
+    )
+
+
+def order_of_form(said: Mapping[str, object]) -> dict[str, object]:
+    """What a form was filled with as an order: what was left empty is left out."""
+    found = {key: said[key] for key in ("name", "before", "duration") if said.get(key)}
+    found["topics"] = str(said.get("topics", "")).split()
+    if said.get("trigger_condition") or said.get("trigger_resource"):
+        limit = said.get("trigger_limit") or 1
+        trigger: dict[str, object] = {"condition": said.get("trigger_condition"), "limit": limit}
+        resource = said.get("trigger_resource")
+        found["trigger"] = {**trigger, "resource": resource} if resource else trigger
+    return found

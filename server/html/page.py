@@ -16,6 +16,7 @@ from rosld.ontology.syntax import Syntax
 from rosld.ontology.violations import Violation
 from rosld.server.html.site import Site
 from rosld.server.hypermedia import views
+from rosld.server.robot.diagnostic_states import DiagnosticState, LevelChange
 
 if TYPE_CHECKING:
     from rosld.server.html.forms import Form
@@ -242,6 +243,22 @@ class PlotPage:
     url: str
     numbers: tuple[PlottedNumber, ...] = ()
     references: tuple[str, ...] = ()
+    notices: tuple[Notice, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class DiagnosticsPage:
+    """The page at `/diagnostics`: the states of parts, the worst first, or of those called `name`.
+
+    `changes` is what that one said before, the newest first; `topics` are the URLs of where it is all said.
+    """
+
+    site: Site
+    url: str
+    name: str
+    states: tuple[DiagnosticState, ...]
+    changes: tuple[LevelChange, ...] = ()
+    topics: tuple[str, ...] = ()
     notices: tuple[Notice, ...] = ()
 
 

@@ -32,6 +32,7 @@ from rosld.server.html.page import (
     PICTURE_ALTERNATES,
     THING,
     Alternate,
+    DiagnosticsPage,
     EntryPage,
     GraphPage,
     Notice,
@@ -48,8 +49,10 @@ from rosld.server.html.section_groups import group_sections
 from rosld.server.html.site import Anchor, Site
 from rosld.server.html.stop_steps import stop_steps
 from rosld.server.html.tables import results_table
+from rosld.server.html.timestamps import time_view
 from rosld.server.html.view import escape_controls
 from rosld.server.hypermedia.views import ComplexView, PropertyView
+from rosld.server.robot.diagnostic_states import Level
 
 CONTENT_SECURITY_POLICY = "; ".join(
     (
@@ -469,6 +472,36 @@ def render_plot(page: PlotPage) -> bytes:
         rows=rows,
         references=page.references,
         config=plot_config(page),
+        formats=[replace(each, query=page.url.partition("?")[2]) for each in ALTERNATES],
+    )
+
+
+_LEVEL_WORDS = {
+    Level.ERROR: ("Error", "Errors", "error"),
+    Level.STALE: ("Stale", "Stale", "warning"),
+    Level.WARN: ("Warning", "Warnings", "warning"),
+    Level.OK: ("OK", "OK", "good"),
+}
+"""The words for one and for several of a level, and their tone."""
+
+
+def render_diagnostics(page: DiagnosticsPage) -> bytes:
+    """The page of diagnostics: sections by level, the worst first, and what one part said before."""
+    site, base = page.site, page.url.partition("?")[0]
+    groups = [
+        (words, [each for each in page.states if each.level is level])
+        for level, words in _LEVEL_WORDS.items()
+        if any(each.level is level for each in page.states)
+    ]
+    return _render(
+        "diagnostics.html",
+        _frame(site, page.name or "Diagnostics", page.url, page.notices, live=True),
+        page=page,
+        groups=groups,
+        words=_LEVEL_WORDS,
+        href=lambda name: f"{site.href(base)}?name={quote(name.encode('utf-8', 'replace'), safe='')}",
+        when=time_view,
+        topics=[anchor for url in page.topics if (anchor := site.anchor(url)) is not None],
         formats=[replace(each, query=page.url.partition("?")[2]) for each in ALTERNATES],
     )
 

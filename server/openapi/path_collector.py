@@ -33,6 +33,7 @@ _TAGS = {
     "find": "entry",
     "plot": "entry",
     "graph": "entry",
+    "diagnostics": "entry",
     "sparql": "queries",
     "graphs": "queries",
     "mirror": "queries",
@@ -73,7 +74,7 @@ class PathCollector:
         yield from self._queries()
         yield from self._channels()
         yield from self._activities()
-        for path in ("find", "graph", "plot", "stop", "status", "sparql", "graphs", *_ENTRY, *_FILES):
+        for path in ("find", "graph", "diagnostics", "plot", "stop", "status", "sparql", "graphs", *_ENTRY, *_FILES):
             yield self._path(f"/{path}")
         with suppress(Problem):  # there is one only if it was asked for
             yield self._path("/mirror")

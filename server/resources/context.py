@@ -22,6 +22,7 @@ from rosld.server.policies.active_limits import ActiveLimits, initial_limits
 from rosld.server.policies.stored_mappings import initial_mappings, load_stored_mappings
 from rosld.server.receipts.journal import Journal
 from rosld.server.rest.state import State
+from rosld.server.robot.diagnostic_states import LevelTimes
 from rosld.server.robot.hold_store import Holds
 from rosld.server.robot.session import Session
 from rosld.server.robot.software_stop import SoftwareStop, StopCommand
@@ -80,6 +81,11 @@ class Robot(Session):
     def latest_values(self) -> LatestValues:
         """The newest value of each topic in brief, as far as it is at hand."""
         return LatestValues(self.topics, self.schemas)
+
+    @cached_property
+    def level_times(self) -> LevelTimes:
+        """Since when the parts that tell of themselves are at their levels."""
+        return LevelTimes()
 
     @cached_property
     def pictures(self) -> PictureCache:

@@ -14,6 +14,7 @@ from rosld.server.resources.namespaces import listed_graph
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource
 from rosld.server.rest.state import State
+from rosld.server.robot.diagnostic_states import DIAGNOSTIC_ARRAY
 from rosld.server.robot.write_policy import RESERVED
 
 _FIRST = "What the robot is like now, and what it can do: values to read and to set, actions, links."
@@ -57,6 +58,9 @@ class EntryResource(Resource):
                 for room in ("types", "mappings", "data", "calls", *goals, "holds", "queries")
             ),
         )
+        if any(ref.name == DIAGNOSTIC_ARRAY for topic in graph.topics.values() for ref in topic.types):
+            told = "What the parts of the robot say of themselves."
+            counts = (*counts, EntryCount("Diagnostics", None, f"{space.base}diagnostics", told))
         counts = (*counts, EntryCount("Graph", None, f"{space.base}graph", "Who talks to whom, drawn."))
         counts = tuple(each for each in counts if site.may("GET", each.url))
         troubles = (Notice(problem, NoticeLevel.ERROR) for problem in self.robot.storage_problems)

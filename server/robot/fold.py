@@ -7,7 +7,7 @@ and the newest element of each key stays.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple, cast
 
 from rosld.adapters.model import Message, MessageSchema, Sample
@@ -59,6 +59,10 @@ class FoldedTopic:
         while len(self._elements) > MAX_KEYS:
             self._elements.pop(next(iter(self._elements)))
         self._last = (sample, message)
+
+    def times(self) -> Mapping[str, int]:
+        """When the newest element of each key was received, in nanoseconds."""
+        return {key: sample.received_ns for key, (sample, _) in self._elements.items()}
 
     def sample(self, schema: MessageSchema) -> Sample | None:
         """The folded message as one sample, as new as the newest that it is made of."""

@@ -243,7 +243,7 @@ class LiveTopics:
             return
         newest = {sample.publisher: sample for sample in ordered}
         rate = look.rates.observe(list(newest.values()))
-        look.view = TopicView((whole,) if whole is not None else (), rate)
+        look.view = TopicView((whole,) if whole is not None else (), rate, folded.times())
 
     def _schema_at_hand(self, sample: Sample) -> MessageSchema:
         schema = self._schemas.find_cached(sample.schema)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from rosld.adapters.model import Sample
@@ -14,11 +14,13 @@ class TopicView:
     """The samples of a topic as of one look: the newest of each publisher, and how often they come.
 
     `samples` is in order of receipt, the newest last; of a folded topic (`/tf`) it is one, made of all that came.
-    `rate` is in messages a second over all publishers, 0.0 until known.
+    `rate` is in messages a second over all publishers, 0.0 until known. `times` tells of a folded topic when the newest
+    element of each key was received, in nanoseconds.
     """
 
     samples: tuple[Sample, ...] = ()
     rate: float = 0.0
+    times: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def newest(self) -> Sample | None:

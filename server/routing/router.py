@@ -18,6 +18,7 @@ from rosld.server.resources.actions import ActionResource, GoalResource
 from rosld.server.resources.activities import ActivityContainer, ActivityResource
 from rosld.server.resources.bag_routes import bag_route
 from rosld.server.resources.context import Robot
+from rosld.server.resources.diagnostics import DiagnosticsResource
 from rosld.server.resources.entry_point import EntryResource
 from rosld.server.resources.find import FindResource
 from rosld.server.resources.finder import Finder
@@ -141,6 +142,7 @@ ROUTES: Mapping[str, Route] = {
     ".well-known": _well_known,
     "stop": _single(StopResource),
     "graph": _single(GraphResource),
+    "diagnostics": _single(DiagnosticsResource),
     "llms.txt": _single(GuideResource),
     "ontology": ontology_room,
 } | {name: _single(make) for name, make in FILES.items()}

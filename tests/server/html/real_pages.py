@@ -31,6 +31,7 @@ STARTED = {
 }  # fmt: skip
 ROVER = {
     "rover_camera": "/topics/camera/image_raw", "graph": "/graph",
+    "diagnostics": "/diagnostics", "diagnostic": "/diagnostics?name=battery",
     "rover": "/", "twist": "/topics/cmd_vel", "rover_scan": "/topics/scan", "nodes": "/nodes/",
     "node": "/nodes/rover",
     "rover_resources": "/resources/rover/", "actions": "/actions/", "action": "/actions/navigate_to",

@@ -1,0 +1,220 @@
+"""Diagnostics at `/diagnostics`: the states of parts, the worst first; `?name=` is one, with what it said before."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from functools import partial
+from urllib.parse import quote
+
+import orjson
+
+from rosld.adapters.base import MessageFilter, Watch
+from rosld.adapters.model import MessageSchema, RosError, TypeRef
+from rosld.ontology.describe_diagnostics import PartState, diagnostics_document
+from rosld.ontology.literals import date_time
+from rosld.server.auth.permissions import ALLOW_ALL, Permissions
+from rosld.server.html import Csrf, DiagnosticsPage, Form, Notice, Site, render_diagnostics
+from rosld.server.http.conditional import digest
+from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.data_schema import DataSchema
+from rosld.server.hypermedia.json_schema import TEXT, URI
+from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.resources.context import Robot
+from rosld.server.resources.messages import decode
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.path_item import FORMAT, PathItem, QueryParameter
+from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource
+from rosld.server.rest.state import State
+from rosld.server.robot.diagnostic_states import (
+    DIAGNOSTIC_ARRAY,
+    DiagnosticState,
+    Level,
+    LevelChange,
+    changes_of,
+    judge,
+    read_states,
+    worst_first,
+)
+from rosld.server.runtime.signals import call_every, combine_watches
+
+_LOOK_SECONDS = 2.0
+"""How often is looked for what has fallen silent."""
+_PAST_NS = 3600 * 1_000_000_000
+_MAX_MESSAGES = 4000
+_MAX_CHANGES = 100
+_MAX_NAME = 500
+_NAME = QueryParameter("name", "The name of a part: it alone, with what it said before as far as that is recorded.")
+_STATE: DataSchema = {
+    "type": "object",
+    "properties": {
+        "topic": URI,
+        "name": TEXT,
+        "hardware": TEXT,
+        "level": {"type": "string", "enum": [level.name for level in Level]},
+        "message": TEXT,
+        "values": {"type": "object", "additionalProperties": TEXT},
+        "received": TEXT,
+        "since": TEXT,
+    },
+    "required": ["topic", "name", "level", "message"],
+}
+_CHANGE: DataSchema = {
+    "type": "object",
+    "properties": {"time": TEXT, "level": TEXT, "message": TEXT},
+    "required": ["time", "level", "message"],
+}
+_PLAIN: DataSchema = {
+    "type": "object",
+    "properties": {
+        "states": {"type": "array", "items": _STATE},
+        "changes": {"type": "array", "items": _CHANGE},
+    },
+    "required": ["states"],
+}
+
+
+class DiagnosticsResource(Resource):
+    """The states of all parts that tell of themselves, or of those of one name, as one agent may see them."""
+
+    kind = "Diagnostics"
+    title = "Diagnostics"
+    links = (RESOURCE, RDF_SOURCE)
+
+    def __init__(self, robot: Robot, name: str = "", permissions: Permissions = ALLOW_ALL) -> None:
+        base = f"{robot.space.base}diagnostics"
+        super().__init__(f"{base}?name={quote(name, safe='')}" if name else base)
+        self.robot = robot
+        self.name = name
+        self._permissions = permissions
+        self._states: Sequence[DiagnosticState] = ()
+        self._changes: Sequence[LevelChange] = ()
+
+    @property
+    def variant_key(self) -> Hashable:
+        return self._permissions.rights_key
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        return PathItem("What the parts of the robot say of themselves", plain=_PLAIN, query=(_NAME, FORMAT))
+
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self.robot.space.document_shape("Source"),)
+
+    async def select_variant(self, exchange: Exchange) -> Resource:
+        """What the query asks for, as the agent may see it."""
+        return DiagnosticsResource(self.robot, exchange.query.get("name", "")[:_MAX_NAME], exchange.permissions)
+
+    @property
+    def _topics(self) -> Sequence[str]:
+        """The topics of diagnostics that the agent may read."""
+        robot, permissions = self.robot, self._permissions
+        return sorted(
+            name
+            for name, topic in robot.graph.topics.items()
+            if any(ref.name == DIAGNOSTIC_ARRAY for ref in topic.types)
+            and permissions.may_read(robot.space.topic(name))
+        )
+
+    async def watch(self, wake: Callable[[], None]) -> Watch | None:
+        """Each of its topics tells of itself; what falls silent is looked for now and then."""
+        watches = [await self.robot.topics.watch(topic, wake) for topic in self._topics]
+        return combine_watches(*watches, call_every(_LOOK_SECONDS, wake))
+
+    async def state(self) -> State:
+        found = [state for topic in self._topics for state in await self._read(topic)]
+        self._states = worst_first(found)
+        if self.name:
+            self._states = [each for each in self._states if each.name == self.name]
+            if not self._states:
+                raise Problem(404, f"No part called {self.name[:80]!r} has told of itself.")
+            self._changes = await self._past(self._states[0].topic)
+        states = [_part(each, self.robot.space.topic(each.topic)) for each in self._states]
+        plain = _plain(states, self._changes)
+        return State(
+            partial(diagnostics_document, self.url, states, self.robot.space.types), lambda: plain, digest(plain)
+        )
+
+    async def _read(self, topic: str) -> Sequence[DiagnosticState]:
+        robot = self.robot
+        view = await robot.topics.read(topic)
+        if view.newest is None:
+            return ()
+        decoded = await decode(robot, view.newest)
+        if decoded.message is None or decoded.schema is None or decoded.schema.ref.name != DIAGNOSTIC_ARRAY:
+            return ()
+        now = max(view.times.values(), default=0) if robot.adapter.recordings else time.time_ns()
+        period = 1.0 / view.rate if view.rate else 0.0
+        states = read_states(topic, decoded.message, view.times, view.newest.received_ns)
+        return [robot.level_times.note(judge(each, now, period), now) for each in states]
+
+    async def _past(self, topic: str) -> Sequence[LevelChange]:
+        """What the part said within the last hour, as far as it is recorded; nothing where nothing is."""
+        robot = self.robot
+        if not robot.history.is_kept or topic not in robot.history.writer.types:
+            return ()
+        try:
+            schemas = {ref: await robot.schemas.message(ref) for ref in robot.graph.topics[topic].types}
+            return await asyncio.to_thread(self._read_past, topic, schemas)
+        except (OSError, ValueError, KeyError, RosError):
+            return ()
+
+    def _read_past(self, topic: str, schemas: Mapping[TypeRef, MessageSchema]) -> Sequence[LevelChange]:
+        recording = self.robot.history.recording
+        wanted = MessageFilter(frozenset({topic}), time.time_ns() - _PAST_NS)
+        said: list[tuple[int, DiagnosticState]] = []
+        for message in recording.select(wanted, _MAX_MESSAGES).messages:
+            sample, schema = message.sample, schemas.get(message.sample.schema)
+            if schema is not None:
+                found = read_states(topic, schema.codec.decode(sample.data, sample.encoding), {}, sample.received_ns)
+                said += [(sample.received_ns, each) for each in found if each.name == self.name]
+        return changes_of(said)[:_MAX_CHANGES]
+
+    def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
+        topics = {each.topic for each in self._states}
+        return render_diagnostics(
+            DiagnosticsPage(
+                site,
+                self.url,
+                self.name,
+                tuple(self._states),
+                tuple(self._changes),
+                tuple(self.robot.space.topic(each) for each in sorted(topics or self._topics)),
+                tuple(notices),
+            )
+        )
+
+
+def _part(state: DiagnosticState, topic: str) -> PartState:
+    said = state.name, state.hardware, state.level.name, int(state.said), state.message, dict(state.values)
+    return PartState(topic, *said, state.received_ns, state.since_ns)
+
+
+def _plain(states: Sequence[PartState], changes: Sequence[LevelChange]) -> bytes:
+    told: dict[str, object] = {
+        "states": [
+            {
+                "topic": each.topic,
+                "name": _text(each.name),
+                "hardware": _text(each.hardware),
+                "level": each.level,
+                "message": _text(each.message),
+                "values": {_text(key): _text(value) for key, value in each.values.items()},
+                "received": date_time(0, each.received_ns),
+                "since": date_time(0, each.since_ns),
+            }
+            for each in states
+        ]
+    }
+    if changes:
+        told["changes"] = [
+            {"time": date_time(0, each.time_ns), "level": each.level.name, "message": _text(each.message)}
+            for each in changes
+        ]
+    return orjson.dumps(told)
+
+
+def _text(text: str) -> str:
+    """Text without what UTF-8 cannot hold: strings of ROS 1 may be any bytes."""
+    return text.encode("utf-8", "replace").decode()

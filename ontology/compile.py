@@ -44,13 +44,20 @@ Lift = Callable[[object, str, str, Site, str], str]
 
 
 def compile_lift(
-    schema: MessageSchema, notation: Notation, types: str, inline_limit: int, only: frozenset[str] | None = None
+    schema: MessageSchema,
+    notation: Notation,
+    types: str,
+    inline_limit: int,
+    only: frozenset[str] | None = None,
+    *,
+    is_linked: bool = False,
 ) -> Lift:
     """The function that writes messages of `schema`. Raises ValueError for a type with a bad name or no end.
 
-    `only` (None: all) are the predicates that are of use: what is said by no other may be left out.
+    `only` (None: all) are the predicates that are of use: what is said by no other may be left out. `is_linked`: so may
+    what is said of nodes to which none of these lead.
     """
-    return _Module(schema, notation, types, inline_limit, only).lift()
+    return _Module(schema, notation, types, inline_limit, only, is_linked).lift()
 
 
 def minimum_size(kind: Nested | Primitive, types: Mapping[str, MessageType]) -> int:
@@ -70,10 +77,17 @@ class _Module:
     """The functions of one schema in one notation: compiled as they are met, sharing one namespace."""
 
     def __init__(
-        self, schema: MessageSchema, notation: Notation, types: str, inline_limit: int, only: frozenset[str] | None
+        self,
+        schema: MessageSchema,
+        notation: Notation,
+        types: str,
+        inline_limit: int,
+        only: frozenset[str] | None,
+        is_linked: bool,
     ) -> None:
         self.types = schema.types
         self._only = None if only is None or not only.isdisjoint(_OF_VALUES) else only
+        self._is_linked = is_linked
         self.notation = notation
         self.inline_limit = inline_limit
         self.names = type_names(schema.types, types)
@@ -126,7 +140,9 @@ class _Module:
 
     def is_field_wanted(self, kind: TypeName, field: Field) -> bool:
         """Whether a field, or anything within it, is of use."""
-        return self.is_wanted(kind.property(field.name)) or self._is_type_wanted(_nested_type(field))
+        if self.is_wanted(kind.property(field.name)):
+            return True
+        return not self._is_linked and self._is_type_wanted(_nested_type(field))
 
     def _is_type_wanted(self, name: str | None) -> bool:
         if name is None or self._only is None:

@@ -123,14 +123,25 @@ class Lifter(Protocol):
 class CompiledLifter:
     """The `Lifter` of one schema; each syntax is compiled when it is first asked for."""
 
-    def __init__(self, schema: MessageSchema, settings: LiftSettings, only: frozenset[str] | None = None) -> None:
-        """`only` are the predicates that are of use, None for all: what others say may be left out of N-Triples."""
+    def __init__(
+        self,
+        schema: MessageSchema,
+        settings: LiftSettings,
+        only: frozenset[str] | None = None,
+        *,
+        is_linked: bool = False,
+    ) -> None:
+        """`only` are the predicates that are of use, None for all: what others say may be left out of N-Triples.
+
+        `is_linked`: so may what is said of nodes to which none of these lead.
+        """
         names = type_names(schema.types, settings.types)
         self.schema = schema
         self.prefixes: Mapping[str, str] = MappingProxyType(_prefixes(names.values()))
         self.context: Mapping[str, object] = MappingProxyType({**TERMS, **_terms(schema, names)})
         self._settings = settings
         self._only = only
+        self._is_linked = is_linked
 
     def ntriples(
         self, message: Message, document: str, node: str, *, end: str = " .\n",
@@ -183,7 +194,10 @@ class CompiledLifter:
 
     def _compile(self, notation: str) -> Lift:
         only = self._only if notation == "ntriples" else None
-        return compile_lift(self.schema, NOTATIONS[notation], self._settings.types, self._settings.inline_limit, only)
+        settings = self._settings
+        return compile_lift(
+            self.schema, NOTATIONS[notation], settings.types, settings.inline_limit, only, is_linked=self._is_linked
+        )
 
 
 @lru_cache(maxsize=1024)
@@ -196,9 +210,16 @@ def lifter(schema: MessageSchema, settings: LiftSettings = LiftSettings()) -> Li
 
 
 @lru_cache(maxsize=256)
-def partial_lifter(schema: MessageSchema, settings: LiftSettings, only: frozenset[str] | None) -> Lifter:
-    """The lifter of what a schema's messages say by these predicates (None: all), in N-Triples. Raises as `lifter`."""
-    return lifter(schema, settings) if only is None else CompiledLifter(schema, settings, only)
+def partial_lifter(
+    schema: MessageSchema, settings: LiftSettings, only: frozenset[str] | None, *, is_linked: bool = False
+) -> Lifter:
+    """The lifter of what a schema's messages say by these predicates (None: all), in N-Triples. Raises as `lifter`.
+
+    `is_linked`: nodes to which none of these lead are of no use.
+    """
+    if only is None:
+        return lifter(schema, settings)
+    return CompiledLifter(schema, settings, only, is_linked=is_linked)
 
 
 def _ntriples_envelope(subject: str, envelope: Envelope, end: str, only: frozenset[str] | None) -> str:

@@ -17,6 +17,7 @@ from rosld.adapters.model.library import TypeLibrary
 from rosld.server.history.file_digests import FileDigests
 from rosld.server.history.history_writer import HistoryWriter
 from rosld.server.history.live_recorder import LiveRecorder
+from rosld.server.history.message_block import MessageBlock
 from rosld.server.history.recorder import Sink
 from rosld.server.history.segments import HistoryLimits, Segments
 from rosld.server.history.selection import select_messages
@@ -122,18 +123,21 @@ class HistoryRecording:
         """At most `limit` messages: the index tells which chunks have them, and these are read."""
         return select_messages(self._writer, wanted, limit)
 
-    def between(self, topic: str, from_ns: int, until_ns: int) -> Iterator[RecordedMessage]:
+    def blocks_between(self, topic: str, from_ns: int, until_ns: int) -> Iterator[MessageBlock]:
         """The messages of a topic from one time until another, in any order; those that cannot be read are left out."""
+        segments = self._writer.segments
         at_hand = {each.sequence - 1: each for each in self._writer.unwritten(topic)}
-        for row in self._writer.segments.index.of_topic(topic, from_ns, until_ns):
-            with contextlib.suppress(OSError, ValueError, KeyError):  # a segment that is damaged, or gone
-                for _, sample in self._writer.segments.messages_of(row):
-                    if from_ns <= sample.received_ns <= until_ns:
-                        at_hand.pop(sample.sequence - 1, None)  # written in the meantime
-                        yield RecordedMessage(sample.sequence - 1, topic, sample)
-        for number, sample in at_hand.items():
-            if from_ns <= sample.received_ns <= until_ns:
-                yield RecordedMessage(number, topic, sample)
+        for row in segments.index.of_topic(topic, from_ns, until_ns):
+            try:
+                block = MessageBlock(segments, row, from_ns, until_ns)
+            except (OSError, ValueError, KeyError):  # a segment that is damaged, or gone
+                continue
+            if at_hand and row.last >= min(at_hand):  # written in the meantime
+                for number in block.numbers():
+                    at_hand.pop(number, None)
+            yield block
+        left = [RecordedMessage(number, topic, each) for number, each in at_hand.items()]
+        yield MessageBlock.of([each for each in left if from_ns <= each.sample.received_ns <= until_ns])
 
     def count_between(self, topic: str, from_ns: int, until_ns: int) -> int:
         """At most how many messages there are of a topic from one time until another, without reading them."""

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from rosld.adapters.base import MessageFilter, RecordedMessage, Recording
+from rosld.adapters.base import MessageFilter, Recording
 from rosld.server.history.history import HistoryRecording
+from rosld.server.history.message_block import MessageBlock
 
 _PAGE = 2000
 """Messages that are read at a time from a file."""
@@ -27,24 +28,24 @@ def count_past(recording: Recording, ranges: Sequence[PastRange]) -> int:
     return 0
 
 
-def read_past(recording: Recording, ranges: Sequence[PastRange]) -> Iterator[RecordedMessage]:
+def read_past(recording: Recording, ranges: Sequence[PastRange]) -> Iterator[MessageBlock]:
     """The messages, in any order, each once; what cannot be read is left out.
 
     Ranges of one topic must not overlap.
     """
     for each in ranges:
         if isinstance(recording, HistoryRecording):
-            yield from recording.between(*each)
+            yield from recording.blocks_between(*each)
         else:
             yield from _in_pages(recording, each)
 
 
-def _in_pages(recording: Recording, wanted: PastRange) -> Iterator[RecordedMessage]:
+def _in_pages(recording: Recording, wanted: PastRange) -> Iterator[MessageBlock]:
     start: int | None = recording.first
     while start is not None:
         one = MessageFilter(frozenset({wanted.topic}), wanted.from_ns, wanted.until_ns, start)
         page = recording.select(one, _PAGE)
-        yield from page.messages
+        yield MessageBlock.of(page.messages)
         start = page.next
 
 

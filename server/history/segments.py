@@ -7,14 +7,14 @@ import logging
 import sqlite3
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from rosld.adapters.model import Sample, TypeRef
 from rosld.server.history.channel import Channel, model_name
 from rosld.server.history.chunk_index import ChunkIndex, ChunkRow, SegmentRow, pack_numbers
-from rosld.server.history.chunk_reader import ChunkMessage, read_chunk
+from rosld.server.history.chunk_reader import ChunkMessage, read_chunk, read_records
 from rosld.server.history.segment_file import DiskFile, MemoryFile, SegmentFile
 from rosld.server.history.segment_scan import Scan, recover
 
@@ -42,6 +42,8 @@ class Segments:
         self._index: ChunkIndex | None = None
         self._files: dict[int, SegmentFile] = {}
         self._rows: list[SegmentRow] = []
+        self._channels: Mapping[int, Mapping[int, Channel]] = {}
+        """Those of the finished segment that was read last."""
 
     @property
     def index(self) -> ChunkIndex:
@@ -135,6 +137,20 @@ class Segments:
         """Remove a segment that holds nothing."""
         self.index.remove_segment(segment)
         self._files.pop(segment).remove()
+
+    def records_of(self, row: ChunkRow) -> bytes:
+        """The records of a chunk. Raises OSError, ValueError; KeyError where it is gone."""
+        return read_records(self._files[row.segment], row.at, row.length)
+
+    def channels_of(self, segment: int) -> Mapping[int, Channel]:
+        """The channels of a segment by their numbers: those that are in the index."""
+        known = self._channels.get(segment)
+        is_finished = any(row.id == segment and row.finished for row in self._rows)
+        if known is None or not is_finished:
+            known = self.index.channels(segment)
+            if is_finished:
+                self._channels = {segment: known}
+        return known
 
     def message(self, number: int) -> tuple[Channel, Sample] | None:
         """The message of a number, None where no chunk has it. Raises OSError, ValueError."""

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from rosld.adapters.model import Sample
 from rosld.server.history.chunk_index import ChunkRow
 from rosld.server.history.history_writer import HistoryWriter
+from rosld.server.history.message_block import MessageBlock
 
 MAX_READ = 500_000
 """Messages that one series may read; of those that it finds reduced already there may be any number."""
@@ -65,14 +66,24 @@ class Series:
     is_reduced: bool
 
 
+class Values(Protocol):
+    """Gives the number of a message, None where it has none."""
+
+    def value_of(self, sample: Sample) -> float | None:
+        """Of one message."""
+        ...
+
+    def values_of(self, block: MessageBlock) -> Iterable[tuple[int, float | None]]:
+        """Of many, each with when it was received, in ns."""
+        ...
+
+
 class SeriesTooLong(ValueError):
     """More would have to be read than one request may."""
 
 
-def read_series(
-    writer: HistoryWriter, topic: str, field: str, wanted: SeriesRange, value_of: Callable[[Sample], float | None]
-) -> Series:
-    """The series of a topic's field; `value_of` gives the number of a message, None where it has none.
+def read_series(writer: HistoryWriter, topic: str, field: str, wanted: SeriesRange, values: Values) -> Series:
+    """The series of a topic's field, whose numbers are `values`.
 
     What a chunk comes to is kept in the index, and read from there the next time. Raises SeriesTooLong, OSError, and
     ValueError for a chunk that is damaged.
@@ -82,7 +93,7 @@ def read_series(
     if sum(row.messages for row in rows) + len(unwritten) <= wanted.points:
         samples = [*unwritten, *(sample for row in rows for _, sample in writer.segments.messages_of(row))]
         within = (each for each in samples if wanted.from_ns <= each.received_ns <= wanted.to_ns)
-        found = ((each.received_ns, value_of(each)) for each in sorted(within, key=_received))
+        found = ((each.received_ns, values.value_of(each)) for each in sorted(within, key=_received))
         return Series([Point(at, single(value)) for at, value in found if value is not None], is_reduced=False)
     intervals: dict[int, Statistic] = {}
 
@@ -103,12 +114,12 @@ def read_series(
         read += row.messages
         if read > MAX_READ:
             raise SeriesTooLong(f"more than {MAX_READ} messages would be read")
-        samples = [sample for _, sample in writer.segments.messages_of(row)]
+        numbers = values.values_of(MessageBlock(writer.segments, row, wanted.from_ns, wanted.to_ns))
         if is_one:
-            add(interval, _of_chunk(writer, row, field, samples, value_of))
+            add(interval, _of_chunk(writer, row, field, numbers))
         else:
-            _add_each(add, wanted, samples, value_of)
-    _add_each(add, wanted, unwritten, value_of)
+            _add_each(add, wanted, numbers)
+    _add_each(add, wanted, ((each.received_ns, values.value_of(each)) for each in unwritten))
     return Series([Point(wanted.begin(each), intervals[each]) for each in sorted(intervals)], is_reduced=True)
 
 
@@ -118,26 +129,17 @@ def single(value: float) -> Statistic:
 
 
 def _add_each(
-    add: Callable[[int, Statistic | None], None],
-    wanted: SeriesRange,
-    samples: Sequence[Sample],
-    value_of: Callable[[Sample], float | None],
+    add: Callable[[int, Statistic | None], None], wanted: SeriesRange, numbers: Iterable[tuple[int, float | None]]
 ) -> None:
-    for each in samples:
-        if wanted.from_ns <= each.received_ns <= wanted.to_ns:
-            value = value_of(each)
-            add(wanted.interval(each.received_ns), None if value is None else single(value))
+    for at, value in numbers:
+        add(wanted.interval(at), None if value is None else single(value))
 
 
 def _of_chunk(
-    writer: HistoryWriter,
-    row: ChunkRow,
-    field: str,
-    samples: Sequence[Sample],
-    value_of: Callable[[Sample], float | None],
+    writer: HistoryWriter, row: ChunkRow, field: str, numbers: Iterable[tuple[int, float | None]]
 ) -> Statistic | None:
     """What a chunk comes to, which is kept."""
-    values = [value for each in samples if (value := value_of(each)) is not None and math.isfinite(value)]
+    values = [value for _, value in numbers if value is not None and math.isfinite(value)]
     found = Statistic(min(values), max(values), math.fsum(values), len(values)) if values else None
     writer.segments.index.keep_statistic(row, field, found or (0.0, 0.0, 0.0, 0))
     return found

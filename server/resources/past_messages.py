@@ -6,16 +6,20 @@ import asyncio
 import time
 from collections.abc import Iterator, Sequence
 from fnmatch import fnmatchcase
+from functools import lru_cache
 
 from rosld.adapters.base import FOR_EVER, RecordedMessage, RecordedTopic, Recording
 from rosld.adapters.model import MessageSchema, RosError, TypeRef
+from rosld.ontology.column_lift import ColumnLifter, column_lifter
 from rosld.ontology.describe_topics import MESSAGE
 from rosld.ontology.document import Envelope
 from rosld.ontology.lift import Lifter, partial_lifter
 from rosld.ontology.literals import date_time, quote
 from rosld.ontology.vocab import ldp, rdf, ros, xsd
 from rosld.server.auth.permissions import Permissions
+from rosld.server.history.columns import columns_of
 from rosld.server.history.history import HistoryRecording
+from rosld.server.history.message_block import MessageBlock
 from rosld.server.history.past_reader import PastRange, count_past, merge_ranges, read_past
 from rosld.server.http.problem import Problem
 from rosld.server.resources.context import Robot
@@ -43,7 +47,7 @@ class RecordedPast:
         readable = [one for one in recordings if self._may_read(one, permissions)]
         for selection in selections:
             self._require_recorded(selection, readable, permissions)
-        reading = _Reading(self._robot, asked.predicates, permissions, until)
+        reading = _Reading(self._robot, asked, permissions, until)
         try:
             return await asyncio.to_thread(reading.read, readable, selections)
         finally:
@@ -106,14 +110,16 @@ class RecordedPast:
 class _Reading:
     """One reading, in a thread. `learned` are the types that were not known before."""
 
-    def __init__(self, robot: Robot, only: frozenset[str] | None, permissions: Permissions, until: float) -> None:
+    def __init__(self, robot: Robot, asked: PastQuery, permissions: Permissions, until: float) -> None:
         self.learned: dict[TypeRef, MessageSchema] = {}
         self._robot = robot
-        self._only = only
+        self._only = asked.predicates
+        self._is_linked = asked.is_linked
         self._permissions = permissions
         self._until = until
         self._size = 0
         self._read = 0
+        self._lifters: dict[tuple[TypeRef, str], ColumnLifter | None] = {}
 
     def read(self, recordings: Sequence[Recording], selections: Sequence[PastSelection]) -> bytes:
         """What is said of all messages. Raises Problems."""
@@ -126,20 +132,20 @@ class _Reading:
         pause = time.monotonic() + _SLICE
         for recording, ranges in plans:
             said = _RecordText(self._robot, recording, self._only)
-            for message in read_past(recording, ranges):
-                self._read += 1
-                text = self._lift(recording, message, said)
-                texts.append(text)
-                self._size += len(text)
-                if self._read > MAX_PAST:
-                    raise self._too_much(f"More recorded messages of {_list(topics)} may take part in this query")
-                if self._size > MAX_TEXT:
-                    raise self._too_much(f"Recorded messages of {_list(topics)} say more than {MAX_TEXT >> 20} MiB")
-                if time.monotonic() > pause:
-                    if time.monotonic() > self._until:
-                        raise out_of_time(self._robot.settings.query_time_limit)
-                    time.sleep(_SLICE / 20)
-                    pause = time.monotonic() + _SLICE
+            for block in read_past(recording, ranges):
+                for text, count in self._lift_block(recording, block, said):
+                    texts.append(text)
+                    self._read += count
+                    self._size += len(text)
+                    if self._read > MAX_PAST:
+                        raise self._too_much(f"More recorded messages of {_list(topics)} may take part in this query")
+                    if self._size > MAX_TEXT:
+                        raise self._too_much(f"Recorded messages of {_list(topics)} say more than {MAX_TEXT >> 20} MiB")
+                    if time.monotonic() > pause:
+                        if time.monotonic() > self._until:
+                            raise out_of_time(self._robot.settings.query_time_limit)
+                        time.sleep(_SLICE / 20)
+                        pause = time.monotonic() + _SLICE
         return "".join(texts).encode()
 
     def _too_much(self, what: str) -> Problem:
@@ -187,6 +193,36 @@ class _Reading:
                 self.learned[ref] = found
         return found if isinstance(found, MessageSchema) else None
 
+    def _lift_block(self, recording: Recording, block: MessageBlock, said: _RecordText) -> Iterator[tuple[str, int]]:
+        """What is said of messages, each time with their number: of all at once, where only numbers are asked for."""
+        if block.rows is not None and not len(block.rows.times):
+            return
+        if block.rows is not None and self._only is not None and not said.is_more:
+            channel = block.channel
+            schema = self._schema(recording, channel.type)
+            lifter = None if schema is None else self._column_lifter(schema, said.topic(channel.topic))
+            if schema is not None and lifter is not None:
+                columns = columns_of(block.rows, schema, channel.encoding, lifter.paths)
+                if columns is not None:
+                    numbers = block.numbers()
+                    documents = [f"{said.messages}{number}" for number in numbers]
+                    sequences = [number + 1 for number in numbers]
+                    times = block.rows.times.tolist()
+                    yield lifter.ntriples(documents, times, sequences, columns), len(numbers)
+                    return
+        for message in block.messages():
+            yield self._lift(recording, message, said), 1
+
+    def _lifter(self, schema: MessageSchema) -> Lifter:
+        return partial_lifter(schema, self._robot.lifting, self._only, is_linked=self._is_linked)
+
+    def _column_lifter(self, schema: MessageSchema, topic: str) -> ColumnLifter | None:
+        key = schema.ref, topic
+        if key not in self._lifters:
+            assert self._only is not None
+            self._lifters[key] = column_lifter(self._lifter(schema), self._only, topic, MESSAGE)
+        return self._lifters[key]
+
     def _lift(self, recording: Recording, message: RecordedMessage, said: _RecordText) -> str:
         """What is said of a message, and of its record."""
         sample = message.sample
@@ -202,8 +238,7 @@ class _Reading:
         if publisher is not None and not self._permissions.may_read(publisher):
             publisher = None
         envelope = Envelope(sample.received_ns, sample.sequence, publisher)
-        lifter: Lifter = partial_lifter(schema, self._robot.lifting, self._only)
-        lifted = lifter.ntriples(
+        lifted = self._lifter(schema).ntriples(
             decoded, url, MESSAGE, envelope=envelope, simulated_time=self._robot.graph.simulated_time
         )
         return f"{said.of_record(url, message)}{lifted}"
@@ -215,15 +250,15 @@ class _RecordText:
     def __init__(self, robot: Robot, recording: Recording, only: frozenset[str] | None) -> None:
         self.messages = robot.space.bag_messages(recording.name)
         self._bag = robot.space.bag(recording.name)
-        self._topic = robot.space.topic
+        self.topic = lru_cache(maxsize=1024)(robot.space.topic)
         self._only = only
-        self._is_more = only is None or not only.isdisjoint(_OF_RECORDS)
+        self.is_more = only is None or not only.isdisjoint(_OF_RECORDS)
 
     def of_record(self, url: str, message: RecordedMessage, reason: str | None = None) -> str:
         """Of one message; `reason` is why it cannot be read, if it cannot."""
-        topic = self._topic(message.topic)
+        topic = self.topic(message.topic)
         link = f"<{topic}> <{ros.past.value}> <{url}{MESSAGE}> .\n" if reason is None else ""
-        if not self._is_more:
+        if not self.is_more:
             return link
         return link + "".join(self._more(url, topic, message, reason))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from datetime import datetime, timezone
 from urllib.parse import quote
 
@@ -16,6 +16,8 @@ from rosld.adapters.model import MessageSchema, Sample, TypeRef, UnknownType
 from rosld.ontology.describe_series import series_document
 from rosld.ontology.fields import field_at
 from rosld.ontology.literals import date_time_nanoseconds
+from rosld.server.history.columns import columns_of, number_paths
+from rosld.server.history.message_block import MessageBlock
 from rosld.server.history.series import Point, Series, SeriesRange, SeriesTooLong, read_series
 from rosld.server.http import negotiation
 from rosld.server.http.problem import Problem
@@ -80,7 +82,7 @@ class SeriesResource(Resource):
         values = FieldValues(self.robot.history.recording.schema, self.field)
         writer = self.robot.history.writer
         try:
-            found = await asyncio.to_thread(read_series, writer, self.topic, self.field, self.wanted, values.value_of)
+            found = await asyncio.to_thread(read_series, writer, self.topic, self.field, self.wanted, values)
         except SeriesTooLong as error:
             raise Problem(422, f"{error}: ask for a shorter time.") from error
         except (OSError, ValueError, KeyError) as error:
@@ -98,6 +100,8 @@ class FieldValues:
         self._schema_of = schema_of
         self._path = path
         self._schemas: dict[TypeRef, MessageSchema | None] = {}
+        self._numeric: set[TypeRef] = set()
+        """Types that have a number at the path."""
 
     def value_of(self, sample: Sample) -> float | None:
         """The number, None where there is none. In any thread."""
@@ -114,6 +118,20 @@ class FieldValues:
             return None
         return number if math.isfinite(number) else None
 
+    def values_of(self, block: MessageBlock) -> Iterator[tuple[int, float | None]]:
+        """The numbers of many, each with when it was received: of all at once where they are laid out alike."""
+        if block.rows is not None and len(block.rows.times):
+            schema = self._schema(block.channel.type)
+            if schema is not None and schema.ref in self._numeric:
+                columns = columns_of(block.rows, schema, block.channel.encoding, [tuple(self._path.split("."))])
+                if columns is not None:
+                    values = columns[0].astype(float)
+                    found = zip(block.rows.times.tolist(), values.tolist(), strict=True)
+                    yield from ((at, value if math.isfinite(value) else None) for at, value in found)
+                    return
+        for each in block.messages():
+            yield each.sample.received_ns, self.value_of(each.sample)
+
     def _schema(self, ref: TypeRef) -> MessageSchema | None:
         if ref not in self._schemas:
             try:
@@ -121,6 +139,8 @@ class FieldValues:
             except UnknownType as error:
                 self.problem, found = error.sentence, None
             self._schemas[ref] = found if isinstance(found, MessageSchema) else None
+            if isinstance(found, MessageSchema) and tuple(self._path.split(".")) in number_paths(found):
+                self._numeric.add(found.ref)
         return self._schemas[ref]
 
 

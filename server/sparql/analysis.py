@@ -113,7 +113,7 @@ class Analyser:
         return Analysis(
             rewrite(checked.text, query.literals, query.expressions),
             query.form,
-            needs_of(query, terms, past.covered() if past is not None else {}),
+            needs_of(query, terms, past.covered if past is not None else {}),
             self._used_prefixes(checked),
             query.default,
             query.named,

@@ -72,8 +72,9 @@ class _Context:
 class PastQuery:
     """A query about the past.
 
-    `predicates` are those of recorded messages that it can match, None for all; `recordings` are the URLs of the
-    recordings that it names, itself or by their messages.
+    `predicates` are those of recorded messages that it can match, None for all. `is_linked`: it matches nodes within
+    messages only where these predicates lead to them from the messages. `recordings` are the URLs of the recordings
+    that it names, itself or by their messages.
     """
 
     def __init__(self, query: Query, vocabulary: VocabularyView) -> None:
@@ -82,13 +83,15 @@ class PastQuery:
         named = [each.predicates for group in _matched(query.where) for each in group.patterns]
         self.predicates = None if None in named else frozenset().union(*(each for each in named if each is not None))
         self.recordings = frozenset(_recordings(query, vocabulary.base))
+        self.is_linked = True
+        self.covered: Mapping[int, frozenset[str]] = self._covered()
+        """The variables that stand for recorded messages or nodes in them, by the `id` of the group they are in."""
 
     def selections(self, now: Interval) -> Sequence[PastSelection]:
         """The messages that may take part in a match, where NOW() is within an interval."""
         return list(dict.fromkeys(self._of(self._where, _Context(), now)))
 
-    def covered(self) -> Mapping[int, frozenset[str]]:
-        """The variables that stand for recorded messages or nodes within them, by the `id` of the group they are in."""
+    def _covered(self) -> Mapping[int, frozenset[str]]:
         found: dict[int, frozenset[str]] = {}
         for _ in self._of(self._where, _Context(), ANY_TIME, found):
             pass
@@ -112,6 +115,7 @@ class PastQuery:
                 yield self._selection(pattern, group, known, topics)
         for pattern in group.patterns:
             if pattern not in own and not self._is_about(pattern, covered) and self._may_match(pattern, group):
+                self.is_linked = False
                 yield PastSelection(urls=_topic_of(pattern))
         around = _Context(known, topics, below)  # not what children say: two of them might rely on each other
         for child in group.children:

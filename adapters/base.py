@@ -236,6 +236,10 @@ class Recording(Protocol):
         """The index below which no message comes any more."""
         ...
 
+    def latest_at(self, topic: str, time_ns: int) -> RecordedMessage | None:
+        """The message of a topic that was the newest at a time; None where there was none. Raises Unreachable."""
+        ...
+
     def select(self, wanted: MessageFilter, limit: int) -> MessagePage:
         """At most `limit` messages, of about `PAGE_BYTES`; no more is read than these take."""
         ...

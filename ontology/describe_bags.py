@@ -228,6 +228,22 @@ def bag_selection_document(bag: Bag, space: Space, url: str, messages: Sequence[
     return Document(url, tuple(triples))
 
 
+def bag_moment_document(bag: Bag, space: Space, url: str, at_ns: int, messages: Sequence[BagMessage]) -> Document:
+    """The messages of a recording that were the newest of their topics at a time."""
+    nodes = [NamedNode(space.bag_message(bag.name, each.index)) for each in messages]
+    triples = triples_about(
+        NamedNode(url),
+        (rdf.type, ros.Moment),
+        *RDF_SOURCE,
+        (ros.momentOf, NamedNode(space.bag(bag.name))),
+        (ros.momentTime, date_time_literal(at_ns)),
+        *statements(ros.newestRecord, nodes),
+    )
+    for node, message in zip(nodes, messages, strict=True):
+        triples += triples_about(node, *_record(bag, message, space))
+    return Document(url, tuple(triples))
+
+
 def _record(bag: Bag, message: BagMessage, space: Space) -> list[Statement]:
     return [
         (rdf.type, ros.Record),

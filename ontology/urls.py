@@ -214,6 +214,10 @@ class Space:
         """Message `index` of a recording."""
         return self.url("bags", (name, "messages", str(index)))
 
+    def bag_moment(self, name: str) -> str:
+        """All topics of a recording at one moment."""
+        return self.url("bags", (name, "at"))
+
     def bag_stream(self, name: str) -> str:
         """The messages of a recording as an event stream."""
         return self.url("bags", (name, "ldes"))

@@ -107,6 +107,10 @@ class ros(Namespace, iri="https://w3id.org/rosld#"):
     rate: NamedNode
     briefValue: NamedNode
     namespace: NamedNode
+    Moment: NamedNode
+    momentOf: NamedNode
+    momentTime: NamedNode
+    newestRecord: NamedNode
     triggerCondition: NamedNode
     triggerCount: NamedNode
     triggerLimit: NamedNode

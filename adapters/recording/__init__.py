@@ -1,19 +1,26 @@
-"""Recordings: `rosld serve run.bag`, a ROS 2 folder, an `.mcap` or a `.db3` file."""
+"""Recordings: `rosld serve run.bag`, a ROS 2 folder, an `.mcap` or a `.db3` file; a part: `run.bag?from=-60&rate=2`."""
 
 from pathlib import Path
 
 from rosld.adapters.base import Adapter, AdapterOptions
 from rosld.adapters.recording.adapter import RecordingAdapter
+from rosld.adapters.recording.part import WHOLE, parse_part
 
 _SCHEME = "recording:"
 
 
 def adapter(source: str, options: AdapterOptions) -> Adapter:
-    """The adapter of a recording's path, `recording:` before it or not. Raises ValueError for options out of range."""
-    path = Path(source)
+    """The adapter of a recording's path, `recording:` before it or not, and after it what of it is played.
+
+    Raises ValueError for options out of range.
+    """
+    path, part = Path(source), WHOLE
     if source.startswith(_SCHEME) and not path.exists():
         path = Path(source.removeprefix(_SCHEME))
-    return RecordingAdapter(path.expanduser(), options)
+    if "?" in path.name and not path.expanduser().exists():
+        name, _, query = str(path).partition("?")
+        path, part = Path(name), parse_part(query)
+    return RecordingAdapter(path.expanduser(), options, part=part)
 
 
 __all__ = ["RecordingAdapter", "adapter"]

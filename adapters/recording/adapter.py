@@ -6,6 +6,7 @@ import asyncio
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import NoReturn
@@ -43,8 +44,10 @@ from rosld.adapters.model import (
 from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.recording.bag import Bag, log
 from rosld.adapters.recording.files import open_storage, recording_name
+from rosld.adapters.recording.part import WHOLE, Part
 from rosld.adapters.recording.playback import Playback, Position
 from rosld.adapters.recording.player import PlayerSubscription, TopicPlayer
+from rosld.adapters.recording.storage import Damaged
 
 _READ_ONLY = "a recording cannot be written to"
 
@@ -52,8 +55,18 @@ _READ_ONLY = "a recording cannot be written to"
 class RecordingAdapter:
     """A recording as an `Adapter`. It begins to play when it is opened, by `clock` (monotonic ns)."""
 
-    def __init__(self, path: Path, options: AdapterOptions, *, clock: Callable[[], int] = time.monotonic_ns) -> None:
+    def __init__(
+        self,
+        path: Path,
+        options: AdapterOptions,
+        *,
+        clock: Callable[[], int] = time.monotonic_ns,
+        part: Part = WHOLE,
+    ) -> None:
+        """Of the recording at a path only `part` is there. Raises ValueError for a rate that is none."""
+        options = options if part.rate is None else replace(options, rate=part.rate)
         Playback(0, 0, options.rate)  # refuses a rate that is none before any file is read
+        self._part = part
         self._path = path
         self._options = options
         self._clock = clock
@@ -184,7 +197,11 @@ class RecordingAdapter:
         storage = open_storage(self._path)
         self._library = TypeLibrary(ros_version=storage.ros_version, folders=self._options.types)
         self._encoding = Encoding.ROS1 if storage.ros_version == 1 else Encoding.CDR
-        return Bag(recording_name(self._path), self._path, storage, self._library)
+        try:
+            return Bag(recording_name(self._path), self._path, storage, self._library, self._part)
+        except Damaged as error:
+            storage.close()
+            raise Unreachable(f"{str(self._path)!r} cannot be played: {error}") from error
 
     def _player(self, topic: str) -> TopicPlayer:
         if self._bag is None:

@@ -18,6 +18,7 @@ from rosld.adapters.model import NotFound, Sample, Schema, TypeRef, Unreachable
 from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.model.names import global_name
 from rosld.adapters.recording.definitions import learn
+from rosld.adapters.recording.part import WHOLE, Part
 from rosld.adapters.recording.storage import Damaged, RecordedConnection, Storage
 
 log = logging.getLogger("rosld.recording")
@@ -40,7 +41,8 @@ class Bag:
     In memory are 40 bytes a message and the chunks read last (64 MB at most); the messages stay on the disk.
     """
 
-    def __init__(self, name: str, path: Path, storage: Storage, library: TypeLibrary) -> None:
+    def __init__(self, name: str, path: Path, storage: Storage, library: TypeLibrary, part: Part = WHOLE) -> None:
+        """Only `part` of what is stored is in it. Raises Damaged where there is nothing in that."""
         self.name = name
         self.path = path
         self.format = storage.format
@@ -52,7 +54,7 @@ class Bag:
         learnt = [learn(library, each, storage.ros_version) for each in self._connections]
         self._types = [ref for ref, _ in learnt]
         self._unreadable = [words for _, words in learnt]
-        self._table = storage.messages.in_recorded_order()
+        self._table = part.select(storage.messages.in_recorded_order())
         self.times = self._table.times
         self.count = len(self.times)
         self.start_ns = int(self.times[0]) if self.count else 0
@@ -126,6 +128,16 @@ class Bag:
                 begin = int(np.searchsorted(stream.positions, first))
                 found += (each for each in stream.positions[begin : begin + limit].tolist() if each < beyond)
         return sorted(found)[:limit]
+
+    def latest_at(self, topic: str, time_ns: int) -> RecordedMessage | None:
+        """The message of a topic that was the newest at a time; None where there was none. Raises Unreachable."""
+        passed = int(np.searchsorted(self.times, time_ns, "right"))
+        found = [
+            int(stream.positions[count - 1])
+            for stream in self.streams
+            if stream.topic == topic and (count := int(np.searchsorted(stream.positions, passed)))
+        ]
+        return self.message(max(found)) if found else None
 
     def sample(self, index: int, sequence: int, epoch: int = 0) -> Sample:
         """Message `index` as a sample with this sequence and epoch. Raises Unreachable."""

@@ -30,8 +30,6 @@ class Metadata(NamedTuple):
 class Rosbag2:
     """An open folder of ROS 2 files: a `Storage` whose places are those of its files, one after the other."""
 
-    ros_version: RosVersion = 2
-
     def __init__(self, folder: Path, open_file: Callable[[Path], Storage]) -> None:
         metadata, notes = _metadata(folder)
         self._per_message = metadata.compression == "message"
@@ -48,7 +46,8 @@ class Rosbag2:
         if not self._files:
             self.close()
             raise Damaged("; ".join(notes))
-        self.format = f"ROS 2 bag ({' + '.join(sorted({each.format for each in self._files}))})"
+        self.ros_version: RosVersion = self._files[0].ros_version
+        self.format = f"ROS {self.ros_version} bag ({' + '.join(sorted({each.format for each in self._files}))})"
         self.connections = [_hash(each, metadata) for file in self._files for each in file.connections]
         self.notes = (*notes, *(note for file in self._files for note in file.notes))
         self._starts = np.cumsum([0, *(file.places for file in self._files)]).tolist()

@@ -119,6 +119,14 @@ class HistoryRecording:
         """Times that all messages numbered from `start` and below `end` lie between, which are written all."""
         return self._writer.segments.index.times_between(start, end)
 
+    def latest_at(self, topic: str, time_ns: int) -> RecordedMessage | None:
+        """The message of a topic that was the newest at a time. Raises Unreachable."""
+        try:
+            sample = self._writer.latest_at(topic, time_ns)
+        except (OSError, ValueError, KeyError) as error:
+            raise Unreachable(f"the history of {topic} cannot be read: {error}") from error
+        return None if sample is None else RecordedMessage(sample.sequence - 1, topic, sample)
+
     def select(self, wanted: MessageFilter, limit: int) -> MessagePage:
         """At most `limit` messages: the index tells which chunks have them, and these are read."""
         return select_messages(self._writer, wanted, limit)

@@ -205,6 +205,7 @@ class PathCollector:
                 yield self._path(self._of(f"{space.bag(name)}file"))
             stream = self._of(space.bag_stream(name))
             yield self._path(stream)
+            yield self._path(self._of(space.bag_moment(name)))
             if recording.count:
                 page = f"{recording.identity}-0-{recording.first // 100}"
                 yield self._template(f"{stream}/{{page}}", f"{stream}/{page}", page="As the stream links to it.")

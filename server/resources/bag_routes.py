@@ -6,6 +6,7 @@ from rosld.adapters.base import Recording
 from rosld.ontology.urls import Location
 from rosld.server.http.problem import Problem
 from rosld.server.resources.bag_files import BagFile, BagUpload
+from rosld.server.resources.bag_moment import bag_moment
 from rosld.server.resources.bags import ArmedBag, BagContainer, BagMessage, BagMessages, BagResource, RunningBag
 from rosld.server.resources.context import Robot
 from rosld.server.resources.event_stream import EventStreamResource, event_stream_page
@@ -27,6 +28,8 @@ def bag_route(robot: Robot, location: Location, find: Find | None = None) -> Res
             return BagResource(robot, _recording(robot, name)) if running is None else RunningBag(robot, running)
         case (name, "file") if not location.is_container:
             return BagFile(robot, _recording(robot, name))
+        case (name, "at") if not location.is_container:
+            return bag_moment(robot, _recording(robot, name))
         case (name, "ldes") if not location.is_container:
             return EventStreamResource(robot, _recording(robot, name))
         case (name, "ldes", page) if not location.is_container:
@@ -43,7 +46,7 @@ def bag_route(robot: Robot, location: Location, find: Find | None = None) -> Res
             if is_number and int(index) < first:
                 raise Problem(410, f"Message {index} of {name} was removed: the oldest is {first}.")
             raise Problem(404, f"{name} has the messages {first} to {beyond - 1}, not {index}.")
-    raise Problem(404, "Under /bags/B/ there are messages/, ldes and file, and nothing else.")
+    raise Problem(404, "Under /bags/B/ there are messages/, ldes, at and file, and nothing else.")
 
 
 def _slash(robot: Robot, location: Location) -> Resource:

@@ -13,7 +13,7 @@ from urllib.parse import quote
 import orjson
 from pyoxigraph import NamedNode
 
-from rosld.adapters.base import FOR_EVER, MessageFilter, MessagePage, Recording
+from rosld.adapters.base import FOR_EVER, MessageFilter, MessagePage, RecordedMessage, Recording
 from rosld.ontology.describe_bags import bag_selection_document
 from rosld.ontology.document import Document
 from rosld.ontology.literals import date_time
@@ -47,7 +47,7 @@ PARAMETERS = (
 _NAMES = tuple(parameter.name for parameter in PARAMETERS)
 
 
-class _Detail(Enum):
+class Detail(Enum):
     """What of its messages a page tells: that they are there, or what they say, in RDF or in JSON."""
 
     LIST = "list"
@@ -62,7 +62,7 @@ class BagSelection(Resource):
     is_cacheable = False
 
     def __init__(
-        self, robot: Robot, recording: Recording, wanted: MessageFilter, limit: int, query: str, detail: _Detail
+        self, robot: Robot, recording: Recording, wanted: MessageFilter, limit: int, query: str, detail: Detail
     ) -> None:
         self._base = robot.space.bag_messages(recording.name)
         self._query = query
@@ -88,11 +88,11 @@ class BagSelection(Resource):
     async def state(self) -> State:
         page = await self._read()
         token = digest(f"{[each.index for each in page.messages]} {page.next}".encode())
-        describe = partial(bag_selection_document, self.recording, self.robot.space, self.url, page.messages)
-        if self._detail is _Detail.LIST:
+        describe = partial(self._describe, page.messages)
+        if self._detail is Detail.LIST:
             return State(describe, token=token)
         records = await decode_records(self.robot, self.recording, page.messages)
-        if self._detail is _Detail.JSON:
+        if self._detail is Detail.JSON:
             data = await asyncio.to_thread(self._json, records)
             return State(describe, lambda: data, token=token)
         said = await asyncio.to_thread(record_triples, self.robot, self.recording, records)
@@ -128,6 +128,9 @@ class BagSelection(Resource):
         after = None if self._page is None else self._page.next
         return (first,) if after is None else (first, SequenceLink("next", self._page_url(after)))
 
+    def _describe(self, messages: Sequence[RecordedMessage]) -> Document:
+        return bag_selection_document(self.recording, self.robot.space, self.url, messages)
+
     async def _read(self) -> MessagePage:
         if self._page is None:
             self._page = await asyncio.to_thread(self.recording.select, self.wanted, self.limit)
@@ -162,7 +165,7 @@ def selection_of(robot: Robot, recording: Recording, exchange: Exchange) -> BagS
     if not given:
         return None
     now = time.time_ns()
-    topics = _topics(recording, given["topic"]) if "topic" in given else None
+    topics = topics_of(recording, given["topic"]) if "topic" in given else None
     since = read_time(given["from"], now) if "from" in given else 0
     until = read_time(given["to"], now) if "to" in given else FOR_EVER
     if since > until:
@@ -173,10 +176,11 @@ def selection_of(robot: Robot, recording: Recording, exchange: Exchange) -> BagS
     wanted = MessageFilter(topics, max(since, 0), until, max(start, recording.first))
     if start and start < recording.first:
         raise Problem(410, f"?start={start}: the oldest messages were removed, the first is {recording.first}.")
-    return BagSelection(robot, recording, wanted, limit, text, _detail(exchange))
+    return BagSelection(robot, recording, wanted, limit, text, detail_of(exchange))
 
 
-def _topics(recording: Recording, text: str) -> frozenset[str]:
+def topics_of(recording: Recording, text: str) -> frozenset[str]:
+    """The topics of a recording that a name or a glob fits. Raises Problems: 400, 404."""
     if not text.startswith(("/", "*")) or len(text) > _MAX_TOPIC:
         raise Problem(400, f"?topic={text[:60]}: a name or a glob begins with a slash or a star, such as /odom.")
     names = recording.topics
@@ -194,7 +198,8 @@ def _number(name: str, text: str, least: int, most: int) -> int:
     return int(text)
 
 
-def _detail(exchange: Exchange) -> _Detail:
+def detail_of(exchange: Exchange) -> Detail:
+    """What of messages the representation that a request prefers tells."""
     asked = exchange.query.get("format")
     chosen = FORMATS.get(asked) if asked else negotiation.choose(exchange.accept, OFFERS)
-    return {HTML: _Detail.LIST, JSON: _Detail.JSON}.get(chosen or "", _Detail.RDF)
+    return {HTML: Detail.LIST, JSON: Detail.JSON}.get(chosen or "", Detail.RDF)

@@ -1,0 +1,104 @@
+"""What of a recording is served: `run.bag?from=-60&rate=2`, parsed from the source."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from datetime import datetime, timezone
+from typing import NamedTuple
+from urllib.parse import parse_qsl
+
+import numpy as np
+
+from rosld.adapters.recording.storage import Damaged, MessageTable
+
+_NAMES = frozenset({"from", "to", "rate"})
+_SECOND = 1_000_000_000
+
+
+class Moment(NamedTuple):
+    """A time in a recording: in ns after the epoch, or so many ns after its begin (before its end if negative)."""
+
+    ns: int
+    is_absolute: bool
+
+    def at(self, start_ns: int, end_ns: int) -> int:
+        """The time after the epoch, in a recording that lasts from one until another."""
+        if self.is_absolute:
+            return self.ns
+        return end_ns + self.ns if self.ns < 0 else start_ns + self.ns
+
+
+class Part(NamedTuple):
+    """From when to when, both included (None: from its begin, to its end), and how fast (None: as the settings say)."""
+
+    begin: Moment | None = None
+    end: Moment | None = None
+    rate: float | None = None
+
+    def select(self, table: MessageTable) -> MessageTable:
+        """The rows of it, of a table in recorded order. Raises Damaged where there are none."""
+        if (self.begin is None and self.end is None) or not len(table.times):
+            return table
+        start, last = int(table.times[0]), int(table.times[-1])
+        first = 0 if self.begin is None else int(np.searchsorted(table.times, self.begin.at(start, last), "left"))
+        beyond = len(table.times)
+        if self.end is not None:
+            beyond = int(np.searchsorted(table.times, self.end.at(start, last), "right"))
+        if first >= beyond:
+            raise Damaged(f"it has no messages in that time: it is from {_written(start)} to {_written(last)}")
+        times, connections, places, offsets = table
+        rows = slice(first, beyond)
+        return MessageTable(times[rows], connections[rows], places[rows], offsets[rows])
+
+
+WHOLE = Part()
+
+
+def parse_part(query: str) -> Part:
+    """The part that a query such as `from=2026-11-24T12:00:00Z&to=-10&rate=2` names. Raises ValueError."""
+    pairs = parse_qsl(query, keep_blank_values=True, strict_parsing=True)
+    said = dict(pairs)
+    unknown = said.keys() - _NAMES
+    if unknown or len(said) != len(pairs):
+        raise ValueError(f"{'&'.join(sorted(unknown)) or query!r} after the recording: from, to and rate, each once")
+    begin, end = _moment(said, "from"), _moment(said, "to")
+    if begin is not None and end is not None and begin.is_absolute == end.is_absolute:
+        both_sides = begin.ns >= 0 > end.ns
+        if begin.ns > end.ns and not both_sides:
+            raise ValueError("from= is after to=")
+    return Part(begin, end, _rate(said))
+
+
+def _rate(said: Mapping[str, str]) -> float | None:
+    if "rate" not in said:
+        return None
+    try:
+        return float(said["rate"])
+    except ValueError as error:
+        raise ValueError(f"rate={said['rate'][:40]} is no number") from error
+
+
+def _moment(said: Mapping[str, str], name: str) -> Moment | None:
+    text = said.get(name)
+    if text is None:
+        return None
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = math.nan
+    if math.isfinite(seconds) and abs(seconds) < 1e9:
+        return Moment(round(seconds * _SECOND), is_absolute=False)
+    try:
+        plain = text.replace(" ", "+")  # what a plus comes to in a query
+        found = datetime.fromisoformat(f"{plain[:-1]}+00:00" if plain.endswith(("Z", "z")) else plain)
+    except ValueError as error:
+        words = f"{name}={text[:60]} is no time such as 2030-01-31T12:00:00Z, nor seconds such as 10 or -60"
+        raise ValueError(words) from error
+    aware = found if found.tzinfo is not None else found.replace(tzinfo=timezone.utc)
+    whole = aware.replace(microsecond=0)
+    return Moment(int(whole.timestamp()) * _SECOND + aware.microsecond * 1000, is_absolute=True)
+
+
+def _written(time_ns: int) -> str:
+    return datetime.fromtimestamp(time_ns // _SECOND, timezone.utc).strftime("%Y-%m-%dT%H:%M:%SZ")

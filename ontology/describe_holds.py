@@ -37,10 +37,11 @@ RATE = 10.0
 LEASE = 1.0
 """Seconds that a hold goes on without being renewed, where nothing is said."""
 _NO_DEFAULTS: Mapping[str, float] = MappingProxyType({})
-_HOLD = (
+HOLD = (
     "The message is published again and again until the lease ends. PATCH of the hold that is made (Location) renews "
     "it, also with another message; DELETE ends it. Then what `then` says is published: zero for a velocity."
 )
+"""What it means to hold a topic."""
 _MEANINGS = {
     "rate": "How many times a second the message is published.",
     "lease": "The seconds that the hold goes on unrenewed.",
@@ -117,13 +118,16 @@ def hold_outline(
     )
 
 
-def holdable(topic: str, shape: str | None = None, *, commands_velocity: bool = False) -> list[Triple]:
+def holdable(
+    topic: str, shape: str | None = None, *, commands_velocity: bool = False, document: str | None = None
+) -> list[Triple]:
     """What says that the topic at this URL can be held: an action, what to send, and its parameters.
 
-    `shape` is the URL of the shape of the message. Where it `commands_velocity` no parameter has to be given.
+    `shape` is the URL of the shape of the message. Where it `commands_velocity` no parameter has to be given. It is
+    said of the topic, or of the resource that is described in another `document`.
     """
-    subject = NamedNode(topic)
-    about_it = _HOLD if commands_velocity else f"{_HOLD} Say how often: rate."
+    subject = NamedNode(document or topic)
+    about_it = HOLD if commands_velocity else f"{HOLD} Say how often: rate."
     return [
         *affordance(
             subject,
@@ -135,7 +139,13 @@ def holdable(topic: str, shape: str | None = None, *, commands_velocity: bool = 
             (ros.requestShape, None if shape is None else NamedNode(shape)),
         ),
         *forms(
-            NamedNode(f"{topic}#hold"), "post", "POST", td.invokeAction, topic, BODIES, template=f"{topic}{_PARAMETERS}"
+            NamedNode(f"{subject.value}#hold"),
+            "post",
+            "POST",
+            td.invokeAction,
+            topic,
+            BODIES,
+            template=f"{topic}{_PARAMETERS}",
         ),
         *_variables(subject, "hold", {"lease": LEASE, **({"rate": RATE} if commands_velocity else {})}),
     ]

@@ -15,6 +15,7 @@ from typing import Generic, TypeVar
 
 from rosld.adapters.base import Watch
 from rosld.adapters.model import ActionSchema, Descriptor, Graph, Kind, Operation, Ref, RosError, Schema, TypeRef
+from rosld.ontology.neutral_message import COMMANDS
 from rosld.ontology.urls import Space
 from rosld.ontology.violations import violations_text
 from rosld.server.http.problem import Problem
@@ -325,7 +326,15 @@ class AffordanceService(Generic[T]):
             write=plan.url_name is not None and write and self.is_writable(own),
             observe=plan.url_name is not None and is_observable(own),
             description=None if declared is None else declared.description or None,
+            hold=self._held_at(own) if write and plan.field is None else None,
         )
+
+    def _held_at(self, own: Property) -> str | None:
+        """The URL at which the topic is held that a property is written to, where that commands a velocity."""
+        match current_writer(self._session, own):
+            case TopicSource(name=name, schema=schema) if schema is not None and schema.ref.name in COMMANDS:
+                return self._session.space.topic(name)
+        return None
 
     def _declared(self, own: Property) -> Descriptor | None:
         """What its node declares of the parameter that a property is written by before anything else."""

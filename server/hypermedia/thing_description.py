@@ -14,6 +14,7 @@ from typing import TypeAlias
 import orjson
 from pyoxigraph import NamedNode
 
+from rosld.ontology.describe_holds import HOLD
 from rosld.ontology.lift import LiftSettings
 from rosld.ontology.vocab import mapping, qudt, ros
 from rosld.server.hypermedia.data_schema import DataSchema, message_schema, value_schema
@@ -51,7 +52,7 @@ class ThingLink:
 def thing_description(
     title: str,
     url: str,
-    properties: Iterable[PropertyAffordance],
+    properties: Sequence[PropertyAffordance],
     actions: Iterable[ActionAffordance],
     *,
     links: Sequence[ThingLink] = (),
@@ -76,6 +77,7 @@ def thing_description(
         "properties": {one.name: _property(one, lifting) for one in properties if one.read or one.write},
         "actions": {
             **{one.name: _action(one, lifting) for one in actions if one.request is not None},
+            **{f"{one.name}/hold": _hold(one, lifting) for one in properties if one.hold is not None},
             **({} if stop is None else {STOP: _stop(stop)}),
         },
         "links": [_link(link) for link in links],
@@ -131,6 +133,24 @@ def _action(one: ActionAffordance, lifting: LiftSettings) -> orjson.Fragment:
             "synchronous": one.goals is None,
             **_led_to("map:relation", one.relation),
             "forms": [_form(one.url, "invokeaction", "POST"), *_goal_forms(one)],
+        }
+    )
+
+
+@lru_cache(maxsize=4096)
+def _hold(one: PropertyAffordance, lifting: LiftSettings) -> orjson.Fragment:
+    """The action that holds the topic behind a property, for as long as the hold that it makes is renewed."""
+    assert one.hold is not None
+    return _fragment(
+        {
+            "title": f"Hold {one.name}",
+            "description": HOLD,
+            "input": value_schema(one.shape, lifting, sent=True),
+            "output": {"type": "object"},
+            "safe": False,
+            "idempotent": False,
+            "synchronous": False,
+            "forms": [_form(one.hold, "invokeaction", "POST")],
         }
     )
 

@@ -18,6 +18,7 @@ from pyoxigraph import Literal, NamedNode, Triple
 
 from rosld.adapters.model import MessageSchema
 from rosld.ontology.affordances import BODIES, SSE, STREAM, forms
+from rosld.ontology.describe_holds import holdable
 from rosld.ontology.document import Document, LiftedMessage
 from rosld.ontology.lift import LiftSettings
 from rosld.ontology.triples import CONTAINER, RDF_SOURCE, boolean, statements, text, triples_about
@@ -32,7 +33,7 @@ from rosld.server.hypermedia.views import (
     PropertyView,
 )
 from rosld.shapes.affordance import value_shape_triples
-from rosld.shapes.value import NO_MEASURE, OpenShape, ScalarShape
+from rosld.shapes.value import NO_MEASURE, MessageShape, OpenShape, ScalarShape
 
 VALUE = "#value"
 """The node of a property's value, where that is a message."""
@@ -52,6 +53,7 @@ def property_document(
         *_property(view.affordance, name, view.reads_from, view.writes_to, view.part_of),
         *triples_about(subject, (rdf.value, said.term), (ros.unreadable, said.failure)),
         *_property_affordance(view.affordance, subject, "#property", space),
+        *_hold_affordance(view.affordance, space),
     )
     return Document(subject.value, triples, said.messages, simulated_time)
 
@@ -250,6 +252,15 @@ def _property_affordance(one: PropertyAffordance, document: NamedNode, node: str
         triples += forms(subject, "observe", "GET", td.observeProperty, one.url, STREAM, SSE)
     triples += value_shape_triples(one.shape, shape, rdf.value, space)
     return (Triple(document, td.hasPropertyAffordance, subject), *triples)
+
+
+@lru_cache(maxsize=4096)
+def _hold_affordance(one: PropertyAffordance, space: Space) -> tuple[Triple, ...]:
+    """How the topic behind a property is held: the message is published while the hold is renewed."""
+    if one.hold is None:
+        return ()
+    shape = space.shape(one.shape.schema.ref.name) if isinstance(one.shape, MessageShape) else None
+    return tuple(holdable(one.hold, shape, commands_velocity=True, document=one.url))
 
 
 @lru_cache(maxsize=4096)

@@ -24,6 +24,7 @@ class PropertyAffordance:
 
     `name` is its key in plain JSON, `predicate` its relation in a complex resource (None where no mapping names one).
     `write` and `read` are what may be done now (in a Thing Description: ever). `observe`: its changes can be streamed.
+    `hold` is the URL of the topic that can be held, which commands a velocity.
     """
 
     name: str
@@ -35,12 +36,12 @@ class PropertyAffordance:
     observe: bool = False
     title: str | None = None
     description: str | None = None
+    hold: str | None = None
 
     def redact(self, permissions: Permissions) -> PropertyAffordance:
-        read = self.read and permissions.may_read(self.url)
-        return replace(
-            self, read=read, observe=self.observe and read, write=self.write and permissions.may("PUT", self.url)
-        )
+        read, write = self.read and permissions.may_read(self.url), self.write and permissions.may("PUT", self.url)
+        hold = self.hold if self.hold is not None and permissions.may("POST", self.hold) else None
+        return replace(self, read=read, observe=self.observe and read, write=write, hold=hold)
 
 
 @dataclass(frozen=True, slots=True)

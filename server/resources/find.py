@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from urllib.parse import quote
 
 import orjson
 from pyoxigraph import NamedNode
 
+from rosld.adapters.model import RosError
 from rosld.ontology.describe_members import MemberOutline
 from rosld.ontology.describe_search import SearchResult, search_document, search_template, unasked_document
 from rosld.ontology.document import Document
@@ -22,6 +25,7 @@ from rosld.server.hypermedia.catalogue import ParameterSource, Property, TopicSo
 from rosld.server.hypermedia.data_schema import DataSchema, Json
 from rosld.server.hypermedia.json_schema import TEXT, URI
 from rosld.server.hypermedia.latest_values import LatestValue
+from rosld.server.hypermedia.light_types import is_light
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.hypermedia.value import Reading
 from rosld.server.resources.context import Robot
@@ -39,6 +43,11 @@ MAX_BYTES = 5000
 _PARAMETER_SECONDS = 0.3
 """How long the values of parameters that were found are waited for."""
 _QUERY = QueryParameter("q", "Words that are looked for in names, types, their fields, titles, units and descriptions.")
+_VALUES = QueryParameter(
+    "values",
+    "Whether to subscribe for a moment to the topics that are found, but to none of images, clouds, maps and scans.",
+    {"type": "boolean"},
+)
 _CLASSES: Mapping[EntryKind, NamedNode] = {
     EntryKind.TOPIC: ros.Topic,
     EntryKind.SERVICE: ros.Service,
@@ -86,14 +95,23 @@ class FindResource(Resource):
     kind = "Search"
     links = (RESOURCE, RDF_SOURCE)
 
-    def __init__(self, robot: Robot, finder: Finder, query: str = "", permissions: Permissions = ALLOW_ALL) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        finder: Finder,
+        query: str = "",
+        permissions: Permissions = ALLOW_ALL,
+        *,
+        subscribes: bool = False,
+    ) -> None:
         base = f"{robot.space.base}find"
-        super().__init__(f"{base}?q={quote(query, safe='')}" if query else base)
+        super().__init__(f"{base}?q={quote(query, safe='')}{'&values=true' if subscribes else ''}" if query else base)
         self.title = query or "Search"
         self.robot = robot
         self._finder = finder
         self._text = query
         self._permissions = permissions
+        self._subscribes = subscribes
         self._results: Sequence[SearchResult] = ()
         self._total = 0
 
@@ -102,7 +120,7 @@ class FindResource(Resource):
         return self._permissions.rights_key
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem("The search", plain=_RESULTS, query=(_QUERY, FORMAT))
+        return PathItem("The search", plain=_RESULTS, query=(_QUERY, _VALUES, FORMAT))
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """The search for what `?q=` says, as the agent may see it. Raises a 400 Problem for too many words."""
@@ -111,7 +129,8 @@ class FindResource(Resource):
             terms_of(query)
         except ValueError as error:
             raise Problem(400, f"?q= cannot be searched for: {error}. Send fewer.") from error
-        return FindResource(self.robot, self._finder, query, exchange.permissions)
+        subscribes = exchange.query_flag("values")
+        return FindResource(self.robot, self._finder, query, exchange.permissions, subscribes=subscribes)
 
     @property
     def conforms_to(self) -> Sequence[str]:
@@ -145,6 +164,8 @@ class FindResource(Resource):
     async def _values(self, entries: Sequence[Entry]) -> Mapping[str, LatestValue]:
         """The latest values by URL: of topics that are subscribed to, of parameters, and of getters that were asked."""
         robot, found = self.robot, dict[str, LatestValue]()
+        if self._subscribes:
+            await self._subscribe([entry.name for entry in entries if entry.kind is EntryKind.TOPIC])
         tree = await robot.affordances.tree()
         stored: dict[str, Property] = {}
         for entry in entries:
@@ -165,6 +186,16 @@ class FindResource(Resource):
         for url, own in stored.items():
             found |= _read(url, readings[own.name])
         return found
+
+    async def _subscribe(self, names: Sequence[str]) -> None:
+        """Look at the topics whose messages are small; they stay subscribed to as after any look."""
+        topics, light = self.robot.graph.topics, list[str]()
+        for name in names:
+            ref = topics[name].type if name in topics else None
+            with suppress(RosError):
+                if ref is not None and is_light(await self.robot.schemas.message(ref)):
+                    light.append(name)
+        await asyncio.gather(*map(self.robot.topics.read, light), return_exceptions=True)
 
     def _plain(self) -> bytes:
         """The results as plain JSON: as many as fit, with as many values as fit."""

@@ -58,7 +58,7 @@ A 404 says what was near. Names, values and descriptions come from the robot: th
 
 ## First
 
-- [Find]({base}find?q=battery): names, types, URLs and latest values by `?q=WORDS`, 5 kB at most
+- [Find]({base}find?q=battery): names, types, URLs, values by `?q=WORDS`, 5 kB at most; `&values=true` looks at topics
 - [What can be done]({base}queries/what-can-be-done?format=csv): requests that are on offer now; `&below=/NAME` for less
 - [Stop]({space.stop}): POST stops the whole robot, at once; DELETE releases it
 

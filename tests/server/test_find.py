@@ -130,6 +130,16 @@ def test_queries_and_documents_are_found_by_title(robot: MadeUp, serving: Servin
     assert find(http, "emergency")[0]["url"] == f"{http.base_url}stop"
 
 
+def test_a_search_that_asks_for_values_looks_at_topics_whose_messages_are_small(serve: Callable[..., Served]) -> None:
+    http = serve("rover").http
+    told = http.get("/find", params={"q": "sensor_msgs", "values": "true"}, headers=JSON).json()["results"]
+    values = {result["name"]: result.get("value") for result in told if result["kind"] == "topic"}
+    assert "voltage" in values["/battery_state"]
+    assert {"/camera/image_raw", "/camera/image_raw/compressed", "/scan"} <= values.keys()
+    assert not any(values[name] for name in values if "image" in name or name == "/scan")
+    assert http.get("/find", params={"q": "battery", "values": "perhaps"}, headers=JSON).status_code == 400
+
+
 def test_a_search_subscribes_to_nothing(robot: MadeUp, serving: Serving, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[str] = []
     subscribe = robot.subscribe

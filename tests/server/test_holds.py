@@ -14,6 +14,7 @@ from typing import Any
 
 import httpx
 import pytest
+import rdflib
 
 from rosld.adapters.base import Published
 from rosld.adapters.model import TypeRef, Unreachable
@@ -23,6 +24,7 @@ from tests.waiting import until
 DRIVE, STAMPED, NAMED, SENSOR = "/drive", "/stamped", "/named", "/sensor"
 JSON = {"Accept": "application/json"}
 ROS = "https://w3id.org/rosld#"
+TD, HCTL = (rdflib.Namespace(f"https://www.w3.org/2019/wot/{name}#") for name in ("td", "hypermedia"))
 STILL = {"linear": {"x": 0.0, "y": 0.0, "z": 0.0}, "angular": {"x": 0.0, "y": 0.0, "z": 0.0}}
 
 
@@ -532,3 +534,24 @@ def test_it_is_the_signal_that_ends_holds_not_the_end_of_all_requests(serve: Cal
         aircraft.process.send_signal(signal.SIGTERM)
         list(lines)
     assert aircraft.process.wait(60) == 0
+
+
+def test_a_velocity_can_be_held_by_what_its_resource_and_the_thing_description_offer(serve: Callable[..., Any]) -> None:
+    http = serve("rover").http
+    said = rdflib.Graph().parse(data=http.get("/resources/cmd_vel", headers={"Accept": "text/turtle"}).text)
+    document = rdflib.URIRef(f"{http.base_url}resources/cmd_vel")
+    action = said.value(document, TD.hasActionAffordance)
+    targets = {str(said.value(form, HCTL.hasTarget)) for form in said.objects(action, TD.hasForm)}
+    described = http.get("/.well-known/wot").json()["actions"]["cmd_vel/hold"]
+    [form] = described["forms"]
+    assert targets == {form["href"]}
+    assert set(described["input"]["properties"]) == {"linear", "angular"}
+    held = http.request(form["htv:methodName"], form["href"], json={"linear": {"x": 0.1}})
+    assert held.status_code == 201
+    hold = http.get(held.headers["location"], headers={"Accept": "application/json"}).json()
+    assert (hold["topic"], hold["rate"], hold["lease"], hold["then"]) == ("/cmd_vel", 10.0, 1.0, "zero")
+    assert http.post("/stop").status_code == 200
+    stopped = http.get("/resources/cmd_vel", headers={"Accept": "text/turtle"}).text
+    assert "hasActionAffordance" not in stopped
+    assert "cmd_vel/hold" in http.get("/.well-known/wot").json()["actions"]
+    assert "hasActionAffordance" not in http.get("/resources/odom", headers={"Accept": "text/turtle"}).text

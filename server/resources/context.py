@@ -46,7 +46,9 @@ class Robot(Session):
         self.workers = WorkerPool()
         self.active_limits = ActiveLimits(tuple(initial_limits(settings, adapter, self.space)), self.space)
         self.records = open_records(
-            settings.data, roots=(stored_mappings.ROUTE, stored_queries.ROUTE, active_limits.ROUTE)
+            settings.data,
+            roots=(stored_mappings.ROUTE, stored_queries.ROUTE, active_limits.ROUTE),
+            versions=settings.versions,
         )
         self.receipts = Journal(
             settings.data,

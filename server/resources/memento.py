@@ -134,20 +134,10 @@ class TimeMap(Resource):
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
         """As links (RFC 6690), the default."""
-        if "format" in exchange.query or negotiation.choose(exchange.accept, (LINK_FORMAT, *OFFERS)) != LINK_FORMAT:
-            return None
         page, url = await self._page(), self.robot.space.topic(self._topic)
         times = [each.sample.received_ns for each in page.messages]
-        ends = (("from", memento_datetime(times[0])), ("until", memento_datetime(times[-1]))) if times else ()
-        links = [
-            Link(url, "original timegate"),
-            Link(self.url, "self", type=LINK_FORMAT, attributes=ends),
-            *(_memento(url, _place(number, len(times), page), each) for number, each in enumerate(times)),
-        ]
-        if page.next is not None:
-            links.append(Link(_time_map_url(url, page.next), "timemap", type=LINK_FORMAT))
-        headers = {**resource_headers(self), "vary": "Accept", "cache-control": "no-cache"}
-        return Response(",\n".join(map(str, links)) + "\n", media_type=LINK_FORMAT, headers=headers)
+        after = None if page.next is None else _time_map_url(url, page.next)
+        return time_map_response(self, exchange, url, times, after)
 
     async def _page(self) -> MessagePage:
         settled = time.time_ns() - SETTLED_NS
@@ -164,10 +154,25 @@ def time_map_of(robot: Robot, topic: str, exchange: Exchange) -> TimeMap:
     return TimeMap(robot, topic, int(start))
 
 
-def _place(number: int, count: int, page: MessagePage) -> str:
-    if number == count - 1 and page.next is None:
-        return "last memento"
-    return "memento"
+def time_map_response(
+    resource: Resource, exchange: Exchange, original: str, times: Sequence[int], after: str | None
+) -> Response | None:
+    """A TimeMap as links, where that is preferred: of mementos of these times (ns), and of the TimeMap after it."""
+    if "format" in exchange.query or negotiation.choose(exchange.accept, (LINK_FORMAT, *OFFERS)) != LINK_FORMAT:
+        return None
+    ends = (("from", memento_datetime(times[0])), ("until", memento_datetime(times[-1]))) if times else ()
+    rels = ["memento"] * len(times)
+    if times and after is None:
+        rels[-1] = "last memento"
+    links = [
+        Link(original, "original timegate"),
+        Link(resource.url, "self", type=LINK_FORMAT, attributes=ends),
+        *(_memento(original, rel, each) for rel, each in zip(rels, times, strict=True)),
+    ]
+    if after is not None:
+        links.append(Link(after, "timemap", type=LINK_FORMAT))
+    headers = {**resource_headers(resource), "vary": "Accept", "cache-control": "no-cache"}
+    return Response(",\n".join(map(str, links)) + "\n", media_type=LINK_FORMAT, headers=headers)
 
 
 def _memento(url: str, rel: str, time_ns: int) -> Link:

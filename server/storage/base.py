@@ -8,6 +8,7 @@ from typing import Protocol
 
 from rosld.server.storage.recent_writes import RecordWrite
 from rosld.server.storage.record import Blob, Member, Record, RecordChange, Write
+from rosld.server.storage.version_table import FormerVersion
 
 
 class Records(Protocol):
@@ -28,6 +29,14 @@ class Records(Protocol):
 
     def get(self, path: str) -> Record | None:
         """A record. The very same object comes back while nothing of it changes (and it is asked for now and then)."""
+        ...
+
+    def versions(self, path: str) -> Sequence[FormerVersion]:
+        """The former versions of a document that are kept, the oldest first."""
+        ...
+
+    def version_at(self, path: str, time_ns: int) -> Record | None:
+        """The former version of a document that was there at a time; None where there was none, or it is not kept."""
         ...
 
     def is_tombstone(self, path: str) -> bool:

@@ -126,10 +126,14 @@ class Put:
 
 @dataclass(frozen=True, slots=True)
 class Remove:
-    """Remove a record; that it was there is remembered until it is made again. A container must be empty."""
+    """Remove a record; that it was there is remembered until it is made again. A container must be empty.
+
+    `with_versions`: its former versions go, too.
+    """
 
     path: str
     expected: int | None = None
+    with_versions: bool = False
 
 
 Write: TypeAlias = Put | Remove

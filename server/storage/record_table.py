@@ -26,6 +26,7 @@ from rosld.server.storage.record import (
     Write,
 )
 from rosld.server.storage.record_paths import container_of
+from rosld.server.storage.version_table import FormerVersion, forget_versions, former_version_at, former_versions
 
 OPENING = 1 << 20
 """Versions begin anew at a multiple of this when records are opened: what was seen before a power failure, but was not
@@ -150,6 +151,20 @@ class RecordTable:
         except sqlite3.Error as error:
             raise storage_error(error) from error
         return None if row is None else _record(path, row)
+
+    def versions(self, path: str) -> list[FormerVersion]:
+        """The former versions of a document."""
+        try:
+            return former_versions(self._connection, path)
+        except sqlite3.Error as error:
+            raise storage_error(error) from error
+
+    def version_at(self, path: str, time_ns: int) -> Record | None:
+        """The former version of a document at a time."""
+        try:
+            return former_version_at(self._connection, path, time_ns)
+        except sqlite3.Error as error:
+            raise storage_error(error) from error
 
     def is_tombstone(self, path: str) -> bool:
         """Whether it was removed."""
@@ -465,6 +480,8 @@ class RecordTable:
         if present.members is not None:
             self._execute("DELETE FROM list WHERE container = ?", (present.id,))
         self._execute("INSERT OR REPLACE INTO gone VALUES (?, ?)", (path, version))
+        if remove.with_versions:
+            forget_versions(self._connection, path)
         applied.records.pop(path, None)
         applied.lists.pop(path, None)
         applied.removed[path] = version

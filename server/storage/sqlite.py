@@ -35,6 +35,7 @@ from rosld.server.storage.record_cache import RecordCache
 from rosld.server.storage.record_paths import check_write
 from rosld.server.storage.record_table import DatabaseBusy, Effects, RecordTable, is_full, with_list
 from rosld.server.storage.tables import prepare_tables, read_pragma
+from rosld.server.storage.version_table import FormerVersion, keep_versions
 from rosld.server.storage.write_ahead_log import close_without_checkpoint
 
 _log = logging.getLogger("rosld")
@@ -53,14 +54,15 @@ _SPARE_PAGES = 16
 
 
 def open_records(
-    folder: Path | None, *, roots: Sequence[str] = (), keep_seconds: float = KEEP_SECONDS
+    folder: Path | None, *, roots: Sequence[str] = (), keep_seconds: float = KEEP_SECONDS, versions: int = 0
 ) -> SqliteRecords:
     """The records in a folder, made where they are missing; in memory without one.
 
-    `data/` and the `roots` are containers that are always there. Raises ValueError for a database that cannot be used,
+    `data/` and the `roots` are containers that are always there. So many former `versions` of each document are kept.
+    Raises ValueError for a database that cannot be used,
     OSError where the folder cannot be.
     """
-    return SqliteRecords(folder, (ROOT, *roots), keep_seconds)
+    return SqliteRecords(folder, (ROOT, *roots), keep_seconds, versions)
 
 
 def connect(folder: Path | None) -> sqlite3.Connection:
@@ -102,7 +104,7 @@ def unusable_reason(path: str, error: Exception) -> str:
 class SqliteRecords:
     """The `Records` that rosld brings along; `open_records` makes them."""
 
-    def __init__(self, folder: Path | None, roots: Sequence[str], keep_seconds: float) -> None:
+    def __init__(self, folder: Path | None, roots: Sequence[str], keep_seconds: float, versions: int = 0) -> None:
         self._received = ReceivedBlobs(keep_seconds)
         self._cache = RecordCache()
         self._differences = RecentWrites()
@@ -117,6 +119,7 @@ class SqliteRecords:
             folder.mkdir(parents=True, exist_ok=True)
         self._connection = _connect_where_full(folder) if folder is not None else connect(None)
         try:
+            keep_versions(self._connection, versions)
             self._ledger = RecordTable(self._connection, self._cache.get)
             self._make_roots(roots)
             if folder is not None:
@@ -186,6 +189,12 @@ class SqliteRecords:
         """Read everything anew from now on."""
         self._cache.clear()
         self._differences.clear()
+
+    def versions(self, path: str) -> Sequence[FormerVersion]:
+        return self._ledger.versions(path)
+
+    def version_at(self, path: str, time_ns: int) -> Record | None:
+        return self._ledger.version_at(path, time_ns)
 
     def is_tombstone(self, path: str) -> bool:
         return self._ledger.is_tombstone(path)

@@ -93,9 +93,10 @@ class StoredResource(Resource):
 
     async def delete(self, exchange: Exchange) -> Answer:
         self.require_if_match(exchange)
+        with_versions = exchange.query_flag("versions") and self.robot.settings.versions > 0
 
         async def removed(record: Record) -> Write:
-            return Remove(self.path, record.version if exchange.is_conditional else None)
+            return Remove(self.path, record.version if exchange.is_conditional else None, with_versions)
 
         await self.change_record(exchange, removed)
         return Response(status_code=204)

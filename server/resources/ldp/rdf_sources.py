@@ -36,12 +36,14 @@ from rosld.server.resources.ldp.statements import (
     require_same_members,
 )
 from rosld.server.resources.ldp.validation import validator_of
+from rosld.server.resources.ldp.versions import former_of, has_versions
 from rosld.server.resources.ldp.warnings import with_warnings
+from rosld.server.resources.memento import VARY, timegate_links
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import RDF_BODIES, SPARQL_UPDATE
 from rosld.server.rest.plan import StorageWrite
 from rosld.server.rest.raw_response import no_content
-from rosld.server.rest.resource import Answer
+from rosld.server.rest.resource import Answer, Resource
 from rosld.server.rest.state import State, require_memory
 from rosld.server.storage import NO_MEMBER, Model, Put, Record, Remove, Write
 from rosld.server.storage.record_documents import META, client_times
@@ -62,13 +64,25 @@ class RdfSourceResource(StoredResource):
         "PATCH": (SPARQL_UPDATE, N3_PATCH),
     }
 
+    async def prepare(self) -> None:
+        """One of which versions are kept is its own TimeGate, and says so."""
+        if has_versions(self.robot, self.path):
+            self.links = (*type(self).links, *timegate_links(self.url))
+
+    async def select_variant(self, exchange: Exchange) -> Resource:
+        """`?at=TIME`, `?timemap`: as it was."""
+        return former_of(self.robot, self.path, exchange) or await super().select_variant(exchange)
+
     @property
     def conforms_to(self) -> Sequence[str]:
         validator = validator_of(self.robot, self.path)
         return (self.robot.space.document_shape("Source"), *(() if validator is None else validator.conforms_to))
 
     async def state(self) -> State:
-        return state_of(self.robot, self.require_record())
+        state = state_of(self.robot, self.require_record())
+        if has_versions(self.robot, self.path):
+            state.headers = {**state.headers, "vary": VARY}
+        return state
 
     async def forms(self) -> Sequence[Form]:
         return [DeleteForm("Delete it")] if "DELETE" in self.methods() else []

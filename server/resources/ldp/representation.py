@@ -48,6 +48,11 @@ def state_of(robot: Robot, record: Record, parts: ContainerParts = ALL_PARTS) ->
     )
 
 
+def former_state(robot: Robot, record: Record) -> State:
+    """A document as a former version of its record has it."""
+    return _state(robot, record, ALL_PARTS, [])
+
+
 def page_state(robot: Robot, record: Record, parts: ContainerParts, place: PagePosition) -> State:
     """One page of a container (LDP Paging 1.0)."""
     url = robot.space.base + record.path

@@ -26,6 +26,7 @@ from rosld.server.resources.ldp.representation import state_of
 from rosld.server.resources.ldp.statements import N3_PATCH, is_small, patch_statements
 from rosld.server.resources.ldp.stored_files import StoredFile
 from rosld.server.resources.ldp.transaction import write_together
+from rosld.server.resources.ldp.versions import former_of
 from rosld.server.resources.ldp.warnings import with_warnings
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import MERGE_PATCH, OFFERS, RDF_BODIES, SPARQL_UPDATE
@@ -88,6 +89,9 @@ class AbsentResource(StoredResource):
         return ABSENT if self.robot.settings.read_only else ABSENT | self.accepts.keys()
 
     async def select_variant(self, exchange: Exchange) -> Resource:
+        former = former_of(self.robot, self.path, exchange)
+        if former is not None:
+            return former
         method = exchange.method
         may_make = method in ("PUT", "OPTIONS") or exchange.essence in self.accepts.get(method, ())
         if not may_make:

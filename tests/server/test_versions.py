@@ -1,0 +1,99 @@
+"""Former versions of documents: mementos of what was written, bounded, durable, deleted when asked."""
+
+from __future__ import annotations
+
+from email.utils import parsedate_to_datetime
+from pathlib import Path
+from typing import Any
+
+from rosld.server.http.link import parse
+from tests.server.disks.server import server_on
+
+TURTLE = {"Content-Type": "text/turtle"}
+NTRIPLES = {"Accept": "application/n-triples"}
+JSON = {"Accept": "application/json"}
+PLAN = "/data/plan"
+P = "http://example.org/step"
+
+
+def put(http: Any, number: int, path: str = PLAN) -> None:
+    answer = http.put(path, content=f"<> <{P}> {number} .", headers=TURTLE)
+    assert answer.status_code in (201, 204), answer.text
+
+
+def mementos(http: Any, path: str = PLAN) -> list[Any]:
+    """The mementos that the TimeMap of a document lists."""
+    answer = http.get(f"{path}?timemap")
+    assert answer.headers["content-type"].startswith("application/link-format"), answer.text
+    return [each for each in parse(answer.text.replace("\n", "")) if "memento" in each.rel.split()]
+
+
+def steps(http: Any, url: str) -> str:
+    """What a version says."""
+    answer = http.get(url, headers=NTRIPLES)
+    assert answer.status_code == 200, answer.text
+    (line,) = [each for each in answer.text.splitlines() if P in each]
+    return line.split('"')[1]
+
+
+def test_versions_are_kept_bounded_durably_and_found_by_time(tmp_path: Path) -> None:
+    with server_on(tmp_path / "data", tmp_path / "log") as server:
+        server.start("--versions", "3")
+        http = server.http
+        for number in range(6):
+            put(http, number)
+        put(http, 5)
+        found = [each.target for each in mementos(http)]
+        assert [steps(http, each) for each in found] == ["2", "3", "4", "5"], "three that were, and that of now"
+        server.kill()
+        server.start("--versions", "3")
+        http = server.http
+        found = mementos(http)
+        assert [steps(http, each.target) for each in found] == ["2", "3", "4", "5"]
+        for each in found:
+            memento = http.get(each.target, headers=NTRIPLES)
+            assert memento.headers["memento-datetime"] == dict(each.attributes)["datetime"]
+            assert memento.headers["allow"] == "GET, HEAD, OPTIONS"
+            assert {"original", "timegate", "timemap"} <= {one.rel for one in parse(memento.headers["link"])}
+        now = http.get(PLAN, headers=NTRIPLES)
+        assert "accept-datetime" in now.headers["vary"].lower()
+        assert "memento-datetime" not in now.headers
+        assert f'<{now.url}?timemap>; rel="timemap"' in now.headers["link"]
+        asked = {"Accept-Datetime": "Thu, 01 Jan 2099 00:00:00 GMT"}
+        gate = http.get(PLAN, headers=NTRIPLES | asked, follow_redirects=False)
+        assert gate.status_code == 302
+        assert steps(http, gate.headers["location"]) == "5"
+        old = {"Accept-Datetime": "Mon, 01 Jan 1990 00:00:00 GMT"}
+        assert steps(http, http.get(PLAN, headers=NTRIPLES | old, follow_redirects=False).headers["location"]) == "2"
+        assert http.get(f"{PLAN}?at=1990-01-01T00:00:00Z", headers=JSON).status_code == 404
+        assert http.get(f"{PLAN}?at=then", headers=JSON).status_code == 400
+        text = http.get(f"{PLAN}?timemap", headers=NTRIPLES).text
+        assert text.count("http://mementoweb.org/ns#mementoDatetime") == 4
+        deleted(http)
+        assert server.stop() == 0
+
+
+def deleted(http: Any) -> None:
+    """What was deleted is there in its past, and goes with it when that is asked for."""
+    before = mementos(http)
+    assert http.delete(PLAN).status_code == 204
+    assert http.get(PLAN).status_code == 410
+    assert [steps(http, each.target) for each in mementos(http)] == ["3", "4", "5"]
+    assert http.get(f"{PLAN}?at=-0", headers=JSON).status_code in (400, 404)
+    assert http.get(f"{PLAN}?at=2099-01-01T00:00:00Z", headers=JSON).status_code == 404, "it was there no more"
+    assert parsedate_to_datetime(dict(before[-1].attributes)["datetime"])
+    put(http, 7)
+    assert [steps(http, each.target) for each in mementos(http)] == ["3", "4", "5", "7"]
+    assert http.delete(f"{PLAN}?versions=true").status_code == 204
+    assert http.get(f"{PLAN}?timemap").status_code == 410
+    put(http, 8)
+    assert [steps(http, each.target) for each in mementos(http)] == ["8"]
+
+
+def test_without_the_option_there_are_no_versions(http: Any) -> None:
+    put(http, 1, "/data/unversioned")
+    put(http, 2, "/data/unversioned")
+    answer = http.get("/data/unversioned?at=2020-01-01T00:00:00Z", headers=NTRIPLES)
+    assert '"2"' in answer.text
+    assert "memento-datetime" not in answer.headers
+    assert "timemap" not in answer.headers.get("link", "")

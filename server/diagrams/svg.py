@@ -80,7 +80,7 @@ def _vertex(vertex: Vertex, words: str, size: Size, layout: Layout, href: Callab
         + "</g>"
     )
     target = href(vertex.url)
-    return body if target is None else f'<a href="{escape(target)}" aria-label="{_text(told)}">{body}</a>'
+    return body if target is None else f'<a href="{escape(target)}">{body}</a>'
 
 
 def _edge(edge: Edge, route: Sequence[Point]) -> str:

@@ -31,7 +31,7 @@ STARTED = {
 }  # fmt: skip
 ROVER = {
     "rover_camera": "/topics/camera/image_raw", "graph": "/graph",
-    "diagnostics": "/diagnostics", "diagnostic": "/diagnostics?name=battery",
+    "diagnostics": "/diagnostics", "diagnostic": "/diagnostics?name=rover%3A%20battery",
     "rover": "/", "twist": "/topics/cmd_vel", "rover_scan": "/topics/scan", "nodes": "/nodes/",
     "node": "/nodes/rover",
     "rover_resources": "/resources/rover/", "actions": "/actions/", "action": "/actions/navigate_to",

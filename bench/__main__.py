@@ -22,6 +22,7 @@ PARTS = (
     "kills.py",
     "history.py",
     "history_kills.py",
+    "past.py",
     "pauses.py",
     "clients.py",
     "pictures.py",

@@ -7,17 +7,21 @@ MCAP in the order of time; one topic of a hundred at least ten times faster than
 from __future__ import annotations
 
 import asyncio
+import os
 import struct
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+from rosbags.rosbag2 import Writer as RosbagWriter
+from rosbags.typesys import Stores, get_typestore
 
 from rosld.adapters.base import Subscription
 from rosld.adapters.model import Encoding, Graph, Sample, Topic, TypeRef, freeze
@@ -26,6 +30,7 @@ from rosld.adapters.slots import Slot
 from rosld.server.history.history_writer import HistoryWriter
 from rosld.server.history.live_recorder import LiveRecorder
 from rosld.server.history.segments import HistoryLimits, Segments
+from rosld.server.history.topic_chunk import MAX_SECONDS
 
 TOPICS, RATE = 200, 50
 TICK = 0.02
@@ -89,8 +94,18 @@ def open_history(folder: Path) -> HistoryWriter:
     return writer
 
 
-async def cost(seconds: float, folder: Path | None) -> tuple[float, int, int, int]:
-    """The share of a core while all topics are subscribed to, and recorded if there is a folder; counts of messages."""
+class Cost(NamedTuple):
+    """The share of a core, counts of messages, and megabytes of memory after a third of the time and at its end."""
+
+    share: float
+    sent: int
+    recorded: int
+    dropped: int
+    memory: tuple[float, float]
+
+
+async def cost(seconds: float, folder: Path | None) -> Cost:
+    """What it takes while all topics are subscribed to, and recorded if there is a folder."""
     source = Source(TOPICS, seconds)
     live = LiveRecorder(source, learn)  # type: ignore[arg-type]
     kept = [await source.subscribe(topic) for topic in source.slots]
@@ -99,12 +114,20 @@ async def cost(seconds: float, folder: Path | None) -> tuple[float, int, int, in
         live.add(writer, lambda topic: True)
     await source.speak(1.0)
     before, began = time.process_time(), time.monotonic()
-    count = await source.speak(seconds)
+    count = await source.speak(seconds / 3)
+    early = resident()
+    count += await source.speak(seconds * 2 / 3)
     share = (time.process_time() - before) / (time.monotonic() - began)
+    memory = early, resident()
     await live.stop()
     for each in kept:
         each.close()
-    return share, count, 0 if writer is None else writer.next, live.dropped().total()
+    return Cost(share, count, 0 if writer is None else writer.next, live.dropped().total(), memory)
+
+
+def resident() -> float:
+    """Megabytes of memory that this process has."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def by_time(folder: Path, messages: list[tuple[str, int, bytes]]) -> Path:
@@ -121,13 +144,27 @@ def by_time(folder: Path, messages: list[tuple[str, int, bytes]]) -> Path:
     return path
 
 
+def by_rosbag2(folder: Path, messages: list[tuple[str, int, bytes]]) -> Path:
+    """The messages as a bag of ROS 2 with zstd in its MCAP, by rosbags."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    writer = RosbagWriter(folder / "bag", version=9, storage_plugin=StoragePlugin.MCAP)
+    writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+    with writer:
+        name = "sensor_msgs/msg/Imu"
+        found = {topic: writer.add_connection(topic, name, typestore=store) for topic in {each[0] for each in messages}}
+        for topic, at, data in messages:
+            writer.write(found[topic], at, data)
+    (path,) = (folder / "bag").glob("*.mcap")
+    return path
+
+
 def by_topic(folder: Path, messages: list[tuple[str, int, bytes]]) -> HistoryWriter:
     """The messages as the history writes them, a second of them at a time."""
     writer = open_history(folder / "history")
     second = messages[0][1]
     for number, (topic, at, data) in enumerate(messages):
         writer.add(topic, Sample(data, Encoding.CDR, IMU.ref, "/driver", at, number))
-        if at - second > 1_500_000_000:
+        if at - second > int(MAX_SECONDS * 1e9):
             second = at
             writer.write_all()
     writer.close()
@@ -172,23 +209,27 @@ def main() -> int:
     seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 20.0
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        subscribed, *_ = asyncio.run(cost(seconds, None))
-        share, sent, recorded, dropped = asyncio.run(cost(seconds, folder / "live"))
+        subscribed = asyncio.run(cost(seconds, None)).share
+        share, sent, recorded, dropped, memory = asyncio.run(cost(seconds, folder / "live"))
         print(
             f"{TOPICS} topics of {RATE} Hz, {seconds:g} s: {subscribed:.2f} of a core subscribed, {share:.2f} recorded"
         )
         print(f"above being subscribed: {share - subscribed:.2f} of a core; {recorded} recorded, {dropped} dropped")
+        print(f"memory after a third of it {memory[0]:.1f} MB, at its end {memory[1]:.1f} MB")
         messages = [*produced(100, 60)]
         wrote_by_time, path = best(lambda: by_time(folder, messages), 1)
         wrote, writer = best(lambda: by_topic(folder, messages), 1)
         print(f"writing {len(messages)} messages: {wrote:.2f} s, mcap's writer {wrote_by_time:.2f} s")
         size = writer.segments.size / path.stat().st_size
         print(f"disk: {size:.2f} of what mcap's writer takes in the order of time ({path.stat().st_size / 1e6:.1f} MB)")
+        bag = writer.segments.size / by_rosbag2(folder, messages).stat().st_size
+        print(f"disk: {bag:.2f} of what a bag of ROS 2 by rosbags takes, with zstd in its MCAP")
         topic = "/sensor_42/imu"
         slow, found = best(lambda: read_by_time(path, topic))
         fast, same = best(lambda: read_history(writer, topic))
         print(f"one topic of a hundred, {found} messages: {fast * 1e3:.1f} ms, by time {slow * 1e3:.1f} ms")
         print(f"{slow / fast:.0f} times faster")
+    print(f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")
     return int(found != same or recorded < sent or dropped > 0 or size > 1.2 or slow < 10 * fast)
 
 

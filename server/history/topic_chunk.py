@@ -9,7 +9,7 @@ from rosld.server.history.mcap_records import MESSAGE, MESSAGE_FIXED, MESSAGE_HE
 
 MAX_MESSAGES = 500
 MAX_BYTES = 4 * 1024 * 1024
-MAX_SECONDS = 1.2
+MAX_SECONDS = 1.0
 """How long a chunk is filled: with what a poll and a write take on a busy machine, less than two seconds are lost."""
 
 

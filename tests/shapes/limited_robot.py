@@ -13,6 +13,8 @@ import rdflib
 from pyoxigraph import BlankNode, Literal, NamedNode, RdfFormat, Triple, serialize
 
 from rosld.adapters.model import Choice, Descriptor, ParameterType, Range
+from rosld.ontology.parameters import lower_term
+from rosld.ontology.violations import LoweringError
 from rosld.ontology.vocab import rdf, ros, xsd
 from rosld.server.http.link import parse
 from rosld.shapes.message import SHACL_SHACL
@@ -123,6 +125,17 @@ def is_taken(client: httpx.Client, url: str, triples: Sequence[Triple], method: 
     answer = client.request(method, url, content=content, headers=N_TRIPLES)
     assert answer.is_success or answer.status_code == 422, answer.text
     return answer.is_success
+
+
+def is_malformed(value: object) -> bool:
+    """Whether a value is no well-formed array of a parameter in rdf:JSON: whoever knows rdf:JSON sees that."""
+    if not isinstance(value, Literal) or value.datatype != rdf.JSON:
+        return False
+    try:
+        lower_term(value)
+    except LoweringError:
+        return True
+    return False
 
 
 @dataclass(frozen=True)

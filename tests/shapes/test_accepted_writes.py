@@ -10,8 +10,6 @@ import pytest
 import rdflib
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
-from rosld.ontology.parameters import lower_term
-from rosld.ontology.violations import LoweringError
 from rosld.ontology.vocab import rdf, ros
 from tests.shapes.limited_robot import (
     DECLARED,
@@ -20,6 +18,7 @@ from tests.shapes.limited_robot import (
     UNDECLARED,
     VALUES,
     difference,
+    is_malformed,
     is_taken,
     linked_shape,
     point,
@@ -49,17 +48,6 @@ def conforming(shapes: rdflib.Graph, bodies: Sequence[Sequence[Triple]], node: N
     _, report, _ = pyshacl.validate(together.data, shacl_graph=together.shapes)
     assert isinstance(report, rdflib.Graph)
     return together.conforming(report)
-
-
-def is_malformed(value: object) -> bool:
-    """Whether a value is no well-formed array of a parameter in rdf:JSON: whoever knows rdf:JSON sees that."""
-    if not isinstance(value, Literal) or value.datatype != rdf.JSON:
-        return False
-    try:
-        lower_term(value)
-    except LoweringError:
-        return True
-    return False
 
 
 @pytest.mark.parametrize(

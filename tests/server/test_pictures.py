@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import socket
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Any
@@ -184,3 +185,34 @@ def test_fewer_pictures_are_drawn_where_fewer_are_wanted() -> None:
         taken.append(set(own[1:]))
     assert taken[0] >= taken[1] >= taken[2]
     assert len(taken[0]) in (19, 20)
+
+
+def test_what_was_recorded_is_drawn_as_it_was(camera: Any, serving: Any) -> None:
+    http = serving(history=("/camera",))
+    for number in (1, 2):
+        camera.publishes("/camera", image(frame(number)))
+        until(lambda number=number: (newest(http) == frame(number)).all(), f"picture {number}")
+        time.sleep(0.002)  # times are told to the millisecond
+
+    def is_recorded() -> bool:
+        listed = http.get("bags/history/messages/", params={"topic": "/camera"}, headers={"Accept": "application/json"})
+        return listed.status_code == 200 and len(listed.json()) >= 2
+
+    until(is_recorded, "both pictures in the history")
+    drawn = {0: False, 1: False, 2: False}
+    for index in range(4):
+        answer = http.get(f"bags/history/messages/{index}?format=png")
+        for number in drawn:
+            drawn[number] |= answer.status_code == 200 and bool((decoded(answer.content) == frame(number)).all())
+    assert drawn[1]
+    assert drawn[2]
+    past = http.get("topics/camera?at=-0.0001&format=png")
+    assert (decoded(past.content) == frame(2)).all()
+    assert http.get("topics/camera?at=-0.0001&format=mjpeg").status_code == 406
+    page = http.get("topics/camera?at=-0.0001", headers={"Accept": "text/html"}).text
+    assert "?at=-0.0001&amp;format=jpeg" in page
+    assert "data-motion" not in page
+
+
+def newest(http: httpx.Client) -> np.ndarray:
+    return decoded(http.get(f"{CAMERA}?format=png").content)

@@ -194,18 +194,12 @@ def test_what_was_recorded_is_drawn_as_it_was(camera: Any, serving: Any) -> None
         until(lambda number=number: (newest(http) == frame(number)).all(), f"picture {number}")
         time.sleep(0.002)  # times are told to the millisecond
 
-    def is_recorded() -> bool:
-        listed = http.get("bags/history/messages/", params={"topic": "/camera"}, headers={"Accept": "application/json"})
-        return listed.status_code == 200 and len(listed.json()) >= 2
+    def is_drawn(number: int) -> bool:
+        """Whether one of the recorded messages is drawn as this frame."""
+        answers = [http.get(f"bags/history/messages/{index}?format=png") for index in range(4)]
+        return any(each.status_code == 200 and (decoded(each.content) == frame(number)).all() for each in answers)
 
-    until(is_recorded, "both pictures in the history")
-    drawn = {0: False, 1: False, 2: False}
-    for index in range(4):
-        answer = http.get(f"bags/history/messages/{index}?format=png")
-        for number in drawn:
-            drawn[number] |= answer.status_code == 200 and bool((decoded(answer.content) == frame(number)).all())
-    assert drawn[1]
-    assert drawn[2]
+    until(lambda: is_drawn(1) and is_drawn(2), "both pictures in the history")
     past = http.get("topics/camera?at=-0.0001&format=png")
     assert (decoded(past.content) == frame(2)).all()
     assert http.get("topics/camera?at=-0.0001&format=mjpeg").status_code == 406

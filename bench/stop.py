@@ -14,7 +14,9 @@ from __future__ import annotations
 import argparse
 import asyncio
 import http.client
+import json
 import logging
+import math
 import os
 import queue
 import statistics
@@ -125,10 +127,10 @@ class Client:
         self._connection = http.client.HTTPConnection(address, timeout=60)
 
     def ask(self, method: str, path: str, body: str | None = None, headers: dict[str, str] = JSON) -> int:
-        """The status of an answer."""
+        """The status of an answer, whose body is then in `body`."""
         self._connection.request(method, path, body, headers)
         answer = self._connection.getresponse()
-        answer.read()
+        self.body = answer.read()
         return answer.status
 
 
@@ -142,10 +144,13 @@ class Robot:
     service: str
     topic: str
 
-    def told(self, still: bool) -> float:
-        """When the base was told next to stand still, or to drive."""
+    def told(self, still: bool, patience: float = PATIENCE) -> float:
+        """When the base was told next to stand still, or to drive; infinity where it was not."""
         while True:
-            speed, moment = self.speeds.get(timeout=PATIENCE)
+            try:
+                speed, moment = self.speeds.get(timeout=patience)
+            except queue.Empty:
+                return math.inf
             if (speed == 0.0) is still:
                 return moment
 
@@ -300,6 +305,9 @@ def press(address: str) -> None:
     for _ in sys.stdin:
         moment = time.monotonic()
         assert client.ask("POST", "/stop") == 200
+        told = json.loads(client.body)
+        if told["warning"] or any(step["words"] for step in told["steps"]):
+            print(told["warning"], told["steps"], file=sys.stderr, flush=True)
         print(moment, flush=True)
         while client.ask("DELETE", "/stop") == 409:
             time.sleep(0.01)
@@ -320,10 +328,10 @@ def measured(robot: Robot, rounds: int) -> list[float]:
         assert pressing.stdout is not None
         for _ in range(rounds):
             robot.command()
-            robot.told(still=False)
+            robot.told(still=False, patience=10.0)  # a base that was not stopped drives already
             pressing.stdin.write("\n")
             pressed = float(pressing.stdout.readline())
-            found.append((robot.told(still=True) - pressed) * 1e3)
+            found.append((robot.told(still=True, patience=10.0) - pressed) * 1e3)
             assert pressing.stdout.readline().strip() == "released"
         pressing.stdin.close()
     return sorted(found)

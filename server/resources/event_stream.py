@@ -107,7 +107,7 @@ class EventStreamResource(Resource):
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self.robot.space.document_shape("EventStream"),)
+        return (self.robot.space.document_shape("EventStream" if self._page is None else "StreamPage"),)
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """In the profile that the request prefers; one named in the query is in the URLs of all pages."""

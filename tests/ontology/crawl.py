@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import httpx
 from pyoxigraph import Literal, NamedNode, RdfFormat, Triple, parse
 
-from rosld.ontology.vocab import xsd
+from rosld.ontology.vocab import ros, xsd
 
 MAX_URLS = 3_000
 ACCEPT = {"Accept": "application/n-triples;q=1, */*;q=0.1"}
@@ -44,11 +44,20 @@ def crawl(http: httpx.Client, *beside: str) -> Crawl:
             Triple(quad.subject, quad.predicate, quad.object)
             for quad in parse(answer.content, format=RdfFormat.N_TRIPLES, rename_blank_nodes=True)
         ]
-        found.graphs[url] = graph
+        found.graphs[url] = [each for each in graph if not _is_of_another_moment(each, url)]
         new = [link for link in links(graph) if link.startswith(base) and link not in known]
         known.update(new)
         ahead.extend(dict.fromkeys(new))
     return found
+
+
+def _is_of_another_moment(triple: Triple, url: str) -> bool:
+    """Whether a listing says how one of its members is, which says for itself how it is when it is read."""
+    return (
+        triple.predicate in (ros.state, ros.status, ros.statusWord)
+        and isinstance(triple.subject, NamedNode)
+        and triple.subject.value.partition("#")[0] != url
+    )
 
 
 def links(graph: Iterable[Triple]) -> Iterable[str]:

@@ -23,7 +23,8 @@ from rosbags.typesys import Stores, get_typestore
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from bench.history import IMU, RATE, Messages, by_time
+from history import IMU, RATE, Messages, by_time
+
 from rosld.adapters.base import AdapterOptions
 from rosld.adapters.model import Encoding, Sample
 from rosld.adapters.registry import adapter_for

@@ -109,6 +109,7 @@ class Robot(Session):
             self.bags.revision,
             IdentityKey(self.active_limits.current),
             IdentityKey(self.mappings.mapping_set),
+            IdentityKey(self.affordances.last_tree),
         )
 
     async def _is_at_rest(self, command: StopCommand) -> bool:

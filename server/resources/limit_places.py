@@ -78,7 +78,7 @@ def _place(robot: Robot, location: Location) -> ResourcePlace | None:
 
 def _value_of_property(robot: Robot, name: str) -> ValuePlace | None:
     """What a property is written as: a scalar where its message is one."""
-    tree = robot.affordances.cached_tree()
+    tree = robot.affordances.cached_tree() or robot.affordances.last_tree
     plan = None if tree is None else tree.property(name)
     writer = None if plan is None else property_writer(robot, plan.source)
     match writer:

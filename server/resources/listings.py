@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from pyoxigraph import Triple
@@ -150,6 +150,14 @@ def holds_listing(robot: Robot) -> ListingResource:
     return ListingResource(
         robot, "holds", "The holds of topics", columns, lambda: map(listed, reversed(known.all())), known.changes
     )
+
+
+LISTINGS: Mapping[str, Callable[[Robot], ListingResource]] = {
+    "calls": calls_listing,
+    "goals": goals_listing,
+    "holds": holds_listing,
+}
+"""By the first segment of their URLs."""
 
 
 def time_cell(nanoseconds: int | None) -> Cell:

@@ -50,7 +50,10 @@ from rosld.server.resources.actions import ActionResource, GoalResource
 from rosld.server.resources.bags import BagMessage, bag_urls, describe_armed, describe_bag, describe_running
 from rosld.server.resources.complex_resource import ComplexResource
 from rosld.server.resources.context import IdentityKey, Robot
+from rosld.server.resources.diagnostics import DiagnosticsResource
+from rosld.server.resources.graph import GraphResource
 from rosld.server.resources.holds import HoldResource
+from rosld.server.resources.listings import LISTINGS, ListingResource
 from rosld.server.resources.namespaces import (
     NamespaceContainer,
     listed_graph,
@@ -220,8 +223,12 @@ class RobotGraphs:
         """The listings that are named as graphs: only there they tell what their members say of themselves, too."""
         for url in graph_names:
             location = self._robot.space.location(url)
-            if location is not None and location.is_container and location.kind in _LISTINGS:
+            if location is None or not location.is_container:
+                continue
+            if location.kind in _LISTINGS:
                 yield NamespaceContainer(self._robot, location.kind, location.segments)
+            elif location.kind in LISTINGS and not location.segments:
+                yield LISTINGS[location.kind](self._robot)
 
     def _candidates(self, named: frozenset[str] | None) -> Iterator[Topic]:
         """The topics among these URLs; all where none are named."""
@@ -250,7 +257,8 @@ class RobotGraphs:
     def _named(self, documents: frozenset[str]) -> Iterator[Resource]:
         """What is in the dataset only where it is named.
 
-        Recorded messages, resources whose getters are called, types that nobody has asked for yet.
+        Recorded messages, resources whose getters are called, types that nobody has asked for yet, what is drawn of the
+        graph and the diagnostics.
         """
         for url in documents:
             location = self._robot.space.location(url)
@@ -262,6 +270,10 @@ class RobotGraphs:
                 case Location("types" | "shapes", (_, _, _) as path, False) if not self._is_known("/".join(path)):
                     make = TypeResource if location.kind == "types" else ShapeResource
                     yield make(self._robot, "/".join(path))
+                case Location("graph", (), False):
+                    yield GraphResource(self._robot)
+                case Location("diagnostics", (), False):
+                    yield DiagnosticsResource(self._robot)
                 case Location("resources", segments, True):
                     yield ComplexResource(self._robot, path_of(segments))
                 case Location("resources", (_, *_), False):
@@ -276,7 +288,10 @@ class RobotGraphs:
         """
         is_settled = self._robot.topics.is_settled
         firsts = (self._first(topic) for topic in topics if not is_settled(topic.name))
-        shown = (self._entry(one.url, one.state(), is_transient=isinstance(one, NamespaceContainer)) for one in others)
+        shown = (
+            self._entry(one.url, one.state(), is_transient=isinstance(one, NamespaceContainer | ListingResource))
+            for one in others
+        )
         tasks: list[asyncio.Future[GraphEntry | None]] = []
         try:
             for coming in chain(firsts, shown):

@@ -75,7 +75,7 @@ def require_picture(name: str, types: Sequence[TypeRef]) -> None:
     if not any(can_draw(ref.name) for ref in types):
         said = ", ".join(ref.name for ref in types) or "an unknown type"
         words = f"{name} has messages of {said}: only {RAW_IMAGE} and {COMPRESSED_IMAGE} are drawn as pictures."
-        raise Problem(406, words)
+        raise Problem(406, f"{words} There are {', '.join(OFFERS)}.")
 
 
 async def picture_response(

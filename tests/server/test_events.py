@@ -142,10 +142,11 @@ def test_the_data_has_the_format_asked_for(aircraft: Any, query: str, beginning:
 
 def test_an_event_says_the_very_same_as_a_get(aircraft: Any) -> None:
     with streaming(aircraft, "/topics/?format=ttl") as found:
-        event = next(found)
-        read = aircraft.http.get("/topics/", headers={"Accept": "text/turtle"})
+        for event in found:
+            read = aircraft.http.get("/topics/", headers={"Accept": "text/turtle"})
+            if read.headers["etag"] == f'"{event.id}.ttl"':  # nothing has changed in between
+                break
         assert event.data == read.text.removesuffix("\n")
-        assert read.headers["etag"] == f'"{event.id}.ttl"'
 
 
 @pytest.mark.parametrize("name", ["yaml", ""])

@@ -59,6 +59,7 @@ def test_what_holds_already_is_answered_at_once(aircraft: Served) -> None:
 
 def test_the_time_being_over_the_state_is_told_by_its_name(aircraft: Served) -> None:
     http = aircraft.http
+    http.put(NIGHT, json=False).raise_for_status()
     answer = wait(http, NIGHT, "value = true", timeout="0")
     assert (answer.status_code, answer.content) == (204, b"")
     assert answer.headers["content-location"] == str(http.base_url.join(NIGHT))

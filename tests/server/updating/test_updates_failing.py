@@ -15,6 +15,7 @@ from rosld.adapters.base import Published
 from rosld.adapters.model import Refused, Sent, TimedOut, TypeRef
 from tests.server.robots import asking
 from tests.server.robots.made_up import MadeUp, Serving, served
+from tests.waiting import until
 
 value, detail, mapped = asking.value, asking.detail, asking.mapped
 TYPES, TURTLE, UPDATE, MERGE = asking.TYPES, asking.TURTLE, asking.UPDATE, asking.MERGE
@@ -356,7 +357,8 @@ def test_a_parameter_tree_is_no_graph_of_values_and_wipes_out_nothing(robot: Mad
     robot.parameter("/tree/a", 1)
     robot.parameter("/tree/b", 2)
     http = serving()
-    tree = update(http, "INSERT DATA { GRAPH </parameters/tree> { </parameters/tree> ros:value 5 } }")
+    text = "INSERT DATA { GRAPH </parameters/tree> { </parameters/tree> ros:value 5 } }"
+    tree = until(lambda: (found := update(http, text)).status_code != 503 and found, "the dataset")
     assert tree.status_code in (403, 409), tree.text
     below = update(http, "INSERT DATA { GRAPH </parameters/tree/a/b> { </parameters/tree/a/b> ros:value 5 } }")
     assert "/tree/a is a parameter with a value" in detail(below, 409)

@@ -50,7 +50,6 @@ from rosld.server.resources.actions import ActionResource, GoalResource
 from rosld.server.resources.bags import BagMessage, bag_urls, describe_armed, describe_bag, describe_running
 from rosld.server.resources.complex_resource import ComplexResource
 from rosld.server.resources.context import IdentityKey, Robot
-from rosld.server.resources.diagnostics import DiagnosticsResource
 from rosld.server.resources.graph import GraphResource
 from rosld.server.resources.holds import HoldResource
 from rosld.server.resources.listings import LISTINGS, ListingResource
@@ -257,8 +256,8 @@ class RobotGraphs:
     def _named(self, documents: frozenset[str]) -> Iterator[Resource]:
         """What is in the dataset only where it is named.
 
-        Recorded messages, resources whose getters are called, types that nobody has asked for yet, what is drawn of the
-        graph and the diagnostics.
+        Recorded messages, resources whose getters are called, types that nobody has asked for yet, the edges
+        of the graph. Diagnostics are not: their words tell of topics that not everybody may read.
         """
         for url in documents:
             location = self._robot.space.location(url)
@@ -272,8 +271,6 @@ class RobotGraphs:
                     yield make(self._robot, "/".join(path))
                 case Location("graph", (), False):
                     yield GraphResource(self._robot)
-                case Location("diagnostics", (), False):
-                    yield DiagnosticsResource(self._robot)
                 case Location("resources", segments, True):
                     yield ComplexResource(self._robot, path_of(segments))
                 case Location("resources", (_, *_), False):

@@ -20,6 +20,7 @@ from rosld.server.openapi.described_path import DescribedPath
 from rosld.server.resources.channels import channel_item, source_item
 from rosld.server.resources.context import Robot
 from rosld.server.resources.namespaces import listed_graph, namespaces
+from rosld.server.resources.static_assets import FILES
 from rosld.server.resources.types import SHAPES_GRAPHS
 from rosld.server.rest.path_item import ANY_TYPE, FIELD_READS, FORMAT, PathItem
 from rosld.server.rest.resource import Resource
@@ -41,11 +42,6 @@ _TAGS = {
 }
 """The tags of URLs that are not called by the first segment."""
 _ENTRY = ("ontology", ".well-known/", ".well-known/wot", "openapi.json", "llms.txt")
-_SCRIPTS = (
-    *("live.js", "ages.js", "filter.js", "find.js", "drive.js", "picture.js"),
-    *("plot.js", "spark.js", "uplot.js"),
-)
-_FILES = ("style.css", "uplot.css", *_SCRIPTS, "icon.svg", "favicon.ico")
 _NAME = "A name; those of several parts have slashes, as in the URL."
 
 
@@ -74,7 +70,7 @@ class PathCollector:
         yield from self._queries()
         yield from self._channels()
         yield from self._activities()
-        for path in ("find", "graph", "diagnostics", "plot", "stop", "status", "sparql", "graphs", *_ENTRY, *_FILES):
+        for path in ("find", "graph", "diagnostics", "plot", "stop", "status", "sparql", "graphs", *_ENTRY, *FILES):
             yield self._path(f"/{path}")
         with suppress(Problem):  # there is one only if it was asked for
             yield self._path("/mirror")
@@ -97,7 +93,7 @@ class PathCollector:
         return DescribedPath(path, self._tag(path[1:]), item, methods, accepts)
 
     def _tag(self, path: str) -> str:
-        if path in _ENTRY or path in _FILES:
+        if path in _ENTRY or path in FILES:
             return "entry"
         return _TAGS.get(path) or path.partition("/")[0]
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from functools import partial
 
 from starlette.responses import Response
 
@@ -18,6 +19,7 @@ from rosld.server.rest.resource import LDP, RESOURCE, Resource
 from rosld.server.rest.resource_headers import resource_headers
 
 _DAY = 86400
+_SCRIPT, _STYLE, _ICON = "text/javascript; charset=utf-8", "text/css; charset=utf-8", "image/svg+xml"
 
 
 class FileResource(Resource):
@@ -49,110 +51,28 @@ class FileResource(Resource):
         return Response(self._data, media_type=self._media_type, headers=headers)
 
 
-def stylesheet(robot: Robot) -> FileResource:
-    """`/style.css`."""
-    return FileResource(robot, "style.css", html.STYLESHEET, "text/css; charset=utf-8", "The style of pages")
-
-
-def script(robot: Robot) -> FileResource:
-    """`/live.js`."""
-    return FileResource(
-        robot, "live.js", html.SCRIPT, "text/javascript; charset=utf-8", "The script that keeps pages up to date"
-    )
-
-
-def ages_script(robot: Robot) -> FileResource:
-    """`/ages.js`."""
-    summary = "The script that says how long ago times were"
-    return FileResource(robot, "ages.js", html.AGES_SCRIPT, "text/javascript; charset=utf-8", summary)
-
-
-def filter_script(robot: Robot) -> FileResource:
-    """`/filter.js`."""
-    return FileResource(
-        robot,
-        "filter.js",
-        html.FILTER_SCRIPT,
-        "text/javascript; charset=utf-8",
-        "The script that finds things on long pages",
-    )
-
-
-def find_script(robot: Robot) -> FileResource:
-    """`/find.js`."""
-    return FileResource(
-        robot,
-        "find.js",
-        html.FIND_SCRIPT,
-        "text/javascript; charset=utf-8",
-        "The script that shows what is found while words are typed",
-    )
-
-
-def drive_script(robot: Robot) -> FileResource:
-    """`/drive.js`."""
-    return FileResource(
-        robot, "drive.js", html.DRIVE_SCRIPT, "text/javascript; charset=utf-8", "The script of the pad that drives"
-    )
-
-
-def picture_script(robot: Robot) -> FileResource:
-    """`/picture.js`."""
-    return FileResource(
-        robot,
-        "picture.js",
-        html.PICTURE_SCRIPT,
-        "text/javascript; charset=utf-8",
-        "The script of pictures that move while they are looked at",
-    )
-
-
-def plot_script(robot: Robot) -> FileResource:
-    """`/plot.js`."""
-    return FileResource(
-        robot, "plot.js", html.PLOT_SCRIPT, "text/javascript; charset=utf-8", "The script that draws plots"
-    )
-
-
-def spark_script(robot: Robot) -> FileResource:
-    """`/spark.js`."""
-    summary = "The script that draws beside numbers how they were lately"
-    return FileResource(robot, "spark.js", html.SPARK_SCRIPT, "text/javascript; charset=utf-8", summary)
-
-
-def plot_library(robot: Robot) -> FileResource:
-    """`/uplot.js`."""
-    return FileResource(robot, "uplot.js", html.PLOT_LIBRARY, "text/javascript; charset=utf-8", "uPlot, which draws")
-
-
-def plot_stylesheet(robot: Robot) -> FileResource:
-    """`/uplot.css`."""
-    return FileResource(robot, "uplot.css", html.PLOT_STYLESHEET, "text/css; charset=utf-8", "The style of uPlot")
-
-
-def icon(robot: Robot) -> FileResource:
-    """`/icon.svg`."""
-    return FileResource(robot, "icon.svg", html.ICON, "image/svg+xml", "The icon of pages")
-
-
-def favicon(robot: Robot) -> FileResource:
-    """`/favicon.ico`: the icon where browsers look for it."""
-    summary = "The icon of pages, where browsers look for it"
-    return FileResource(robot, "favicon.ico", html.ICON, "image/svg+xml", summary)
-
-
-FILES: dict[str, Callable[[Robot], FileResource]] = {
-    "style.css": stylesheet,
-    "live.js": script,
-    "ages.js": ages_script,
-    "filter.js": filter_script,
-    "find.js": find_script,
-    "drive.js": drive_script,
-    "picture.js": picture_script,
-    "plot.js": plot_script,
-    "spark.js": spark_script,
-    "uplot.js": plot_library,
-    "uplot.css": plot_stylesheet,
-    "icon.svg": icon,
-    "favicon.ico": favicon,
+_FILES: Mapping[str, tuple[bytes, str, str]] = {
+    "style.css": (html.STYLESHEET, _STYLE, "The style of pages"),
+    "live.js": (html.SCRIPT, _SCRIPT, "The script that keeps pages up to date"),
+    "ages.js": (html.AGES_SCRIPT, _SCRIPT, "The script that says how long ago times were"),
+    "filter.js": (html.FILTER_SCRIPT, _SCRIPT, "The script that finds things on long pages"),
+    "find.js": (html.FIND_SCRIPT, _SCRIPT, "The script that shows what is found while words are typed"),
+    "drive.js": (html.DRIVE_SCRIPT, _SCRIPT, "The script of the pad that drives"),
+    "picture.js": (html.PICTURE_SCRIPT, _SCRIPT, "The script of pictures that move while they are looked at"),
+    "plot.js": (html.PLOT_SCRIPT, _SCRIPT, "The script that draws plots"),
+    "spark.js": (html.SPARK_SCRIPT, _SCRIPT, "The script that draws beside numbers how they were lately"),
+    "uplot.js": (html.PLOT_LIBRARY, _SCRIPT, "uPlot, which draws"),
+    "uplot.css": (html.PLOT_STYLESHEET, _STYLE, "The style of uPlot"),
+    "icon.svg": (html.ICON, _ICON, "The icon of pages"),
+    "favicon.ico": (html.ICON, _ICON, "The icon of pages, where browsers look for it"),
 }
+"""Of each file, by its name below the base: its bytes, its media type, what it is."""
+
+
+def _file_resource(name: str, robot: Robot) -> FileResource:
+    """The file of a name in `FILES`."""
+    return FileResource(robot, name, *_FILES[name])
+
+
+FILES: Mapping[str, Callable[[Robot], FileResource]] = {name: partial(_file_resource, name) for name in _FILES}
+"""What makes each, by its name."""

@@ -164,29 +164,38 @@ class BagResource(Resource):
         return Response(status_code=204)
 
 
-class RunningBag(Resource):
-    """A recording that is being made: how far it is. PATCH ends it, DELETE gives it up."""
+class UnfinishedBag(Resource):
+    """A recording that is not complete: PATCH ends it."""
 
-    kind = "Recording being made"
     is_cacheable = False
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
     accepts: Mapping[str, Sequence[str]] = {"PATCH": PATCHES}
 
-    def __init__(self, robot: Robot, one: RunningRecording) -> None:
-        super().__init__(robot.space.bag(one.name))
+    def __init__(self, robot: Robot, name: str) -> None:
+        super().__init__(robot.space.bag(name))
         self.robot = robot
-        self.one = one
+        self.name = name
 
     def methods(self) -> frozenset[str]:
         return READ if self.robot.settings.read_only else READ | {"PATCH", "DELETE"}
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         ends: DataSchema = {"type": "object", "properties": {"status": {"const": "ended"}}, "required": ["status"]}
-        return PathItem(f"The recording {self.one.name}", writes={"PATCH": WriteMethod("Ends it", sends=ends)})
+        return PathItem(f"The recording {self.name}", writes={"PATCH": WriteMethod("Ends it", sends=ends)})
 
     @property
     def conforms_to(self) -> Sequence[str]:
         return (self.robot.space.document_shape("Bag"),)
+
+
+class RunningBag(UnfinishedBag):
+    """A recording that is being made: how far it is. PATCH ends it, DELETE gives it up."""
+
+    kind = "Recording being made"
+
+    def __init__(self, robot: Robot, one: RunningRecording) -> None:
+        super().__init__(robot, one.name)
+        self.one = one
 
     async def state(self) -> State:
         return State(partial(describe_running, self.robot, self.one))
@@ -214,29 +223,14 @@ class RunningBag(Resource):
         return Response(status_code=204)
 
 
-class ArmedBag(Resource):
+class ArmedBag(UnfinishedBag):
     """A recording that waits for its trigger. PATCH and DELETE have it wait no more."""
 
     kind = "Recording that waits for its trigger"
-    is_cacheable = False
-    links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
-    accepts: Mapping[str, Sequence[str]] = {"PATCH": PATCHES}
 
     def __init__(self, robot: Robot, one: ArmedRecording) -> None:
-        super().__init__(robot.space.bag(one.name))
-        self.robot = robot
+        super().__init__(robot, one.name)
         self.one = one
-
-    def methods(self) -> frozenset[str]:
-        return READ if self.robot.settings.read_only else READ | {"PATCH", "DELETE"}
-
-    def path_item(self, schemas: MessageSchemas) -> PathItem:
-        ends: DataSchema = {"type": "object", "properties": {"status": {"const": "ended"}}, "required": ["status"]}
-        return PathItem(f"The recording {self.one.name}", writes={"PATCH": WriteMethod("Ends it", sends=ends)})
-
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self.robot.space.document_shape("Bag"),)
 
     async def state(self) -> State:
         return State(partial(describe_armed, self.robot, self.one))

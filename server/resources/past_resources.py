@@ -70,16 +70,13 @@ class PastReadings:
         return Reading(property.name, value, failure, read_ns)
 
 
-class PastMember(MemberResource):
-    """A property as it was."""
+class _PastResource(Resource):
+    """What a property and a complex resource have alike as they were: nothing is written, nothing changes."""
 
     kind = "Resource as it was"
     is_cacheable = False
-
-    def __init__(self, robot: Robot, name: str, at_ns: int, text: str) -> None:
-        super().__init__(robot, name)
-        self.links = (*self.links, Link(self.url, "original"), Link(self.url, "timegate"))
-        self._at_ns, self._text = at_ns, text
+    _text: str
+    """The time as it was asked for."""
 
     @property
     def variant_key(self) -> Hashable:
@@ -91,6 +88,21 @@ class PastMember(MemberResource):
 
     def methods(self) -> frozenset[str]:
         return READ
+
+    async def watch(self, wake: Callable[[], None]) -> None:
+        """The past changes no more."""
+
+    async def forms(self) -> Sequence[Form]:
+        return ()
+
+
+class PastMember(_PastResource, MemberResource):
+    """A property as it was."""
+
+    def __init__(self, robot: Robot, name: str, at_ns: int, text: str) -> None:
+        MemberResource.__init__(self, robot, name)
+        self.links = (*self.links, *_gate_links(self.url))
+        self._at_ns, self._text = at_ns, text
 
     async def state(self) -> State:
         tree = await self.robot.affordances.tree()
@@ -113,34 +125,14 @@ class PastMember(MemberResource):
             view=None,
         )
 
-    async def watch(self, wake: Callable[[], None]) -> None:
-        """The past changes no more."""
 
-    async def forms(self) -> Sequence[Form]:
-        return ()
-
-
-class PastComplex(ComplexResource):
+class PastComplex(_PastResource, ComplexResource):
     """A complex resource as it was."""
 
-    kind = "Resource as it was"
-    is_cacheable = False
-
     def __init__(self, robot: Robot, path: str, at_ns: int, text: str) -> None:
-        super().__init__(robot, path)
-        self.links = (*self.links, Link(self.url, "original"), Link(self.url, "timegate"))
+        ComplexResource.__init__(self, robot, path)
+        self.links = (*self.links, *_gate_links(self.url))
         self._at_ns, self._text = at_ns, text
-
-    @property
-    def variant_key(self) -> Hashable:
-        return self._text
-
-    @property
-    def query(self) -> str:
-        return f"at={quote(self._text, safe=':')}"
-
-    def methods(self) -> frozenset[str]:
-        return READ
 
     async def state(self) -> State:
         _, plan = await self._plan()
@@ -165,12 +157,6 @@ class PastComplex(ComplexResource):
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
         return None
-
-    async def watch(self, wake: Callable[[], None]) -> None:
-        """The past changes no more."""
-
-    async def forms(self) -> Sequence[Form]:
-        return ()
 
 
 class MemberTimeGate(MemberResource):
@@ -199,7 +185,7 @@ def past_of(resource: MemberResource | ComplexResource, exchange: Exchange) -> R
         if wanted is None or not robot.history.is_kept:
             return None
         at_ns = min(parse_accept_datetime(wanted), time.time_ns() - SETTLED_NS)
-        raise found(memento_url(resource.url, at_ns), (Link(resource.url, "original"), Link(resource.url, "timegate")))
+        raise found(memento_url(resource.url, at_ns), _gate_links(resource.url))
     if not robot.history.is_kept:
         raise Problem(404, "Nothing is recorded: rosld serve --history records topics.")
     text = exchange.query["at"]
@@ -207,6 +193,11 @@ def past_of(resource: MemberResource | ComplexResource, exchange: Exchange) -> R
     if isinstance(resource, ComplexResource):
         return PastComplex(robot, resource.path, at_ns, text)
     return PastMember(robot, resource.name, at_ns, text)
+
+
+def _gate_links(url: str) -> tuple[Link, Link]:
+    """The links of a resource that is its own TimeGate and has no TimeMap (RFC 7089 2.2)."""
+    return Link(url, "original"), Link(url, "timegate")
 
 
 def _settle(state: State, at_ns: int) -> State:

@@ -20,7 +20,7 @@ from rosld.adapters.model import Message, MessageSchema, RosError, Sample, TypeR
 from rosld.ontology.fields import field_at
 from rosld.server.events import frame
 from rosld.server.events.broadcaster import RETRY_SECONDS, Broadcasters
-from rosld.server.events.event_stream import HEADERS, KEEP_ALIVE_SECONDS, Headers
+from rosld.server.events.event_stream import HEADERS, KEEP_ALIVE_SECONDS
 from rosld.server.history.topic_feed import TopicFeed
 
 PERIOD = 0.1
@@ -46,8 +46,8 @@ class FollowedTopic(NamedTuple):
 class SampleStream(Response):
     """Tells numbers of topics until its reader leaves or the server ends.
 
-    Each event is JSON: `times` in milliseconds since 1970 by topic, `values` by place, each as long as the times of its
-    topic, `topics` the topic of each place, and `lost`, how many messages were not told of.
+    Each event is JSON, a list with an object for each topic that has something new: `times` in milliseconds since 1970,
+    `values` by place, each as long as `times`, and `lost`, how many messages were not told of.
     """
 
     def __init__(
@@ -56,14 +56,13 @@ class SampleStream(Response):
         adapter: Adapter,
         schema_of: SchemaOf,
         topics: Sequence[FollowedTopic],
-        headers: Headers,
         is_valid: Callable[[], bool],
     ) -> None:
         """`is_valid`: whether the reader may still read."""
         self.status_code = 200
         self.body = b""
         self.background = None
-        self.raw_headers = [*HEADERS, *headers]
+        self.raw_headers = HEADERS
         self._broadcasters = broadcasters
         self._adapter = adapter
         self._numbers = [TopicNumbers(each, schema_of) for each in topics]
@@ -126,9 +125,7 @@ class TopicNumbers:
         lost, feed.lost = feed.lost, 0
         depth = feed.wanted_depth(new) if new else feed.depth
         if depth > feed.depth:
-            deeper = await adapter.subscribe(feed.topic, depth=depth)
-            feed.subscription.close()
-            feed.subscription, feed.depth = deeper, depth
+            await feed.deepen(adapter, depth)
         told = _thinned(new)
         lost += len(new) - len(told)
         if not told and not lost:

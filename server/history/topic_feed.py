@@ -60,6 +60,12 @@ class TopicFeed:
         largest = max(len(sample.data) for sample in new)
         return max(min(self.depth * 4, _MAX_DEPTH, _MAX_BYTES // max(largest, 1)), self.depth)
 
+    async def deepen(self, adapter: Adapter, depth: int) -> None:
+        """Subscribe more deeply, before the subscription until now is given back."""
+        deeper = await adapter.subscribe(self.topic, depth=depth)
+        self.subscription.close()
+        self.subscription, self.depth = deeper, depth
+
     def _note(self, sample: Sample) -> None:
         name, now = sample.publisher, (sample.epoch, sample.sequence)
         taken = self._taken.get(name)
@@ -134,7 +140,7 @@ class LiveFeed:
                 self._changed = False
                 await self._follow(self._adapter.graph.topics)
             for feed, depth in self._look():
-                await self._deepen(feed, depth)
+                await feed.deepen(self._adapter, depth)
             await asyncio.sleep(PERIOD)
 
     async def _follow(self, topics: Iterable[str]) -> None:
@@ -148,12 +154,6 @@ class LiveFeed:
                 self._changed = True
         for topic in self._feeds.keys() - self._sinks.keys():
             self._feeds.pop(topic).subscription.close()
-
-    async def _deepen(self, feed: TopicFeed, depth: int) -> None:
-        """Subscribe more deeply, before the subscription until now is given back."""
-        deeper = await self._adapter.subscribe(feed.topic, depth=depth)
-        feed.subscription.close()
-        feed.subscription, feed.depth = deeper, depth
 
     def _look(self) -> list[tuple[TopicFeed, int]]:
         """Take what is new to the recorder; the topics whose subscriptions should be deeper."""

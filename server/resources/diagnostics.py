@@ -22,6 +22,7 @@ from rosld.server.hypermedia.data_schema import DataSchema
 from rosld.server.hypermedia.json_schema import TEXT, URI
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.context import Robot
+from rosld.server.resources.memento import is_recorded
 from rosld.server.resources.messages import decode
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import FORMAT, PathItem, QueryParameter
@@ -152,7 +153,7 @@ class DiagnosticsResource(Resource):
     async def _past(self, topic: str) -> Sequence[LevelChange]:
         """What the part said within the last hour, as far as it is recorded; nothing where nothing is."""
         robot = self.robot
-        if not robot.history.is_kept or topic not in robot.history.writer.types:
+        if not is_recorded(robot, topic):
             return ()
         try:
             schemas = {ref: await robot.schemas.message(ref) for ref in robot.graph.topics[topic].types}

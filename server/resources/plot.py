@@ -31,6 +31,7 @@ from rosld.server.hypermedia.data_schema import DataSchema
 from rosld.server.hypermedia.json_schema import TEXT, URI
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.context import Robot
+from rosld.server.resources.memento import is_recorded
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import OFFERS
 from rosld.server.rest.path_item import FORMAT, PathItem, QueryParameter
@@ -137,7 +138,7 @@ class PlotResource(Resource):
         self._broadcasters.require_capacity(exchange.request.client)
         topics = [FollowedTopic(topic, tuple(each)) for topic, each in fields.items()]
         schema_of, is_valid = self.robot.schemas.message, exchange.auth.is_valid
-        return SampleStream(self._broadcasters, self.robot.adapter, schema_of, topics, [], is_valid)
+        return SampleStream(self._broadcasters, self.robot.adapter, schema_of, topics, is_valid)
 
     def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
         return render_plot(PlotPage(site, self.url, tuple(self._numbers), self.references, tuple(notices)))
@@ -187,12 +188,9 @@ class PlotResource(Resource):
             raise Problem(422, f"?y={number.topic}#{number.field[:60]}: {error}.") from error
         except RosError as error:
             raise Problem(422, f"The type of {number.topic} is not known: {error.sentence}") from error
-        has_series = not isinstance(kind, Array) and self._is_recorded(number.topic)
+        has_series = not isinstance(kind, Array) and is_recorded(self.robot, number.topic)
         series = f"{url}?series={quote(number.field, safe='.')}" if has_series else None
         return PlottedNumber(url, number.field, type_name(kind), series)
-
-    def _is_recorded(self, topic: str) -> bool:
-        return self.robot.history.is_kept and topic in self.robot.history.writer.types
 
 
 def number_json(number: PlottedNumber) -> dict[str, str | None]:

@@ -22,6 +22,7 @@ from rosld.server.history.series import Point, Series, SeriesRange, SeriesTooLon
 from rosld.server.http import negotiation
 from rosld.server.http.problem import Problem
 from rosld.server.resources.context import Robot
+from rosld.server.resources.memento import is_recorded
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import OFFERS
 from rosld.server.rest.path_item import QueryParameter
@@ -180,7 +181,7 @@ def series_of(robot: Robot, topic: str, exchange: Exchange) -> SeriesResource:
 
 def require_history(robot: Robot, topic: str) -> None:
     """Raise a 404 Problem where nothing is kept of a topic."""
-    if not robot.history.is_kept or topic not in robot.history.writer.types:
+    if not is_recorded(robot, topic):
         raise Problem(404, f"Nothing is recorded of {topic}: rosld serve --history records topics.")
 
 

@@ -16,6 +16,7 @@ import httpx
 
 from rosld.adapters.rover.topics import CMD_VEL, DOCK, LATCHED, NAVIGATE_TO, PERIODIC, SET_LIGHTS
 from tests.adapters.ros1 import system as ros1
+from tests.processes import Process
 from tests.ros2 import system as ros2
 from tests.waiting import until
 
@@ -29,8 +30,8 @@ UNDER_WAY = ("accepted", "executing", "canceling")
 class Rover:
     """A rover behind a server.
 
-    `source` is what the server serves, `how` are the Python and the environment that it needs, and `system` is the ROS
-    that the node runs in, None for the embedded rover.
+    `source` is what the server serves, `how` are the Python and the environment that it needs, `system` is the ROS that
+    the node runs in and `node` its process, None for the embedded rover.
     """
 
     name: str
@@ -39,6 +40,7 @@ class Rover:
     source: str
     how: Mapping[str, Any] = field(default_factory=dict)
     system: Any = None
+    node: Process | None = None
 
     def json(self, path: str) -> Any:
         """What is at a path, as plain JSON."""
@@ -86,7 +88,21 @@ class Rover:
             until(lambda path=f"/services{service}": self._is_there(path), service)
         until(lambda: "POST" in self.http.options(f"/actions{NAVIGATE_TO}").headers["allow"], NAVIGATE_TO)
         until(lambda: self._is_there("/parameters/rover/max_speed"), "the parameters")
-        until(lambda: self.http.put(f"/topics{CMD_VEL}", json=STANDSTILL).status_code == 204, "a subscriber of cmd_vel")
+        self._wait_heard()
+
+    def _wait_heard(self) -> None:
+        answers: list[str] = []
+
+        def is_heard() -> bool:
+            answer = self.http.put(f"/topics{CMD_VEL}", json=STANDSTILL)
+            answers.append(f"{answer.status_code} {answer.text}")
+            return answer.status_code == 204
+
+        try:
+            until(is_heard, "a subscriber of cmd_vel")
+        except AssertionError as late:
+            node = self.node and f"; its node ended with {self.node.process.poll()} and printed {self.node.seen[-20:]}"
+            raise AssertionError(f"{late}; {len(answers)} writes, the last: {answers[-1]}{node or ''}") from late
 
     def _is_there(self, path: str) -> bool:
         return self.http.get(path).status_code == 200
@@ -111,7 +127,7 @@ def rospy(start: Start, folder: Path, begins: str, *arguments: str) -> Iterator[
         node = system.start([ros1.PYTHON, str(NODES / "rospy_rover.py"), _source(begins)])
         node.line("ready")
         served = start(system.source, *arguments)
-        yield Rover("rospy", served.url, served.http, system.source, system=system)
+        yield Rover("rospy", served.url, served.http, system.source, system=system, node=node)
 
 
 def rclpy(distro: str) -> Callable[..., AbstractContextManager[Rover]]:
@@ -120,10 +136,10 @@ def rclpy(distro: str) -> Callable[..., AbstractContextManager[Rover]]:
     @contextmanager
     def run(start: Start, folder: Path, begins: str, *arguments: str) -> Iterator[Rover]:
         with ros2.running(distro) as system:
-            system.node("rclpy_rover.py", _source(begins), folder=NODES)
+            node = system.node("rclpy_rover.py", _source(begins), folder=NODES)
             how = {"python": system.python, "environment": system.environment}
             served = start(system.source, *arguments, **how)
-            yield Rover(distro, served.url, served.http, system.source, how, system)
+            yield Rover(distro, served.url, served.http, system.source, how, system, node)
 
     return run
 

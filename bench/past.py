@@ -1,8 +1,9 @@
 """The past as it is asked over HTTP: by SPARQL, as a series, at one moment.
 
 Run: python bench/past.py [topics]. An hour of one topic of 50 Hz (Imu, CDR) is in the history of a server, beside so
-many others of a minute. Aims: a second of a topic by SPARQL in 30 ms, the hour of one field as aggregate in 4 s, as a
-series of 500 points in 100 ms, `?at=` in 5 ms. Beside it the same hour, read and reduced by mcap's reader and rosbags.
+many others of a minute. Aims: a second of a topic, or its last message, by SPARQL in 30 ms, the hour of one field as
+aggregate in 4 s, as a series of 500 points in 100 ms, `?at=` in 5 ms. Beside it the same hour, read and reduced by
+mcap's reader and rosbags.
 """
 
 from __future__ import annotations
@@ -104,9 +105,9 @@ def timed(ask: Callable[[], Any], rounds: int) -> tuple[Took, Any]:
     return Took(statistics.median(times), (processor_seconds() - before) / rounds), found
 
 
-def select(http: httpx.Client, what: str, where: str) -> str:
+def select(http: httpx.Client, what: str, where: str, modifiers: str = "") -> str:
     """The answer to a query, as CSV."""
-    query = f"{_PREFIXES}SELECT {what} WHERE {{ {where} }}"
+    query = f"{_PREFIXES}SELECT {what} WHERE {{ {where} }} {modifiers}"
     answer = http.post("/sparql", data={"query": query}, headers={"Accept": "text/csv"})
     assert answer.status_code == 200, answer.text
     return answer.text
@@ -151,6 +152,8 @@ def measure(http: httpx.Client, messages: Recorded, other: Path, end: int) -> bo
     second = f'FILTER(?t >= "{begin}"^^xsd:dateTime && ?t < "{until}"^^xsd:dateTime)'
     took, text = timed(lambda: select(http, "?t ?z", f"{past} {second}"), 15)
     print(f"one second of one topic by SPARQL: {took}, {len(text.splitlines()) - 1} rows")
+    took, text = timed(lambda: select(http, "?t ?z", f"{past}", "ORDER BY DESC(?t) LIMIT 1"), 15)
+    print(f"the last message of the hour by SPARQL, ORDER BY and LIMIT: {took}, {text.splitlines()[1].split(',')[0]}")
     hour = f'FILTER(?t >= "{moment(end - HOUR * 10**9)}"^^xsd:dateTime)'
     what = "(MIN(?z) AS ?least) (MAX(?z) AS ?most) (AVG(?z) AS ?mean) (COUNT(*) AS ?n)"
     took, text = timed(lambda: select(http, what, f"{past} {hour}"), 3)

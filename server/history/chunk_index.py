@@ -212,6 +212,18 @@ class ChunkIndex:
             query = "SELECT * FROM chunk WHERE topic = ? AND start_ns <= ? ORDER BY end_ns DESC LIMIT ?"
             return list(map(ChunkRow._make, self._db.execute(query, (topic, until_ns, limit)).fetchall()))
 
+    def spans_at_end(
+        self, topic: str, from_ns: int, until_ns: int, limit: int, *, is_newest: bool
+    ) -> list[tuple[int, int, int]]:
+        """Start, end and count of at most `limit` chunks of a topic within times, the newest or the oldest."""
+        order = "DESC" if is_newest else "ASC"
+        with self._lock:
+            return self._db.execute(
+                "SELECT start_ns, end_ns, count FROM chunk WHERE topic = ? AND end_ns >= ? AND start_ns <= ? "
+                f"ORDER BY end_ns {order} LIMIT ?",
+                (topic, from_ns, until_ns, limit),
+            ).fetchall()
+
     def statistics(
         self, topic: str, field: str, from_ns: int, until_ns: int
     ) -> dict[tuple[int, int], tuple[float, float, float, int]]:

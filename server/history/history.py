@@ -152,6 +152,15 @@ class HistoryRecording:
         rows = self._writer.segments.index.of_topic(topic, from_ns, until_ns)
         return sum(row.messages for row in rows)
 
+    def spans_at_end(
+        self, topic: str, from_ns: int, until_ns: int, limit: int, *, is_newest: bool
+    ) -> list[tuple[int, int, int]]:
+        """Times that messages of a topic lie between, each with how many: `limit` of them at the newest or oldest."""
+        found = self._writer.segments.index.spans_at_end(topic, from_ns, until_ns, limit, is_newest=is_newest)
+        times = [each.received_ns for each in self._writer.unwritten(topic)]
+        times = [each for each in times if from_ns <= each <= until_ns]
+        return [*found, (min(times), max(times), len(times))] if times else found
+
     def types_of(self, topic: str) -> frozenset[TypeRef]:
         """The types of the messages of a topic, of all times."""
         return self._writer.segments.index.types_of(topic) | {each.schema for each in self._writer.unwritten(topic)}

@@ -20,12 +20,13 @@ from rosld.server.auth.permissions import Permissions
 from rosld.server.history.columns import columns_of
 from rosld.server.history.history import HistoryRecording
 from rosld.server.history.message_block import MessageBlock
+from rosld.server.history.past_end import clip_ranges, time_of_end
 from rosld.server.history.past_reader import PastRange, count_past, merge_ranges, read_past
 from rosld.server.http.problem import Problem
 from rosld.server.resources.context import Robot
 from rosld.server.sparql.intervals import Interval
 from rosld.server.sparql.past import PastQuery, PastSelection
-from rosld.server.sparql.past_source import MAX_TEXT
+from rosld.server.sparql.past_source import MAX_TEXT, PastText
 from rosld.server.sparql.query_limits import MAX_PAST, out_of_time, too_much_past
 
 _SLICE = 0.004
@@ -39,9 +40,15 @@ class RecordedPast:
         self._robot = robot
 
     async def read(
-        self, asked: PastQuery, graphs: tuple[str, ...], permissions: Permissions, now: Interval, until: float
-    ) -> bytes:
-        """What is said of the messages that a query asks for, as N-Triples. Raises Problems."""
+        self,
+        asked: PastQuery,
+        graphs: tuple[str, ...],
+        permissions: Permissions,
+        now: Interval,
+        until: float,
+        most: int | None = None,
+    ) -> PastText:
+        """What is said of the messages that a query asks for, or of those at an end of them. Raises Problems."""
         recordings = self._recordings(asked, graphs)
         selections = asked.selections(now)
         readable = [one for one in recordings if self._may_read(one, permissions)]
@@ -49,7 +56,7 @@ class RecordedPast:
             self._require_recorded(selection, readable, permissions)
         reading = _Reading(self._robot, asked, permissions, until)
         try:
-            return await asyncio.to_thread(reading.read, readable, selections)
+            return await asyncio.to_thread(reading.read, readable, selections, most)
         finally:
             for ref, schema in reading.learned.items():
                 self._robot.schemas.add(ref, schema)
@@ -113,6 +120,7 @@ class _Reading:
     def __init__(self, robot: Robot, asked: PastQuery, permissions: Permissions, until: float) -> None:
         self.learned: dict[TypeRef, MessageSchema] = {}
         self._robot = robot
+        self._end = asked.end
         self._only = asked.predicates
         self._is_linked = asked.is_linked
         self._permissions = permissions
@@ -121,9 +129,15 @@ class _Reading:
         self._read = 0
         self._lifters: dict[tuple[TypeRef, str], ColumnLifter | None] = {}
 
-    def read(self, recordings: Sequence[Recording], selections: Sequence[PastSelection]) -> bytes:
-        """What is said of all messages. Raises Problems."""
+    def read(self, recordings: Sequence[Recording], selections: Sequence[PastSelection], most: int | None) -> PastText:
+        """What is said of all messages, or of about `most` at the end that matters. Raises Problems."""
         plans = [(one, self._ranges(one, selections)) for one in recordings]
+        is_whole = True
+        if most is not None and self._end is not None:
+            bound = time_of_end(plans, most, is_newest=self._end.is_newest)
+            is_whole = bound is None
+            if bound is not None:
+                plans = [(one, clip_ranges(ranges, bound, is_newest=self._end.is_newest)) for one, ranges in plans]
         count = sum(count_past(*plan) for plan in plans)
         topics = sorted({each.topic for _, ranges in plans for each in ranges})
         if count > MAX_PAST + 1000 * len(topics):  # chunks at the edges count whole
@@ -146,7 +160,7 @@ class _Reading:
                             raise out_of_time(self._robot.settings.query_time_limit)
                         time.sleep(_SLICE / 20)
                         pause = time.monotonic() + _SLICE
-        return "".join(texts).encode()
+        return PastText("".join(texts).encode(), is_whole)
 
     def _too_much(self, what: str) -> Problem:
         return too_much_past(f"{what}, and {MAX_PAST} are the most that one may read.")

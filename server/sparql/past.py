@@ -16,12 +16,24 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 from rosld.ontology.vocab import ldp, rdf, ros
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.intervals import ANY_TIME, Interval, Knowledge, date_time_interval, knowledge_of
 from rosld.server.sparql.narrowing import is_free
-from rosld.server.sparql.syntax.tree import Group, Iri, Pattern, Query, Term, Value, Variable
+from rosld.server.sparql.syntax.tree import (
+    Group,
+    Iri,
+    Pattern,
+    Query,
+    Reference,
+    Slice,
+    Term,
+    Value,
+    Variable,
+    strip_brackets,
+)
 from rosld.server.sparql.vocabulary_view import VocabularyView, document_of
 
 _PAST = ros.past.value
@@ -39,6 +51,8 @@ PREDICATES = frozenset(
     )
 )  # fmt: skip
 """What is said of recorded messages and of their topics, beside the fields of their types."""
+_MOST_ROWS = 10_000
+"""Rows of an answer, those that OFFSET leaves out included, up to which less than all is read for them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +67,19 @@ class PastSelection:
     topic_types: frozenset[str] = frozenset()
     types: frozenset[str] = frozenset()
     time: Interval = ANY_TIME
+
+
+class PastEnd(NamedTuple):
+    """The newest, or the oldest, of the selected messages, which the first solutions of a query are about.
+
+    While all that were received at a time, or on that side of it, are read, each solution with one of these is found
+    and comes before those with any other. Once there are `rows` of them, nothing more need be read. At least `messages`
+    are needed.
+    """
+
+    is_newest: bool
+    rows: int
+    messages: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,10 +113,37 @@ class PastQuery:
         self.is_linked = True
         self.covered: Mapping[int, frozenset[str]] = self._covered()
         """The variables that stand for recorded messages or nodes in them, by the `id` of the group they are in."""
+        self.end = self._end(query.slice)
 
     def selections(self, now: Interval) -> Sequence[PastSelection]:
         """The messages that may take part in a match, where NOW() is within an interval."""
         return list(dict.fromkeys(self._of(self._where, _Context(), now)))
+
+    def _end(self, slice: Slice | None) -> PastEnd | None:
+        """The messages that the first solutions are about, None where they may be about any.
+
+        Where one pattern alone selects messages, and in every solution, and all other patterns match only what is said
+        of that message, the messages that are not read have no part in a solution with one that is: not even in what
+        OPTIONAL, MINUS and EXISTS find for it.
+        """
+        own = [each for each in self._where.patterns if _is_past(each)]
+        if slice is None or not 1 <= slice.limit + slice.offset <= _MOST_ROWS or slice.limit == 0 or len(own) != 1:
+            return None
+        (pattern,) = own
+        if not isinstance(pattern.object, Variable) or len([*self._of(self._where, _Context(), ANY_TIME)]) != 1:
+            return None
+        found = PastEnd(slice.is_descending or slice.first is None, slice.limit, slice.limit + slice.offset)
+        if slice.first is None:  # any solutions will do, but those of the next page must be others
+            return found if slice.offset == 0 else None
+        key = strip_brackets(slice.first)
+        if not isinstance(key, Reference):
+            return None
+        time = Variable(key.name[1:])
+        is_time = any(
+            (each.subject, each.predicates, each.object) == (pattern.object, _RECEIVED, time) and not each.repeated
+            for each in self._where.patterns
+        )
+        return found if is_time else None
 
     def _covered(self) -> Mapping[int, frozenset[str]]:
         found: dict[int, frozenset[str]] = {}

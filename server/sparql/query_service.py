@@ -15,7 +15,7 @@ from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.dataset import QueryError
 from rosld.server.http.problem import Problem
 from rosld.server.runtime.loop_time import loop_time
-from rosld.server.sparql import results
+from rosld.server.sparql import results, row_limit
 from rosld.server.sparql.analysis import Analyser, Analysis, parse_problem
 from rosld.server.sparql.disconnect import Disconnected
 from rosld.server.sparql.intervals import Interval
@@ -76,6 +76,8 @@ async def _nothing(needs: Needs, permissions: Permissions) -> Mapping[str, int]:
 
 
 _SECOND = 1_000_000_000
+_GROWTH = 8
+"""How many times more messages are read where those at an end were too few: in all a seventh more than needed."""
 _LONG = 8 * 1024
 """Characters of a query that is not read on the loop."""
 
@@ -132,11 +134,15 @@ class QueryService:
         await self._process.wait_ready(until)
         needs = await self._needed(analysis, request, permissions)
         unread = await self._unread(needs, permissions)
-        past = await self._read_past(analysis, request, permissions, limits, until)
-        async with self._sync(needs, limits, _scope(analysis, request)):
-            query = self._query(analysis, request, permissions, self._hiding(past))
-            work = AnswerWork(query, media_type, limits.rows)
-            body = await self._done(work, analysis.text, limits, until, disconnected, permissions)
+        is_counted = row_limit.has_counter(media_type)
+        body: bytes | AsyncIterator[bytes] = b""
+        async for past, least in self._read_past(analysis, request, permissions, limits, until, is_counted):
+            async with self._sync(needs, limits, _scope(analysis, request)):
+                query = self._query(analysis, request, permissions, self._hiding(past))
+                work = AnswerWork(query, media_type, limits.rows, least)
+                body = await self._done(work, analysis.text, limits, until, disconnected, permissions)
+            if not least or (body := await _whole(body)):
+                break
         return QueryAnswer(media_type, body, unread)
 
     async def table(
@@ -151,11 +157,14 @@ class QueryService:
         analysis = await self._analyse(request.text, limits, until)
         await self._process.wait_ready(until)
         needs = await self._needed(analysis, request, permissions)
-        past = await self._read_past(analysis, request, permissions, limits, until)
-        async with self._sync(needs, limits, _scope(analysis, request)):
-            work = FirstRows(self._query(analysis, request, permissions, self._hiding(past)), limit)
-            body = await self._done(work, analysis.text, limits, until, disconnected, permissions)
-        whole = body if isinstance(body, bytes) else b"".join([chunk async for chunk in body])
+        whole = b""
+        async for past, least in self._read_past(analysis, request, permissions, limits, until, True):
+            async with self._sync(needs, limits, _scope(analysis, request)):
+                query = self._query(analysis, request, permissions, self._hiding(past))
+                work = FirstRows(query, limit, least)
+                whole = await _whole(await self._done(work, analysis.text, limits, until, disconnected, permissions))
+            if whole:
+                break
         table: ResultRows = pickle.loads(whole)  # from our own process
         return table._replace(unread=await self._unread(needs, permissions))
 
@@ -218,17 +227,39 @@ class QueryService:
         return self._synchroniser.synchronised(needs, deadline=loop_time() + limits.seconds, scope=scope)
 
     async def _read_past(
-        self, analysis: Analysis, request: QueryRequest, permissions: Permissions, limits: Limits, until: float
-    ) -> bytes | None:
-        """What is said of the recorded messages that a query asks for, None where it asks for none. Raises Problems."""
+        self,
+        analysis: Analysis,
+        request: QueryRequest,
+        permissions: Permissions,
+        limits: Limits,
+        until: float,
+        is_counted: bool,
+    ) -> AsyncIterator[tuple[bytes | None, int]]:
+        """What is said of the recorded messages that a query asks for, None where it asks for none. Raises Problems.
+
+        Where only the newest or oldest matter, and rows can be counted (`is_counted`): of ever more of them, each time
+        with the rows that the answer must have for these to be enough; 0 with the last, which is of all.
+        """
         if analysis.past is None:
-            return None
+            yield None, 0
+            return
         if self._past is None:
             raise Problem(400, "There is no past here: ros:past cannot be asked for.")
         now = time.time_ns()
         moments = Interval(now - _SECOND, now + int((limits.seconds + 1) * _SECOND))
         graphs, _ = _dataset(analysis, request)
-        return await self._past.read(analysis.past, graphs, permissions, moments, until)
+        end = analysis.past.end
+        if end is not None and is_counted:
+            most = end.messages
+            while True:
+                found = await self._past.read(analysis.past, graphs, permissions, moments, until, most)
+                if found.is_whole:
+                    yield found.text, 0
+                    return
+                yield found.text, end.rows
+                most *= _GROWTH
+        found = await self._past.read(analysis.past, graphs, permissions, moments, until)
+        yield found.text, 0
 
     def _hiding(self, past: bytes | None) -> PastMessages | None:
         """The past, with the graphs of single messages that are there: what they say twice would be found twice."""
@@ -280,6 +311,11 @@ class QueryService:
             return await self._process.answer(work, limits, until, disconnected, dataset)
         except QueryError as error:
             raise parse_problem(error, text) from error
+
+
+async def _whole(body: bytes | AsyncIterator[bytes]) -> bytes:
+    """A body in one piece."""
+    return body if isinstance(body, bytes) else b"".join([chunk async for chunk in body])
 
 
 def _needs(analysis: Analysis, request: QueryRequest) -> Needs:

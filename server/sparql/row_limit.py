@@ -31,6 +31,17 @@ def limit_rows(output: BinaryIO, media_type: str, graph: bool, limit: int) -> Bi
     return cast("BinaryIO", _Limited(output, make(), limit, min(limit * shortest, _UNSEEN)))
 
 
+def has_counter(media_type: str) -> bool:
+    """Whether the rows of solutions in a media type can be counted in its bytes."""
+    return media_type in _COUNTERS
+
+
+def count_rows(whole: bytes, media_type: str) -> int:
+    """The rows of solutions that are written whole in a media type that has a counter."""
+    make, _ = _COUNTERS[media_type]
+    return make()(whole)
+
+
 class RowCounter:
     """Counts what is made one by one; `check` is called before each."""
 

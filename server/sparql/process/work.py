@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import pickle
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -123,11 +124,15 @@ class QueryWork(NamedTuple):
 
 
 class AnswerWork(NamedTuple):
-    """The results of a query in one media type. Problem 503 for more than `limit` rows, or triples of a graph."""
+    """The results of a query in one media type. Problem 503 for more than `limit` rows, or triples of a graph.
+
+    Nothing at all where there are fewer than `least` rows.
+    """
 
     query: QueryWork
     media_type: str
     limit: int
+    least: int = 0
 
     def may_take_long(self, store: MemoryStore) -> bool:
         return self.limit < _MAX_ROWS or self.query.may_take_long(store)
@@ -137,21 +142,30 @@ class AnswerWork(NamedTuple):
             found = self.query.results(store)
             limited = row_limit.limit_rows(output, self.media_type, isinstance(found, QueryTriples), self.limit)
             counted = _unlimited if limited is not output else row_limit.RowCounter(_unlimited, self.limit).count
-            results.write_results(found, self.media_type, limited, counted, self.query.base)
+            if not self.least:
+                results.write_results(found, self.media_type, limited, counted, self.query.base)
+                return
+            held = io.BytesIO()
+            results.write_results(found, self.media_type, held, _unlimited, self.query.base)
+            if row_limit.count_rows(held.getvalue(), self.media_type) >= self.least:
+                limited.write(held.getvalue())
 
 
 class TableWork(NamedTuple):
-    """The first rows of the results of a query: a pickled `results.Table`."""
+    """The first rows of the results of a query: a pickled `results.Table`; nothing for fewer than `least`."""
 
     query: QueryWork
     limit: int
+    least: int = 0
 
     def may_take_long(self, store: MemoryStore) -> bool:
         return self.query.may_take_long(store)
 
     def __call__(self, store: MemoryStore, output: BinaryIO) -> None:
         with _reaching_others():
-            output.write(pickle.dumps(results.result_rows(self.query.results(store), self.limit, _unlimited)))
+            table = results.result_rows(self.query.results(store), self.limit, _unlimited)
+            if len(table.rows) >= min(self.least, self.limit):
+                output.write(pickle.dumps(table))
 
 
 @contextmanager

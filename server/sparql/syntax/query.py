@@ -24,6 +24,7 @@ from rosld.server.sparql.syntax.tree import (
     Pattern,
     Query,
     Reference,
+    Slice,
     Term,
     Value,
     Variable,
@@ -55,10 +56,11 @@ class _Selection(NamedTuple):
 
 
 class _Solutions(NamedTuple):
-    """What GROUP BY, HAVING and ORDER BY say: variables that are grouped by (None: there is no GROUP BY)."""
+    """What GROUP BY, HAVING, ORDER BY and LIMIT say: variables that are grouped by (None: there is no GROUP BY)."""
 
     grouped: frozenset[str] | None
     operands: tuple[Operand, ...]
+    slice: Slice | None
 
 
 class QueryParser(ExpressionParser):
@@ -76,8 +78,9 @@ class QueryParser(ExpressionParser):
             asked = Group()
             selection = self._selection(asked)
             default, named = self._dataset()
-            where = self._solve(selection, asked, None)
+            where, slice = self._solve(selection, asked, None)
         else:
+            slice = None
             self.advance()
             default, named, where = self._ask_construct_or_describe(name)
         if self.take("VALUES"):
@@ -93,6 +96,7 @@ class QueryParser(ExpressionParser):
             frozenset(self.constants),
             tuple(self.literals),
             tuple(self.expressions),
+            slice,
         )
 
     def _ask_construct_or_describe(self, form: str) -> tuple[tuple[str, ...], tuple[str, ...], Group]:
@@ -171,14 +175,16 @@ class QueryParser(ExpressionParser):
             else:
                 self.fail_expecting("what to select (variables, expressions as (... AS ?x), or *)")
 
-    def _solve(self, selection: _Selection, asked: Group, graph: Term | None) -> Group:
-        """The group of a SELECT, with what it tells as its visible variables."""
+    def _solve(self, selection: _Selection, asked: Group, graph: Term | None) -> tuple[Group, Slice | None]:
+        """The group of a SELECT, with what it tells as its visible variables, and which solutions of it are told."""
         self.take("WHERE")
         group = self.group(graph)
         solutions = self._modifiers(asked)
         group.filters.extend(asked.filters)
         group.visible = self._told(selection, group.visible, solutions)
-        return group
+        selected = (operand for _, operand in selection.items or () if operand is not None)
+        is_grouped = solutions.grouped is not None or any(map(has_aggregate, (*solutions.operands, *selected)))
+        return group, None if is_grouped else solutions.slice
 
     def _told(self, selection: _Selection, visible: set[str], solutions: _Solutions) -> set[str]:
         """The variables that a SELECT tells, its rules on scope and groups being kept (18.2.1, 18.2.4.1, 19.8)."""
@@ -227,9 +233,14 @@ class QueryParser(ExpressionParser):
                 self.add_expression(operands[-1], ExpressionPurpose.TEST)
                 if not self._is_at_condition:
                     break
+        first, is_descending = None, False
         if self.take("ORDER"):
             self.expect("BY", "after ORDER")
-            operands += self._ordered(asked)
+            is_descending = self.key == "DESC"
+            ordered = self._ordered(asked)
+            first = ordered[0]
+            operands += ordered
+        numbers: dict[str, int] = {}
         slices = {"LIMIT", "OFFSET"}
         while self.key in slices:
             keyword = self.key
@@ -237,8 +248,11 @@ class QueryParser(ExpressionParser):
             self.advance()
             if self.token.kind is not Kind.NUMBER or not self.token.text.isdigit():
                 self.fail_expecting(f"the number of {keyword}")
-            self.advance()
-        return _Solutions(None if grouped is None else frozenset(grouped), tuple(operands))
+            numbers[keyword] = int(self.advance().text)
+        slice = None
+        if "LIMIT" in numbers:
+            slice = Slice(numbers["LIMIT"], numbers.get("OFFSET", 0), first, is_descending)
+        return _Solutions(None if grouped is None else frozenset(grouped), tuple(operands), slice)
 
     def _grouped(self, asked: Group) -> list[str | None]:
         """The variables of GROUP BY, None for what has no name."""
@@ -296,7 +310,7 @@ class QueryParser(ExpressionParser):
 
     def _subquery(self, graph: Term | None) -> Group:
         asked = Group(graph)
-        inner = self._solve(self._selection(asked), asked, graph)
+        inner, _ = self._solve(self._selection(asked), asked, graph)
         inner.scoped = True
         if self.take("VALUES"):
             self._values(Group())

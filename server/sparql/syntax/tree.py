@@ -242,12 +242,25 @@ def strip_brackets(operand: Operand) -> Operand:
 # --- the whole
 
 
+class Slice(NamedTuple):
+    """The first solutions that a SELECT tells: `limit` of them after `offset`, in an order.
+
+    `first` is the first expression that they are ordered by, None where there is no order.
+    """
+
+    limit: int
+    offset: int
+    first: Operand | None
+    is_descending: bool
+
+
 @dataclass(frozen=True, slots=True)
 class Query:
     """A query: its form, the group of its WHERE, its FROM (`default`) and FROM NAMED, the functions it calls.
 
     `constants` are the IRIs in VALUES and expressions. `literals` stand in patterns, templates and VALUES, `places` are
-    the expressions: of all that is not in SERVICE, wherever.
+    the expressions: of all that is not in SERVICE, wherever. `slice` is of a SELECT with LIMIT that groups nothing and
+    has no aggregates, None of any other query.
     """
 
     form: str
@@ -258,3 +271,4 @@ class Query:
     constants: frozenset[str]
     literals: tuple[Constant, ...]
     expressions: tuple[EvaluatedExpression, ...]
+    slice: Slice | None = None

@@ -131,6 +131,21 @@ def test_examples_come_to_what_others_read_in_the_recording(driven: Driven) -> N
     assert float(ask(driven.http, least)[1][0]) == pytest.approx(min(charges))
 
 
+def test_the_first_rows_in_an_order_of_time_are_those_of_all_rows_in_any_format(driven: Driven) -> None:
+    query = "SELECT ?number { </topics/odom> ros:past ?m . ?record ros:recordedMessage ?m ; ros:index ?number . "
+    query += "?m ros:recordedIn </bags/drive/> ; ros:received ?t FILTER(?number != 5) } ORDER BY "
+    for order in ("DESC(?t)", "?t"):
+        numbers = [row[0] for row in ask(driven.http, query + order)[1:]]
+        first = f"{query}{order} LIMIT 3 OFFSET 1"
+        assert [row[0] for row in ask(driven.http, first)[1:]] == numbers[1:4]
+        found = driven.http.post("/sparql", data={"query": first}, headers={"Accept": "application/json"}).json()
+        assert [row["number"]["value"] for row in found["results"]["bindings"]] == numbers[1:4]
+        page = driven.http.get("/sparql", params={"query": first}, headers={"Accept": "text/html"}).text
+        assert all(f">{number}<" in page for number in numbers[1:4])
+        more = ask(driven.http, f"{query}{order} LIMIT 9000")[1:]
+        assert [row[0] for row in more] == numbers
+
+
 def test_what_a_query_tells_of_a_message_its_url_tells_too(driven: Driven) -> None:
     for where in ("FILTER(?number < 30)", "?message ros:recordedIn </bags/drive/> FILTER(?number < 30)"):
         query = "CONSTRUCT { ?message ?p ?o . ?record ?q ?v } WHERE { ?topic ros:past ?message . "

@@ -55,6 +55,19 @@ class PastMaker:
         direction, limit = random.choice(["ASC", "DESC"]), random.choice([1, 3, 10])
         return f"{PREFIXES}SELECT DISTINCT ?t WHERE {group} ORDER BY {direction}(?t) LIMIT {limit}"
 
+    def first_rows(self, seed: int) -> tuple[str, str]:
+        """A query for all of its rows, in an order of time or in none, and what it ends with for the first of them."""
+        random = self._random
+        random.seed(seed)
+        self._count = 0
+        group = self._group("?m", "?t", random.choice([0, 1, 1, 2]))
+        order = random.choice(["ORDER BY DESC(?t)", "ORDER BY DESC(?t) ?m", "ORDER BY ?t", "ORDER BY ASC(?t)", ""])
+        offset = random.choice(["", "", " OFFSET 3"]) if order else ""
+        limit = random.choice([1, 1, 2, 5, 12])
+        return f"{PREFIXES}SELECT {random.choice(['*', '?t ?m', 'DISTINCT ?t'])} WHERE {group} {order}", (
+            f" LIMIT {limit}{offset}"
+        )
+
     def _number(self) -> int:
         self._count += 1
         return self._count

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections import Counter
 from collections.abc import Iterator
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
-from pyoxigraph import QueryBoolean, QuerySolutions, RdfFormat, Store
+from pyoxigraph import BlankNode, QueryBoolean, QuerySolutions, RdfFormat, Store
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from rosld.adapters.base import AdapterOptions
@@ -25,10 +26,12 @@ from rosld.server.resources.past_messages import RecordedPast
 from rosld.server.settings import Settings
 from rosld.server.sparql.analysis import Analyser
 from rosld.server.sparql.intervals import Interval
+from rosld.server.sparql.past import PastEnd
 from tests.server.sparql import recorded
 from tests.server.sparql.past_at_random import PastMaker
 
 QUERIES = 600
+FIRST_ROWS = 200
 MAX_ROWS = 3000
 TURNS = 8
 SECONDS = 4.0
@@ -117,13 +120,18 @@ def answers(store: Store, query: str, base: str) -> list[str]:
 
 def read(past: Recorded, query: str, now_ns: int) -> str:
     """What is read of the past for a query."""
+    return read_end(past, query, now_ns, None)[0]
+
+
+def read_end(past: Recorded, query: str, now_ns: int, most: int | None) -> tuple[str, PastEnd | None]:
+    """What is read of the past for a query, of about so many messages; at which end, None where that is all."""
     space = past.robot.space
     asked = Analyser(space.base, space.types).analyse_once(query).past
     assert asked is not None
     moments = Interval(now_ns, now_ns)
     until = time.monotonic() + 60
-    text = RecordedPast(past.robot).read(asked, (), ALLOW_ALL, moments, until)
-    return past.loop.run_until_complete(text).decode()
+    found = past.loop.run_until_complete(RecordedPast(past.robot).read(asked, (), ALLOW_ALL, moments, until, most))
+    return found.text.decode(), None if found.is_whole else asked.end
 
 
 def test_a_query_answers_over_what_it_reads_as_over_all_that_is_recorded(past: Recorded) -> None:
@@ -150,3 +158,51 @@ def test_a_query_answers_over_what_it_reads_as_over_all_that_is_recorded(past: R
     assert refused < QUERIES / 5
     assert narrowed > QUERIES / 4, "hardly anything is narrowed"
     assert found > QUERIES / 4, "hardly anything is found"
+
+
+def test_the_first_rows_over_the_messages_at_an_end_are_those_over_all(past: Recorded) -> None:
+    base = past.robot.space.base
+    now = datetime.fromtimestamp(time.time_ns() // 1000 / 1e6, timezone.utc)
+    now_ns = int(now.timestamp() * 1e6) * 1000
+    maker = PastMaker(base, datetime.fromtimestamp(past.start_ns // _SECOND, timezone.utc), SECONDS, now)
+    full = store_of(past.described, past.everything)
+    messages = TURNS * len(recorded.messages())
+    shortened = refused = 0
+    for seed in range(FIRST_ROWS):
+        query, ending = maker.first_rows(seed)
+        spelt = query.replace("NOW()", f'"{now.isoformat()}"^^xsd:dateTime')
+        for most in (1, 2, 8):
+            try:
+                text, end = read_end(past, query + ending, now_ns, most)
+                everything = rows_of(full, spelt, base)
+            except (SyntaxError, Problem, OverflowError):
+                refused += 1
+                break
+            if end is None:
+                break
+            found = rows_of(store_of(past.described, text), spelt + ending, base)
+            if len(found) < end.rows:
+                continue
+            shortened += text.count(f"{ros.past}") < messages
+            offset = end.messages - end.rows
+            assert not Counter(found) - Counter(everything), f"seed {seed}: {query}{ending}"
+            if "ORDER BY" in query:
+                expected = everything[offset : offset + end.rows]
+                assert [row[0] for row in found] == [row[0] for row in expected], f"seed {seed}: {query}{ending}"
+            break
+    assert refused < FIRST_ROWS / 4
+    assert shortened > FIRST_ROWS / 10, "hardly anything is shortened"
+
+
+def rows_of(store: Store, query: str, base: str) -> list[tuple[str, ...]]:
+    """The rows of a query in their order, the value of ?t first."""
+    found = store.query(query, base_iri=base, prefixes=dict(PREFIXES))
+    assert isinstance(found, QuerySolutions)
+    names = sorted((each.value for each in found.variables), key=lambda name: (name != "t", name))
+    rows: list[tuple[str, ...]] = []
+    for row in found:
+        terms = [row[name] for name in names]
+        rows.append(tuple("_" if isinstance(each, BlankNode) else str(each) for each in terms))
+        if len(rows) > MAX_ROWS:
+            raise OverflowError
+    return rows

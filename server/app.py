@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
 from functools import partial
 
 from starlette.requests import Request
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from rosld.adapters.base import Adapter
+from rosld.ontology.urls import Space
 from rosld.server.auth.authenticator import Authenticator
 from rosld.server.auth.rate_limit import ClientLimiter, ClientLimits
 from rosld.server.events.broadcaster import Broadcasters
@@ -29,11 +31,11 @@ from rosld.server.middleware.recorder import Recorder
 from rosld.server.middleware.scheduling import Scheduling
 from rosld.server.middleware.tokens_in_urls import RejectTokensInUrls
 from rosld.server.middleware.websockets import WebSockets
+from rosld.server.receipts.journal import Journal
 from rosld.server.resources.acl import acl_route
-from rosld.server.resources.channels import Notifications, fixed_resources, routes
-from rosld.server.resources.context import IdentityKey, Robot
+from rosld.server.resources.channels import Notifications, fixed_resources
+from rosld.server.resources.channels import routes as notification_routes
 from rosld.server.resources.ldp.record_graphs import RecordGraphs
-from rosld.server.resources.live_graphs import OTHER_ROUTES, RobotGraphs
 from rosld.server.resources.mapping_warnings import log_mapping_warnings
 from rosld.server.resources.mirror import replication_route
 from rosld.server.resources.mirror_setup import create_mirror
@@ -47,8 +49,15 @@ from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.keyed_lock import KeyedLock
 from rosld.server.rest.large import LargeDocuments
 from rosld.server.rest.pages import PageRenderer
+from rosld.server.rest.resource import Resource
+from rosld.server.robot.hold_store import Holds
+from rosld.server.robot.session import Session
 from rosld.server.routing.dispatcher import Dispatcher
-from rosld.server.routing.router import ROUTES, Router
+from rosld.server.routing.live_graphs import OTHER_ROUTES, RobotGraphs
+from rosld.server.routing.resource_factory import ResourceFactory
+from rosld.server.routing.router import Router, robot_routes
+from rosld.server.routing.services import Services
+from rosld.server.runtime.version_cache import IdentityKey
 from rosld.server.runtime.watchdog import Watchdog
 from rosld.server.settings import Settings
 from rosld.server.sparql.analysis import Analyser
@@ -64,64 +73,77 @@ from rosld.server.sparql.update.executor import UpdateEvaluator
 
 def create_app(adapter: Adapter, settings: Settings) -> Application:
     """The ASGI app that serves this adapter; its lifespan opens and closes the adapter, raising what `open` raises."""
-    robot = Robot(adapter, settings)
-    large = LargeDocuments(robot.workers)
-    pages = PageRenderer(robot, robot.software_stop, large, robot.receipts)
+    services = Services(adapter, settings)
+    session, space, documents = services.session, services.session.space, services.documents
+    factory = ResourceFactory(services)
+    routes = robot_routes(factory)
+    large = LargeDocuments(documents.workers)
+    pages = PageRenderer(session, services.software_stop, large, services.receipts)
     process = QueryProcess(settings.query_concurrency, settings.query_queue)
-    kept = RecordGraphs(robot.records, robot.space.base, robot.queries.description, OTHER_ROUTES)
-    mentions = Mentions(robot.space.base, robot.space.types)
-    receipts = ReceiptGraphs(robot.receipts, robot.space)
-    source = RobotGraphs(robot)
+    kept = RecordGraphs(documents.records, space.base, services.queries.description, OTHER_ROUTES)
+    mentions = Mentions(space.base, space.types)
+    receipts = ReceiptGraphs(services.receipts, space)
+    source = RobotGraphs(factory)
     synchroniser = Synchroniser(
         process, source, MentionRecorder(kept, mentions), receipts, mentioned=mentions.documents_of
     )
     reach = ServiceAllowlist(frozenset(settings.allow_service))
     bounded = QueryBounds(size=settings.query_size_limit)
     analyser = Analyser(
-        robot.space.base,
-        robot.space.types,
+        space.base,
+        space.types,
         bounds=bounded,
         reach=reach,
-        relations=lambda: relations(robot.mappings.mapping_set),
+        relations=lambda: relations(services.mappings.mapping_set),
     )
-    service = query_service(robot, process, synchroniser, analyser, source.count_unread)
-    mirror = create_mirror(robot, process, synchroniser, {*ROUTES, "queries", "sparql"})
+    service = query_service(services, process, synchroniser, analyser, source.count_unread)
+    mirror = create_mirror(session, services.instance_id, process, synchroniser, {*routes, "queries", "sparql"})
     names = origin_policy(settings.base_url, settings.host, settings.port, settings.cors_origins)
-    broadcasters = Broadcasters(robot.changes, settings.client_streams)
+    broadcasters = Broadcasters(session.changes, settings.client_streams)
     keyed_lock = KeyedLock(settings.call_deadline)
     bounds = QueryBounds(size=settings.body_limit)
     evaluator = UpdateEvaluator(service, analyser)
-    router = Router(robot, service, pages, lambda at: UpdateService(robot, evaluator, analyser, bounds, at, keyed_lock))
-    notifications = Notifications(robot, Channels(robot.instance_id), broadcasters, names, router.resolve)
-    router.add(routes(notifications, ROUTES[".well-known"]))
-    router.add(replication_route(mirror))
-    router.add(plot_route(broadcasters))
+
+    def updates(at: Callable[[str], Resource]) -> UpdateService:
+        return UpdateService(session, services.affordances, documents, evaluator, analyser, bounds, at, keyed_lock)
+
+    router = Router(factory, routes, service, pages, updates)
+    notifications = Notifications(
+        space, services.instance_id, Channels(services.instance_id), broadcasters, names, router.resolve
+    )
+    router.add(notification_routes(notifications, routes[".well-known"]))
+    router.add(replication_route(space, mirror))
+    router.add(plot_route(session, services.affordances, factory.history, broadcasters))
     watchdog = Watchdog()
-    router.add(status_route(watchdog))
+    router.add(status_route(space, services.storage_problems, watchdog))
     described = {each.url: each.document for each in fixed_resources(notifications)}
     described |= {router.endpoint.url: router.endpoint.document, router.graphs.url: router.graphs.document}
     described |= {router.search.url: router.search.document}
-    unasked = PlotResource(robot, broadcasters)
+    unasked = PlotResource(session, services.affordances, factory.history, broadcasters)
     described[unasked.url] = unasked.document
     changing = ("/status",) if mirror is None else ("/status", "/mirror")
     source.add(described, map(router.at, changing))
     authenticator = (
-        None if settings.auth is None else Authenticator(settings.auth, robot.space, partial(types_at, robot))
+        None
+        if settings.auth is None
+        else Authenticator(settings.auth, space, partial(types_at, session, services.affordances))
     )
     if authenticator is not None:
         authenticator.changed.watch(broadcasters.wake_all)
-    router.add(acl_route(authenticator))
-    dispatcher = Dispatcher(robot.instance_id, pages, broadcasters, keyed_lock, large, partial(near_urls, robot))
+    router.add(acl_route(space, authenticator))
+    dispatcher = Dispatcher(
+        services.instance_id, pages, broadcasters, keyed_lock, large, partial(near_urls, session, services.affordances)
+    )
     allowance = ClientLimits(
         settings.client_rate, settings.client_requests, settings.client_connections, settings.client_websockets
     )
     clients = ClientLimiter(allowance, loopback=settings.limit_loopback)
-    admission = Admission(clients, f"{robot.space.path}stop".encode("ascii"))
-    handler = middleware(robot, router, dispatcher, pages, names, admission, authenticator)
+    admission = Admission(clients, f"{space.path}stop".encode("ascii"))
+    handler = middleware(space, services.receipts, router, dispatcher, pages, names, admission, authenticator)
     background: list[Job] = [
         service.keep_synchronised,
         partial(asyncio.to_thread, prepare_pages),
-        partial(log_mapping_warnings, robot),
+        partial(log_mapping_warnings, services.affordances, services.mappings),
     ]
     closings: list[Job] = [large.close]
     if mirror is not None:
@@ -130,19 +152,21 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
     if authenticator is not None:
         background.append(authenticator.watch_file)
     return Application(
-        robot,
+        session,
+        services.holds,
         clients,
         admission,
         broadcasters,
         router.route_names,
         HttpApplication(handler, clients, settings, link.render([notifications.link])),
         WebSockets(names, admission, notifications),
-        Lifespan(robot, process, watchdog, background, closings),
+        Lifespan(services.start, services.stop, process, watchdog, background, closings),
     )
 
 
 def middleware(
-    robot: Robot,
+    space: Space,
+    receipts: Journal,
     router: Router,
     dispatcher: Dispatcher,
     pages: PageRenderer,
@@ -151,7 +175,7 @@ def middleware(
     authenticator: Authenticator | None,
 ) -> Handler:
     """The stack that answers a request, made from its end to its beginning."""
-    space, stop = robot.space, f"{robot.space.path}stop".encode("ascii")
+    stop = f"{space.path}stop".encode("ascii")
     handler: Handler = Dispatch(router.resolve, dispatcher)
     if authenticator is None:
         handler = Preflight(handler, names, lambda exchange: router.resolve(exchange.request.scope))
@@ -165,17 +189,17 @@ def middleware(
     handler = Scheduling(handler, stop)
     handler = TrustedHosts(handler, names)
     handler = ErrorResponses(handler, admission, pages, space)
-    handler = Audit(handler, Recorder(robot.receipts, space), space)
+    handler = Audit(handler, Recorder(receipts, space), space)
     if authenticator is not None:
         handler = AccessHeaders(handler, authenticator, space)
     return CrossOriginHeaders(handler, names)
 
 
 def query_service(
-    robot: Robot, process: QueryProcess, synchroniser: Synchroniser, analyser: Analyser, unread: UnreadGraphs
+    services: Services, process: QueryProcess, synchroniser: Synchroniser, analyser: Analyser, unread: UnreadGraphs
 ) -> QueryService:
     """SPARQL over everything that the robot's resources say."""
-    settings = robot.settings
+    session, settings = services.session, services.session.settings
     limits = QuerySettings(
         settings.query_time_limit,
         settings.query_memory_limit,
@@ -183,9 +207,9 @@ def query_service(
         settings.query_concurrency,
         settings.query_queue,
     )
-    restricted = RestrictedDatasets(process, lambda: IdentityKey(robot.graph))
-    past = RecordedPast(robot)
-    return QueryService(process, synchroniser, analyser, robot.message_ages, limits, restricted, unread, past)
+    restricted = RestrictedDatasets(process, lambda: IdentityKey(session.graph))
+    past = RecordedPast(session, services.recordings)
+    return QueryService(process, synchroniser, analyser, session.message_ages, limits, restricted, unread, past)
 
 
 class Application:
@@ -193,7 +217,8 @@ class Application:
 
     def __init__(
         self,
-        robot: Robot,
+        session: Session,
+        holds: Holds,
         clients: ClientLimiter,
         admission: Admission,
         broadcasters: Broadcasters,
@@ -202,7 +227,8 @@ class Application:
         websockets: ASGIApp,
         lifespan: ASGIApp,
     ) -> None:
-        self.robot = robot
+        self.session = session
+        self._holds = holds
         self.clients = clients
         self.is_urgent = admission.is_urgent
         self.broadcasters = broadcasters
@@ -218,7 +244,7 @@ class Application:
 
         To be called when the server is told to end, before it waits for requests.
         """
-        self.robot.holds.close("rosld ended")
+        self._holds.close("rosld ended")
         self.broadcasters.close()
 
 

@@ -60,12 +60,12 @@ class Serving:
         self._adapter = adapter
         self._sock = sock
         self._url = url
-        settings = app.robot.settings
+        settings = app.session.settings
         limits = (settings.head_limit, settings.head_timeout, settings.read_timeout)
         bounds = ConnectionBounds(*limits, app.clients.connect, app.clients.open_websocket, app.is_urgent)
         limit = min(settings.connections, max_open_files() - MAX_FILES)
         self._server = http_server.Server(app, self._listening, bounds, max(limit, 1))
-        tls.configure_tls(self._server.config, app.robot.settings.tls_cert, app.robot.settings.tls_key)
+        tls.configure_tls(self._server.config, app.session.settings.tls_cert, app.session.settings.tls_key)
         self._work: asyncio.Task[None] | None = None
 
     async def until_stopped(self) -> None:

@@ -138,6 +138,12 @@ class Recordings:
         return {name: recording for name, (_, recording) in self._opened.items()}
 
     @property
+    def readable(self) -> Mapping[str, Recording]:
+        """All that can be read, by name: the history, those of clients, those of the source."""
+        own = {HISTORY: self.history.recording} if self.history.is_kept else {}
+        return {**own, **self.finished, **self._adapter.recordings}
+
+    @property
     def running(self) -> Mapping[str, RunningRecording]:
         """Those that are being made, by name."""
         return self._running

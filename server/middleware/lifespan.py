@@ -8,7 +8,6 @@ from typing import TypeAlias
 
 from starlette.types import Receive, Scope, Send
 
-from rosld.server.resources.context import Robot
 from rosld.server.runtime.watchdog import Watchdog
 from rosld.server.sparql.process.client import QueryProcess
 
@@ -18,18 +17,21 @@ Job: TypeAlias = Callable[[], Awaitable[None]]
 class Lifespan:
     """Opens the robot after the query process, runs what goes on beside requests, and closes all of it.
 
-    `background` are what runs until the end, `closings` what is called when that has ended.
+    `start` opens the robot, and `stop` gives it back. `background` are what runs until the end, `closings` what is
+    called when that has ended.
     """
 
     def __init__(
         self,
-        robot: Robot,
+        start: Job,
+        stop: Job,
         process: QueryProcess,
         watchdog: Watchdog,
         background: Sequence[Job],
         closings: Sequence[Job],
     ) -> None:
-        self._robot = robot
+        self._start = start
+        self._stop = stop
         self._process = process
         self._watchdog = watchdog
         self._background = background
@@ -40,7 +42,7 @@ class Lifespan:
         await receive()
         await self._process.start()
         try:
-            await self._robot.start()
+            await self._start()
         except BaseException:
             await self._process.close()
             raise
@@ -55,5 +57,5 @@ class Lifespan:
         for close in self._closings:
             await close()
         await self._process.close()
-        await self._robot.stop()
+        await self._stop()
         await send({"type": "lifespan.shutdown.complete"})

@@ -10,24 +10,27 @@ from functools import lru_cache, partial
 from starlette.responses import Response
 
 from rosld import __version__
-from rosld.adapters.model import RosError, TypeRef
+from rosld.adapters.model import Graph, RosError, TypeRef
 from rosld.adapters.model import Schema as RosType
 from rosld.server.auth import enforcement
 from rosld.server.auth.authenticator import UNRESTRICTED
 from rosld.server.auth.permissions import Permissions
+from rosld.server.history.recordings import Recordings
 from rosld.server.http import negotiation
 from rosld.server.http.conditional import ETag, digest
 from rosld.server.http.link import Link
 from rosld.server.http.link import render as render_links
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.json_schema import OBJECT, Schema
+from rosld.server.hypermedia.mappings import Mappings
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.openapi.described_path import DescribedPath
 from rosld.server.openapi.description import description
 from rosld.server.openapi.description_parts import description_parts
 from rosld.server.openapi.path_collector import PathCollector
 from rosld.server.openapi.permitted_paths import add_security, permitted_paths
-from rosld.server.resources.context import IdentityKey, Robot
+from rosld.server.policies.stored_queries import StoredQueries
 from rosld.server.resources.namespaces import listing_parameters
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.parts import PART_QUERY, parse_part
@@ -35,7 +38,11 @@ from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.raw_response import bytes_response
 from rosld.server.rest.resource import LDP, RESOURCE, Resource
 from rosld.server.rest.resource_headers import resource_headers
-from rosld.server.robot.session import used_types
+from rosld.server.rest.state import State
+from rosld.server.robot.schemas import Schemas
+from rosld.server.robot.session import Session, used_types
+from rosld.server.runtime.offload import WorkerPool
+from rosld.server.runtime.version_cache import IdentityKey
 
 _ABOUT = (
     "A robot as Linked Data. Every resource links to others, begin at `/`; every answer about a resource says in Allow "
@@ -78,9 +85,25 @@ class OpenApiResource(Resource):
     kind = "Description"
     links = (RESOURCE, Link(f"{LDP}NonRDFSource", "type"))
 
-    def __init__(self, robot: Robot, resolve: Callable[[str], Resource]) -> None:
-        super().__init__(f"{robot.space.base}openapi.json")
-        self.robot = robot
+    def __init__(
+        self,
+        session: Session,
+        affordances: AffordanceService[State],
+        workers: WorkerPool,
+        queries: StoredQueries,
+        mappings: Mappings,
+        recordings: Recordings,
+        instance_id: str,
+        resolve: Callable[[str], Resource],
+    ) -> None:
+        super().__init__(f"{session.space.base}openapi.json")
+        self.session = session
+        self.affordances = affordances
+        self.workers = workers
+        self.queries = queries
+        self.mappings = mappings
+        self.recordings = recordings
+        self.instance_id = instance_id
         self._resolve = resolve
         self._kept: dict[bool, _Described] = {}
         self._of_agents: dict[tuple[bool, str, str], tuple[_Described, bytes]] = {}
@@ -88,7 +111,7 @@ class OpenApiResource(Resource):
         self._making = asyncio.Lock()
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        query = (*PART_QUERY, *listing_parameters(self.robot)[1:])
+        query = (*PART_QUERY, *listing_parameters(self.session)[1:])
         return PathItem("This description", MEDIA_TYPES, OBJECT, query, streams=False)
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
@@ -96,7 +119,7 @@ class OpenApiResource(Resource):
         if media_type is None:
             raise Problem(406, f"None of {exchange.accept!r} is offered; there are {', '.join(MEDIA_TYPES)}.")
         part = parse_part(exchange.query)
-        hidden = exchange.query_flag("hidden") and self.robot.adapter.capabilities.hidden_names
+        hidden = exchange.query_flag("hidden") and self.session.adapter.capabilities.hidden_names
         kept = await self._describe(hidden)
         data = kept.data
         if exchange.auth is not UNRESTRICTED:
@@ -107,7 +130,7 @@ class OpenApiResource(Resource):
             parts = await self._parts(data, url, part.below)
             data = part.choose(parts)
             headers["link"] = render_links((*self.links, *part.links(url, len(parts))))
-        etag = ETag(f"{self.robot.instance_id}-{_digest(data)}", media_type.partition("/")[2].replace(".", "-"))
+        etag = ETag(f"{self.instance_id}-{_digest(data)}", media_type.partition("/")[2].replace(".", "-"))
         return bytes_response(exchange, data, media_type, etag, headers.items())
 
     async def _parts(self, data: bytes, url: str, below: str) -> tuple[bytes, ...]:
@@ -116,7 +139,7 @@ class OpenApiResource(Resource):
         found = self._part_sets.get(key)
         if found is None:
             work = partial(description_parts, data, url, below)
-            found = await (self.robot.workers.run(work) if len(data) > _LARGE else asyncio.to_thread(work))
+            found = await (self.workers.run(work) if len(data) > _LARGE else asyncio.to_thread(work))
             if len(self._part_sets) >= _MAX_VARIANTS:
                 self._part_sets.pop(next(iter(self._part_sets)))
             self._part_sets[key] = found
@@ -146,7 +169,7 @@ class OpenApiResource(Resource):
 
     def _may(self, permissions: Permissions, method: str, path: str) -> bool:
         """Whether a method may be used at a path below the base, or at some that a template stands for."""
-        url = self.robot.space.base.rstrip("/") + path
+        url = self.session.space.base.rstrip("/") + path
         place = permissions.locate(url)
         if permissions.is_unrestricted or "{" in path or place is None:
             return permissions.may_template(method, url)
@@ -166,24 +189,24 @@ class OpenApiResource(Resource):
             return kept
 
     def _version(self) -> Hashable:
-        robot = self.robot
         return (
-            IdentityKey(robot.graph),
-            robot.schemas.count,
-            IdentityKey(robot.mappings.mapping_set),
-            robot.queries.version,
+            IdentityKey(self.session.graph),
+            self.session.schemas.count,
+            IdentityKey(self.mappings.mapping_set),
+            self.queries.version,
         )
 
     async def _made(self, hidden: bool) -> _Described:
         """A version and its description: found on the loop, written on a thread, for a large one takes its time."""
-        robot = self.robot
-        await _learn_types(robot)
-        tree = await robot.affordances.tree()
+        await _learn_types(self.session.schemas, self.session.graph)
+        tree = await self.affordances.tree()
         version = self._version()
-        schemas = MessageSchemas(partial(_known_type, robot), robot.lifting)
-        paths = await _in_turns(PathCollector(robot, tree, self._resolve, schemas, hidden).all())
+        schemas = MessageSchemas(partial(_known_type, self.session.schemas), self.session.lifting)
+        paths = await _in_turns(
+            PathCollector(self.session, self.queries, self.recordings, tree, self._resolve, schemas, hidden).all()
+        )
         if len(paths) > _MANY:
-            data = await robot.workers.run(self._writing(paths, schemas.by_key, hidden))
+            data = await self.workers.run(self._writing(paths, schemas.by_key, hidden))
         else:
             data = await asyncio.to_thread(self._write, paths, schemas.by_key, hidden)
         return _Described(version, data, paths, schemas.by_key)
@@ -191,7 +214,7 @@ class OpenApiResource(Resource):
     def _writing(
         self, paths: Iterable[DescribedPath], schemas: Mapping[str, Schema], hidden: bool
     ) -> Callable[[], bytes]:
-        title, base, query = f"rosld: {self.robot.name}", self.robot.space.base, _HIDDEN if hidden else ""
+        title, base, query = f"rosld: {self.session.name}", self.session.space.base, _HIDDEN if hidden else ""
         return partial(description, title, base, __version__, _ABOUT, paths, schemas, query=query)
 
     def _write(self, paths: Iterable[DescribedPath], schemas: Mapping[str, Schema], hidden: bool) -> bytes:
@@ -208,15 +231,15 @@ async def _in_turns(paths: Iterable[DescribedPath]) -> tuple[DescribedPath, ...]
     return tuple(found)
 
 
-async def _learn_types(robot: Robot) -> None:
+async def _learn_types(schemas: Schemas, graph: Graph) -> None:
     """See to it that the types in use are at hand, as far as the robot tells them in time."""
-    unknown = [ref for ref in used_types(robot.graph) if _known_type(robot, ref) is None]
+    unknown = [ref for ref in used_types(graph) if _known_type(schemas, ref) is None]
     if not unknown:
         return
 
     async def find(ref: TypeRef) -> None:
         try:
-            await robot.schemas.get(ref)
+            await schemas.get(ref)
         except (RosError, asyncio.TimeoutError):
             pass
 
@@ -226,5 +249,5 @@ async def _learn_types(robot: Robot) -> None:
         task.cancel()
 
 
-def _known_type(robot: Robot, ref: TypeRef) -> RosType | None:
-    return robot.schemas.find_cached(ref) or robot.schemas.find_cached_by_name(ref.name)
+def _known_type(schemas: Schemas, ref: TypeRef) -> RosType | None:
+    return schemas.find_cached(ref) or schemas.find_cached_by_name(ref.name)

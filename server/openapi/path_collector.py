@@ -12,18 +12,20 @@ from itertools import chain, islice
 
 from rosld.adapters.model import Graph, names
 from rosld.ontology.notifications import CHANNEL_TYPES
+from rosld.server.history.recordings import Recordings
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.hypermedia.resource_tree import ResourceTree
 from rosld.server.openapi.described_path import DescribedPath
+from rosld.server.policies.stored_queries import StoredQueries
 from rosld.server.resources.channels import channel_item, source_item
-from rosld.server.resources.context import Robot
 from rosld.server.resources.namespaces import listed_graph, namespaces
 from rosld.server.resources.static_assets import FILES
 from rosld.server.resources.types import SHAPES_GRAPHS
 from rosld.server.rest.path_item import ANY_TYPE, FIELD_READS, FORMAT, PathItem
 from rosld.server.rest.resource import Resource
+from rosld.server.robot.session import Session
 
 MAX_SINGLE = 1000
 """Parameters, and resources with their properties and actions, that are described one by one; a template has more."""
@@ -52,7 +54,9 @@ class PathCollector:
     `hidden`: whether hidden names have paths too.
     """
 
-    robot: Robot
+    session: Session
+    queries: StoredQueries
+    recordings: Recordings
     tree: ResourceTree
     resolve: Callable[[str], Resource]
     schemas: MessageSchemas
@@ -98,20 +102,20 @@ class PathCollector:
         return _TAGS.get(path) or path.partition("/")[0]
 
     def _of(self, url: str) -> str:
-        return url[len(self.robot.space.base) - 1 :]
+        return url[len(self.session.space.base) - 1 :]
 
     @property
     def _listed(self) -> Graph:
         """What is listed of the computation graph."""
-        return self.robot.graph if self.hidden else listed_graph(self.robot)
+        return self.session.graph if self.hidden else listed_graph(self.session)
 
     def _leaves_out(self, path: str) -> bool:
-        return not self.hidden and self.robot.adapter.capabilities.hidden_names and names.is_hidden(path)
+        return not self.hidden and self.session.adapter.capabilities.hidden_names and names.is_hidden(path)
 
     # The computation graph
 
     def _graph(self) -> Iterator[DescribedPath]:
-        graph, space = self._listed, self.robot.space
+        graph, space = self._listed, self.session.space
         for room in ("nodes", "topics", "services", "actions"):
             for namespace in namespaces(graph, room):
                 yield self._path(self._of(space.container(room, namespace)))
@@ -133,7 +137,7 @@ class PathCollector:
         yield self._template("/activity/{id}", "/activity/any", id="As in the URL of the receipt.")
 
     def _parameters(self) -> Iterator[DescribedPath]:
-        graph, space = self._listed, self.robot.space
+        graph, space = self._listed, self.session.space
         trees = dict.fromkeys([(), *namespaces(graph, "parameters")])
         for namespace in islice((each for each in trees if "" not in each), MAX_SINGLE):
             yield self._path(self._of(space.container("parameters", namespace)))
@@ -155,7 +159,7 @@ class PathCollector:
 
     def _resource_paths(self) -> Iterator[str]:
         """Complex resources, each followed by the properties and actions in it; then the actions that none lists."""
-        space = self.robot.space
+        space = self.session.space
         unlisted = set(self.tree.actions)
         for path in self.tree.paths:
             plan = self.tree.complex(path)
@@ -192,10 +196,10 @@ class PathCollector:
         yield self._template("/shapes/{name}", "/shapes/any", name="One segment, as in the URL.")
 
     def _bags(self) -> Iterator[DescribedPath]:
-        space = self.robot.space
+        space = self.session.space
         yield self._path("/bags/")
         yield self._template("/bags/{name}", "/bags/any", name="Its name in the URL.")
-        for name, recording in self.robot.recordings.items():
+        for name, recording in self.recordings.readable.items():
             yield self._path(self._of(space.bag(name)))
             if recording.path.is_file():
                 yield self._path(self._of(f"{space.bag(name)}file"))
@@ -221,7 +225,7 @@ class PathCollector:
     def _queries(self) -> Iterator[DescribedPath]:
         """The room of queries and what is below it now; the template tells of those that come and go."""
         yield self._path("/queries/")
-        for url, _ in self.robot.queries.all(limit=_MAX_QUERIES):
+        for url, _ in self.queries.all(limit=_MAX_QUERIES):
             yield self._path(self._of(url))
         yield self._template("/queries/{name}", "/queries/any", name="One segment, as in the URL.")
 

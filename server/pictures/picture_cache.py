@@ -21,7 +21,9 @@ class PictureCache:
     One thread draws: pictures never take more than one core, whoever asks for them, and the event loop none.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, instance_id: str) -> None:
+        """`instance_id` is part of the entity tags of pictures: another one for each run of the server."""
+        self.instance_id = instance_id
         self._thread = ThreadPoolExecutor(1, "rosld-pictures")
         self._drawing: dict[Hashable, asyncio.Task[bytes]] = {}
         self._kept: OrderedDict[Hashable, bytes] = OrderedDict()

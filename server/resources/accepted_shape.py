@@ -7,23 +7,25 @@ from dataclasses import replace
 
 from pyoxigraph import NamedNode
 
-from rosld.adapters.model import Descriptor, Kind, MessageSchema, Primitive
+from rosld.adapters.model import Descriptor, Graph, Kind, MessageSchema, Primitive
 from rosld.ontology.body import RdfBody
 from rosld.ontology.document import Document
 from rosld.ontology.lexical import BINARIES
+from rosld.ontology.urls import Space
 from rosld.ontology.vocab import rdf, ros
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.catalogue import ParameterSource, Property, Setter, TopicSource, Writer
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.hypermedia.property_writer import current_writer
 from rosld.server.hypermedia.resource_tree import PropertyPlan
 from rosld.server.hypermedia.value import scalar_field, select_fields
 from rosld.server.hypermedia.value_body import layouts
-from rosld.server.resources.context import Robot
-from rosld.server.resources.limit_checks import message_demand, parameter_demand, require_no_octets
+from rosld.server.resources.limit_checks import LimitChecks, require_no_octets
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import ABSENT, Resource
 from rosld.server.rest.state import State
+from rosld.server.robot.session import Session
 from rosld.shapes.accepted import Accepted, accepted_message_document, accepted_value_document
 from rosld.shapes.accepted_values import PARAMETERS, OpenParameter
 from rosld.shapes.demand import NO_DEMAND, Demand
@@ -66,44 +68,52 @@ class AcceptedShape(Resource):
         return State(lambda: document)
 
 
-async def message_shape(robot: Robot, kind: Kind, name: str, schema: MessageSchema, shape: str, node: str) -> Document:
+async def message_shape(
+    space: Space, limit_checks: LimitChecks, kind: Kind, name: str, schema: MessageSchema, shape: str, node: str
+) -> Document:
     """What may be sent to a topic, a service or an action, as the shapes graph at the URL `shape`."""
-    space = robot.space
     url = {Kind.TOPIC: space.topic, Kind.SERVICE: space.service, Kind.ACTION: space.action}[kind](name)
-    demand = await message_demand(robot, kind, name, schema, url, node)
+    demand = await limit_checks.message_demand(kind, name, schema, url, node)
     return accepted_message_document(shape, schema, space, f"What may be sent to {name}", demand)
 
 
-def has_parameter_shape(robot: Robot, name: str) -> bool:
+def has_parameter_shape(graph: Graph, name: str) -> bool:
     """Whether there is such a parameter, which is no tree of others."""
-    return name in robot.graph.parameters
+    return name in graph.parameters
 
 
-async def parameter_shape(robot: Robot, name: str, shape: str) -> Document | None:
+async def parameter_shape(session: Session, limit_checks: LimitChecks, name: str, shape: str) -> Document | None:
     """What a parameter may be set to; None where there is none."""
-    url, kinds = robot.space.parameter(name), await _of_parameter(robot, name)
+    url, kinds = session.space.parameter(name), await _of_parameter(session, limit_checks, name)
     title = f"What {name} may be set to"
-    return accepted_value_document(shape, url, ros.value, kinds, robot.space, title) if kinds else None
+    return accepted_value_document(shape, url, ros.value, kinds, session.space, title) if kinds else None
 
 
-async def property_shape(robot: Robot, plan: PropertyPlan, url: str, shape: str) -> Document | None:
+async def property_shape(
+    session: Session,
+    affordances: AffordanceService[State],
+    limit_checks: LimitChecks,
+    plan: PropertyPlan,
+    url: str,
+    shape: str,
+) -> Document | None:
     """What a property may be made; None where nothing writes it, or nothing tells its type."""
-    writer = property_writer(robot, plan.source)
-    kinds = [] if writer is None else await _of_writer(robot, plan, writer)
+    writer = property_writer(session, plan.source)
+    kinds = [] if writer is None else await _of_writer(session, affordances, limit_checks, plan, writer)
     title = f"What {plan.source.name} may be made"
-    return accepted_value_document(shape, url, rdf.value, kinds, robot.space, title) if kinds else None
+    return accepted_value_document(shape, url, rdf.value, kinds, session.space, title) if kinds else None
 
 
-def property_writer(robot: Robot, own: Property) -> Writer | None:
+def property_writer(session: Session, own: Property) -> Writer | None:
     """What writes a property, now or else when it may."""
-    return current_writer(robot, own) or next(iter(own.writers), None)
+    return current_writer(session, own) or next(iter(own.writers), None)
 
 
-def has_property_shape(robot: Robot, plan: PropertyPlan) -> bool:
+def has_property_shape(session: Session, plan: PropertyPlan) -> bool:
     """Whether `property_shape` has a shape of a property."""
-    match property_writer(robot, plan.source):
+    match property_writer(session, plan.source):
         case ParameterSource(name=name):
-            return plan.member.field is None and has_parameter_shape(robot, name)
+            return plan.member.field is None and has_parameter_shape(session.graph, name)
         case TopicSource(schema=schema):
             return schema is not None
         case Setter():
@@ -113,44 +123,56 @@ def has_property_shape(robot: Robot, plan: PropertyPlan) -> bool:
 
 
 async def require_property_text(
-    robot: Robot, plan: PropertyPlan, body: RdfBody, subject: NamedNode, predicate: NamedNode
+    session: Session,
+    affordances: AffordanceService[State],
+    limit_checks: LimitChecks,
+    plan: PropertyPlan,
+    body: RdfBody,
+    subject: NamedNode,
+    predicate: NamedNode,
 ) -> None:
     """Raise LoweringError where a body writes a text of a property that limits are about as octets."""
-    octets = [each for each in body.literals() if each.datatype in BINARIES] if robot.limits else []
-    writer = property_writer(robot, plan.source) if octets else None
-    for kind, demand in () if writer is None else await _of_writer(robot, plan, writer):
+    octets = [each for each in body.literals() if each.datatype in BINARIES] if limit_checks.limits else []
+    writer = property_writer(session, plan.source) if octets else None
+    for kind, demand in () if writer is None else await _of_writer(session, affordances, limit_checks, plan, writer):
         if isinstance(kind, MessageSchema):
-            require_no_octets(body, limited_texts(demand, kind, robot.space))
+            require_no_octets(body, limited_texts(demand, kind, session.space))
         elif isinstance(kind, Primitive) and is_limited_text(kind, demand.at("")):
             require_no_octets(body, {predicate} & body.properties(subject).keys())
 
 
-async def _of_parameter(robot: Robot, name: str) -> list[tuple[Accepted, Demand]]:
-    parameter = robot.graph.parameters.get(name)
+async def _of_parameter(session: Session, limit_checks: LimitChecks, name: str) -> list[tuple[Accepted, Demand]]:
+    parameter = session.graph.parameters.get(name)
     if parameter is None:
         return []
     descriptor = parameter.descriptor or Descriptor()
     is_scalar = descriptor.type in PARAMETERS
-    demand = await parameter_demand(robot, name, descriptor if is_scalar else Descriptor())
+    demand = await limit_checks.parameter_demand(name, descriptor if is_scalar else Descriptor())
     if descriptor.type is None:
-        in_xml = robot.adapter.capabilities.parameter_server
+        in_xml = session.adapter.capabilities.parameter_server
         return [(OpenParameter(32 if in_xml else 64, in_xml), demand.of_ranges())]
     return [(descriptor.type, demand if is_scalar else Demand(is_all=demand == NO_DEMAND))]
 
 
-async def _of_writer(robot: Robot, plan: PropertyPlan, writer: Writer) -> list[tuple[Accepted, Demand]]:
+async def _of_writer(
+    session: Session,
+    affordances: AffordanceService[State],
+    limit_checks: LimitChecks,
+    plan: PropertyPlan,
+    writer: Writer,
+) -> list[tuple[Accepted, Demand]]:
     match writer:
         case ParameterSource():
-            return [] if plan.member.field is not None else await _of_parameter(robot, writer.name)
+            return [] if plan.member.field is not None else await _of_parameter(session, limit_checks, writer.name)
         case Setter(schema=service):
-            schema, kind, url, node = service.request, Kind.SERVICE, robot.space.service(writer.name), "#request"
+            schema, kind, url, node = service.request, Kind.SERVICE, session.space.service(writer.name), "#request"
         case TopicSource(schema=known) if known is not None:
-            schema, kind, url, node = known, Kind.TOPIC, robot.space.topic(writer.name), "#message"
+            schema, kind, url, node = known, Kind.TOPIC, session.space.topic(writer.name), "#message"
         case _:
             return []
-    demand = await message_demand(robot, kind, writer.name, schema, url, node)
+    demand = await limit_checks.message_demand(kind, writer.name, schema, url, node)
     if plan.member.field is not None:
-        return list(_of_field(robot, plan, demand))
+        return list(_of_field(affordances, plan, demand))
     return list(_of_message(plan.source, schema, demand))
 
 
@@ -166,10 +188,12 @@ def _of_message(own: Property, schema: MessageSchema, demand: Demand) -> Iterato
             yield part, demand if part.ref.name == schema.ref.name else demand.of_bounds()
 
 
-def _of_field(robot: Robot, plan: PropertyPlan, demand: Demand) -> Iterator[tuple[Accepted, Demand]]:
+def _of_field(
+    affordances: AffordanceService[State], plan: PropertyPlan, demand: Demand
+) -> Iterator[tuple[Accepted, Demand]]:
     """The one field of a message that is written where a mapping picks it."""
     path = plan.member.field or ""
-    shape = robot.affordances.member_affordance(plan.member, write=True).shape
+    shape = affordances.member_affordance(plan.member, write=True).shape
     if isinstance(kind := getattr(shape, "kind", None), Primitive):
         yield kind, demand.at(path)
 

@@ -27,6 +27,7 @@ from rosld.adapters.model import (
 from rosld.ontology.describe_actions import GoalView, action_document, goal_document
 from rosld.ontology.document import Document, Envelope
 from rosld.ontology.lift import lifter
+from rosld.ontology.urls import Space
 from rosld.server.html import DeleteForm, Form, MessageForm
 from rosld.server.http.link import to_uri
 from rosld.server.http.problem import Problem
@@ -35,8 +36,7 @@ from rosld.server.hypermedia.json_schema import TEXT, nullable
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.accepted_shape import message_shape, shape_query
 from rosld.server.resources.command import CommandResource
-from rosld.server.resources.context import IdentityKey, Robot
-from rosld.server.resources.limit_checks import require_message
+from rosld.server.resources.limit_checks import LimitChecks
 from rosld.server.resources.namespaces import is_absent, redirect_to_namespace
 from rosld.server.resources.service_request import read_message
 from rosld.server.resources.strictness import STRICT
@@ -49,7 +49,9 @@ from rosld.server.rest.state import State
 from rosld.server.robot.calls import Gone, IdempotencyKeyReused
 from rosld.server.robot.goal_store import Goal
 from rosld.server.robot.goals import GoalSubmission
+from rosld.server.robot.session import Session
 from rosld.server.robot.write_policy import resources_only_reason
+from rosld.server.runtime.version_cache import IdentityKey, VersionCache
 
 _READ_ONLY = "This server is read-only."
 
@@ -60,24 +62,26 @@ class ActionResource(CommandResource):
     kind = "Action"
     accepts: Mapping[str, Sequence[str]] = {"POST": (*RDF_BODIES, JSON)}
 
-    def __init__(self, robot: Robot, name: str) -> None:
-        super().__init__(robot.space.action(name))
+    def __init__(self, session: Session, limit_checks: LimitChecks, states: VersionCache[State], name: str) -> None:
+        super().__init__(session.space.action(name))
         self.title = name
-        self.robot = robot
+        self.session = session
+        self.limit_checks = limit_checks
+        self.states = states
         self.name = name
 
     @property
     def action(self) -> Action:
         """The action in the computation graph; a 404 Problem where there is none."""
-        found = self.robot.graph.actions.get(self.name)
+        found = self.session.graph.actions.get(self.name)
         if found is None:
             missing = Problem(404, f"There is no action {self.name}.")
-            raise redirect_to_namespace(self.robot, "actions", self.name) or missing
+            raise redirect_to_namespace(self.session.space, self.session.graph, "actions", self.name) or missing
         return found
 
     @property
     def is_absent(self) -> bool:
-        return is_absent(self.robot, "actions", self.name)
+        return is_absent(self.session.space, self.session.graph, "actions", self.name)
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         schema = schemas.action(self.action.type)
@@ -93,18 +97,18 @@ class ActionResource(CommandResource):
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self.robot.space.document_shape("Action"),)
+        return (self.session.space.document_shape("Action"),)
 
     def methods(self) -> frozenset[str]:
-        if self.robot.settings.read_only or self.robot.is_resources_only(self.name):
+        if self.session.settings.read_only or self.session.is_resources_only(self.name):
             return READ
-        allowed = Operation.SEND_GOAL in self.robot.adapter.allows(Ref(Kind.ACTION, self.name))
+        allowed = Operation.SEND_GOAL in self.session.adapter.allows(Ref(Kind.ACTION, self.name))
         return READ | {"POST"} if allowed else READ
 
     def deny_reason(self, method: str) -> str:
-        if self.robot.settings.read_only:
+        if self.session.settings.read_only:
             return _READ_ONLY
-        if method == "POST" and self.robot.is_resources_only(self.name):
+        if method == "POST" and self.session.is_resources_only(self.name):
             return resources_only_reason(self.name)
         if method == "POST":
             return self.action.unusable or f"No goal can be sent to {self.name}."
@@ -117,31 +121,33 @@ class ActionResource(CommandResource):
 
     async def state(self) -> State:
         _ = self.action
-        await follow_action(self.robot, self.name)
+        await follow_action(self.session, self.name)
         return self.current_state()
 
     def current_state(self) -> State:
         """What it is like, as far as its goals are known."""
-        goals = tuple(goal.id for goal in self.robot.goals.of_action(self.name))
-        version = (IdentityKey(self.action), goals, self.takes_goals, self.robot.graph.revision)
-        return self.robot.states.get_or_make(self.url, version, lambda: State(self.document))
+        goals = tuple(goal.id for goal in self.session.goals.of_action(self.name))
+        version = (IdentityKey(self.action), goals, self.takes_goals, self.session.graph.revision)
+        return self.states.get_or_make(self.url, version, lambda: State(self.document))
 
     def document(self) -> Document:
         """The RDF of this action."""
-        goals = [goal.id for goal in self.robot.goals.of_action(self.name)]
-        return action_document(self.action, self.robot.space, self.robot.graph, goals, takes_goals=self.takes_goals)
+        goals = [goal.id for goal in self.session.goals.of_action(self.name)]
+        return action_document(self.action, self.session.space, self.session.graph, goals, takes_goals=self.takes_goals)
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
-        await follow_action(self.robot, self.name)
-        return self.robot.goals.watch(self.name, wake)
+        await follow_action(self.session, self.name)
+        return self.session.goals.watch(self.name, wake)
 
     @property
     def constrained_by(self) -> str | None:
-        found = self.robot.graph.actions.get(self.name)
+        found = self.session.graph.actions.get(self.name)
         return None if found is None or found.type is None else shape_query(self.url)
 
     async def accepted(self, url: str) -> Document | None:
-        return await message_shape(self.robot, Kind.ACTION, self.name, (await self._schema()).goal, url, "#goal")
+        return await message_shape(
+            self.session.space, self.limit_checks, Kind.ACTION, self.name, (await self._schema()).goal, url, "#goal"
+        )
 
     async def forms(self) -> Sequence[Form]:
         if "POST" not in self.methods():
@@ -157,19 +163,27 @@ class ActionResource(CommandResource):
 
     async def read_goal(self, exchange: Exchange, url: str) -> tuple[ActionSchema, Message]:
         """The goal in a request to a URL, within the limits. Raises LoweringError, and Problems."""
-        robot, schema = self.robot, await self._schema()
-        message = await read_message(exchange, robot, Kind.ACTION, self.name, schema.goal, url)
-        await require_message(robot, Kind.ACTION, self.name, schema.goal, message, self.url, "#goal")
+        schema = await self._schema()
+        message = await read_message(
+            exchange,
+            self.session.space,
+            self.session.lifting,
+            self.limit_checks,
+            Kind.ACTION,
+            self.name,
+            schema.goal,
+            url,
+        )
+        await self.limit_checks.require_message(Kind.ACTION, self.name, schema.goal, message, self.url, "#goal")
         return schema, message
 
     async def send(self, exchange: Exchange, schema: ActionSchema, message: Message) -> CreatedAnswer:
         """Send a goal: it is created if it is accepted. Raises whatever else becomes of it."""
-        robot = self.robot
         sending = await self._sent(exchange, schema, message)
-        problem = _failure(robot, self.name, sending)
+        problem = _failure(self.session.space, self.name, sending)
         if problem is not None or sending.goal is None:
             raise problem or Problem(502, f"{self.name} did not take the goal.")
-        resource = GoalResource(robot, sending.goal.id)
+        resource = GoalResource(self.session, self.states, sending.goal.id)
         return CreatedAnswer(resource.url, resource, resource.state_of(sending.goal))
 
     async def cancel_goals(self, *, others: bool = False) -> Response:
@@ -177,19 +191,18 @@ class ActionResource(CommandResource):
 
         The answer names the newest of them. Raises a 409 Problem where there are none, or one is not canceled.
         """
-        robot = self.robot
-        await follow_action(robot, self.name)
-        pursued = [goal for goal in robot.goals.of_action(self.name) if goal.is_cancelable]
+        await follow_action(self.session, self.name)
+        pursued = [goal for goal in self.session.goals.of_action(self.name) if goal.is_cancelable]
         asked = [goal for goal in pursued if goal.is_own or others]
         if not asked:
             hint = " Others have sent some: ?others=true cancels these." if pursued else ""
             raise Problem(409, f"{self.name} pursues no goal that was sent from here.{hint}")
-        answers = [await _cancel(robot, goal) for goal in asked]
+        answers = [await _cancel(self.session, goal) for goal in asked]
         return answers[-1]
 
     async def _sent(self, exchange: Exchange, schema: ActionSchema, message: Message) -> GoalSubmission:
         """What became of a goal that was sent, once only for each Idempotency-Key."""
-        goals, deadline = self.robot.goals, self.robot.deadline(self.robot.settings.call_deadline)
+        goals, deadline = self.session.goals, self.session.deadline(self.session.settings.call_deadline)
         key = exchange.header("idempotency-key")
         if key is None:
             return await goals.send(self.name, schema, message, deadline=deadline)
@@ -206,7 +219,7 @@ class ActionResource(CommandResource):
             why = action.unusable or "its type is not known"
             raise Problem(409, f"No goal can be sent to {self.name}: {why}.")
         try:
-            return await self.robot.schemas.action(action.type)
+            return await self.session.schemas.action(action.type)
         except UnknownType as error:
             raise Problem(409, f"No goal can be sent to {self.name}: {error.sentence}") from error
 
@@ -216,20 +229,21 @@ class GoalResource(Resource):
 
     kind = "Goal"
 
-    def __init__(self, robot: Robot, id: str) -> None:
-        super().__init__(robot.space.goal(id))
+    def __init__(self, session: Session, states: VersionCache[State], id: str) -> None:
+        super().__init__(session.space.goal(id))
         try:
-            self.title = robot.goals.find(id).action
+            self.title = session.goals.find(id).action
         except LookupError:
             self.title = id
-        self.robot = robot
+        self.session = session
+        self.states = states
         self.id = id
 
     @property
     def goal(self) -> Goal:
         """The goal; a 404 or 410 Problem where it is not kept."""
         try:
-            return self.robot.goals.find(self.id)
+            return self.session.goals.find(self.id)
         except Gone as error:
             raise Problem(410, f"The goal {self.id} was deleted or has become too old.") from error
         except KeyError as error:
@@ -250,7 +264,7 @@ class GoalResource(Resource):
             plain=_goal_schema(schemas, None),
             writes={"DELETE": cancel},
             also=(409, 410),
-            methods=READ if self.robot.settings.read_only else READ | {"DELETE"},
+            methods=READ if self.session.settings.read_only else READ | {"DELETE"},
         )
 
     def methods(self) -> frozenset[str]:
@@ -261,7 +275,7 @@ class GoalResource(Resource):
         return READ | {"DELETE"} if self._is_open(goal) and goal.status is not GoalStatus.CANCELING else READ
 
     def deny_reason(self, method: str) -> str:
-        if self.robot.settings.read_only:
+        if self.session.settings.read_only:
             return _READ_ONLY
         goal = self.goal
         if method != "DELETE":
@@ -272,41 +286,41 @@ class GoalResource(Resource):
 
     def _is_open(self, goal: Goal) -> bool:
         """Whether anything may be done with it: what has ended may be forgotten in any case."""
-        is_closed = not goal.status.is_final and self.robot.is_resources_only(goal.action)
-        return not (self.robot.settings.read_only or is_closed)
+        is_closed = not goal.status.is_final and self.session.is_resources_only(goal.action)
+        return not (self.session.settings.read_only or is_closed)
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self.robot.space.document_shape("Goal"),)
+        return (self.session.space.document_shape("Goal"),)
 
     async def state(self) -> State:
         goal = self.goal
         if not goal.is_own and not goal.status.is_final:
-            await follow_action(self.robot, goal.action)
+            await follow_action(self.session, goal.action)
         return self.state_of(self.goal)
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
         goal = self.goal
         if not goal.is_own and not goal.status.is_final:
-            await follow_action(self.robot, goal.action)
-        return self.robot.goals.watch(goal.action, wake, self.id)
+            await follow_action(self.session, goal.action)
+        return self.session.goals.watch(goal.action, wake, self.id)
 
     def state_of(self, goal: Goal) -> State:
         """The state of this goal as it stood."""
-        return self.robot.states.get_or_make(
+        return self.states.get_or_make(
             self.url,
             (IdentityKey(goal), self._is_open(goal)),
             lambda: State(
                 lambda: self.document(goal),
                 lambda: self._plain(goal),
-                shapes=() if goal.schema is None else self.robot.space.shapes_of(goal.schema),
+                shapes=() if goal.schema is None else self.session.space.shapes_of(goal.schema),
             ),
         )
 
     def document(self, goal: Goal) -> Document:
         """The RDF of this goal as it stood."""
         return goal_document(
-            _view(goal, cancelable=goal.is_cancelable and self._is_open(goal)), self.robot.space, self.robot.lifting
+            _view(goal, cancelable=goal.is_cancelable and self._is_open(goal)), self.session.space, self.session.lifting
         )
 
     def _plain(self, goal: Goal) -> bytes:
@@ -331,7 +345,7 @@ class GoalResource(Resource):
     def _json(self, schema: MessageSchema | None, message: Message | None) -> bytes:
         if schema is None or message is None:
             return b"null"
-        return lifter(schema, self.robot.lifting).json(message, self.url)
+        return lifter(schema, self.session.lifting).json(message, self.url)
 
     async def forms(self) -> Sequence[Form]:
         if "DELETE" not in self.methods():
@@ -341,33 +355,33 @@ class GoalResource(Resource):
         return (DeleteForm("Cancel the goal", "Cancel"),)
 
     async def delete(self, exchange: Exchange) -> Answer:
-        goal, goals = self.goal, self.robot.goals
+        goal, goals = self.goal, self.session.goals
         if goal.status.is_final:
             goals.delete(self.id)
             return Response(status_code=204)
-        return await _cancel(self.robot, goal)
+        return await _cancel(self.session, goal)
 
 
-async def _cancel(robot: Robot, goal: Goal) -> Response:
+async def _cancel(session: Session, goal: Goal) -> Response:
     """Ask for a goal to be canceled. Raises a 409 Problem where that is refused, and RosError."""
     try:
-        await robot.goals.cancel(goal, deadline=robot.deadline(robot.settings.call_deadline))
+        await session.goals.cancel(goal, deadline=session.deadline(session.settings.call_deadline))
     except (Refused, NotFound) as error:
         problem = problem_of(error)
         problem.status = 409
         problem.detail = f"The goal {goal.id} was not canceled: {error.words or error.sentence}"
         raise problem from error
-    return Response(status_code=202, headers={"Location": to_uri(robot.space.goal(goal.id))})
+    return Response(status_code=202, headers={"Location": to_uri(session.space.goal(goal.id))})
 
 
-async def follow_action(robot: Robot, action: str) -> None:
+async def follow_action(session: Session, action: str) -> None:
     """See to it that the goals of others are heard of: the first look waits a moment for what is known."""
-    found = robot.graph.actions.get(action)
+    found = session.graph.actions.get(action)
     if found is None or found.type is None:
         return
     try:
-        await robot.schemas.action(found.type)
-        await robot.goals.follow(action, deadline=robot.deadline(robot.settings.first_value_wait))
+        await session.schemas.action(found.type)
+        await session.goals.follow(action, deadline=session.deadline(session.settings.first_value_wait))
     except (RosError, asyncio.TimeoutError):
         pass  # its goals cannot be read now; what is known is told
 
@@ -381,7 +395,7 @@ def _goal_schema(schemas: MessageSchemas, schema: ActionSchema | None) -> DataSc
     return {"type": "object", "properties": {**words, **told}}
 
 
-def _failure(robot: Robot, action: str, sending: GoalSubmission) -> Problem | None:
+def _failure(space: Space, action: str, sending: GoalSubmission) -> Problem | None:
     """The Problem of a goal that was not taken, with the URL of the goal where it was rejected."""
     error = sending.error
     if error is None:
@@ -393,7 +407,7 @@ def _failure(robot: Robot, action: str, sending: GoalSubmission) -> Problem | No
     elif problem.status == 503 and error.sent is not Sent.NO:
         problem.detail += " It may have been carried out."
     if sending.goal is not None:
-        url = robot.space.goal(sending.goal.id)
+        url = space.goal(sending.goal.id)
         problem.extra |= {"goal": url, "status": sending.goal.status.value}
         problem.headers["Location"] = url
     return problem

@@ -12,6 +12,7 @@ from rosld.ontology.describe_activities import Receipt, activity_document
 from rosld.ontology.describe_containers import container_document
 from rosld.ontology.document import Document
 from rosld.ontology.literals import date_time
+from rosld.ontology.urls import Space
 from rosld.server.events import query_params
 from rosld.server.html import MemberColumns, SequenceLink
 from rosld.server.html.page import Cell
@@ -20,8 +21,7 @@ from rosld.server.http.link import render
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import ANYTHING
 from rosld.server.hypermedia.message_schemas import MessageSchemas
-from rosld.server.receipts.journal import JournalEntry, NoSuchReceipt
-from rosld.server.resources.context import Robot
+from rosld.server.receipts.journal import Journal, JournalEntry, NoSuchReceipt
 from rosld.server.resources.listings import time_cell
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import OFFERS
@@ -38,6 +38,8 @@ from rosld.server.rest.paging import (
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource
 from rosld.server.rest.state import State
+from rosld.server.runtime.version_cache import VersionCache
+from rosld.server.settings import Settings
 from rosld.server.sparql.receipt_graphs import TITLE
 
 _NEWEST = 10**15
@@ -49,10 +51,15 @@ class ActivityResource(Resource):
 
     kind = "Activity"
 
-    def __init__(self, robot: Robot, id: str) -> None:
-        super().__init__(robot.space.activity(id))
+    def __init__(
+        self, space: Space, settings: Settings, states: VersionCache[State], receipts: Journal, id: str
+    ) -> None:
+        super().__init__(space.activity(id))
         self.title = id
-        self.robot = robot
+        self.space = space
+        self.settings = settings
+        self.states = states
+        self.receipts = receipts
         self.id = id
 
     async def current_methods(self) -> frozenset[str]:
@@ -63,19 +70,19 @@ class ActivityResource(Resource):
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self.robot.space.document_shape("Write"),)
+        return (self.space.document_shape("Write"),)
 
     async def state(self) -> State:
         try:
-            entry = self.robot.receipts.find(self.id)
+            entry = self.receipts.find(self.id)
         except NoSuchReceipt as error:
-            kept = self.robot.settings.receipts_kept
+            kept = self.settings.receipts_kept
             sentence = f"There is no receipt {self.id}: it never was, or it is older than the {kept} that are kept."
             raise Problem(404, sentence) from error
-        return self.robot.states.get_or_make(self.url, entry.number, lambda: _shown(self.robot, entry))
+        return self.states.get_or_make(self.url, entry.number, lambda: _shown(self.space, entry))
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
-        return self.robot.receipts.changes.watch(wake)
+        return self.receipts.changes.watch(wake)
 
 
 class ActivityContainer(Resource):
@@ -85,9 +92,13 @@ class ActivityContainer(Resource):
     title = TITLE
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
 
-    def __init__(self, robot: Robot, place: PagePosition | None = None) -> None:
-        super().__init__(robot.space.container("activity"))
-        self.robot = robot
+    def __init__(
+        self, space: Space, states: VersionCache[State], receipts: Journal, place: PagePosition | None = None
+    ) -> None:
+        super().__init__(space.container("activity"))
+        self.space = space
+        self.states = states
+        self.receipts = receipts
         self._place = place
 
     @property
@@ -96,28 +107,28 @@ class ActivityContainer(Resource):
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self.robot.space.document_shape("Container"),)
+        return (self.space.document_shape("Container"),)
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """The page that `?page=` asks for, the first of many pages (303); as a stream, the newest receipt."""
         if exchange.method not in ("GET", "HEAD"):
             return self
         if query_params.stream_is_preferred(exchange.accept, OFFERS):
-            return NewestReceipt(self.robot)
+            return NewestReceipt(self.space, self.receipts)
         token = exchange.query.get("page")
         if token is not None:
-            return ActivityContainer(self.robot, parse_position(token))
-        require_page(exchange, self.url, len(self.robot.receipts))
+            return ActivityContainer(self.space, self.states, self.receipts, parse_position(token))
+        require_page(exchange, self.url, len(self.receipts))
         return self
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem("The receipts of writes, the newest first", plain=ANYTHING, is_paged=True)
 
     async def state(self) -> State:
-        version = self.robot.receipts.version
+        version = self.receipts.version
         if self._place is None:
-            entries = list(self.robot.receipts.newest_first())
-            return self.robot.states.get_or_make(self.url, version, lambda: State(lambda: self._document(entries)))
+            entries = list(self.receipts.newest_first())
+            return self.states.get_or_make(self.url, version, lambda: State(lambda: self._document(entries)))
         page, told = self._page(self._place)
 
         def make() -> State:
@@ -125,14 +136,14 @@ class ActivityContainer(Resource):
             part = f"p{digest(page.token.encode())}"
             return State(lambda: page.add_to(self._document(told)), part=part, headers=headers)
 
-        return self.robot.states.get_or_make(page.url, version, make)
+        return self.states.get_or_make(page.url, version, make)
 
     def _document(self, entries: list[JournalEntry]) -> Document:
-        return container_document(self.url, (self.robot.space.activity(entry.id) for entry in entries), TITLE)
+        return container_document(self.url, (self.space.activity(entry.id) for entry in entries), TITLE)
 
     def _page(self, place: PagePosition) -> tuple[LdpPage, list[JournalEntry]]:
         """A page, and what it tells of."""
-        entries = list(self.robot.receipts.newest_first())
+        entries = list(self.receipts.newest_first())
         keys = [_NEWEST - entry.number for entry in entries]
         after = place.after if isinstance(place.after, int) else 0
         start = next((at for at, key in enumerate(keys) if key > after), len(keys))
@@ -151,8 +162,8 @@ class ActivityContainer(Resource):
 
     def listing(self) -> MemberColumns:
         """What, when, who and what came of it."""
-        space = self.robot.space
-        receipts = self.robot.receipts
+        space = self.space
+        receipts = self.receipts
         entries = islice(receipts.newest_first(), 1000) if self._place is None else self._page(self._place)[1]
         told = {space.activity(entry.id): entry.receipt for entry in entries}
         return MemberColumns(
@@ -164,7 +175,7 @@ class ActivityContainer(Resource):
         )
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
-        return self.robot.receipts.changes.watch(wake)
+        return self.receipts.changes.watch(wake)
 
 
 class NewestReceipt(Resource):
@@ -173,27 +184,28 @@ class NewestReceipt(Resource):
     kind = "Activity"
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
 
-    def __init__(self, robot: Robot) -> None:
-        super().__init__(robot.space.container("activity"))
-        self.robot = robot
+    def __init__(self, space: Space, receipts: Journal) -> None:
+        super().__init__(space.container("activity"))
+        self.space = space
+        self.receipts = receipts
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self.robot.space.document_shape("Write"),)
+        return (self.space.document_shape("Write"),)
 
     async def state(self) -> State:
-        entry = next(self.robot.receipts.newest_first(), None)
+        entry = next(self.receipts.newest_first(), None)
         if entry is None:
             return State(lambda: container_document(self.url, (), TITLE), lambda: b"null", "nothing")
-        return _shown(self.robot, entry)
+        return _shown(self.space, entry)
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
-        return self.robot.receipts.changes.watch(wake)
+        return self.receipts.changes.watch(wake)
 
 
-def _shown(robot: Robot, entry: JournalEntry) -> State:
+def _shown(space: Space, entry: JournalEntry) -> State:
     receipt = entry.receipt
-    return State(lambda: activity_document(receipt, robot.space), lambda: _json(receipt), receipt.id)
+    return State(lambda: activity_document(receipt, space), lambda: _json(receipt), receipt.id)
 
 
 def _json(receipt: Receipt) -> bytes:

@@ -9,12 +9,12 @@ from pathlib import Path
 from starlette.responses import Response
 
 from rosld.adapters.base import Recording
-from rosld.server.history.recordings import RecordingRefused
+from rosld.ontology.urls import Space
+from rosld.server.history.recordings import RecordingRefused, Recordings
 from rosld.server.http.conditional import ETag, check_preconditions, digest
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.bags import BagResource
-from rosld.server.resources.context import Robot
 from rosld.server.resources.ldp.bodies import single_chunk
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.file_response import UNKNOWN, file_response
@@ -22,6 +22,8 @@ from rosld.server.rest.path_item import ANY_TYPE, BYTES, PathItem, WriteMethod
 from rosld.server.rest.resource import ABSENT, READ, RESOURCE, Answer, CreatedAnswer, Resource, permanent_redirect
 from rosld.server.rest.resource_headers import resource_headers
 from rosld.server.rest.state import State
+from rosld.server.runtime.version_cache import VersionCache
+from rosld.server.settings import Settings
 
 
 class BagFile(Resource):
@@ -31,8 +33,8 @@ class BagFile(Resource):
     is_cacheable = False
     links = (RESOURCE,)
 
-    def __init__(self, robot: Robot, recording: Recording) -> None:
-        super().__init__(f"{robot.space.bag(recording.name)}file")
+    def __init__(self, space: Space, recording: Recording) -> None:
+        super().__init__(f"{space.bag(recording.name)}file")
         self.recording = recording
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
@@ -73,20 +75,25 @@ class BagUpload(Resource):
     is_cacheable = False
     takes_forms = False
 
-    def __init__(self, robot: Robot, name: str) -> None:
-        super().__init__(robot.space.url("bags", (name,)))
-        self.robot = robot
+    def __init__(
+        self, space: Space, settings: Settings, states: VersionCache[State], recordings: Recordings, name: str
+    ) -> None:
+        super().__init__(space.url("bags", (name,)))
+        self.space = space
+        self.settings = settings
+        self.states = states
+        self.recordings = recordings
         self.name = name
 
     def methods(self) -> frozenset[str]:
         is_there = self._is_there
-        sent = frozenset[str]() if self.robot.settings.read_only else frozenset({"PUT"})
+        sent = frozenset[str]() if self.settings.read_only else frozenset({"PUT"})
         return (READ if is_there else ABSENT) | sent
 
     @property
     def _is_there(self) -> bool:
-        bags = self.robot.bags
-        return self.name in self.robot.recordings or self.name in bags.running or self.name in bags.armed
+        bags = self.recordings
+        return self.name in self.recordings.readable or self.name in bags.running or self.name in bags.armed
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         put = WriteMethod(
@@ -99,19 +106,21 @@ class BagUpload(Resource):
 
     async def state(self) -> State:
         if self._is_there:
-            raise permanent_redirect(self.robot.space.bag(self.name))
+            raise permanent_redirect(self.space.bag(self.name))
         raise Problem(404, f"There is no recording {self.name}.")
 
     async def put(self, exchange: Exchange) -> Answer:
-        limit, whole = self.robot.settings.upload_limit, exchange.consumed_body
+        limit, whole = self.settings.upload_limit, exchange.consumed_body
         chunks = exchange.chunks(limit=limit) if whole is None else single_chunk(whole)
         try:
-            await self.robot.bags.receive(self.name, chunks)
+            await self.recordings.receive(self.name, chunks)
         except RecordingRefused as error:
             raise Problem(409 if error.taken else 422, f"{error}.") from error
         except OSError as error:
             raise Problem(507, f"The recording cannot be stored: {error.strerror or error}.") from error
-        resource = BagResource(self.robot, self.robot.recordings[self.name])
+        resource = BagResource(
+            self.space, self.settings, self.states, self.recordings, self.recordings.readable[self.name]
+        )
         return CreatedAnswer(resource.url, resource, await resource.state())
 
 

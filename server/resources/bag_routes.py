@@ -3,62 +3,85 @@
 from __future__ import annotations
 
 from rosld.adapters.base import Recording
-from rosld.ontology.urls import Location
+from rosld.ontology.urls import Location, Space
+from rosld.server.history.recordings import Recordings
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.affordance_service import AffordanceService
+from rosld.server.hypermedia.mappings import Mappings
+from rosld.server.pictures.picture_cache import PictureCache
 from rosld.server.resources.bag_files import BagFile, BagUpload
 from rosld.server.resources.bag_moment import bag_moment
 from rosld.server.resources.bags import ArmedBag, BagContainer, BagMessage, BagMessages, BagResource, RunningBag
-from rosld.server.resources.context import Robot
 from rosld.server.resources.event_stream import EventStreamResource, event_stream_page
 from rosld.server.resources.recording_trigger import Find
 from rosld.server.rest.resource import Resource, permanent_redirect
+from rosld.server.rest.state import State
+from rosld.server.robot.session import Session
+from rosld.server.runtime.version_cache import VersionCache
 
 
-def bag_route(robot: Robot, location: Location, find: Find | None = None) -> Resource:
+def bag_route(
+    session: Session,
+    affordances: AffordanceService[State],
+    states: VersionCache[State],
+    mappings: Mappings,
+    recordings: Recordings,
+    pictures: PictureCache,
+    location: Location,
+    find: Find | None = None,
+) -> Resource:
     """`/bags/` and below."""
     match location.segments:
         case ():
-            return BagContainer(robot, find) if location.is_container else _slash(robot, location)
+            return (
+                BagContainer(session, affordances, states, mappings, recordings, find)
+                if location.is_container
+                else _slash(session.space, location)
+            )
         case (name,) if not location.is_container:
-            return BagUpload(robot, name)
-        case (name,) if name in robot.bags.armed:
-            return ArmedBag(robot, robot.bags.armed[name])
+            return BagUpload(session.space, session.settings, states, recordings, name)
+        case (name,) if name in recordings.armed:
+            return ArmedBag(session.space, session.settings, recordings, recordings.armed[name])
         case (name,):
-            running = robot.bags.running.get(name)
-            return BagResource(robot, _recording(robot, name)) if running is None else RunningBag(robot, running)
+            running = recordings.running.get(name)
+            return (
+                BagResource(session.space, session.settings, states, recordings, _recording(recordings, name))
+                if running is None
+                else RunningBag(session.space, session.settings, states, recordings, running)
+            )
         case (name, "file") if not location.is_container:
-            return BagFile(robot, _recording(robot, name))
+            return BagFile(session.space, _recording(recordings, name))
         case (name, "at") if not location.is_container:
-            return bag_moment(robot, _recording(robot, name))
+            return bag_moment(session, _recording(recordings, name))
         case (name, "ldes") if not location.is_container:
-            return EventStreamResource(robot, _recording(robot, name))
+            return EventStreamResource(session, states, recordings.history, _recording(recordings, name))
         case (name, "ldes", page) if not location.is_container:
-            return event_stream_page(robot, _recording(robot, name), page)
+            return event_stream_page(session, states, recordings.history, _recording(recordings, name), page)
         case (name, "messages"):
-            recording = _recording(robot, name)
-            return BagMessages(robot, recording) if location.is_container else _slash(robot, location)
+            recording = _recording(recordings, name)
+            return BagMessages(session, states, recording) if location.is_container else _slash(session.space, location)
         case (name, "messages", index) if not location.is_container:
-            recording = _recording(robot, name)
+            recording = _recording(recordings, name)
             first, beyond = recording.first, recording.first + recording.count
             is_number = index.isascii() and index.isdigit() and str(int(index)) == index
             if is_number and first <= int(index) < beyond:
-                return BagMessage(robot, recording, int(index))
+                return BagMessage(session, states, pictures, recording, int(index))
             if is_number and int(index) < first:
                 raise Problem(410, f"Message {index} of {name} was removed: the oldest is {first}.")
             raise Problem(404, f"{name} has the messages {first} to {beyond - 1}, not {index}.")
     raise Problem(404, "Under /bags/B/ there are messages/, ldes, at and file, and nothing else.")
 
 
-def _slash(robot: Robot, location: Location) -> Resource:
-    url = robot.space.container("bags", location.segments)
+def _slash(space: Space, location: Location) -> Resource:
+    url = space.container("bags", location.segments)
     raise permanent_redirect(url)
 
 
-def _recording(robot: Robot, name: str) -> Recording:
-    found = robot.recordings.get(name)
-    if found is None and name in robot.bags.armed:
+def _recording(recordings: Recordings, name: str) -> Recording:
+    found = recordings.readable.get(name)
+    if found is None and name in recordings.armed:
         raise Problem(404, f"The recording {name} waits for its trigger: it has no messages yet.")
-    if found is None and name in robot.bags.running:
+    if found is None and name in recordings.running:
         raise Problem(404, f'The recording {name} is still being made: PATCH it with {{"status": "ended"}} first.')
     if found is None:
         raise Problem(404, f"There is no recording {name}.")

@@ -25,7 +25,6 @@ from rosld.server.http import negotiation
 from rosld.server.http.conditional import digest
 from rosld.server.http.link import Link
 from rosld.server.http.problem import Problem
-from rosld.server.resources.context import Robot
 from rosld.server.resources.messages import lift_sample
 from rosld.server.resources.recorded_messages import DecodedRecord, decode_records, record_triples
 from rosld.server.resources.series import read_time
@@ -34,6 +33,7 @@ from rosld.server.rest.formats import FORMATS, HTML, JSON, OFFERS
 from rosld.server.rest.path_item import QueryParameter
 from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource
 from rosld.server.rest.state import State
+from rosld.server.robot.session import Session
 
 LIMIT, MAX_LIMIT = 100, 1000
 _MAX_TOPIC = 1000
@@ -62,14 +62,14 @@ class BagSelection(Resource):
     is_cacheable = False
 
     def __init__(
-        self, robot: Robot, recording: Recording, wanted: MessageFilter, limit: int, query: str, detail: Detail
+        self, session: Session, recording: Recording, wanted: MessageFilter, limit: int, query: str, detail: Detail
     ) -> None:
-        self._base = robot.space.bag_messages(recording.name)
+        self._base = session.space.bag_messages(recording.name)
         self._query = query
         self.start = wanted.start
         super().__init__(self._page_url(self.start))
         self.title = f"Messages of {recording.name}"
-        self.robot = robot
+        self.session = session
         self.recording = recording
         self.wanted = wanted
         self.limit = limit
@@ -78,7 +78,7 @@ class BagSelection(Resource):
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self.robot.space.document_shape("Container"), self.robot.space.document_shape("Record"))
+        return (self.session.space.document_shape("Container"), self.session.space.document_shape("Record"))
 
     async def prepare(self) -> None:
         """Read the page: what comes after it is told in Link."""
@@ -91,11 +91,11 @@ class BagSelection(Resource):
         describe = partial(self._describe, page.messages)
         if self._detail is Detail.LIST:
             return State(describe, token=token)
-        records = await decode_records(self.robot, self.recording, page.messages)
+        records = await decode_records(self.session.schemas, self.recording, page.messages)
         if self._detail is Detail.JSON:
             data = await asyncio.to_thread(self._json, records)
             return State(describe, lambda: data, token=token)
-        said = await asyncio.to_thread(record_triples, self.robot, self.recording, records)
+        said = await asyncio.to_thread(record_triples, self.session, self.recording, records)
         triples = (*describe().triples, *said)
         return State(lambda: Document(self.url, triples), token=token, is_long=True)
 
@@ -113,7 +113,7 @@ class BagSelection(Resource):
     def listing(self) -> MemberColumns | None:
         if self._page is None:
             return None
-        space, name = self.robot.space, self.recording.name
+        space, name = self.session.space, self.recording.name
         cells: dict[str, tuple[Cell, ...]] = {
             space.bag_message(name, each.index): (
                 NamedNode(space.topic(each.topic)),
@@ -129,7 +129,7 @@ class BagSelection(Resource):
         return (first,) if after is None else (first, SequenceLink("next", self._page_url(after)))
 
     def _describe(self, messages: Sequence[RecordedMessage]) -> Document:
-        return bag_selection_document(self.recording, self.robot.space, self.url, messages)
+        return bag_selection_document(self.recording, self.session.space, self.url, messages)
 
     async def _read(self) -> MessagePage:
         if self._page is None:
@@ -146,7 +146,7 @@ class BagSelection(Resource):
 
     def _json_of(self, one: DecodedRecord) -> dict[str, object]:
         message, decoded = one.message, one.decoded
-        url = self.robot.space.bag_message(self.recording.name, message.index)
+        url = self.session.space.bag_message(self.recording.name, message.index)
         said: dict[str, object] = {
             "url": url,
             "index": message.index,
@@ -155,10 +155,14 @@ class BagSelection(Resource):
         }
         if decoded.message is None:
             return said | {"unreadable": decoded.reason}
-        return said | {"message": orjson.Fragment(lift_sample(self.robot, decoded).lifter.json(decoded.message, url))}
+        return said | {
+            "message": orjson.Fragment(
+                lift_sample(self.session.space, self.session.lifting, decoded).lifter.json(decoded.message, url)
+            )
+        }
 
 
-def selection_of(robot: Robot, recording: Recording, exchange: Exchange) -> BagSelection | None:
+def selection_of(session: Session, recording: Recording, exchange: Exchange) -> BagSelection | None:
     """The page that a request asks for; None where it names neither topic nor time nor number. Raises Problems."""
     query = exchange.query
     given = {name: query[name] for name in _NAMES if name in query}
@@ -176,7 +180,7 @@ def selection_of(robot: Robot, recording: Recording, exchange: Exchange) -> BagS
     wanted = MessageFilter(topics, max(since, 0), until, max(start, recording.first))
     if start and start < recording.first:
         raise Problem(410, f"?start={start}: the oldest messages were removed, the first is {recording.first}.")
-    return BagSelection(robot, recording, wanted, limit, text, detail_of(exchange))
+    return BagSelection(session, recording, wanted, limit, text, detail_of(exchange))
 
 
 def topics_of(recording: Recording, text: str) -> frozenset[str]:

@@ -15,15 +15,19 @@ from rosld.adapters.model import NotFound
 from rosld.ontology.describe_bags import bag_document, bag_messages_document
 from rosld.ontology.describe_containers import container_document
 from rosld.ontology.document import Document
-from rosld.server.history.recordings import ArmedRecording, RecordingRefused, RunningRecording
+from rosld.ontology.urls import Space
+from rosld.server.history.history import History
+from rosld.server.history.recordings import ArmedRecording, RecordingRefused, Recordings, RunningRecording
 from rosld.server.html import ChoiceForm, DeleteForm, Form, SequenceLink
 from rosld.server.http.link import Link
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.data_schema import DataSchema
 from rosld.server.hypermedia.json_schema import ANYTHING
+from rosld.server.hypermedia.mappings import Mappings
 from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.pictures.picture_cache import PictureCache
 from rosld.server.resources.bag_selection import PARAMETERS, selection_of
-from rosld.server.resources.context import Robot
 from rosld.server.resources.messages import decode, field_response, lift_sample
 from rosld.server.resources.pictures import explicit_picture_type, picture_response, require_picture
 from rosld.server.resources.recorded_messages import DecodedRecord, learn_type, record_document
@@ -44,6 +48,9 @@ from rosld.server.rest.resource import (
     ShownAnswer,
 )
 from rosld.server.rest.state import State
+from rosld.server.robot.session import Session
+from rosld.server.runtime.version_cache import VersionCache
+from rosld.server.settings import Settings
 
 PAGE = 100
 """Messages on one page of `/bags/B/messages/`."""
@@ -58,17 +65,29 @@ class BagContainer(Resource):
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
     accepts: Mapping[str, Sequence[str]] = {"POST": MEDIA_TYPES}
 
-    def __init__(self, robot: Robot, find: Find | None = None) -> None:
+    def __init__(
+        self,
+        session: Session,
+        affordances: AffordanceService[State],
+        states: VersionCache[State],
+        mappings: Mappings,
+        recordings: Recordings,
+        find: Find | None = None,
+    ) -> None:
         """`find` gives the resource at a path below the base, which a trigger may be about."""
-        super().__init__(robot.space.container("bags"))
-        self.robot = robot
+        super().__init__(session.space.container("bags"))
+        self.session = session
+        self.affordances = affordances
+        self.states = states
+        self.mappings = mappings
+        self.recordings = recordings
         self._find = find
 
     async def forms(self) -> Sequence[Form]:
         return (recording_form(),) if "POST" in self.methods() else ()
 
     def methods(self) -> frozenset[str]:
-        return READ | {"POST"} if can_record(self.robot) else READ
+        return READ | {"POST"} if can_record(self.session) else READ
 
     def deny_reason(self, method: str) -> str:
         if method == "POST":
@@ -81,11 +100,11 @@ class BagContainer(Resource):
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self.robot.space.document_shape("Container"),)
+        return (self.session.space.document_shape("Container"),)
 
     async def state(self) -> State:
-        members = bag_urls(self.robot)
-        return self.robot.states.get_or_make(
+        members = bag_urls(self.session.space, self.recordings)
+        return self.states.get_or_make(
             self.url, members, lambda: State(lambda: container_document(self.url, members, "Recordings"))
         )
 
@@ -93,9 +112,9 @@ class BagContainer(Resource):
         """Begin a recording of topics that who asks may read."""
         order = read_order(await exchange.body(), exchange.media_type, self.url, is_form=bool(exchange.typed))
         slug = exchange.header("slug")
-        if order.name is None and slug is not None and self.robot.bags.can_be_named(slug):
+        if order.name is None and slug is not None and self.recordings.can_be_named(slug):
             order = replace(order, name=slug)
-        space, permissions = self.robot.space, exchange.permissions
+        space, permissions = self.session.space, exchange.permissions
         for topic in order.topics:
             if not set(topic) & set("*?[") and not permissions.may_read(space.topic(topic)):
                 raise Problem(403, f"You may not read {topic}, so you may not record it.")
@@ -106,10 +125,29 @@ class BagContainer(Resource):
         resource: Resource
         try:
             if order.trigger is None:
-                resource = RunningBag(self.robot, self.robot.bags.begin(order, may_record))
+                resource = RunningBag(
+                    self.session.space,
+                    self.session.settings,
+                    self.states,
+                    self.recordings,
+                    self.recordings.begin(order, may_record),
+                )
             else:
-                occurrences = await trigger_of(self.robot, order.trigger, self._find, exchange)
-                resource = ArmedBag(self.robot, self.robot.bags.arm(order, may_record, occurrences))
+                occurrences = await trigger_of(
+                    self.session.space,
+                    self.session.changes,
+                    self.affordances,
+                    self.mappings,
+                    order.trigger,
+                    self._find,
+                    exchange,
+                )
+                resource = ArmedBag(
+                    self.session.space,
+                    self.session.settings,
+                    self.recordings,
+                    self.recordings.arm(order, may_record, occurrences),
+                )
         except RecordingRefused as error:
             raise Problem(409 if error.taken else 422, f"{error}.") from error
         except OSError as error:
@@ -124,13 +162,23 @@ class BagResource(Resource):
     is_cacheable = False
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
 
-    def __init__(self, robot: Robot, recording: Recording) -> None:
-        super().__init__(robot.space.bag(recording.name))
-        self.robot = robot
+    def __init__(
+        self,
+        space: Space,
+        settings: Settings,
+        states: VersionCache[State],
+        recordings: Recordings,
+        recording: Recording,
+    ) -> None:
+        super().__init__(space.bag(recording.name))
+        self.space = space
+        self.settings = settings
+        self.states = states
+        self.recordings = recordings
         self.recording = recording
 
     def methods(self) -> frozenset[str]:
-        is_own = self.recording.name in self.robot.bags.finished and not self.robot.settings.read_only
+        is_own = self.recording.name in self.recordings.finished and not self.settings.read_only
         return READ | {"DELETE"} if is_own else READ
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
@@ -138,20 +186,20 @@ class BagResource(Resource):
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self.robot.space.document_shape("Bag"),)
+        return (self.space.document_shape("Bag"),)
 
     async def state(self) -> State:
-        recording, history = self.recording, self.robot.history
+        recording, history = self.recording, self.recordings.history
         is_history = recording is history.recording
         digest = None if is_history else history.digests.get(recording.path)
         trouble = (history.problem, sum(history.dropped().values())) if is_history else None
         version = recording.first, recording.count, recording.start_ns, trouble, digest
-        return self.robot.states.get_or_make(
-            self.url, version, lambda: State(partial(describe_bag, self.robot, recording))
+        return self.states.get_or_make(
+            self.url, version, lambda: State(partial(describe_bag, self.space, self.recordings.history, recording))
         )
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:
-        history = self.robot.history
+        history = self.recordings.history
         return None if self.recording is history.recording else history.digests.watch(self.recording.path, wake)
 
     async def forms(self) -> Sequence[Form]:
@@ -160,7 +208,7 @@ class BagResource(Resource):
 
     async def delete(self, exchange: Exchange) -> Answer:
         """Delete the recording and its file."""
-        await self.robot.bags.delete(self.recording.name)
+        await self.recordings.delete(self.recording.name)
         return Response(status_code=204)
 
 
@@ -171,13 +219,14 @@ class UnfinishedBag(Resource):
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
     accepts: Mapping[str, Sequence[str]] = {"PATCH": PATCHES}
 
-    def __init__(self, robot: Robot, name: str) -> None:
-        super().__init__(robot.space.bag(name))
-        self.robot = robot
+    def __init__(self, space: Space, settings: Settings, name: str) -> None:
+        super().__init__(space.bag(name))
+        self.space = space
+        self.settings = settings
         self.name = name
 
     def methods(self) -> frozenset[str]:
-        return READ if self.robot.settings.read_only else READ | {"PATCH", "DELETE"}
+        return READ if self.settings.read_only else READ | {"PATCH", "DELETE"}
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         ends: DataSchema = {"type": "object", "properties": {"status": {"const": "ended"}}, "required": ["status"]}
@@ -185,7 +234,7 @@ class UnfinishedBag(Resource):
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self.robot.space.document_shape("Bag"),)
+        return (self.space.document_shape("Bag"),)
 
 
 class RunningBag(UnfinishedBag):
@@ -193,22 +242,31 @@ class RunningBag(UnfinishedBag):
 
     kind = "Recording being made"
 
-    def __init__(self, robot: Robot, one: RunningRecording) -> None:
-        super().__init__(robot, one.name)
+    def __init__(
+        self,
+        space: Space,
+        settings: Settings,
+        states: VersionCache[State],
+        recordings: Recordings,
+        one: RunningRecording,
+    ) -> None:
+        super().__init__(space, settings, one.name)
+        self.states = states
+        self.recordings = recordings
         self.one = one
 
     async def state(self) -> State:
-        return State(partial(describe_running, self.robot, self.one))
+        return State(partial(describe_running, self.space, self.recordings, self.one))
 
     async def patch(self, exchange: Exchange) -> Answer:
         """End it: `{"status": "ended"}`, or that `ros:recordingStatus` is "ended" from now on."""
-        before = describe_running(self.robot, self.one).triples
+        before = describe_running(self.space, self.recordings, self.one).triples
         require_end(await exchange.body(), exchange.media_type, self.url, before)
-        await self.robot.bags.end(self.one.name)
-        recording = self.robot.recordings.get(self.one.name)
+        await self.recordings.end(self.one.name)
+        recording = self.recordings.readable.get(self.one.name)
         if recording is None:
             raise Problem(507, self.one.writer.problem or f"The recording {self.one.name} could not be completed.")
-        resource = BagResource(self.robot, recording)
+        resource = BagResource(self.space, self.settings, self.states, self.recordings, recording)
         return ShownAnswer(resource, await resource.state())
 
     async def forms(self) -> Sequence[Form]:
@@ -219,7 +277,7 @@ class RunningBag(UnfinishedBag):
 
     async def delete(self, exchange: Exchange) -> Answer:
         """End it, and delete what there is of it."""
-        await self.robot.bags.delete(self.one.name)
+        await self.recordings.delete(self.one.name)
         return Response(status_code=204)
 
 
@@ -228,12 +286,13 @@ class ArmedBag(UnfinishedBag):
 
     kind = "Recording that waits for its trigger"
 
-    def __init__(self, robot: Robot, one: ArmedRecording) -> None:
-        super().__init__(robot, one.name)
+    def __init__(self, space: Space, settings: Settings, recordings: Recordings, one: ArmedRecording) -> None:
+        super().__init__(space, settings, one.name)
+        self.recordings = recordings
         self.one = one
 
     async def state(self) -> State:
-        return State(partial(describe_armed, self.robot, self.one))
+        return State(partial(describe_armed, self.space, self.one))
 
     async def forms(self) -> Sequence[Form]:
         about = "It waits no more for its trigger. What that has begun stays."
@@ -241,13 +300,13 @@ class ArmedBag(UnfinishedBag):
 
     async def patch(self, exchange: Exchange) -> Answer:
         """Have it wait no more."""
-        before = describe_armed(self.robot, self.one).triples
+        before = describe_armed(self.space, self.one).triples
         require_end(await exchange.body(), exchange.media_type, self.url, before)
         return await self.delete(exchange)
 
     async def delete(self, exchange: Exchange) -> Answer:
         """Have it wait no more."""
-        self.robot.bags.disarm(self.one.name)
+        self.recordings.disarm(self.one.name)
         return Response(status_code=204)
 
 
@@ -278,39 +337,39 @@ class RunningView:
         self.topics = {topic: RecordedTopic(topic, types[topic], n) for topic, n in counts.items() if topic in types}
 
 
-def can_record(robot: Robot) -> bool:
+def can_record(session: Session) -> bool:
     """Whether clients may have anything recorded here."""
-    return not robot.settings.read_only and robot.adapter.capabilities.system != "recording"
+    return not session.settings.read_only and session.adapter.capabilities.system != "recording"
 
 
-def bag_urls(robot: Robot) -> tuple[str, ...]:
+def bag_urls(space: Space, recordings: Recordings) -> tuple[str, ...]:
     """The URLs of all recordings, those that are being made, and those that wait to be, included."""
-    names = (*robot.recordings, *robot.bags.running, *robot.bags.armed)
-    return tuple(map(robot.space.bag, dict.fromkeys(names)))
+    names = (*recordings.readable, *recordings.running, *recordings.armed)
+    return tuple(map(space.bag, dict.fromkeys(names)))
 
 
-def describe_bag(robot: Robot, recording: Recording) -> Document:
+def describe_bag(space: Space, history: History, recording: Recording) -> Document:
     """The document of a recording that can be read."""
-    if recording is robot.history.recording:
-        history = robot.history
-        return bag_document(recording, robot.space, dropped=history.dropped(), problem=history.problem)
+    if recording is history.recording:
+        history = history
+        return bag_document(recording, space, dropped=history.dropped(), problem=history.problem)
     size: int | None = None
     with contextlib.suppress(OSError):
         size = recording.path.stat().st_size if recording.path.is_file() else None
-    return bag_document(recording, robot.space, robot.history.digests.known(recording.path), size=size)
+    return bag_document(recording, space, history.digests.known(recording.path), size=size)
 
 
-def describe_running(robot: Robot, one: RunningRecording) -> Document:
+def describe_running(space: Space, recordings: Recordings, one: RunningRecording) -> Document:
     """The document of a recording that is being made."""
-    writer, dropped = one.writer, robot.bags.dropped(one)
+    writer, dropped = one.writer, recordings.dropped(one)
     view = RunningView(one)
-    return bag_document(view, robot.space, dropped=dropped, problem=writer.problem, size=writer.size, order=one.order)
+    return bag_document(view, space, dropped=dropped, problem=writer.problem, size=writer.size, order=one.order)
 
 
-def describe_armed(robot: Robot, one: ArmedRecording) -> Document:
+def describe_armed(space: Space, one: ArmedRecording) -> Document:
     """The document of a recording that waits for its trigger."""
     view = ArmedView(one.name)
-    return bag_document(view, robot.space, problem=one.problem, order=one.order, triggered=one.count)
+    return bag_document(view, space, problem=one.problem, order=one.order, triggered=one.count)
 
 
 class BagMessages(Resource):
@@ -320,10 +379,13 @@ class BagMessages(Resource):
     is_cacheable = False
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
 
-    def __init__(self, robot: Robot, recording: Recording, page: int | None = None) -> None:
-        base = robot.space.bag_messages(recording.name)
+    def __init__(
+        self, session: Session, states: VersionCache[State], recording: Recording, page: int | None = None
+    ) -> None:
+        base = session.space.bag_messages(recording.name)
         super().__init__(base if page is None else f"{base}?page={page}")
-        self.robot = robot
+        self.session = session
+        self.states = states
         self.recording = recording
         self.number = page
 
@@ -332,17 +394,17 @@ class BagMessages(Resource):
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self.robot.space.document_shape("Container"),)
+        return (self.session.space.document_shape("Container"),)
 
     async def state(self) -> State:
-        recording, space, page = self.recording, self.robot.space, self.number
+        recording, space, page = self.recording, self.session.space, self.number
         version = recording.first, recording.count
-        return self.robot.states.get_or_make(
+        return self.states.get_or_make(
             self.url, version, lambda: State(lambda: bag_messages_document(recording, space, page, PAGE))
         )
 
     def navigation_links(self) -> tuple[SequenceLink, ...]:
-        base = self.robot.space.bag_messages(self.recording.name)
+        base = self.session.space.bag_messages(self.recording.name)
         first, last = _pages(self.recording)
         if self.number is None:
             places = {"first": first, "last": last}
@@ -354,13 +416,13 @@ class BagMessages(Resource):
         """The page that `?page=`, or a filter, asks for; a 404 Problem where there is none."""
         wanted = exchange.query.get("page")
         if wanted is None:
-            return selection_of(self.robot, self.recording, exchange) or self
+            return selection_of(self.session, self.recording, exchange) or self
         first, last = _pages(self.recording)
         if not (wanted.isascii() and wanted.isdigit()) or int(wanted) > last:
             raise Problem(404, f"?page={wanted}: the pages of {self.recording.name} are {first} to {last}.")
         if int(wanted) < first:
             raise Problem(410, f"?page={wanted}: the oldest messages were removed, the pages are {first} to {last}.")
-        return BagMessages(self.robot, self.recording, int(wanted))
+        return BagMessages(self.session, self.states, self.recording, int(wanted))
 
 
 class BagMessage(Resource):
@@ -369,9 +431,13 @@ class BagMessage(Resource):
     kind = "Recorded message"
     is_cacheable = False
 
-    def __init__(self, robot: Robot, recording: Recording, index: int) -> None:
-        super().__init__(robot.space.bag_message(recording.name, index))
-        self.robot = robot
+    def __init__(
+        self, session: Session, states: VersionCache[State], pictures: PictureCache, recording: Recording, index: int
+    ) -> None:
+        super().__init__(session.space.bag_message(recording.name, index))
+        self.session = session
+        self.states = states
+        self.pictures = pictures
         self.recording = recording
         self.index = index
         self.title = f"{recording.name}, message {index}"
@@ -381,7 +447,7 @@ class BagMessage(Resource):
         """The messages before and after, first and last (RFC 8288)."""
         first, last = self.recording.first, self.recording.first + self.recording.count - 1
         places = {"first": first, "prev": self.index - 1, "next": self.index + 1, "last": last}
-        links = ((rel, self.robot.space.bag_message(self.recording.name, at)) for rel, at in places.items())
+        links = ((rel, self.session.space.bag_message(self.recording.name, at)) for rel, at in places.items())
         there = {rel for rel, at in places.items() if first <= at <= last}
         return tuple(SequenceLink(rel, url) for rel, url in links if rel in there)
 
@@ -391,7 +457,7 @@ class BagMessage(Resource):
             message = await asyncio.to_thread(self.recording.message, self.index)
         except NotFound as error:
             raise Problem(410 if self.index < self.recording.first else 404, error.sentence) from error
-        await learn_type(self.robot, self.recording, message)
+        await learn_type(self.session.schemas, self.recording, message)
         return message
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
@@ -399,26 +465,26 @@ class BagMessage(Resource):
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self.robot.space.document_shape("Record"),)
+        return (self.session.space.document_shape("Record"),)
 
     async def state(self) -> State:
-        known = self.robot.states.find(self.url, 0)
+        known = self.states.find(self.url, 0)
         if known is not None:
             return known
         message = await self.message()
-        robot, recording = self.robot, self.recording
-        decoded = await decode(robot, message.sample)
+        recording = self.recording
+        decoded = await decode(self.session.schemas, message.sample)
 
         def plain() -> bytes:
             if decoded.schema is None or decoded.message is None:
                 raise Problem(406, f"The message cannot be read: {decoded.reason}.")
-            return lift_sample(robot, decoded).lifter.json(decoded.message, self.url)
+            return lift_sample(self.session.space, self.session.lifting, decoded).lifter.json(decoded.message, self.url)
 
         def describe() -> Document:
-            return record_document(robot, recording, DecodedRecord(message, decoded))
+            return record_document(self.session, recording, DecodedRecord(message, decoded))
 
-        shapes = () if decoded.schema is None else robot.space.shapes_of(decoded.schema)
-        return robot.states.put(self.url, 0, State(describe, plain, shapes=shapes))
+        shapes = () if decoded.schema is None else self.session.space.shapes_of(decoded.schema)
+        return self.states.put(self.url, 0, State(describe, plain, shapes=shapes))
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
         """`?field=PATH`: the bytes of one field; or its picture, where that is preferred."""
@@ -426,10 +492,12 @@ class BagMessage(Resource):
         if wanted is not None:
             message = await self.message()
             require_picture(message.topic, (message.sample.schema,))
-            return await picture_response(self, self.robot, self.url, message.sample, exchange, wanted)
+            return await picture_response(
+                self, self.session.schemas, self.pictures, self.url, message.sample, exchange, wanted
+            )
         if "field" not in exchange.query:
             return None
-        return await field_response(self.robot, (await self.message()).sample, exchange.query["field"])
+        return await field_response(self.session.schemas, (await self.message()).sample, exchange.query["field"])
 
 
 def _pages(recording: Recording) -> tuple[int, int]:

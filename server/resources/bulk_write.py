@@ -10,6 +10,7 @@ from starlette.responses import Response
 
 from rosld.adapters.model import RosError
 from rosld.ontology.body import RdfBody
+from rosld.ontology.lift import LiftSettings
 from rosld.ontology.lower import parse_json
 from rosld.ontology.parameters import lower_term, parameter_json
 from rosld.ontology.violations import LoweringError, Violation
@@ -31,10 +32,11 @@ from rosld.server.hypermedia.value import (
 from rosld.server.hypermedia.value_body import content_from_rdf
 from rosld.server.hypermedia.views import ComplexView, Member
 from rosld.server.patches.patch import merge_patch
-from rosld.server.resources.context import Robot
+from rosld.server.resources.limit_checks import LimitChecks
 from rosld.server.resources.preconditions import condition_conflict
 from rosld.server.resources.property_writes import plan_property_write
 from rosld.server.rest.ros_problems import problem_of
+from rosld.server.robot.session import Session
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,14 +66,16 @@ def changes_in_json(patch: object, plan: ComplexPlan, view: ComplexView) -> tupl
     return tuple(MemberChange(members[name], merge_patch(before[name], value)) for name, value in patch.items())
 
 
-def changes_in_graph(body: RdfBody, plan: ComplexPlan, view: ComplexView, robot: Robot) -> tuple[MemberChange, ...]:
+def changes_in_graph(
+    body: RdfBody, plan: ComplexPlan, view: ComplexView, lifting: LiftSettings
+) -> tuple[MemberChange, ...]:
     """The changes between what is said of the members now and what `body` says. Raises LoweringError."""
     seen = {one.affordance.name: one for one in view.members}
-    found = (_changed(body, one, seen[one.name], view.url, robot) for one in plan.members)
+    found = (_changed(body, one, seen[one.name], view.url, lifting) for one in plan.members)
     return tuple(change for change in found if change is not None)
 
 
-def _changed(body: RdfBody, plan: MemberPlan, seen: Member, url: str, robot: Robot) -> MemberChange | None:
+def _changed(body: RdfBody, plan: MemberPlan, seen: Member, url: str, lifting: LiftSettings) -> MemberChange | None:
     relation = seen.affordance.predicate
     subject = NamedNode(url if relation else seen.affordance.url)
     predicate = relation or rdf.value
@@ -81,7 +85,7 @@ def _changed(body: RdfBody, plan: MemberPlan, seen: Member, url: str, robot: Rob
             return None
         raise LoweringError(Violation(plan.name, f"a member cannot be removed: {subject} {predicate} is missing"))
     try:
-        content = content_from_rdf(body, subject, predicate, plan.source, robot.lifting)
+        content = content_from_rdf(body, subject, predicate, plan.source, lifting)
     except LoweringError as error:
         raise _within(plan.name, error) from error
     same = _says(content, seen) if isinstance(content, Literal) else content == _present(seen)
@@ -129,7 +133,7 @@ def _present(member: Member) -> object:
 
 
 async def plan_changes(
-    robot: Robot, plan: ComplexPlan, snapshot: Snapshot, changes: Sequence[MemberChange]
+    session: Session, limit_checks: LimitChecks, plan: ComplexPlan, snapshot: Snapshot, changes: Sequence[MemberChange]
 ) -> tuple[tuple[str, PlannedWrite], ...]:
     """The writes that bring these changes about, with the names of the members that ask for them.
 
@@ -138,13 +142,13 @@ async def plan_changes(
     """
     for change in changes:
         condition_conflict(
-            robot, change.member.write_conditions, snapshot, f"{change.member.name} must not be written now"
+            session.space, change.member.write_conditions, snapshot, f"{change.member.name} must not be written now"
         )
     writes = []
     broken: list[Violation] = []
     for names, own, content in _by_property(changes, snapshot.readings):
         try:
-            writes.append((names, await plan_property_write(robot, own, content)))
+            writes.append((names, await plan_property_write(session, limit_checks, own, content)))
         except LoweringError as error:
             broken += _within(names, error).violations
         except Problem as problem:
@@ -219,12 +223,12 @@ def _within(name: str, error: LoweringError) -> LoweringError:
 # Carrying it out
 
 
-async def carry_out_all(robot: Robot, writes: Sequence[tuple[str, PlannedWrite]]) -> Response:
+async def carry_out_all(session: Session, writes: Sequence[tuple[str, PlannedWrite]]) -> Response:
     """Carry the writes out in their order. The first that fails ends it: the Problem tells what became of each."""
     done: list[dict[str, object]] = []
     for place, (name, write) in enumerate(writes):
         try:
-            written = await carry_out(robot, write)
+            written = await carry_out(session, write)
         except (RosError, Problem) as error:
             raise _partly(error, name, done, [name for name, _ in writes[place + 1 :]]) from error
         done.append({"name": name, "status": 202 if written is WriteOutcome.UNHEARD else 204})

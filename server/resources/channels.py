@@ -24,7 +24,7 @@ from rosld.ontology.notifications import (
     description_members,
     with_context,
 )
-from rosld.ontology.urls import Location, locate
+from rosld.ontology.urls import Location, Space, locate
 from rosld.server.auth import enforcement
 from rosld.server.auth.permissions import Permissions
 from rosld.server.auth.redaction.problems import redact_problem
@@ -42,7 +42,6 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import DataSchema
 from rosld.server.hypermedia.json_schema import OBJECT, TEXT, URI
 from rosld.server.hypermedia.message_schemas import MessageSchemas
-from rosld.server.resources.context import Robot
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, OFFERS
 from rosld.server.rest.path_item import PathItem, WriteMethod
@@ -66,7 +65,7 @@ ROOM, SOURCE = "channels", "messages"
 WELL_KNOWN, THING = ".well-known", "wot"
 STORAGE_DESCRIPTION = "http://www.w3.org/ns/solid/terms#storageDescription"
 Resolve: TypeAlias = Callable[[Scope], Resource]
-Route: TypeAlias = Callable[[Robot, Location], Resource]
+Route: TypeAlias = Callable[[Location], Resource]
 
 _SUBSCRIPTION: DataSchema = {
     "type": "object",
@@ -87,15 +86,22 @@ class Notifications:
     """
 
     def __init__(
-        self, robot: Robot, channels: Channels, broadcasters: Broadcasters, site: OriginPolicy, resolve: Resolve
+        self,
+        space: Space,
+        instance_id: str,
+        channels: Channels,
+        broadcasters: Broadcasters,
+        site: OriginPolicy,
+        resolve: Resolve,
     ) -> None:
-        self.robot = robot
+        self.space = space
+        self.instance_id = instance_id
         self.channels = channels
         self.broadcasters = broadcasters
         self._site = site
         self._resolve = resolve
-        self.services = tuple(ServiceDescription(robot.space.url(ROOM, (kind,)), kind) for kind in CHANNEL_TYPES)
-        self.description = f"{robot.space.base}{WELL_KNOWN}/solid"
+        self.services = tuple(ServiceDescription(space.url(ROOM, (kind,)), kind) for kind in CHANNEL_TYPES)
+        self.description = f"{space.base}{WELL_KNOWN}/solid"
         self.link = Link(self.description, STORAGE_DESCRIPTION)
         """What every answer links to (2.1)."""
 
@@ -105,7 +111,7 @@ class Notifications:
 
     def urls_of(self, kind: str, token: str) -> tuple[str, str]:
         """The URLs of a channel, and of what is received from."""
-        url = self.robot.space.url(ROOM, (kind, token))
+        url = self.space.url(ROOM, (kind, token))
         source = f"{url}/{SOURCE}"
         return url, source.replace("http", "ws", 1) if kind == WEBSOCKET else source
 
@@ -122,7 +128,7 @@ class Notifications:
     def websocket_receiver(self, scope: Scope) -> WebSocketReceiver:
         """Who receives over the WebSocket that is to be opened. Raises Problems: 404 for every other path, 503."""
         try:
-            path = scope["raw_path"].decode("ascii").removeprefix(self.robot.space.path.rstrip("/"))
+            path = scope["raw_path"].decode("ascii").removeprefix(self.space.path.rstrip("/"))
             location = locate(path)
         except ValueError as error:
             raise Problem(400, f"{error}.") from error
@@ -130,13 +136,13 @@ class Notifications:
             case (kind, token, name) if location.kind == ROOM and kind == WEBSOCKET and name == SOURCE:
                 self.broadcasters.require_capacity()
                 return WebSocketReceiver(self.channels, self.broadcasters, channel_of(self, kind, token))
-        raise Problem(404, f"No WebSocket is there: subscribe at {self.robot.space.url(ROOM, (WEBSOCKET,))} first.")
+        raise Problem(404, f"No WebSocket is there: subscribe at {self.space.url(ROOM, (WEBSOCKET,))} first.")
 
     async def _topic(self, url: str, permissions: Permissions) -> tuple[Resource, State]:
         """The resource to tell of, and what it is like now. Raises a 422 Problem where nothing can be told of it."""
         scope = self._scope(url)
         exchange = Exchange(Request(scope), 0)
-        place = None if permissions.is_unrestricted else enforcement.location_of(scope, self.robot.space)
+        place = None if permissions.is_unrestricted else enforcement.location_of(scope, self.space)
         try:
             if not permissions.is_unrestricted:
                 enforcement.require_path(permissions, "GET", place)
@@ -162,9 +168,9 @@ class Notifications:
             raw_path, query = (quote(part, safe="/%:@!$&'()*+,;=~?-._").encode() for part in (parts.path, parts.query))
         except ValueError as error:
             raise Problem(422, f"The topic {url[:200]!r} is no URL: {error}.") from error
-        if origin not in self._site.origins or not raw_path.decode().startswith(self.robot.space.path):
+        if origin not in self._site.origins or not raw_path.decode().startswith(self.space.path):
             raise Problem(
-                422, f"The topic {url[:200]} lies elsewhere: this server tells of what is under {self.robot.space.base}"
+                422, f"The topic {url[:200]} lies elsewhere: this server tells of what is under {self.space.base}"
             )
         return {
             "type": "http",
@@ -216,7 +222,7 @@ class DescribedResource(Resource):
         if members is None or not prefers_json(exchange):
             return None
         body = orjson.dumps(with_context(members))
-        etag = ETag(f"{self.notifications.robot.instance_id}-{digest(body)}", "jsonld")
+        etag = ETag(f"{self.notifications.instance_id}-{digest(body)}", "jsonld")
         return bytes_response(exchange, body, JSON_LD, etag, resource_headers(self).items())
 
     def _headers(self) -> list[tuple[bytes, bytes]]:
@@ -239,10 +245,10 @@ class StorageDescription(DescribedResource):
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self.notifications.robot.space.document_shape("Subscriptions"),)
+        return (self.notifications.space.document_shape("Subscriptions"),)
 
     def document(self) -> Document:
-        return description_document(self.url, self.notifications.robot.space.base, self.notifications.services)
+        return description_document(self.url, self.notifications.space.base, self.notifications.services)
 
     def members(self) -> Json:
         return description_members(self.url, self.notifications.services)
@@ -260,7 +266,7 @@ class WellKnownContainer(DescribedResource):
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self.notifications.robot.space.document_shape("Container"),)
+        return (self.notifications.space.document_shape("Container"),)
 
     def document(self) -> Document:
         described = self.notifications.description
@@ -279,7 +285,7 @@ class ServiceContainer(DescribedResource):
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self.notifications.robot.space.document_shape("Container"),)
+        return (self.notifications.space.document_shape("Container"),)
 
     def document(self) -> Document:
         return container_document(self.url, [one.url for one in self.notifications.services], self.title)
@@ -308,7 +314,7 @@ class SubscriptionService(DescribedResource):
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self.notifications.robot.space.document_shape("SubscriptionService"),)
+        return (self.notifications.space.document_shape("SubscriptionService"),)
 
     def methods(self) -> frozenset[str]:
         return READ | {"POST"}
@@ -345,7 +351,7 @@ class ChannelResource(DescribedResource):
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self.notifications.robot.space.document_shape("Channel"),)
+        return (self.notifications.space.document_shape("Channel"),)
 
     def methods(self) -> frozenset[str]:
         return READ | {"DELETE"}
@@ -383,10 +389,11 @@ class ChannelSourceResource(DescribedResource):
         return ChannelStream(self.notifications.channels, self.notifications.broadcasters, self._channel, headers)
 
 
-def channel_route(robot: Robot, location: Location, *, notifications: Notifications) -> Resource:
+def channel_route(location: Location, *, notifications: Notifications) -> Resource:
     """`/channels/` and below."""
+    space = notifications.space
     if not location.segments:
-        url = robot.space.container(ROOM)
+        url = space.container(ROOM)
         if not location.is_container:
             raise permanent_redirect(url)
         return ServiceContainer(notifications, url)
@@ -400,7 +407,7 @@ def channel_route(robot: Robot, location: Location, *, notifications: Notificati
                 return ChannelResource(notifications, channel_of(notifications, kind, token))
             case [token, name] if name == SOURCE:
                 return ChannelSourceResource(notifications, channel_of(notifications, kind, token))
-    raise Problem(404, f"There is no subscription service there; {robot.space.container(ROOM)} lists them.")
+    raise Problem(404, f"There is no subscription service there; {space.container(ROOM)} lists them.")
 
 
 def channel_item() -> PathItem:
@@ -426,10 +433,10 @@ def channel_of(notifications: Notifications, kind: str, token: str) -> Channel:
 
 def fixed_resources(notifications: Notifications) -> Sequence[DescribedResource]:
     """The resources of notifications that never change."""
-    container = notifications.robot.space.container(ROOM)
+    container = notifications.space.container(ROOM)
     services = (SubscriptionService(notifications, service) for service in notifications.services)
     return (
-        WellKnownContainer(notifications, f"{notifications.robot.space.base}{WELL_KNOWN}/"),
+        WellKnownContainer(notifications, f"{notifications.space.base}{WELL_KNOWN}/"),
         StorageDescription(notifications, notifications.description),
         ServiceContainer(notifications, container),
         *services,
@@ -439,14 +446,14 @@ def fixed_resources(notifications: Notifications) -> Sequence[DescribedResource]
 def routes(notifications: Notifications, well_known: Route) -> Mapping[str, Route]:
     """The rooms of notifications; `well_known` is the room of whatever else is well known."""
 
-    def known(robot: Robot, location: Location) -> Resource:
+    def known(location: Location) -> Resource:
         if not location.segments:
-            url = f"{robot.space.base}{WELL_KNOWN}/"
+            url = f"{notifications.space.base}{WELL_KNOWN}/"
             if not location.is_container:
                 raise permanent_redirect(url)
             return WellKnownContainer(notifications, url)
         if location.segments == ("solid",) and not location.is_container:
             return StorageDescription(notifications, notifications.description)
-        return well_known(robot, location)
+        return well_known(location)
 
     return {ROOM: partial(channel_route, notifications=notifications), WELL_KNOWN: known}

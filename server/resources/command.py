@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from rosld.ontology.document import Document
 from rosld.server.resources.accepted_shape import AcceptedShape
-from rosld.server.resources.context import Robot
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.resource import Resource
+from rosld.server.robot.session import Session
 
 WRITES = frozenset({"PUT", "POST", "PATCH", "DELETE"})
 
@@ -14,11 +14,11 @@ WRITES = frozenset({"PUT", "POST", "PATCH", "DELETE"})
 class CommandResource(Resource):
     """Base of the resources whose writes command the robot: none is offered while it is stopped."""
 
-    robot: Robot
+    session: Session
 
     @property
     def withheld(self) -> frozenset[str]:
-        return WRITES if self.robot.is_stopped else frozenset()
+        return WRITES if self.session.is_stopped else frozenset()
 
     async def accepted(self, url: str) -> Document | None:
         """What may be written to it as RDF, as the shapes graph at `url`; None where no shape of its own says so."""

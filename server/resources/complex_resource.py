@@ -18,7 +18,7 @@ from rosld.server.auth.permissions import Permissions
 from rosld.server.html import Form, forms_of
 from rosld.server.http.link import Link
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.affordance_service import Snapshot
+from rosld.server.hypermedia.affordance_service import AffordanceService, Snapshot
 from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.data_schema import DataSchema, Json, value_schema
 from rosld.server.hypermedia.json_schema import nullable, patch_schema, read_schema
@@ -37,10 +37,10 @@ from rosld.server.resources.bulk_write import (
     plan_changes,
 )
 from rosld.server.resources.command import CommandResource
-from rosld.server.resources.context import Robot
+from rosld.server.resources.limit_checks import LimitChecks
 from rosld.server.resources.preconditions import read_fresh_state
 from rosld.server.resources.things import FORMAT as TD
-from rosld.server.resources.things import complex_thing, thing_response, wants_thing
+from rosld.server.resources.things import ThingDescriptions, wants_thing
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import FORMATS, MERGE_PATCH, OFFERS, SPARQL_UPDATE
 from rosld.server.rest.parts import PART_QUERY
@@ -48,6 +48,7 @@ from rosld.server.rest.path_item import FORMAT, PathItem, WriteMethod
 from rosld.server.rest.plan import Plan, RobotWrite
 from rosld.server.rest.resource import ABSENT, BASIC_CONTAINER, RDF_SOURCE, READ, RESOURCE, Answer, permanent_redirect
 from rosld.server.rest.state import State
+from rosld.server.robot.session import Session
 
 _MANY_MEMBERS = 40
 """Members from which messages among them are described at their own URLs alone: hundreds of them are megabytes."""
@@ -60,10 +61,20 @@ class ComplexResource(CommandResource):
     kind = "Complex resource"
     accepts: Mapping[str, Sequence[str]] = {"PATCH": (MERGE_PATCH, SPARQL_UPDATE)}
 
-    def __init__(self, robot: Robot, path: str) -> None:
-        super().__init__(url_of(path, robot.space))
+    def __init__(
+        self,
+        session: Session,
+        affordances: AffordanceService[State],
+        limit_checks: LimitChecks,
+        things: ThingDescriptions,
+        path: str,
+    ) -> None:
+        super().__init__(url_of(path, session.space))
         self.title = path if path != "/" else "Resources"
-        self.robot = robot
+        self.session = session
+        self.affordances = affordances
+        self.limit_checks = limit_checks
+        self.things = things
         self.path = path
         self.links = (
             RESOURCE,
@@ -74,25 +85,27 @@ class ComplexResource(CommandResource):
 
     @property
     def also_changes(self) -> Sequence[str]:
-        tree = self.robot.affordances.cached_tree() or self.robot.affordances.last_tree
+        tree = self.affordances.cached_tree() or self.affordances.last_tree
         plan = None if tree is None else tree.complex(self.path)
         return (
-            () if plan is None else [url_of(one.url_name or one.source.name, self.robot.space) for one in plan.members]
+            ()
+            if plan is None
+            else [url_of(one.url_name or one.source.name, self.session.space) for one in plan.members]
         )
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self.robot.space.document_shape("ComplexResource"),)
+        return (self.session.space.document_shape("ComplexResource"),)
 
     @property
     def constrained_by(self) -> str | None:
-        return self.robot.space.shape("limits")
+        return self.session.space.shape("limits")
 
     async def prepare(self) -> None:
         await self._plan()
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        offers, tree = self.robot.affordances, self.robot.affordances.cached_tree() or self.robot.affordances.last_tree
+        offers, tree = self.affordances, self.affordances.cached_tree() or self.affordances.last_tree
         plan = None if tree is None else tree.complex(self.path)
         read: dict[str, Json] = {}
         sent: dict[str, Json] = {}
@@ -117,20 +130,20 @@ class ComplexResource(CommandResource):
         )
 
     def methods(self) -> frozenset[str]:
-        tree, robot = self.robot.affordances.cached_tree(), self.robot
+        tree = self.affordances.cached_tree()
         plan = tree.complex(self.path) if tree is not None else None
-        if plan is None or robot.settings.read_only:
+        if plan is None or self.session.settings.read_only:
             return READ
-        return READ | {"PATCH"} if any(robot.affordances.is_writable(one.source) for one in plan.members) else READ
+        return READ | {"PATCH"} if any(self.affordances.is_writable(one.source) for one in plan.members) else READ
 
     async def current_methods(self) -> frozenset[str]:
         """Nothing where it does not exist now: then it is 404, read or written."""
         tree, plan = await self._plan()
-        (exists,) = await self.robot.affordances.conditions_hold(tree, plan.reads, plan.exists_when)
+        (exists,) = await self.affordances.conditions_hold(tree, plan.reads, plan.exists_when)
         return self.methods() if exists else ABSENT
 
     def deny_reason(self, method: str) -> str:
-        if self.robot.settings.read_only:
+        if self.session.settings.read_only:
             return "This server is read-only."
         if method == "PATCH":
             return f"No member of {self.path} can be written now."
@@ -138,56 +151,59 @@ class ComplexResource(CommandResource):
 
     async def state(self) -> State:
         tree, plan = await self._plan()
-        return await self.robot.affordances.cached_state(
+        return await self.affordances.cached_state(
             self.url, tree, plan.reads, lambda snapshot: self._shown(plan, snapshot)
         )
 
     def _shown(self, plan: ComplexPlan, snapshot: Snapshot) -> State:
-        robot = self.robot
-        view = robot.affordances.complex_view(plan, snapshot)
+        view = self.affordances.complex_view(plan, snapshot)
         own = tuple(member.reading for member in view.members)
         times = [one.read_ns for one in own if one.read_ns is not None and one.fresh_until is not None]
-        shapes = (shape_url(member.reading, member.field, robot.space) for member in view.members)
+        shapes = (shape_url(member.reading, member.field, self.session.space) for member in view.members)
         return State(
-            lambda: complex_document(view, robot.space, robot.lifting, simulated_time=robot.graph.simulated_time),
-            lambda: complex_json(view, robot.lifting),
+            lambda: complex_document(
+                view, self.session.space, self.session.lifting, simulated_time=self.session.graph.simulated_time
+            ),
+            lambda: complex_json(view, self.session.lifting),
             received_ns=min(times, default=None),
-            max_age=0 if plan.is_conditional else robot.affordances.max_age(own),
+            max_age=0 if plan.is_conditional else self.affordances.max_age(own),
             view=view,
             shapes=tuple(dict.fromkeys(url for url in shapes if url is not None)),
         )
 
     def redact(self, state: State, permissions: Permissions) -> State:
-        robot, view = self.robot, state.view
+        view = state.view
         assert isinstance(view, ComplexView)
         left = view.redact(permissions)
         return state.redact(
             permissions,
-            lambda: complex_document(left, robot.space, robot.lifting, simulated_time=robot.graph.simulated_time),
-            lambda: complex_json(left, robot.lifting),
+            lambda: complex_document(
+                left, self.session.space, self.session.lifting, simulated_time=self.session.graph.simulated_time
+            ),
+            lambda: complex_json(left, self.session.lifting),
         )
 
     async def _plan(self) -> tuple[ResourceTree, ComplexPlan]:
-        tree = await self.robot.affordances.tree()
+        tree = await self.affordances.tree()
         plan = tree.complex(self.path)
         if plan is not None:
             return tree, plan
         name = self.path[:-1]
         if tree.property(name) is not None or tree.action(name) is not None:
-            raise permanent_redirect(url_of(name, self.robot.space))
+            raise permanent_redirect(url_of(name, self.session.space))
         raise Problem(404, f"There is no resource {self.path}.")
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
         if not wants_thing(exchange):
             return None
         _, plan = await self._plan()  # it tells what there ever is, also while the resource is not there
-        data = complex_thing(self.robot, plan)
-        return thing_response(exchange, self.robot, self.url, f"{self.url}?format={TD}", data)
+        data = self.things.of_complex(plan)
+        return self.things.response(exchange, self.url, f"{self.url}?format={TD}", data)
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:
-        tree = await self.robot.affordances.tree()
+        tree = await self.affordances.tree()
         plan = tree.complex(self.path)
-        return None if plan is None else await self.robot.affordances.watch(plan.reads, wake)
+        return None if plan is None else await self.affordances.watch(plan.reads, wake)
 
     async def forms(self) -> Sequence[Form]:
         view = (await self.state()).view
@@ -198,23 +214,27 @@ class ComplexResource(CommandResource):
         tree, plan = await self._plan()
         data = await exchange.body()
         named = tuple(member.source.name for member in plan.members)
-        async with self.robot.affordances.lock(tree, self.path, *named, modified=named):
-            snapshot = await read_fresh_state(self.robot, tree, plan.reads)
+        async with self.affordances.lock(tree, self.path, *named, modified=named):
+            snapshot = await read_fresh_state(self.affordances, tree, plan.reads)
             changes = self._changes(exchange.media_type, plan, snapshot, data)
-            return await carry_out_all(self.robot, await plan_changes(self.robot, plan, snapshot, changes))
+            return await carry_out_all(
+                self.session, await plan_changes(self.session, self.limit_checks, plan, snapshot, changes)
+            )
 
     async def plan_graph_write(self, triples: Sequence[Triple] | None) -> Plan:
         """Within a turn that names `concerned`."""
-        robot, (tree, plan) = self.robot, await self._plan()
+        (tree, plan) = await self._plan()
         if "PATCH" not in self.methods() or triples is None:
             raise Problem(403, self.deny_reason("PATCH" if triples is not None else "DELETE"))
-        snapshot = await read_fresh_state(robot, tree, plan.reads)
-        view = robot.affordances.complex_view(plan, snapshot)
+        snapshot = await read_fresh_state(self.affordances, tree, plan.reads)
+        view = self.affordances.complex_view(plan, snapshot)
         body = index_triples(triples)
-        writes = await plan_changes(robot, plan, snapshot, changes_in_graph(body, plan, view, robot))
+        writes = await plan_changes(
+            self.session, self.limit_checks, plan, snapshot, changes_in_graph(body, plan, view, self.session.lifting)
+        )
 
         async def carried_out_all() -> bool:
-            await carry_out_all(robot, writes)
+            await carry_out_all(self.session, writes)
             return True
 
         return RobotWrite(f"write {', '.join(name for name, _ in writes) or 'nothing'} of {self.path}", carried_out_all)
@@ -225,9 +245,10 @@ class ComplexResource(CommandResource):
         return (self.path, *(member.source.name for member in plan.members)) if plan is not None else (self.path,)
 
     def _changes(self, media_type: str, plan: ComplexPlan, snapshot: Snapshot, data: bytes) -> Sequence[MemberChange]:
-        robot = self.robot
-        view = robot.affordances.complex_view(plan, snapshot)
+        view = self.affordances.complex_view(plan, snapshot)
         if media_type == MERGE_PATCH:
             return changes_in_json(parse_json(data), plan, view)
-        before = complex_document(view, robot.space, robot.lifting.unelided)
-        return changes_in_graph(apply_update(data, before.all_triples(), self.url, by_value=True), plan, view, robot)
+        before = complex_document(view, self.session.space, self.session.lifting.unelided)
+        return changes_in_graph(
+            apply_update(data, before.all_triples(), self.url, by_value=True), plan, view, self.session.lifting
+        )

@@ -15,13 +15,13 @@ from rosld.adapters.model import MessageSchema, RosError, TypeRef
 from rosld.ontology.describe_diagnostics import PartState, diagnostics_document
 from rosld.ontology.literals import date_time
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
+from rosld.server.history.history import History
 from rosld.server.html import Csrf, DiagnosticsPage, Form, Notice, Site, render_diagnostics
 from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import DataSchema
 from rosld.server.hypermedia.json_schema import TEXT, URI
 from rosld.server.hypermedia.message_schemas import MessageSchemas
-from rosld.server.resources.context import Robot
 from rosld.server.resources.memento import is_recorded
 from rosld.server.resources.messages import decode
 from rosld.server.rest.exchange import Exchange
@@ -33,11 +33,13 @@ from rosld.server.robot.diagnostic_states import (
     DiagnosticState,
     Level,
     LevelChange,
+    LevelTimes,
     changes_of,
     judge,
     read_states,
     worst_first,
 )
+from rosld.server.robot.session import Session
 from rosld.server.runtime.signals import call_every, combine_watches
 
 _LOOK_SECONDS = 2.0
@@ -83,10 +85,19 @@ class DiagnosticsResource(Resource):
     title = "Diagnostics"
     links = (RESOURCE, RDF_SOURCE)
 
-    def __init__(self, robot: Robot, name: str = "", permissions: Permissions = ALLOW_ALL) -> None:
-        base = f"{robot.space.base}diagnostics"
+    def __init__(
+        self,
+        session: Session,
+        history: History,
+        level_times: LevelTimes,
+        name: str = "",
+        permissions: Permissions = ALLOW_ALL,
+    ) -> None:
+        base = f"{session.space.base}diagnostics"
         super().__init__(f"{base}?name={quote(name, safe='')}" if name else base)
-        self.robot = robot
+        self.session = session
+        self.history = history
+        self.level_times = level_times
         self.name = name
         self._permissions = permissions
         self._states: Sequence[DiagnosticState] = ()
@@ -101,26 +112,32 @@ class DiagnosticsResource(Resource):
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self.robot.space.document_shape("Source"),)
+        return (self.session.space.document_shape("Source"),)
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """What the query asks for, as the agent may see it."""
-        return DiagnosticsResource(self.robot, exchange.query.get("name", "")[:_MAX_NAME], exchange.permissions)
+        return DiagnosticsResource(
+            self.session,
+            self.history,
+            self.level_times,
+            exchange.query.get("name", "")[:_MAX_NAME],
+            exchange.permissions,
+        )
 
     @property
     def _topics(self) -> Sequence[str]:
         """The topics of diagnostics that the agent may read."""
-        robot, permissions = self.robot, self._permissions
+        permissions = self._permissions
         return sorted(
             name
-            for name, topic in robot.graph.topics.items()
+            for name, topic in self.session.graph.topics.items()
             if any(ref.name == DIAGNOSTIC_ARRAY for ref in topic.types)
-            and permissions.may_read(robot.space.topic(name))
+            and permissions.may_read(self.session.space.topic(name))
         )
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:
         """Each of its topics tells of itself; what falls silent is looked for now and then."""
-        watches = [await self.robot.topics.watch(topic, wake) for topic in self._topics]
+        watches = [await self.session.topics.watch(topic, wake) for topic in self._topics]
         return combine_watches(*watches, call_every(_LOOK_SECONDS, wake))
 
     async def state(self) -> State:
@@ -131,38 +148,36 @@ class DiagnosticsResource(Resource):
             if not self._states:
                 raise Problem(404, f"No part called {self.name[:80]!r} has told of itself.")
             self._changes = await self._past(self._states[0].topic)
-        states = [_part(each, self.robot.space.topic(each.topic)) for each in self._states]
+        states = [_part(each, self.session.space.topic(each.topic)) for each in self._states]
         plain = _plain(states, self._changes)
         return State(
-            partial(diagnostics_document, self.url, states, self.robot.space.types), lambda: plain, digest(plain)
+            partial(diagnostics_document, self.url, states, self.session.space.types), lambda: plain, digest(plain)
         )
 
     async def _read(self, topic: str) -> Sequence[DiagnosticState]:
-        robot = self.robot
-        view = await robot.topics.read(topic)
+        view = await self.session.topics.read(topic)
         if view.newest is None:
             return ()
-        decoded = await decode(robot, view.newest)
+        decoded = await decode(self.session.schemas, view.newest)
         if decoded.message is None or decoded.schema is None or decoded.schema.ref.name != DIAGNOSTIC_ARRAY:
             return ()
-        now = max(view.times.values(), default=0) if robot.adapter.recordings else time.time_ns()
+        now = max(view.times.values(), default=0) if self.session.adapter.recordings else time.time_ns()
         period = 1.0 / view.rate if view.rate else 0.0
         states = read_states(topic, decoded.message, view.times, view.newest.received_ns)
-        return [robot.level_times.note(judge(each, now, period), now) for each in states]
+        return [self.level_times.note(judge(each, now, period), now) for each in states]
 
     async def _past(self, topic: str) -> Sequence[LevelChange]:
         """What the part said within the last hour, as far as it is recorded; nothing where nothing is."""
-        robot = self.robot
-        if not is_recorded(robot, topic):
+        if not is_recorded(self.history, topic):
             return ()
         try:
-            schemas = {ref: await robot.schemas.message(ref) for ref in robot.graph.topics[topic].types}
+            schemas = {ref: await self.session.schemas.message(ref) for ref in self.session.graph.topics[topic].types}
             return await asyncio.to_thread(self._read_past, topic, schemas)
         except (OSError, ValueError, KeyError, RosError):
             return ()
 
     def _read_past(self, topic: str, schemas: Mapping[TypeRef, MessageSchema]) -> Sequence[LevelChange]:
-        recording = self.robot.history.recording
+        recording = self.history.recording
         wanted = MessageFilter(frozenset({topic}), time.time_ns() - _PAST_NS)
         said: list[tuple[int, DiagnosticState]] = []
         for message in recording.select(wanted, _MAX_MESSAGES).messages:
@@ -181,7 +196,7 @@ class DiagnosticsResource(Resource):
                 self.name,
                 tuple(self._states),
                 tuple(self._changes),
-                tuple(self.robot.space.topic(each) for each in sorted(topics or self._topics)),
+                tuple(self.session.space.topic(each) for each in sorted(topics or self._topics)),
                 tuple(notices),
             )
         )

@@ -5,17 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 
 from rosld.ontology.describe_graph import SECTIONS, entry_document
+from rosld.server.history.recordings import Recordings
 from rosld.server.html import Csrf, EntryCount, EntryPage, Form, Notice, Site, render_entry
 from rosld.server.html.page import NoticeLevel
 from rosld.server.http.link import Link
 from rosld.server.hypermedia.message_schemas import MessageSchemas
-from rosld.server.resources.context import Robot
 from rosld.server.resources.namespaces import listed_graph
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource
 from rosld.server.rest.state import State
 from rosld.server.robot.diagnostic_states import DIAGNOSTIC_ARRAY
+from rosld.server.robot.session import Session
 from rosld.server.robot.write_policy import RESERVED
+from rosld.server.runtime.version_cache import VersionCache
 
 _FIRST = "What the robot is like now, and what it can do: values to read and to set, actions, links."
 
@@ -30,23 +32,34 @@ class EntryResource(Resource):
 
     kind = "Robot"
 
-    def __init__(self, robot: Robot) -> None:
-        super().__init__(robot.space.base)
-        self.robot = robot
-        described = Link(f"{robot.space.base}openapi.json", "service-desc", type="application/openapi+json")  # RFC 8631
-        search = Link(f"{robot.space.base}find", "search")  # of the IANA registry: what is found by words
-        guide = Link(f"{robot.space.base}llms.txt", "help", type="text/plain")  # of the IANA registry
+    def __init__(
+        self,
+        session: Session,
+        states: VersionCache[State],
+        recordings: Recordings,
+        storage_problems: Callable[[], tuple[str, ...]],
+    ) -> None:
+        super().__init__(session.space.base)
+        self.session = session
+        self.states = states
+        self.recordings = recordings
+        self.storage_problems = storage_problems
+        described = Link(
+            f"{session.space.base}openapi.json", "service-desc", type="application/openapi+json"
+        )  # RFC 8631
+        search = Link(f"{session.space.base}find", "search")  # of the IANA registry: what is found by words
+        guide = Link(f"{session.space.base}llms.txt", "help", type="text/plain")  # of the IANA registry
         self.links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER, described, search, guide)
 
     def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
-        graph, space = listed_graph(self.robot), self.robot.space
+        graph, space = listed_graph(self.session), self.session.space
         numbers = {
             "topics": _seen(graph.topics, space.topic, site),
             "services": _seen(graph.services, space.service, site),
             "actions": _seen(graph.actions, space.action, site),
             "nodes": _seen(graph.nodes, space.node, site),
             "parameters": _seen(graph.parameters, space.parameter, site),
-            "bags": _seen(self.robot.recordings, space.bag, site),
+            "bags": _seen(self.recordings.readable, space.bag, site),
         }
         first = EntryCount(SECTIONS["resources"], None, space.container("resources"), _FIRST, first=True)
         goals = ("goals",) if graph.actions else ()
@@ -63,28 +76,28 @@ class EntryResource(Resource):
             counts = (*counts, EntryCount("Diagnostics", None, f"{space.base}diagnostics", told))
         counts = (*counts, EntryCount("Graph", None, f"{space.base}graph", "Who talks to whom, drawn."))
         counts = tuple(each for each in counts if site.may("GET", each.url))
-        troubles = (Notice(problem, NoticeLevel.ERROR) for problem in self.robot.storage_problems)
+        troubles = (Notice(problem, NoticeLevel.ERROR) for problem in self.storage_problems())
         return render_entry(EntryPage(site, state.document, counts, self._example(site), (*troubles, *notices)))
 
     def _example(self, site: Site) -> str | None:
         """The URL of a topic worth trying: a small one that somebody publishes."""
-        topics = [topic for topic in self.robot.graph.topics.values() if topic.publishers and topic.type is not None]
-        topics = [topic for topic in topics if site.may("GET", self.robot.space.topic(topic.name))]
+        topics = [topic for topic in self.session.graph.topics.values() if topic.publishers and topic.type is not None]
+        topics = [topic for topic in topics if site.may("GET", self.session.space.topic(topic.name))]
         topics.sort(key=lambda topic: (topic.name in RESERVED, len(topic.name), topic.name))
-        return self.robot.space.topic(topics[0].name) if topics else None
+        return self.session.space.topic(topics[0].name) if topics else None
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem("The robot, with links to everything")
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self.robot.space.document_shape("Graph"),)
+        return (self.session.space.document_shape("Graph"),)
 
     async def state(self) -> State:
-        graph = listed_graph(self.robot)
-        system, problems = self.robot.adapter.capabilities.system, self.robot.storage_problems
-        return self.robot.states.get_or_make(
+        graph = listed_graph(self.session)
+        system, problems = self.session.adapter.capabilities.system, self.storage_problems()
+        return self.states.get_or_make(
             self.url,
             (graph.revision, problems),
-            lambda: State(lambda: entry_document(graph, self.robot.space, system, problems, name=self.robot.name)),
+            lambda: State(lambda: entry_document(graph, self.session.space, system, problems, name=self.session.name)),
         )

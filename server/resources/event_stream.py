@@ -19,18 +19,20 @@ from rosld.ontology.describe_event_stream import (
 )
 from rosld.ontology.document import Document
 from rosld.ontology.urls import Space
+from rosld.server.history.history import History
 from rosld.server.http.conditional import digest
 from rosld.server.http.link import Link
 from rosld.server.http.problem import Problem
 from rosld.server.http.profiles import QUERY, VARY, choose_profile
 from rosld.server.hypermedia.message_schemas import MessageSchemas
-from rosld.server.resources.context import Robot
 from rosld.server.resources.messages import lift_sample
 from rosld.server.resources.recorded_messages import DecodedRecord, decode_records, record_document
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import FORMAT, PathItem, QueryParameter
 from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource
 from rosld.server.rest.state import State
+from rosld.server.robot.session import Session
+from rosld.server.runtime.version_cache import VersionCache
 
 MEMBERS = 100
 """Messages on a page, and links to pages on a page of links."""
@@ -89,13 +91,23 @@ class EventStreamResource(Resource):
     kind = "Event stream"
     is_cacheable = False
 
-    def __init__(self, robot: Robot, recording: Recording, page: PageNumber | None = None, query: str = "") -> None:
-        self.robot = robot
+    def __init__(
+        self,
+        session: Session,
+        states: VersionCache[State],
+        history: History,
+        recording: Recording,
+        page: PageNumber | None = None,
+        query: str = "",
+    ) -> None:
+        self.session = session
+        self.states = states
+        self.history = history
         self.recording = recording
         self._page = page
         self._profile = StreamProfile.RECORD
         self._suffix = query
-        super().__init__(_url(robot.space, recording, page) + query)
+        super().__init__(_url(session.space, recording, page) + query)
         self.title = f"Messages of {recording.name}"
 
     @property
@@ -107,7 +119,7 @@ class EventStreamResource(Resource):
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self.robot.space.document_shape("EventStream" if self._page is None else "StreamPage"),)
+        return (self.session.space.document_shape("EventStream" if self._page is None else "StreamPage"),)
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """In the profile that the request prefers; one named in the query is in the URLs of all pages."""
@@ -116,7 +128,7 @@ class EventStreamResource(Resource):
         if asked is not None and found is None:
             raise Problem(406, f"?{QUERY}={asked[:60]} is unknown; there are {', '.join(_PROFILES)}.")
         suffix = "" if asked is None or found is None else f"?{QUERY}={_short_name(found)}"
-        chosen = EventStreamResource(self.robot, self.recording, self._page, suffix)
+        chosen = EventStreamResource(self.session, self.states, self.history, self.recording, self._page, suffix)
         chosen._profile = StreamProfile(found) if found else StreamProfile.RECORD
         chosen.links = (RESOURCE, RDF_SOURCE, Link(chosen._profile.value, "profile"))
         return chosen
@@ -128,26 +140,26 @@ class EventStreamResource(Resource):
         is_immutable = is_immutable or (page is not None and settled == beyond and self._is_finished)
         version = "immutable" if is_immutable else (recording.identity, first, beyond, settled)
         key = f"{self.url} {self._profile.name}"
-        known = self.robot.states.find(key, version)
+        known = self.states.find(key, version)
         if known is not None:
             return known
         members = await self._members(page) if page is not None and page.level == 0 else ()
         document = event_stream_document(
-            _url(self.robot.space, recording) + self._suffix,
+            _url(self.session.space, recording) + self._suffix,
             self.url,
             self._profile,
             await asyncio.to_thread(self._links, first, beyond, settled),
             members,
-            self.robot.space.document_shape("Record") if self._profile is StreamProfile.RECORD else None,
+            self.session.space.document_shape("Record") if self._profile is StreamProfile.RECORD else None,
         )
         age = f"max-age={_YEAR}, immutable" if is_immutable else f"max-age={_SHORT}"
         headers = {"cache-control": age, "vary": VARY, "content-profile": f"<{self._profile.value}>"}
         token = digest(f"{key} {version}".encode())
-        return self.robot.states.put(key, version, State(lambda: document, token=token, headers=headers, is_long=True))
+        return self.states.put(key, version, State(lambda: document, token=token, headers=headers, is_long=True))
 
     @property
     def _is_finished(self) -> bool:
-        return self.recording is not self.robot.history.recording
+        return self.recording is not self.history.recording
 
     def _links(self, first: int, beyond: int, settled: int) -> list[StreamLink]:
         if self._page is None:
@@ -159,7 +171,7 @@ class EventStreamResource(Resource):
         return [self._link(each, first, settled) for each in pages]
 
     def _link(self, page: PageNumber, first: int, settled: int) -> StreamLink:
-        url = _url(self.robot.space, self.recording, page) + self._suffix
+        url = _url(self.session.space, self.recording, page) + self._suffix
         if page.end > settled and not self._is_finished:
             return StreamLink(url)
         times = self.recording.times_between(max(page.start, first), page.end)
@@ -172,25 +184,27 @@ class EventStreamResource(Resource):
         while start is not None:
             wanted = MessageFilter(start=max(start, self.recording.first), end=page.end)
             some = await asyncio.to_thread(self.recording.select, wanted, MEMBERS)
-            records = await decode_records(self.robot, self.recording, some.messages)
+            records = await decode_records(self.session.schemas, self.recording, some.messages)
             found += await asyncio.to_thread(list, map(self._member, records))
             start = some.next
         return found
 
     def _member(self, one: DecodedRecord) -> Document:
-        said = record_document(self.robot, self.recording, one)
+        said = record_document(self.session, self.recording, one)
         if self._profile is StreamProfile.RECORD or one.decoded.message is None:
             return said.joined() if said.parts else Document(said.url, tuple(said.all_triples()))
-        lifted = lift_sample(self.robot, one.decoded).triples(said)
-        own = observation_triples(said.url, one.message, self.robot.space, lifted)
+        lifted = lift_sample(self.session.space, self.session.lifting, one.decoded).triples(said)
+        own = observation_triples(said.url, one.message, self.session.space, lifted)
         return Document(said.url, (*own, *lifted))
 
 
-def event_stream_page(robot: Robot, recording: Recording, name: str) -> EventStreamResource:
+def event_stream_page(
+    session: Session, states: VersionCache[State], history: History, recording: Recording, name: str
+) -> EventStreamResource:
     """The page of this name. Raises 404 and 410 Problems."""
     identity, *numbers = name.split("-")
     if not _NAME.fullmatch(name):
-        raise Problem(404, f"{name[:60]} is no page of the stream: {_url(robot.space, recording)} links to them.")
+        raise Problem(404, f"{name[:60]} is no page of the stream: {_url(session.space, recording)} links to them.")
     if identity != recording.identity:
         raise Problem(410, f"This was a page of another recording of the name {recording.name}, which is gone.")
     page = PageNumber(*map(int, numbers))
@@ -199,7 +213,7 @@ def event_stream_page(robot: Robot, recording: Recording, name: str) -> EventStr
         raise Problem(404, f"{recording.name} has no messages from {page.start} on: {beyond} is the next.")
     if page.end <= recording.first:
         raise Problem(410, f"The messages of this page were removed: the oldest is {recording.first}.")
-    return EventStreamResource(robot, recording, page)
+    return EventStreamResource(session, states, history, recording, page)
 
 
 def _url(space: Space, recording: Recording, page: PageNumber | None = None) -> str:

@@ -20,20 +20,22 @@ from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.html import Csrf, Form, Notice, SearchPage, Site, render_search
 from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.brief_value import brief_json
 from rosld.server.hypermedia.catalogue import ParameterSource, Property, TopicSource
 from rosld.server.hypermedia.data_schema import DataSchema, Json
 from rosld.server.hypermedia.json_schema import TEXT, URI
-from rosld.server.hypermedia.latest_values import LatestValue
+from rosld.server.hypermedia.latest_values import LatestValue, LatestValues
 from rosld.server.hypermedia.light_types import is_light
 from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.property_reader import PropertyReader
 from rosld.server.hypermedia.value import Reading
-from rosld.server.resources.context import Robot
 from rosld.server.resources.finder import Finder
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import FORMAT, PathItem, QueryParameter
 from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource
 from rosld.server.rest.state import State
+from rosld.server.robot.session import Session
 from rosld.server.search.entry import Entry, EntryKind
 from rosld.server.search.index import Hit, Match, terms_of
 
@@ -97,17 +99,23 @@ class FindResource(Resource):
 
     def __init__(
         self,
-        robot: Robot,
+        session: Session,
+        affordances: AffordanceService[State],
+        latest_values: LatestValues,
+        property_reader: PropertyReader,
         finder: Finder,
         query: str = "",
         permissions: Permissions = ALLOW_ALL,
         *,
         subscribes: bool = False,
     ) -> None:
-        base = f"{robot.space.base}find"
+        base = f"{session.space.base}find"
         super().__init__(f"{base}?q={quote(query, safe='')}{'&values=true' if subscribes else ''}" if query else base)
         self.title = query or "Search"
-        self.robot = robot
+        self.session = session
+        self.affordances = affordances
+        self.latest_values = latest_values
+        self.property_reader = property_reader
         self._finder = finder
         self._text = query
         self._permissions = permissions
@@ -130,11 +138,20 @@ class FindResource(Resource):
         except ValueError as error:
             raise Problem(400, f"?q= cannot be searched for: {error}. Send fewer.") from error
         subscribes = exchange.query_flag("values")
-        return FindResource(self.robot, self._finder, query, exchange.permissions, subscribes=subscribes)
+        return FindResource(
+            self.session,
+            self.affordances,
+            self.latest_values,
+            self.property_reader,
+            self._finder,
+            query,
+            exchange.permissions,
+            subscribes=subscribes,
+        )
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self.robot.space.document_shape("SearchResults" if self._text else "Source"),)
+        return (self.session.space.document_shape("SearchResults" if self._text else "Source"),)
 
     async def state(self) -> State:
         if not self._text:
@@ -142,12 +159,12 @@ class FindResource(Resource):
         hits, self._total = await self._finder.find(terms_of(self._text), self._permissions, MAX_RESULTS)
         self._results = await self._told(hits)
         plain = self._plain()
-        describe = partial(search_document, self.url, self._text, self._total, self._results, self.robot.space)
+        describe = partial(search_document, self.url, self._text, self._total, self._results, self.session.space)
         return State(describe, lambda: plain, digest(plain))
 
     def document(self) -> Document:
         """The search itself, while nothing is searched for."""
-        return unasked_document(self.url, self.robot.space)
+        return unasked_document(self.url, self.session.space)
 
     async def _told(self, hits: Sequence[Hit]) -> Sequence[SearchResult]:
         """The results, each with its latest value where that is at hand."""
@@ -163,14 +180,14 @@ class FindResource(Resource):
 
     async def _values(self, entries: Sequence[Entry]) -> Mapping[str, LatestValue]:
         """The latest values by URL: of topics that are subscribed to, of parameters, and of getters that were asked."""
-        robot, found = self.robot, dict[str, LatestValue]()
+        found = dict[str, LatestValue]()
         if self._subscribes:
             await self._subscribe([entry.name for entry in entries if entry.kind is EntryKind.TOPIC])
-        tree = await robot.affordances.tree()
+        tree = await self.affordances.tree()
         stored: dict[str, Property] = {}
         for entry in entries:
             if entry.kind is EntryKind.TOPIC:
-                latest = robot.latest_values.of_topic(entry.name)
+                latest = self.latest_values.of_topic(entry.name)
                 if latest is not None:
                     found[entry.url] = latest
             elif entry.kind is EntryKind.PARAMETER:
@@ -180,28 +197,28 @@ class FindResource(Resource):
             elif entry.kind is EntryKind.RESOURCE:
                 plan = tree.property(entry.name)
                 if plan is not None and not any(isinstance(one, TopicSource) for one in plan.source.readers):
-                    found |= _read(entry.url, robot.property_reader.cached(plan.source))
-        deadline = robot.deadline(_PARAMETER_SECONDS)
-        readings = await robot.property_reader.read([*stored.values()], deadline=deadline) if stored else {}
+                    found |= _read(entry.url, self.property_reader.cached(plan.source))
+        deadline = self.session.deadline(_PARAMETER_SECONDS)
+        readings = await self.property_reader.read([*stored.values()], deadline=deadline) if stored else {}
         for url, own in stored.items():
             found |= _read(url, readings[own.name])
         return found
 
     async def _subscribe(self, names: Sequence[str]) -> None:
         """Look at the topics whose messages are small; they stay subscribed to as after any look."""
-        topics, light = self.robot.graph.topics, list[str]()
+        topics, light = self.session.graph.topics, list[str]()
         for name in names:
             ref = topics[name].type if name in topics else None
             with suppress(RosError):
-                if ref is not None and is_light(await self.robot.schemas.message(ref)):
+                if ref is not None and is_light(await self.session.schemas.message(ref)):
                     light.append(name)
-        await asyncio.gather(*map(self.robot.topics.read, light), return_exceptions=True)
+        await asyncio.gather(*map(self.session.topics.read, light), return_exceptions=True)
 
     def _plain(self) -> bytes:
         """The results as plain JSON: as many as fit, with as many values as fit."""
         head = {"query": self._text, "total": self._total}
         if not self._text:
-            return orjson.dumps({**head, "template": search_template(self.robot.space), "results": []})
+            return orjson.dumps({**head, "template": search_template(self.session.space), "results": []})
         room = MAX_BYTES - len(orjson.dumps({**head, "results": []}))
         texts = [_json(result, value=False) for result in self._results]
         while sum(map(len, texts)) + len(texts) > room:
@@ -216,7 +233,7 @@ class FindResource(Resource):
         return orjson.dumps({**head, "results": list(map(orjson.Fragment, texts))})
 
     def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
-        url = self.url if self._text else f"{self.robot.space.base}find"
+        url = self.url if self._text else f"{self.session.space.base}find"
         return render_search(SearchPage(site, url, self._text, tuple(self._results), self._total, tuple(notices)))
 
     @property

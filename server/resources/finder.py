@@ -8,11 +8,18 @@ from dataclasses import dataclass
 from functools import partial
 
 from rosld.adapters.model import Graph, Schema, TypeRef
+from rosld.ontology.urls import Space
 from rosld.server.auth.permissions import Permissions
+from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.resource_tree import ResourceTree
-from rosld.server.resources.context import IdentityKey, Robot
+from rosld.server.policies.stored_queries import StoredQueries
 from rosld.server.resources.kept_entries import kept_entries
+from rosld.server.resources.ldp.documents import Documents
 from rosld.server.resources.namespaces import listed_graph
+from rosld.server.rest.state import State
+from rosld.server.robot.schemas import Schemas
+from rosld.server.robot.session import Session
+from rosld.server.runtime.version_cache import IdentityKey
 from rosld.server.search.catalog import catalog_of
 from rosld.server.search.entry import Catalog
 from rosld.server.search.index import Found, SearchIndex
@@ -32,8 +39,13 @@ class _Index:
 class Finder:
     """The search of one robot."""
 
-    def __init__(self, robot: Robot) -> None:
-        self._robot = robot
+    def __init__(
+        self, session: Session, affordances: AffordanceService[State], documents: Documents, queries: StoredQueries
+    ) -> None:
+        self._session = session
+        self._affordances = affordances
+        self._documents = documents
+        self._queries = queries
         self._of_robot: _Index | None = None
         self._of_kept: _Index | None = None
         self._making = asyncio.Lock()
@@ -49,26 +61,25 @@ class Finder:
         return Found(hits[:limit], sum(each.total for each in found))
 
     async def _robot_index(self, known: _Index | None) -> _Index:
-        robot = self._robot
-        tree = await robot.affordances.tree()
-        graph = listed_graph(robot)
-        version = (IdentityKey(graph), IdentityKey(tree), robot.schemas.count)
+        tree = await self._affordances.tree()
+        graph = listed_graph(self._session)
+        version = (IdentityKey(graph), IdentityKey(tree), self._session.schemas.count)
         if known is not None and known.version == version:
             return known
-        make = partial(_index_of_robot, robot, graph, tree)
+        make = partial(_index_of_robot, self._session.space, self._session.schemas, graph, tree)
         names = len(graph.topics) + len(graph.services) + len(graph.parameters)
         return _Index(version, await asyncio.to_thread(make) if names > _MANY_NAMES else make())
 
     async def _kept_index(self, known: _Index | None) -> _Index:
-        version = self._robot.records.version
+        version = self._documents.records.version
         if known is not None and known.version == version:
             return known
-        return _Index(version, SearchIndex(Catalog(await kept_entries(self._robot))))
+        return _Index(version, SearchIndex(Catalog(await kept_entries(self._documents, self._queries))))
 
 
-def _index_of_robot(robot: Robot, graph: Graph, tree: ResourceTree) -> SearchIndex:
-    return SearchIndex(catalog_of(graph, partial(_schema_at_hand, robot), tree, robot.space))
+def _index_of_robot(space: Space, schemas: Schemas, graph: Graph, tree: ResourceTree) -> SearchIndex:
+    return SearchIndex(catalog_of(graph, partial(_schema_at_hand, schemas), tree, space))
 
 
-def _schema_at_hand(robot: Robot, ref: TypeRef) -> Schema | None:
-    return robot.schemas.find_cached(ref) or robot.schemas.find_cached_by_name(ref.name)
+def _schema_at_hand(schemas: Schemas, ref: TypeRef) -> Schema | None:
+    return schemas.find_cached(ref) or schemas.find_cached_by_name(ref.name)

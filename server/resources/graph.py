@@ -23,7 +23,6 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import DataSchema
 from rosld.server.hypermedia.json_schema import TEXT, URI
 from rosld.server.hypermedia.message_schemas import MessageSchemas
-from rosld.server.resources.context import Robot
 from rosld.server.resources.namespaces import listed_graph
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import FORMATS, OFFERS
@@ -32,6 +31,7 @@ from rosld.server.rest.raw_response import bytes_response
 from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource
 from rosld.server.rest.resource_headers import resource_headers
 from rosld.server.rest.state import State
+from rosld.server.robot.session import Session
 from rosld.server.runtime.signals import call_every
 
 _DRAWINGS = {"svg": svg.MEDIA_TYPE, "dot": dot.MEDIA_TYPE}
@@ -87,12 +87,15 @@ class GraphResource(Resource):
     title = "Graph"
     links = (RESOURCE, RDF_SOURCE)
 
-    def __init__(self, robot: Robot, selection: Selection = _WHOLE, permissions: Permissions = ALLOW_ALL) -> None:
+    def __init__(
+        self, session: Session, instance_id: str, selection: Selection = _WHOLE, permissions: Permissions = ALLOW_ALL
+    ) -> None:
         asked = {"below": quote(selection.below, safe="/"), "all": "true" if selection.everything else ""}
         query = "&".join(f"{name}={value}" for name, value in asked.items() if value)
-        self._base = f"{robot.space.base}graph"
+        self._base = f"{session.space.base}graph"
         super().__init__(f"{self._base}?{query}" if query else self._base)
-        self.robot = robot
+        self.session = session
+        self.instance_id = instance_id
         self._selection = selection
         self._permissions = permissions
 
@@ -107,14 +110,16 @@ class GraphResource(Resource):
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self.robot.space.document_shape("Source"),)
+        return (self.session.space.document_shape("Source"),)
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """The part that the query asks for, as the agent may see it. Raises a 400 Problem."""
         below = exchange.query.get("below", "")
         if below and (not below.startswith("/") or len(below) > _MAX_NAME):
             raise Problem(400, f"?below={below[:40]}: a name of the robot, such as /camera.")
-        return GraphResource(self.robot, Selection(below, exchange.query_flag("all")), exchange.permissions)
+        return GraphResource(
+            self.session, self.instance_id, Selection(below, exchange.query_flag("all")), exchange.permissions
+        )
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:
         """The graph itself is told of as all else; rates change all the time, and are looked at now and then."""
@@ -123,17 +128,19 @@ class GraphResource(Resource):
     async def state(self) -> State:
         diagram = self._diagram()
         plain = _plain(diagram)
-        views, urls = node_views(listed_graph(self.robot)), frozenset(each.url for each in diagram.vertices)
-        describe = partial(edges_document, self.url, views, self.robot.space, urls)
+        views, urls = node_views(listed_graph(self.session)), frozenset(each.url for each in diagram.vertices)
+        describe = partial(edges_document, self.url, views, self.session.space, urls)
         return State(describe, lambda: plain, digest(plain))
 
     def _diagram(self) -> Diagram:
         permissions = self._permissions
-        return draw_graph(listed_graph(self.robot), self.robot.space, self._selection, self._rate, permissions.may_read)
+        return draw_graph(
+            listed_graph(self.session), self.session.space, self._selection, self._rate, permissions.may_read
+        )
 
     def _rate(self, topic: str) -> float:
         """The rate of a topic to two digits, as far as it is known without a look: it shall not change all the time."""
-        view = self.robot.topics.last_view(topic)
+        view = self.session.topics.last_view(topic)
         return float(f"{view.rate:.2g}") if view is not None else 0.0
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
@@ -149,15 +156,15 @@ class GraphResource(Resource):
         headers = {**resource_headers(self), "x-content-type-options": "nosniff"}
         if media_type == svg.MEDIA_TYPE:
             headers["content-security-policy"] = _POLICY
-            text = self._svg(fold(self._diagram(), self._base), Site(self.robot.space.base, "").href, alone=True)
+            text = self._svg(fold(self._diagram(), self._base), Site(self.session.space.base, "").href, alone=True)
         else:
             text = dot.write_dot(self._diagram())
         data, name = text.encode("utf-8", "replace"), "svg" if media_type == svg.MEDIA_TYPE else "dot"
-        etag = ETag(f"{self.robot.instance_id}-{digest(data)}", name)
+        etag = ETag(f"{self.instance_id}-{digest(data)}", name)
         return bytes_response(exchange, data, f"{media_type}; charset=utf-8", etag, headers.items())
 
     def _svg(self, diagram: Diagram, href: Callable[[str], str | None], *, alone: bool) -> str:
-        return svg.write_svg(diagram, href, f"The computation graph of {self.robot.name}", alone=alone)
+        return svg.write_svg(diagram, href, f"The computation graph of {self.session.name}", alone=alone)
 
     def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
         diagram = self._diagram()

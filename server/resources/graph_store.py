@@ -19,6 +19,7 @@ from starlette.types import Scope
 from rosld.ontology.body import parse_dataset
 from rosld.ontology.document import Document
 from rosld.ontology.triples import text, triples_about
+from rosld.ontology.urls import Space
 from rosld.ontology.vocab import dcterms, rdf, rdfs, sd
 from rosld.server.auth import enforcement
 from rosld.server.http.link import to_uri
@@ -26,7 +27,6 @@ from rosld.server.http.multipart import MULTIPART
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import ANYTHING
 from rosld.server.hypermedia.message_schemas import MessageSchemas
-from rosld.server.resources.context import Robot
 from rosld.server.resources.ldp.base import EXTRA_STATUSES, StoredResource
 from rosld.server.resources.ldp.containers import ContainerResource
 from rosld.server.resources.ldp.rdf_sources import N3_PATCH
@@ -37,6 +37,8 @@ from rosld.server.rest.formats import FORMATS, OFFERS, RDF_BODIES, SPARQL_UPDATE
 from rosld.server.rest.path_item import ANY_TYPE, FORMAT, PathItem, QueryParameter, WriteMethod
 from rosld.server.rest.resource import READ, Answer, Resource
 from rosld.server.rest.state import State
+from rosld.server.runtime.version_cache import VersionCache
+from rosld.server.settings import Settings
 from rosld.server.sparql import results
 from rosld.server.sparql.protocol import QueryRequest, requested_timeout
 from rosld.server.sparql.query_service import QueryService
@@ -122,16 +124,20 @@ class GraphStore(Resource):
 
     def __init__(
         self,
-        robot: Robot,
+        space: Space,
+        settings: Settings,
+        states: VersionCache[State],
         service: QueryService,
         resolve: Callable[[Scope], Resource],
         updates: UpdateRunner | None = None,
     ) -> None:
-        super().__init__(f"{robot.space.base}graphs")
-        self._robot = robot
+        super().__init__(f"{space.base}graphs")
+        self._space = space
+        self._settings = settings
+        self._states = states
         self._resolve = resolve
         self._default = DefaultGraphResource(f"{self.url}?default", service)
-        self._all = DatasetResource(f"{self.url}?all", service, robot.space.base, updates)
+        self._all = DatasetResource(f"{self.url}?all", service, space.base, updates)
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         of_a_graph = (_GRAPH, _GRAPH_FORMAT)
@@ -149,13 +155,13 @@ class GraphStore(Resource):
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self._robot.space.document_shape("Dataset"),)
+        return (self._space.document_shape("Dataset"),)
 
     def methods(self) -> frozenset[str]:
-        return READ if self._robot.settings.read_only else READ | {"PUT", "POST", "PATCH", "DELETE"}
+        return READ if self._settings.read_only else READ | {"PUT", "POST", "PATCH", "DELETE"}
 
     async def state(self) -> State:
-        return self._robot.states.get_or_make(self.url, 0, lambda: State(self.document))
+        return self._states.get_or_make(self.url, 0, lambda: State(self.document))
 
     def document(self) -> Document:
         """What it says of itself."""
@@ -170,7 +176,7 @@ class GraphStore(Resource):
                 (dcterms.title, text("The graph store")),
                 (rdfs.comment, text(f"Every graph is here by its name: {self.url}?graph=URL. {_DIRECTLY}")),
                 (sd.defaultGraph, default),
-                (rdfs.seeAlso, NamedNode(f"{self._robot.space.base}sparql")),
+                (rdfs.seeAlso, NamedNode(f"{self._space.base}sparql")),
                 (rdfs.seeAlso, NamedNode(self._all.url)),
             ),
             *triples_about(default, (rdfs.label, text("The default graph: all graphs together"))),
@@ -189,7 +195,7 @@ class GraphStore(Resource):
         if asked.graph is not None:
             return await self._graph(exchange, asked.graph, asked.other_parameters)
         if exchange.method == "POST":  # the server is to find a name (Graph Store Protocol 5.5)
-            return await self._graph(exchange, self._robot.space.container("data"), asked.other_parameters)
+            return await self._graph(exchange, self._space.container("data"), asked.other_parameters)
         if exchange.method in READ:
             return self
         raise Problem(
@@ -202,7 +208,7 @@ class GraphStore(Resource):
             enforcement.require_path(
                 exchange.permissions,
                 exchange.method,
-                enforcement.location_of(exchange.request.scope, self._robot.space),
+                enforcement.location_of(exchange.request.scope, self._space),
             )
         resource = self._resolve(exchange.request.scope)
         if resource is self:
@@ -213,13 +219,13 @@ class GraphStore(Resource):
 
     def _scope(self, exchange: Exchange, graph: str, others: str) -> Scope:
         """The request as it would be at the graph's own URL. Raises Problems for graphs of other places."""
-        space = self._robot.space
+        space = self._space
         if "#" in graph or not graph.startswith(space.base):
             raise self._elsewhere(exchange.method, graph)
         return {**exchange.request.scope, **_address(graph[len(space.base) :], space.path, others)}
 
     def _elsewhere(self, method: str, graph: str) -> Problem:
-        space, shown = self._robot.space, f"<{graph[:200]}>"
+        space, shown = self._space, f"<{graph[:200]}>"
         if method in READ:
             return Problem(404, f"There is no graph {shown} here: the names of graphs are URLs below {space.base}")
         room = space.container("data")

@@ -11,12 +11,12 @@ from rosld.server.http.link import Link
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import OBJECT
 from rosld.server.hypermedia.message_schemas import MessageSchemas
-from rosld.server.resources.context import Robot
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.raw_response import bytes_response
 from rosld.server.rest.resource import LDP, RESOURCE, Resource
 from rosld.server.rest.resource_headers import resource_headers
+from rosld.server.robot.session import Session
 
 MEDIA_TYPE = "text/plain"
 
@@ -27,9 +27,9 @@ class GuideResource(Resource):
     kind = "Guide"
     links = (RESOURCE, Link(f"{LDP}NonRDFSource", "type"))
 
-    def __init__(self, robot: Robot) -> None:
-        super().__init__(f"{robot.space.base}llms.txt")
-        self._data = guide_text(robot.name, robot.space, read_only=robot.settings.read_only).encode("utf-8")
+    def __init__(self, session: Session) -> None:
+        super().__init__(f"{session.space.base}llms.txt")
+        self._data = guide_text(session.name, session.space, read_only=session.settings.read_only).encode("utf-8")
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem("What a language model needs to know", (MEDIA_TYPE,), OBJECT, (), streams=False)

@@ -27,9 +27,10 @@ from rosld.ontology.describe_holds import (
     hold_document,
 )
 from rosld.ontology.document import Document
-from rosld.ontology.lift import lifter
+from rosld.ontology.lift import LiftSettings, lifter
 from rosld.ontology.lower import LoweringError, find_message, lowerer, parse_json
 from rosld.ontology.neutral_message import COMMANDS, TWISTS, with_zeros
+from rosld.ontology.urls import Space
 from rosld.server.auth.errors import not_found
 from rosld.server.html import DeleteForm, Form, HoldForm
 from rosld.server.html.drive_pad import drive_pad
@@ -41,7 +42,7 @@ from rosld.server.hypermedia.data_schema import DataSchema
 from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, nullable
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.patches.patch import merge_patch
-from rosld.server.resources.context import IdentityKey, Robot
+from rosld.server.resources.limit_checks import LimitChecks
 from rosld.server.resources.publisher import Publisher
 from rosld.server.resources.strictness import STRICT
 from rosld.server.rest.exchange import Exchange
@@ -50,8 +51,11 @@ from rosld.server.rest.path_item import FORMAT, PathItem, QueryParameter, WriteM
 from rosld.server.rest.resource import READ, Answer, CreatedAnswer, Resource
 from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import State
-from rosld.server.robot.hold_store import HeldMessage, Hold, HoldEnded, held_message, new_hold
+from rosld.server.robot.hold_store import HeldMessage, Hold, HoldEnded, Holds, held_message, new_hold
+from rosld.server.robot.publish_rate import PublishLimiter
+from rosld.server.robot.session import Session
 from rosld.server.robot.velocity import passes_stop, zero_message
+from rosld.server.runtime.version_cache import IdentityKey, VersionCache
 from rosld.shapes.value import Bounds
 
 ZERO, NONE = "zero", "none"
@@ -60,22 +64,30 @@ Find = Callable[[str], Resource]
 """The resource at a path below the base."""
 
 
-async def create_hold(exchange: Exchange, robot: Robot, name: str, find: Find | None) -> Answer:
+async def create_hold(
+    exchange: Exchange,
+    session: Session,
+    limit_checks: LimitChecks,
+    states: VersionCache[State],
+    holds: Holds,
+    name: str,
+    find: Find | None,
+) -> Answer:
     """Carry out a POST of a message to a topic: hold it. Raises whatever there is to refuse."""
-    rate, lease = _rate(exchange, robot), _lease(exchange) or LEASE
-    publishing = Publisher(robot, name)
+    rate, lease = _rate(exchange, session.limiter), _lease(exchange) or LEASE
+    publishing = Publisher(session, limit_checks, name)
     if rate is None and not publishing.commands_velocity:
         raise Problem(400, f"Say how often the message is to be published: ?rate=10 for ten times a second ({_RATES}).")
-    rate = rate or min(RATE, robot.limiter.rate)
+    rate = rate or min(RATE, session.limiter.rate)
     schema, message = await publishing.read_message(exchange)
     await publishing.require_within_limits(schema, message)
-    asked = _command(robot, publishing.name, schema, message, restamp=False)
+    asked = _command(session, publishing.name, schema, message, restamp=False)
     then, then_asked = await _then(
-        exchange.query.get("then"), robot, publishing, asked, _readable(robot, find, exchange)
+        exchange.query.get("then"), session, publishing, asked, _readable(session.space, find, exchange)
     )
-    exchange.audit.add_step(f"hold {name} at {rate:g} Hz, unrenewed for {lease:g} s", robot.space.topic(name))
-    begun = await robot.holds.start(new_hold(name, exchange.agent, rate, lease, asked, then, then_asked))
-    resource = HoldResource(robot, begun.id, find)
+    exchange.audit.add_step(f"hold {name} at {rate:g} Hz, unrenewed for {lease:g} s", session.space.topic(name))
+    begun = await holds.start(new_hold(name, exchange.agent, rate, lease, asked, then, then_asked))
+    resource = HoldResource(session, limit_checks, states, holds, begun.id, find)
     return CreatedAnswer(resource.url, resource, resource.state_of(begun))
 
 
@@ -102,12 +114,14 @@ def hold_schema(schemas: MessageSchemas, schema: MessageSchema | None) -> DataSc
     return {"type": "object", "properties": {**words, **rest}}
 
 
-def hold_form(robot: Robot, topic: str, schema: MessageSchema, latest: Json, bounds: Mapping[str, Bounds]) -> HoldForm:
+def hold_form(
+    session: Session, topic: str, schema: MessageSchema, latest: Json, bounds: Mapping[str, Bounds]
+) -> HoldForm:
     """The form that holds a topic, with a pad where that commands a velocity."""
-    lifted = lifter(schema, robot.lifting).json(zero_message(schema, robot.lifting), robot.space.topic(topic))
+    lifted = lifter(schema, session.lifting).json(zero_message(schema, session.lifting), session.space.topic(topic))
     zero = cast(Json, parse_json(lifted))
     is_velocity = schema.ref.name in TWISTS
-    most = min(MAX_RATE, robot.limiter.rate)
+    most = min(MAX_RATE, session.limiter.rate)
     return HoldForm(
         schema,
         HoldTerms(min(RATE, most), most, MAX_LEASE, MAX_LEASE, ZERO if is_velocity else NONE),
@@ -115,7 +129,7 @@ def hold_form(robot: Robot, topic: str, schema: MessageSchema, latest: Json, bou
         about="It is published at that rate until the lease is over, or the hold is ended on its own page.",
         value=zero if is_velocity else latest,
         bounds=bounds,
-        pad=drive_pad(topic, schema, bounds, zero, robot.limiter.rate),
+        pad=drive_pad(topic, schema, bounds, zero, session.limiter.rate),
     )
 
 
@@ -125,10 +139,21 @@ class HoldResource(Resource):
     kind = "Hold"
     accepts: Mapping[str, Sequence[str]] = {"PATCH": (JSON, MERGE_PATCH, *RDF_BODIES)}
 
-    def __init__(self, robot: Robot, id: str, find: Find | None = None) -> None:
-        super().__init__(robot.space.hold(id))
+    def __init__(
+        self,
+        session: Session,
+        limit_checks: LimitChecks,
+        states: VersionCache[State],
+        holds: Holds,
+        id: str,
+        find: Find | None = None,
+    ) -> None:
+        super().__init__(session.space.hold(id))
         self.title = id
-        self.robot = robot
+        self.session = session
+        self.limit_checks = limit_checks
+        self.states = states
+        self.holds = holds
         self.id = id
         self._find = find
 
@@ -136,7 +161,7 @@ class HoldResource(Resource):
     def hold(self) -> Hold:
         """The hold; a 404 or 410 Problem where there is none."""
         try:
-            return self.robot.holds.find(self.id)
+            return self.holds.find(self.id)
         except HoldEnded as error:
             raise Problem(410, f"The hold {self.id} has ended: {error}.") from error
         except KeyError as error:
@@ -168,22 +193,22 @@ class HoldResource(Resource):
         )
 
     def methods(self) -> frozenset[str]:
-        return READ if self.robot.settings.read_only else READ | {"PATCH", "DELETE"}
+        return READ if self.session.settings.read_only else READ | {"PATCH", "DELETE"}
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self.robot.space.document_shape("Hold"),)
+        return (self.session.space.document_shape("Hold"),)
 
     async def state(self) -> State:
         return self.state_of(self.hold)
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
-        return self.robot.holds.changes.watch(wake, lambda about: about == self.id)
+        return self.holds.changes.watch(wake, lambda about: about == self.id)
 
     def state_of(self, hold: Hold) -> State:
         """The state of this hold as it stood."""
-        shapes = self.robot.space.shapes_of(hold.message.schema)
-        return self.robot.states.get_or_make(
+        shapes = self.session.space.shapes_of(hold.message.schema)
+        return self.states.get_or_make(
             self.url,
             IdentityKey(hold),
             lambda: State(lambda: self.document(hold), lambda: self._plain(hold), shapes=shapes),
@@ -203,9 +228,9 @@ class HoldResource(Resource):
             None if hold.release_message is None else (hold.release_message.schema, hold.release_message.message),
             hold.release_requested,
             hold.last_error,
-            is_changeable=not self.robot.settings.read_only,
+            is_changeable=not self.session.settings.read_only,
         )
-        return hold_document(view, self.robot.space, self.robot.lifting)
+        return hold_document(view, self.session.space, self.session.lifting)
 
     def _plain(self, hold: Hold) -> bytes:
         """How it stands as JSON, its messages as ROS's own."""
@@ -219,7 +244,7 @@ class HoldResource(Resource):
             "then": hold.release_requested,
             "trouble": hold.last_error,
         }
-        message = lifter(hold.message.schema, self.robot.lifting).json(hold.message.message, self.url)
+        message = lifter(hold.message.schema, self.session.lifting).json(hold.message.message, self.url)
         return orjson.dumps(told)[:-1] + b',"message":' + message + b"}"
 
     async def forms(self) -> Sequence[Form]:
@@ -236,7 +261,7 @@ class HoldResource(Resource):
         """`?keep=true`: the stream keeps the hold, and says twice a lease that it is alive."""
         if not exchange.query_flag("keep"):
             return contextlib.nullcontext()
-        if self.robot.settings.read_only:
+        if self.session.settings.read_only:
             raise Problem(403, "This server is read-only.")
         require_holder(exchange, self.hold)
         return self._kept(exchange, self.hold.lease)
@@ -244,22 +269,24 @@ class HoldResource(Resource):
     @contextlib.contextmanager
     def _kept(self, exchange: Exchange, lease: float) -> Iterator[float]:
         _notice_silence(exchange, lease)
-        with self.robot.holds.keep_alive(self.id):
+        with self.holds.keep_alive(self.id):
             yield lease / 2
 
     async def patch(self, exchange: Exchange) -> Answer:
-        robot, hold = self.robot, self.hold
+        hold = self.hold
         require_holder(exchange, hold)
-        publishing = Publisher(robot, hold.topic)
+        publishing = Publisher(self.session, self.limit_checks, hold.topic)
         asked = await self._changed(exchange, publishing, hold)
         then, then_asked = hold.release_message, hold.release_requested
         if "then" in exchange.query or (asked is not hold.message and then_asked == ZERO):
             words = exchange.query.get("then", then_asked)
-            then, then_asked = await _then(words, robot, publishing, asked, _readable(robot, self._find, exchange))
+            then, then_asked = await _then(
+                words, self.session, publishing, asked, _readable(self.session.space, self._find, exchange)
+            )
         changed = replace(
             self.hold,
             message=asked,
-            rate=_rate(exchange, robot) or hold.rate,
+            rate=_rate(exchange, self.session.limiter) or hold.rate,
             lease=_lease(exchange) or hold.lease,
             release_message=then,
             release_requested=then_asked,
@@ -267,8 +294,8 @@ class HoldResource(Resource):
         if asked is hold.message and not exchange.query:
             exchange.audit.mark_read_only()  # a sign of life, several a second: the receipt of the hold tells the rest
         what = f"hold {hold.topic} at {changed.rate:g} Hz, unrenewed for {changed.lease:g} s"
-        exchange.audit.add_step(what, robot.space.topic(hold.topic))
-        robot.holds.renew(self.id, changed)
+        exchange.audit.add_step(what, self.session.space.topic(hold.topic))
+        self.holds.renew(self.id, changed)
         return Response(status_code=204)
 
     async def _changed(self, exchange: Exchange, publishing: Publisher, hold: Hold) -> HeldMessage:
@@ -278,19 +305,19 @@ class HoldResource(Resource):
             return hold.message
         schema = hold.message.schema
         if exchange.media_type == MERGE_PATCH:
-            present = lifter(schema, self.robot.lifting.unelided).json(hold.message.message, self.url)
+            present = lifter(schema, self.session.lifting.unelided).json(hold.message.message, self.url)
             patched = merge_patch(parse_json(present), parse_json(data))
-            message = lowerer(schema, self.robot.lifting).from_json(patched)
+            message = lowerer(schema, self.session.lifting).from_json(patched)
         else:
             message = await publishing.message_of(exchange, schema, self.url)
         await publishing.require_within_limits(schema, message)
-        return _command(self.robot, publishing.name, schema, message, restamp=False)
+        return _command(self.session, publishing.name, schema, message, restamp=False)
 
     async def delete(self, exchange: Exchange) -> Answer:
         require_holder(exchange, self.hold)
         topic = self.hold.topic
-        exchange.audit.add_step(f"end the hold of {topic}", self.robot.space.topic(topic))
-        ended = self.robot.holds.end(self.id, f"{exchange.agent.name} ended it")
+        exchange.audit.add_step(f"end the hold of {topic}", self.session.space.topic(topic))
+        ended = self.holds.end(self.id, f"{exchange.agent.name} ended it")
         if ended is not None:
             await ended
         return Response(status_code=204)
@@ -308,10 +335,10 @@ _RATES = f"at least {MIN_OF_HOLDS:f} and at most {MAX_RATE:g} Hz"
 _LEASES = f"at least {MIN_OF_HOLDS:f} and at most {MAX_LEASE:g} s"
 
 
-def _rate(exchange: Exchange, robot: Robot) -> float | None:
+def _rate(exchange: Exchange, limiter: PublishLimiter) -> float | None:
     rate = _number(exchange, "rate", MAX_RATE, _RATES)
-    if rate is not None and rate > robot.limiter.rate:
-        limit = f"{robot.limiter.rate:g} messages a second (--max-publish-rate)"
+    if rate is not None and rate > limiter.rate:
+        limit = f"{limiter.rate:g} messages a second (--max-publish-rate)"
         raise Problem(400, f"?rate={rate:g}: nothing is published more often than {limit} here.")
     return rate
 
@@ -330,13 +357,13 @@ def _number(exchange: Exchange, name: str, limit: float, words: str) -> float | 
     return value
 
 
-def _readable(robot: Robot, find: Find | None, exchange: Exchange) -> Find | None:
+def _readable(space: Space, find: Find | None, exchange: Exchange) -> Find | None:
     """What finds resources for whoever asks: of those that they may not read it says nothing."""
     if find is None or exchange.permissions.is_unrestricted:
         return find
 
     def found(path: str) -> Resource:
-        if not exchange.permissions.may_read(robot.space.base + path.lstrip("/")):
+        if not exchange.permissions.may_read(space.base + path.lstrip("/")):
             raise not_found()
         return find(path)
 
@@ -344,7 +371,7 @@ def _readable(robot: Robot, find: Find | None, exchange: Exchange) -> Find | Non
 
 
 async def _then(
-    asked: str | None, robot: Robot, publishing: Publisher, held: HeldMessage, find: Find | None
+    asked: str | None, session: Session, publishing: Publisher, held: HeldMessage, find: Find | None
 ) -> tuple[HeldMessage | None, str]:
     """What is published when the hold ends, and how that was asked for: within the limits, ready to be sent."""
     schema = held.schema
@@ -352,7 +379,11 @@ async def _then(
     if words == NONE:
         return None, NONE
     try:
-        message = with_zeros(schema, held.message) if words == ZERO else await _message_at(words, robot, schema, find)
+        message = (
+            with_zeros(schema, held.message)
+            if words == ZERO
+            else await _message_at(words, session.space, session.lifting, schema, find)
+        )
         await publishing.require_within_limits(schema, message)
     except LoweringError as error:
         detail = f"?then={words[:500]}: {error}"
@@ -360,12 +391,14 @@ async def _then(
     except Problem as problem:
         problem.detail = f"?then={words[:500]}: {problem.detail}"
         raise
-    return _command(robot, publishing.name, schema, message, restamp=True), words
+    return _command(session, publishing.name, schema, message, restamp=True), words
 
 
-async def _message_at(url: str, robot: Robot, schema: MessageSchema, find: Find | None) -> Message:
+async def _message_at(
+    url: str, space: Space, lifting: LiftSettings, schema: MessageSchema, find: Find | None
+) -> Message:
     """The message that stands at a URL of this server now. Raises Problems (422), and LoweringError."""
-    base = robot.space.base
+    base = space.base
     whole = urljoin(base, url)
     document, _, fragment = whole.partition("#")
     if find is None or not document.startswith(base) or urlsplit(document).query:
@@ -381,15 +414,15 @@ async def _message_at(url: str, robot: Robot, schema: MessageSchema, find: Find 
     except Problem as problem:
         raise Problem(422, problem.detail) from problem
     body = index_triples(state.document.all_triples())
-    type_iri = robot.space.class_of(schema.ref.name)
+    type_iri = space.class_of(schema.ref.name)
     root = NamedNode(whole) if fragment else find_message(body, document, type_iri)
-    return lowerer(schema, robot.lifting).from_graph(body, root, document)
+    return lowerer(schema, lifting).from_graph(body, root, document)
 
 
-def _command(robot: Robot, topic: str, schema: MessageSchema, message: Message, *, restamp: bool) -> HeldMessage:
-    encoding, clock = robot.adapter.capabilities.encoding, not robot.graph.simulated_time
+def _command(session: Session, topic: str, schema: MessageSchema, message: Message, *, restamp: bool) -> HeldMessage:
+    encoding, clock = session.adapter.capabilities.encoding, not session.graph.simulated_time
     made = held_message(schema, message, encoding, restamp=restamp, clock=clock)
-    return replace(made, passes_stop=passes_stop(robot, topic, schema, message))
+    return replace(made, passes_stop=passes_stop(session, topic, schema, message))
 
 
 def _notice_silence(exchange: Exchange, seconds: float) -> None:

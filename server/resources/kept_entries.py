@@ -5,10 +5,11 @@ from __future__ import annotations
 import asyncio
 import re
 
-from rosld.ontology.urls import locate
+from rosld.ontology.urls import Space, locate
 from rosld.ontology.vocab import dcterms, rdfs, schema_org
 from rosld.server.policies import stored_mappings
-from rosld.server.resources.context import Robot
+from rosld.server.policies.stored_queries import StoredQueries
+from rosld.server.resources.ldp.documents import Documents
 from rosld.server.search.entry import Entry, EntryKind
 from rosld.server.storage import Record
 from rosld.server.storage.packing import unpack_prefix
@@ -24,20 +25,20 @@ _TITLES = re.compile(rf'<(?:{_NAMING})> "((?:[^"\\]|\\.)*)"'.encode())
 _ROOTS = (stored_mappings.ROUTE, "data/")
 
 
-async def kept_entries(robot: Robot) -> list[Entry]:
+async def kept_entries(documents: Documents, queries: StoredQueries) -> list[Entry]:
     """The entries of what is kept now, at most `MAX_KEPT` beside the queries."""
     found = [
         Entry(EntryKind.QUERY, f"/{query.name}", url, (), (query.purpose,))
-        for url, query in robot.queries.all(limit=MAX_KEPT)
+        for url, query in queries.all(limit=MAX_KEPT)
     ]
     waiting, count = list(_ROOTS), 0
     while waiting and count < MAX_KEPT:
-        for member in robot.records.members(waiting.pop(0), limit=MAX_KEPT - count):
-            record = robot.records.get(member.path)
+        for member in documents.records.members(waiting.pop(0), limit=MAX_KEPT - count):
+            record = documents.records.get(member.path)
             if record is None:
                 continue
             count += 1
-            found.append(_entry(robot, record))
+            found.append(_entry(documents.space, record))
             if record.model.is_container:
                 waiting.append(record.path)
             if count % _AT_ONCE == 0:
@@ -45,9 +46,9 @@ async def kept_entries(robot: Robot) -> list[Entry]:
     return found
 
 
-def _entry(robot: Robot, record: Record) -> Entry:
+def _entry(space: Space, record: Record) -> Entry:
     kind = EntryKind.MAPPING if record.path.startswith(stored_mappings.ROUTE) else EntryKind.DOCUMENT
-    return Entry(kind, _name(record.path), robot.space.base + record.path, (), tuple(titles_in(record.triples)))
+    return Entry(kind, _name(record.path), space.base + record.path, (), tuple(titles_in(record.triples)))
 
 
 def _name(path: str) -> str:

@@ -16,48 +16,170 @@ from rosld.ontology.lexical import BINARIES
 from rosld.ontology.lift import lifter
 from rosld.ontology.violations import LoweringError, Violation, brief_value
 from rosld.ontology.vocab import rdf, ros, sh
+from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.conditions import url_of, value_triples
 from rosld.server.hypermedia.value import MessageValue, Reading, StoredValue, Value, scalar_field
-from rosld.server.resources.context import Robot
+from rosld.server.policies.active_limits import ActiveLimits
+from rosld.server.rest.state import State
+from rosld.server.robot.session import Session
 from rosld.shapes.bounds import merge_bounds
 from rosld.shapes.components import component
 from rosld.shapes.demand import NO_DEMAND, Demand
 from rosld.shapes.limit_paths import ValuePlace
 from rosld.shapes.limited_texts import limited_texts
+from rosld.shapes.limits import Limits
 from rosld.shapes.parameter import declared_demand, violations
 from rosld.shapes.value import Bounds
 
 _LINKS = {"#message": ros.latest, "#request": ros.request, "#goal": ros.goalMessage}
 
 
-async def require_message(
-    robot: Robot, kind: Kind, name: str, schema: MessageSchema, message: Message, url: str, node: str
-) -> None:
-    """Raise LoweringError where a message breaks a limit; it is about to be sent to what is called `name`."""
-    limits = robot.limits
-    if not limits:
-        return
-    check = limits.message(schema)
-    broken = list(check(message, url, node)) if check is not None else []
-    shape = limits.resource(url)
-    if shape is not None:
-        said = Triple(NamedNode(url), _LINKS[node], NamedNode(url + node))
-        broken += shape.violations(NamedNode(url), [said, *lifter(schema, robot.lifting).triples(message, url, node)])
-    own = MessageValue(schema, message, schema.type.fields, url)
-    broken += await _of_property(robot, kind, name, own)
-    if broken:
-        raise LoweringError(*broken)
+class LimitChecks:
+    """Checks what is written against the limits in force, by the resources and the types that they are about."""
 
+    def __init__(self, session: Session, affordances: AffordanceService[State], active: ActiveLimits) -> None:
+        self._session = session
+        self._affordances = affordances
+        self._active = active
 
-async def require_text(
-    robot: Robot, kind: Kind, name: str, schema: MessageSchema, body: RdfBody, url: str, node: str
-) -> None:
-    """Raise LoweringError where a body writes a text that limits are about as octets."""
-    if not any(each.datatype in BINARIES for each in body.literals()) or not robot.limits:
-        return
-    require_no_octets(
-        body, limited_texts(await message_demand(robot, kind, name, schema, url, node), schema, robot.space)
-    )
+    @property
+    def limits(self) -> Limits:
+        """The limits in force now."""
+        return self._active.current
+
+    async def require_message(
+        self, kind: Kind, name: str, schema: MessageSchema, message: Message, url: str, node: str
+    ) -> None:
+        """Raise LoweringError where a message breaks a limit; it is about to be sent to what is called `name`."""
+        limits = self.limits
+        if not limits:
+            return
+        check = limits.message(schema)
+        broken = list(check(message, url, node)) if check is not None else []
+        shape = limits.resource(url)
+        if shape is not None:
+            said = Triple(NamedNode(url), _LINKS[node], NamedNode(url + node))
+            broken += shape.violations(
+                NamedNode(url), [said, *lifter(schema, self._session.lifting).triples(message, url, node)]
+            )
+        own = MessageValue(schema, message, schema.type.fields, url)
+        broken += await self._of_property(kind, name, own)
+        if broken:
+            raise LoweringError(*broken)
+
+    async def require_text(
+        self, kind: Kind, name: str, schema: MessageSchema, body: RdfBody, url: str, node: str
+    ) -> None:
+        """Raise LoweringError where a body writes a text that limits are about as octets."""
+        if not any(each.datatype in BINARIES for each in body.literals()) or not self.limits:
+            return
+        require_no_octets(
+            body, limited_texts(await self.message_demand(kind, name, schema, url, node), schema, self._session.space)
+        )
+
+    async def message_demand(self, kind: Kind, name: str, schema: MessageSchema, url: str, node: str) -> Demand:
+        """What all limits demand of a message that is sent to what is called `name`, at a URL."""
+        limits = self.limits
+        if not limits:
+            return NO_DEMAND
+        scalar = scalar_field(schema.type.fields)
+        demand = limits.demand_of_message(schema) & limits.demand_of_value(url, _LINKS[node], schema)
+        for shown, field in await self._property_names(kind, name):
+            if field is None:
+                demand &= limits.demand_of_value(shown, rdf.value, schema, None if scalar is None else scalar.name)
+            else:
+                own = limits.demand_of_scalar(shown, rdf.value, ValuePlace.message(schema).field(field))
+                is_all = own.is_all and not any(step.isdecimal() for step in field.split("."))
+                parts = tuple((field, part) for _, part in own.value_parts)
+                demand &= Demand(tuple((field, bounds) for _, bounds in own.bounds), is_all, parts)
+        return demand
+
+    async def parameter_demand(self, name: str, descriptor: Descriptor) -> Demand:
+        """What its node and all limits demand of a parameter that is declared as a scalar."""
+        limits, demand = self.limits, declared_demand(descriptor)
+        if not limits:
+            return demand
+        place = None if descriptor.type is None else ValuePlace(descriptor.type)
+        demand &= limits.demand_of_scalar(self._session.space.parameter(name), ros.value, place)
+        for shown, _ in await self._property_names(Kind.PARAMETER, name):
+            demand &= limits.demand_of_scalar(shown, rdf.value, place)
+        return demand
+
+    async def topic_bounds(self, name: str, schema: MessageSchema) -> Mapping[str, Bounds]:
+        """What the limits demand of single fields of a message that is published on a topic, by their paths."""
+        limits = self.limits
+        if not limits:
+            return {}
+        found = [
+            limits.bounds_of_message(schema),
+            limits.bounds_of_value(self._session.space.topic(name), _LINKS["#message"], schema),
+        ]
+        tree = await self._affordances.tree()
+        own = tree.catalogue.by_topic.get(name)
+        for shown, field in () if own is None else tree.names_of(own):
+            if field is None:
+                found.append(limits.bounds_of_value(url_of(shown, self._session.space), rdf.value, schema))
+        return merge_bounds(*found)
+
+    async def require_parameter(self, name: str, value: ParameterValue) -> None:
+        """Raise LoweringError where the value of a parameter, or of one in a tree, breaks limits or its declaration."""
+        broken = self._undeclared(name, value)
+        if self.limits and not broken:
+            broken = await self._of_parameter(name, value)
+        if broken:
+            raise LoweringError(*broken)
+
+    def _undeclared(self, name: str, value: ParameterValue) -> list[Violation]:
+        """What a value, or one in a tree, breaks of what the nodes declare."""
+        parameter = self._session.graph.parameters.get(name)
+        if parameter is not None:
+            return list(
+                violations(parameter.descriptor or Descriptor(), name, self._session.space.parameter(name), value)
+            )
+        if not isinstance(value, dict):
+            return []
+        inner = (self._undeclared(f"{name.rstrip('/')}/{key}", each) for key, each in value.items())
+        return [violation for found in inner for violation in found]
+
+    async def _of_parameter(self, name: str, value: ParameterValue) -> list[Violation]:
+        if isinstance(value, dict):
+            inner = [await self._of_parameter(f"{name.rstrip('/')}/{key}", each) for key, each in value.items()]
+            return [violation for found in inner for violation in found]
+        url = self._session.space.parameter(name)
+        shape = self.limits.resource(url)
+        stored = StoredValue(value)
+        broken: list[Violation] = []
+        if shape is not None:
+            broken += shape.violations(NamedNode(url), self._triples(url, ros.value, stored))
+        return broken + await self._of_property(Kind.PARAMETER, name, stored)
+
+    async def _of_property(self, kind: Kind, name: str, value: Value) -> list[Violation]:
+        """What a value breaks of the limits on the property that a topic, service or parameter writes, by any name."""
+        broken: list[Violation] = []
+        for url, field in await self._property_names(kind, name):
+            shape = self.limits.resource(url)
+            if shape is not None:
+                broken += shape.violations(NamedNode(url), self._triples(url, rdf.value, value, field))
+        return broken
+
+    async def _property_names(self, kind: Kind, name: str) -> Sequence[tuple[str, str | None]]:
+        """The URLs of the property that a topic, service or parameter writes, each with the field shown there."""
+        tree = await self._affordances.tree()
+        catalogue = tree.catalogue
+        ways = {
+            Kind.TOPIC: catalogue.by_topic,
+            Kind.SERVICE: catalogue.by_service,
+            Kind.PARAMETER: catalogue.by_parameter,
+        }
+        found = ways[kind].get(name) if kind in ways else None
+        if found is None or (
+            kind is Kind.SERVICE and all(way.name != name for way in catalogue.properties[found].writers)
+        ):
+            return ()  # what a getter is asked with is no value
+        return [(url_of(shown, self._session.space), field) for shown, field in tree.names_of(found)]
+
+    def _triples(self, url: str, predicate: NamedNode, value: Value, field: str | None = None) -> list[Triple]:
+        return value_triples(NamedNode(url), predicate, Reading("value", value), field, self._session.lifting)
 
 
 def require_no_octets(body: RdfBody, texts: Set[NamedNode]) -> None:
@@ -76,108 +198,3 @@ def octets_error(path: str, value: Literal, subject: Term) -> LoweringError:
     return LoweringError(
         Violation(path, words, brief_value(value.value), component(sh.datatype), focus=focus, term=value)
     )
-
-
-async def message_demand(robot: Robot, kind: Kind, name: str, schema: MessageSchema, url: str, node: str) -> Demand:
-    """What all limits demand of a message that is sent to what is called `name`, at a URL."""
-    limits = robot.limits
-    if not limits:
-        return NO_DEMAND
-    scalar = scalar_field(schema.type.fields)
-    demand = limits.demand_of_message(schema) & limits.demand_of_value(url, _LINKS[node], schema)
-    for shown, field in await _property_names(robot, kind, name):
-        if field is None:
-            demand &= limits.demand_of_value(shown, rdf.value, schema, None if scalar is None else scalar.name)
-        else:
-            own = limits.demand_of_scalar(shown, rdf.value, ValuePlace.message(schema).field(field))
-            is_all = own.is_all and not any(step.isdecimal() for step in field.split("."))
-            parts = tuple((field, part) for _, part in own.value_parts)
-            demand &= Demand(tuple((field, bounds) for _, bounds in own.bounds), is_all, parts)
-    return demand
-
-
-async def parameter_demand(robot: Robot, name: str, descriptor: Descriptor) -> Demand:
-    """What its node and all limits demand of a parameter that is declared as a scalar."""
-    limits, demand = robot.limits, declared_demand(descriptor)
-    if not limits:
-        return demand
-    place = None if descriptor.type is None else ValuePlace(descriptor.type)
-    demand &= limits.demand_of_scalar(robot.space.parameter(name), ros.value, place)
-    for shown, _ in await _property_names(robot, Kind.PARAMETER, name):
-        demand &= limits.demand_of_scalar(shown, rdf.value, place)
-    return demand
-
-
-async def topic_bounds(robot: Robot, name: str, schema: MessageSchema) -> Mapping[str, Bounds]:
-    """What the limits demand of single fields of a message that is published on a topic, by their paths."""
-    limits = robot.limits
-    if not limits:
-        return {}
-    found = [
-        limits.bounds_of_message(schema),
-        limits.bounds_of_value(robot.space.topic(name), _LINKS["#message"], schema),
-    ]
-    tree = await robot.affordances.tree()
-    own = tree.catalogue.by_topic.get(name)
-    for shown, field in () if own is None else tree.names_of(own):
-        if field is None:
-            found.append(limits.bounds_of_value(url_of(shown, robot.space), rdf.value, schema))
-    return merge_bounds(*found)
-
-
-async def require_parameter(robot: Robot, name: str, value: ParameterValue) -> None:
-    """Raise LoweringError where the value of a parameter, or of one in a tree, breaks a limit or what is declared."""
-    broken = _undeclared(robot, name, value)
-    if robot.limits and not broken:
-        broken = await _of_parameter(robot, name, value)
-    if broken:
-        raise LoweringError(*broken)
-
-
-def _undeclared(robot: Robot, name: str, value: ParameterValue) -> list[Violation]:
-    """What a value, or one in a tree, breaks of what the nodes declare."""
-    parameter = robot.graph.parameters.get(name)
-    if parameter is not None:
-        return list(violations(parameter.descriptor or Descriptor(), name, robot.space.parameter(name), value))
-    if not isinstance(value, dict):
-        return []
-    inner = (_undeclared(robot, f"{name.rstrip('/')}/{key}", each) for key, each in value.items())
-    return [violation for found in inner for violation in found]
-
-
-async def _of_parameter(robot: Robot, name: str, value: ParameterValue) -> list[Violation]:
-    if isinstance(value, dict):
-        inner = [await _of_parameter(robot, f"{name.rstrip('/')}/{key}", each) for key, each in value.items()]
-        return [violation for found in inner for violation in found]
-    url = robot.space.parameter(name)
-    shape = robot.limits.resource(url)
-    stored = StoredValue(value)
-    broken: list[Violation] = []
-    if shape is not None:
-        broken += shape.violations(NamedNode(url), _triples(robot, url, ros.value, stored))
-    return broken + await _of_property(robot, Kind.PARAMETER, name, stored)
-
-
-async def _of_property(robot: Robot, kind: Kind, name: str, value: Value) -> list[Violation]:
-    """What a value breaks of the limits on the property that a topic, service or parameter writes, by all its names."""
-    broken: list[Violation] = []
-    for url, field in await _property_names(robot, kind, name):
-        shape = robot.limits.resource(url)
-        if shape is not None:
-            broken += shape.violations(NamedNode(url), _triples(robot, url, rdf.value, value, field))
-    return broken
-
-
-async def _property_names(robot: Robot, kind: Kind, name: str) -> Sequence[tuple[str, str | None]]:
-    """The URLs of the property that a topic, service or parameter writes, each with the field that is shown there."""
-    tree = await robot.affordances.tree()
-    catalogue = tree.catalogue
-    ways = {Kind.TOPIC: catalogue.by_topic, Kind.SERVICE: catalogue.by_service, Kind.PARAMETER: catalogue.by_parameter}
-    found = ways[kind].get(name) if kind in ways else None
-    if found is None or (kind is Kind.SERVICE and all(way.name != name for way in catalogue.properties[found].writers)):
-        return ()  # what a getter is asked with is no value
-    return [(url_of(shown, robot.space), field) for shown, field in tree.names_of(found)]
-
-
-def _triples(robot: Robot, url: str, predicate: NamedNode, value: Value, field: str | None = None) -> list[Triple]:
-    return value_triples(NamedNode(url), predicate, Reading("value", value), field, robot.lifting)

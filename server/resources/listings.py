@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from pyoxigraph import Triple
@@ -15,18 +15,20 @@ from rosld.ontology.describe_holds import hold_outline
 from rosld.ontology.describe_services import call_outline
 from rosld.ontology.document import Document
 from rosld.ontology.triples import date_time_literal
+from rosld.ontology.urls import Space
 from rosld.server.html import MemberColumns
 from rosld.server.html.page import Cell
 from rosld.server.http.conditional import digest
 from rosld.server.hypermedia.message_schemas import MessageSchemas
-from rosld.server.resources.context import Robot
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource
 from rosld.server.rest.state import State
-from rosld.server.robot.calls import Call, CallState
+from rosld.server.robot.calls import Call, Calls, CallState
 from rosld.server.robot.goal_store import Goal
-from rosld.server.robot.hold_store import Hold
+from rosld.server.robot.goals import Goals
+from rosld.server.robot.hold_store import Hold, Holds
 from rosld.server.runtime.signals import Signal
+from rosld.server.runtime.version_cache import VersionCache
 
 _OUTCOMES = {CallState.UNKNOWN: "outcome unknown", CallState.NOT_SENT: "not sent"}
 """Words for states of calls whose terms are no words."""
@@ -51,17 +53,19 @@ class ListingResource(Resource):
 
     def __init__(
         self,
-        robot: Robot,
+        space: Space,
+        states: VersionCache[State],
         name: str,
         summary: str,
         columns: tuple[str, ...],
         members: Callable[[], Iterable[ListedMember]],
         changes: Signal,
     ) -> None:
-        super().__init__(robot.space.container(name))
+        super().__init__(space.container(name))
         self.kind = name.capitalize()
         self.title = self.kind
-        self._robot = robot
+        self._space = space
+        self._states = states
         self._summary = summary
         self._columns = columns
         self._members = members
@@ -72,15 +76,13 @@ class ListingResource(Resource):
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self._robot.space.document_shape("Container"),)
+        return (self._space.document_shape("Container"),)
 
     async def state(self) -> State:
         """Its state is another one whenever that of a member is: its page tells of that."""
         members = tuple(self._members())
         token = digest(repr(members).encode("utf-8", "replace"))
-        return self._robot.states.get_or_make(
-            self.url, token, lambda: State(lambda: self._document(members), token=token)
-        )
+        return self._states.get_or_make(self.url, token, lambda: State(lambda: self._document(members), token=token))
 
     def _document(self, members: Sequence[ListedMember]) -> Document:
         """The members, and in brief what became of each: in the dataset they say it themselves."""
@@ -101,63 +103,73 @@ class ListingResource(Resource):
         return self._changes.watch(wake)
 
 
-def calls_listing(robot: Robot) -> ListingResource:
+def calls_listing(space: Space, calls: Calls, states: VersionCache[State]) -> ListingResource:
     """`/calls/`: the calls made through rosld and kept."""
-    known = robot.calls
+    known = calls
 
     def listed(call: Call) -> ListedMember:
         outcome = _OUTCOMES.get(call.state, call.state.value.lower())
         cells = (outcome, time_cell(call.created_ns), time_cell(call.answered_ns), call.words or "")
         is_failed = call.state not in (CallState.RUNNING, CallState.SUCCEEDED)
         times = call.created_ns, call.answered_ns
-        outline = call_outline(call.id, call.service, call.state.value, times, call.words, robot.space)
-        return ListedMember(robot.space.call(call.id), call.service, cells, tuple(outline), is_failed)
+        outline = call_outline(call.id, call.service, call.state.value, times, call.words, space)
+        return ListedMember(space.call(call.id), call.service, cells, tuple(outline), is_failed)
 
     columns = ("outcome", "called", "answered", "words")
     return ListingResource(
-        robot, "calls", "The calls that are kept", columns, lambda: map(listed, reversed(known.all())), known.changes
+        space,
+        states,
+        "calls",
+        "The calls that are kept",
+        columns,
+        lambda: map(listed, reversed(known.all())),
+        known.changes,
     )
 
 
-def goals_listing(robot: Robot) -> ListingResource:
+def goals_listing(space: Space, goals: Goals, states: VersionCache[State]) -> ListingResource:
     """`/goals/`: the goals known and kept, ours and others'."""
-    known = robot.goals
+    known = goals
 
     def listed(goal: Goal) -> ListedMember:
         cells = (goal.status.value, time_cell(goal.created_ns), time_cell(goal.ended_ns), goal.words or "")
         times = goal.created_ns, goal.ended_ns
-        outline = tuple(goal_outline(goal.id, goal.action, goal.status, times, goal.words, robot.space))
-        return ListedMember(robot.space.goal(goal.id), goal.action, cells, outline, goal.status in _FAILED_GOALS)
+        outline = tuple(goal_outline(goal.id, goal.action, goal.status, times, goal.words, space))
+        return ListedMember(space.goal(goal.id), goal.action, cells, outline, goal.status in _FAILED_GOALS)
 
     columns = ("status", "sent", "ended", "words")
     return ListingResource(
-        robot, "goals", "The goals that are kept", columns, lambda: map(listed, reversed(known.all())), known.changes
+        space,
+        states,
+        "goals",
+        "The goals that are kept",
+        columns,
+        lambda: map(listed, reversed(known.all())),
+        known.changes,
     )
 
 
-def holds_listing(robot: Robot) -> ListingResource:
+def holds_listing(space: Space, states: VersionCache[State], holds: Holds) -> ListingResource:
     """`/holds/`: the holds that there are."""
-    known = robot.holds
+    known = holds
 
     def listed(hold: Hold) -> ListedMember:
         cells = (hold.holder.name, f"{hold.rate:g} Hz", time_cell(hold.created_ns), hold.last_error or "")
         outline = hold_outline(
-            hold.id, hold.topic, hold.holder.name, hold.rate, hold.created_ns, hold.last_error, robot.space
+            hold.id, hold.topic, hold.holder.name, hold.rate, hold.created_ns, hold.last_error, space
         )
-        return ListedMember(robot.space.hold(hold.id), hold.topic, cells, tuple(outline), hold.last_error is not None)
+        return ListedMember(space.hold(hold.id), hold.topic, cells, tuple(outline), hold.last_error is not None)
 
     columns = ("holder", "rate", "since", "trouble")
     return ListingResource(
-        robot, "holds", "The holds of topics", columns, lambda: map(listed, reversed(known.all())), known.changes
+        space,
+        states,
+        "holds",
+        "The holds of topics",
+        columns,
+        lambda: map(listed, reversed(known.all())),
+        known.changes,
     )
-
-
-LISTINGS: Mapping[str, Callable[[Robot], ListingResource]] = {
-    "calls": calls_listing,
-    "goals": goals_listing,
-    "holds": holds_listing,
-}
-"""By the first segment of their URLs."""
 
 
 def time_cell(nanoseconds: int | None) -> Cell:

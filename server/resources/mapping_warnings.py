@@ -5,7 +5,9 @@ from __future__ import annotations
 import asyncio
 import logging
 
-from rosld.server.resources.context import Robot
+from rosld.server.hypermedia.affordance_service import AffordanceService
+from rosld.server.hypermedia.mappings import Mappings
+from rosld.server.rest.state import State
 from rosld.server.runtime.loop_time import loop_time
 
 _DISCOVERY = 5.0
@@ -14,10 +16,10 @@ _AGAIN = 0.5
 _log = logging.getLogger("rosld")
 
 
-async def log_mapping_warnings(robot: Robot) -> None:
+async def log_mapping_warnings(affordances: AffordanceService[State], mappings: Mappings) -> None:
     """Log what the mappings name that is not there, or cannot be offered, once the robot can have been discovered."""
     until = loop_time() + _DISCOVERY
-    while found := await _warnings(robot):
+    while found := await _warnings(affordances, mappings):
         if loop_time() > until:
             for url, words in found:
                 _log.warning("The mapping %s names in vain: %s", url, words)
@@ -25,7 +27,7 @@ async def log_mapping_warnings(robot: Robot) -> None:
         await asyncio.sleep(_AGAIN)
 
 
-async def _warnings(robot: Robot) -> list[tuple[str, str]]:
+async def _warnings(affordances: AffordanceService[State], mappings: Mappings) -> list[tuple[str, str]]:
     """The mapping documents' URLs, and what of each is not there now."""
-    urls = tuple(robot.mappings.documents)
-    return [(url, words) for url in urls for words in await robot.affordances.mapping_warnings(url)]
+    urls = tuple(mappings.documents)
+    return [(url, words) for url in urls for words in await affordances.mapping_warnings(url)]

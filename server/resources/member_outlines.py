@@ -13,30 +13,33 @@ from rosld.ontology.urls import Space
 from rosld.ontology.vocab import ros
 from rosld.server.html.brief import brief_text
 from rosld.server.html.page import Cell
-from rosld.server.hypermedia.latest_values import LatestValue
-from rosld.server.resources.context import Robot
+from rosld.server.hypermedia.latest_values import LatestValue, LatestValues
 
 
 def member_outlines(
-    robot: Robot, things: Mapping[str, object], room: str, namespace: tuple[str, ...], members: Members
+    space: Space,
+    latest_values: LatestValues,
+    things: Mapping[str, object],
+    room: str,
+    namespace: tuple[str, ...],
+    members: Members,
 ) -> tuple[MemberOutline, ...]:
     """What is told in brief of these members of a namespace, which are among `things`.
 
     Names, types, and of topics rate and value as far as they are at hand.
     """
-    space = robot.space
     leaves = ((*namespace, leaf) for leaf in members.leaves)
     below = ((*namespace, inner) for inner in members.namespaces)
     return (
-        *(_outline(robot, things, names.join(path), space.url(room, path)) for path in leaves),
+        *(_outline(latest_values, things, names.join(path), space.url(room, path)) for path in leaves),
         *(MemberOutline(space.container(room, path), None, names.join(path)) for path in below),
     )
 
 
-def _outline(robot: Robot, things: Mapping[str, object], name: str, url: str) -> MemberOutline:
+def _outline(latest_values: LatestValues, things: Mapping[str, object], name: str, url: str) -> MemberOutline:
     match things.get(name):
         case Topic() as thing:
-            latest = robot.latest_values.of_topic(name)
+            latest = latest_values.of_topic(name)
             types = tuple(ref.name for ref in thing.types)
             rate, value = (None, None) if latest is None else (latest.rate, latest.json)
             return MemberOutline(url, ros.Topic, name, types, rate, value)

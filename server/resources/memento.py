@@ -15,10 +15,11 @@ from rosld.adapters.base import MessageFilter, MessagePage
 from rosld.adapters.model import Sample
 from rosld.ontology.describe_time_map import time_map_document
 from rosld.ontology.literals import date_time
+from rosld.ontology.urls import Space
+from rosld.server.history.history import History
 from rosld.server.http import negotiation
 from rosld.server.http.link import Link, render
 from rosld.server.http.problem import Problem
-from rosld.server.resources.context import Robot
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import OFFERS
 from rosld.server.rest.path_item import QueryParameter
@@ -37,9 +38,9 @@ _DATE = "Tue, 31 Jan 2030 12:00:00 GMT"
 _T = TypeVar("_T")
 
 
-def is_recorded(robot: Robot, topic: str) -> bool:
+def is_recorded(history: History, topic: str) -> bool:
     """Whether there are mementos of a topic."""
-    return robot.history.is_kept and topic in robot.history.writer.types
+    return history.is_kept and topic in history.writer.types
 
 
 def timegate_links(url: str) -> tuple[Link, ...]:
@@ -84,14 +85,14 @@ async def read_history(read: Callable[[], _T]) -> _T:
         raise Problem(503, f"The history cannot be read just now: {error}.") from error
 
 
-async def negotiate_topic(robot: Robot, topic: str, accept_datetime: str) -> Problem:
+async def negotiate_topic(space: Space, history: History, topic: str, accept_datetime: str) -> Problem:
     """302 to the memento of a topic that a time asks for: before the first that is the first (RFC 7089 4.5.3).
 
     Raises Problems.
     """
-    wanted, url = parse_accept_datetime(accept_datetime), robot.space.topic(topic)
+    wanted, url = parse_accept_datetime(accept_datetime), space.topic(topic)
     settled = time.time_ns() - SETTLED_NS
-    history = robot.history
+    history = history
     only = frozenset({topic})
 
     def look() -> tuple[Sample | None, Sample | None, Sample | None]:
@@ -114,19 +115,20 @@ class TimeMap(Resource):
     kind = "TimeMap"
     is_cacheable = False
 
-    def __init__(self, robot: Robot, topic: str, start: int) -> None:
-        super().__init__(_time_map_url(robot.space.topic(topic), start))
-        self.robot = robot
+    def __init__(self, space: Space, history: History, topic: str, start: int) -> None:
+        super().__init__(_time_map_url(space.topic(topic), start))
+        self.space = space
+        self.history = history
         self.title = f"Mementos of {topic}"
         self._topic = topic
         self._start = start
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self.robot.space.document_shape("TimeMap"),)
+        return (self.space.document_shape("TimeMap"),)
 
     async def state(self) -> State:
-        page, original = await self._page(), self.robot.space.topic(self._topic)
+        page, original = await self._page(), self.space.topic(self._topic)
         times = [each.sample.received_ns for each in page.messages]
         mementos = [(memento_url(original, each), each) for each in times]
         after = None if page.next is None else _time_map_url(original, page.next)
@@ -134,24 +136,24 @@ class TimeMap(Resource):
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
         """As links (RFC 6690), the default."""
-        page, url = await self._page(), self.robot.space.topic(self._topic)
+        page, url = await self._page(), self.space.topic(self._topic)
         times = [each.sample.received_ns for each in page.messages]
         after = None if page.next is None else _time_map_url(url, page.next)
         return time_map_response(self, exchange, url, times, after)
 
     async def _page(self) -> MessagePage:
         settled = time.time_ns() - SETTLED_NS
-        recording = self.robot.history.recording
+        recording = self.history.recording
         wanted = MessageFilter(frozenset({self._topic}), to_ns=settled, start=max(self._start, recording.first))
         return await read_history(lambda: recording.select(wanted, _PAGE))
 
 
-def time_map_of(robot: Robot, topic: str, exchange: Exchange) -> TimeMap:
+def time_map_of(space: Space, history: History, topic: str, exchange: Exchange) -> TimeMap:
     """The TimeMap that a request to a topic asks for. Raises a 400 Problem."""
     start = exchange.query.get("start", "0")
     if not (start.isascii() and start.isdecimal() and len(start) < 19):
         raise Problem(400, f"?start={start[:20]} is no number of a message.")
-    return TimeMap(robot, topic, int(start))
+    return TimeMap(space, history, topic, int(start))
 
 
 def time_map_response(

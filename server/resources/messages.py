@@ -9,9 +9,10 @@ from starlette.responses import Response
 from rosld.adapters.model import Message, MessageSchema, RosError, Sample
 from rosld.ontology.document import Envelope, LiftedMessage
 from rosld.ontology.fields import field_bytes
-from rosld.ontology.lift import lifter
+from rosld.ontology.lift import LiftSettings, lifter
+from rosld.ontology.urls import Space
 from rosld.server.http.problem import Problem
-from rosld.server.resources.context import Robot
+from rosld.server.robot.schemas import Schemas
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,27 +25,27 @@ class DecodedSample:
     reason: str | None = None
 
 
-async def decode(robot: Robot, sample: Sample) -> DecodedSample:
+async def decode(schemas: Schemas, sample: Sample) -> DecodedSample:
     """A sample's message, or why it cannot be read."""
     try:
-        schema = await robot.schemas.message(sample.schema)
+        schema = await schemas.message(sample.schema)
         return DecodedSample(sample, schema, schema.codec.decode(sample.data, sample.encoding))
     except (RosError, ValueError) as error:
         return DecodedSample(sample, None, None, str(error))
 
 
-def lift_sample(robot: Robot, one: DecodedSample) -> LiftedMessage:
+def lift_sample(space: Space, lifting: LiftSettings, one: DecodedSample) -> LiftedMessage:
     """A decoded sample as the `#message` of a document."""
     assert one.schema is not None
     assert one.message is not None
-    publisher = robot.space.node(one.sample.publisher) if one.sample.publisher else None
+    publisher = space.node(one.sample.publisher) if one.sample.publisher else None
     envelope = Envelope(one.sample.received_ns, one.sample.sequence, publisher)
-    return LiftedMessage("#message", lifter(one.schema, robot.lifting), one.message, envelope)
+    return LiftedMessage("#message", lifter(one.schema, lifting), one.message, envelope)
 
 
-async def field_response(robot: Robot, sample: Sample, path: str) -> Response:
+async def field_response(schemas: Schemas, sample: Sample, path: str) -> Response:
     """The bytes of one field of a message; a 404 Problem where it has none of that path."""
-    decoded = await decode(robot, sample)
+    decoded = await decode(schemas, sample)
     if decoded.schema is None or decoded.message is None:
         raise Problem(406, f"The message cannot be read: {decoded.reason}.")
     try:

@@ -9,12 +9,11 @@ from pyoxigraph import NamedNode
 
 from rosld.ontology.document import Document
 from rosld.ontology.triples import RDF_SOURCE, date_time_literal, double, integer, text, triples_about
-from rosld.ontology.urls import Location
+from rosld.ontology.urls import Location, Space
 from rosld.ontology.vocab import dcterms, rdf, ros
 from rosld.server.dataset.replication import Mirror, ReplicationStatus
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.message_schemas import MessageSchemas
-from rosld.server.resources.context import Robot
 from rosld.server.resources.mirror_setup import ROUTE
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import Resource
@@ -26,10 +25,10 @@ class ReplicationResource(Resource):
 
     kind = "Mirror"
 
-    def __init__(self, robot: Robot, mirror: Mirror) -> None:
-        super().__init__(robot.space.base + ROUTE)
+    def __init__(self, space: Space, mirror: Mirror) -> None:
+        super().__init__(space.base + ROUTE)
         self._mirror = mirror
-        self._shape = robot.space.document_shape("Mirror")
+        self._shape = space.document_shape("Mirror")
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem("The mirror of the dataset in another store")
@@ -43,14 +42,14 @@ class ReplicationResource(Resource):
         return State(lambda: replication_document(self.url, status), lambda: _plain(status))
 
 
-def replication_route(mirror: Mirror | None) -> Mapping[str, Callable[[Robot, Location], Resource]]:
+def replication_route(space: Space, mirror: Mirror | None) -> Mapping[str, Callable[[Location], Resource]]:
     """The room of the mirror; none where there is no mirror."""
 
-    def room(robot: Robot, location: Location) -> Resource:
+    def room(location: Location) -> Resource:
         if location.segments or location.is_container:
             raise Problem(404, f"There is nothing below /{ROUTE}.")
         assert mirror is not None
-        return ReplicationResource(robot, mirror)
+        return ReplicationResource(space, mirror)
 
     return {} if mirror is None else {ROUTE: room}
 

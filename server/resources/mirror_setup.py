@@ -16,7 +16,7 @@ from rosld.server.dataset.remote_store import RemoteStore
 from rosld.server.dataset.replication import Mirror
 from rosld.server.http.origin import is_loopback
 from rosld.server.http.problem import Problem
-from rosld.server.resources.context import Robot
+from rosld.server.robot.session import Session
 from rosld.server.runtime.loop_time import loop_time
 from rosld.server.settings import Settings
 from rosld.server.sparql.materializer import Synchroniser
@@ -34,13 +34,13 @@ _log = logging.getLogger("rosld.store")
 
 
 def create_mirror(
-    robot: Robot, process: QueryProcess, synchroniser: Synchroniser, rooms: Collection[str]
+    session: Session, instance_id: str, process: QueryProcess, synchroniser: Synchroniser, rooms: Collection[str]
 ) -> Mirror | None:
     """The mirror that the settings ask for, None for none. `rooms` are the first segments of all paths of this server.
 
     Raises ValueError where the credentials cannot be used, OSError where they cannot be read.
     """
-    settings = robot.settings
+    settings = session.settings
     endpoints = settings.store_endpoints
     if endpoints is None:
         return None
@@ -50,10 +50,10 @@ def create_mirror(
     return Mirror(
         _Dataset(process, synchroniser),
         RemoteStore(query, update),
-        _Graphs(robot.space.base, rooms, synchroniser),
-        _Reading(robot, synchroniser).refresh,
+        _Graphs(session.space.base, rooms, synchroniser),
+        _Reading(session, synchroniser).refresh,
         interval=1 / settings.store_rate,
-        run_name=robot.instance_id,
+        run_name=instance_id,
     )
 
 
@@ -130,8 +130,8 @@ class _Graphs:
 class _Reading:
     """Brings the dataset to now: descriptions, what clients keep, followed topics, and parameters now and then."""
 
-    def __init__(self, robot: Robot, synchroniser: Synchroniser) -> None:
-        self._robot = robot
+    def __init__(self, session: Session, synchroniser: Synchroniser) -> None:
+        self._session = session
         self._synchroniser = synchroniser
         self._parameters_at = float("-inf")
 
@@ -143,13 +143,13 @@ class _Reading:
             await asyncio.wait_for(self._read(self._parameters()), _LONGEST_READING)
 
     async def _read(self, needs: Needs) -> None:
-        async with self._synchroniser.synchronised(needs, deadline=self._robot.deadline(_LONGEST_READING)):
+        async with self._synchroniser.synchronised(needs, deadline=self._session.deadline(_LONGEST_READING)):
             pass
 
     def _topics(self) -> Needs:
-        urls = frozenset(map(self._robot.space.topic, self._robot.topics.always_subscribed()))
+        urls = frozenset(map(self._session.space.topic, self._session.topics.always_subscribed()))
         return Needs((Demand(graphs=urls),)) if urls else Needs()
 
     def _parameters(self) -> Needs:
-        urls = frozenset(map(self._robot.space.parameter, self._robot.graph.parameters))
+        urls = frozenset(map(self._session.space.parameter, self._session.graph.parameters))
         return Needs((Demand(graphs=urls, messages=False, parameters=True),)) if urls else Needs()

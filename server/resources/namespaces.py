@@ -11,14 +11,13 @@ from rosld.ontology.describe_containers import namespace_document
 from rosld.ontology.describe_members import MemberOutline, member_triples
 from rosld.ontology.document import Document
 from rosld.ontology.namespaces import IdentityCache, Members, members_of
-from rosld.ontology.urls import decode_segment, encode_segment
+from rosld.ontology.urls import Space, decode_segment, encode_segment
 from rosld.server.html import MemberColumns, SequenceLink
 from rosld.server.http.conditional import digest
 from rosld.server.http.link import render
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.latest_values import LatestValue
+from rosld.server.hypermedia.latest_values import LatestValue, LatestValues
 from rosld.server.hypermedia.message_schemas import MessageSchemas
-from rosld.server.resources.context import Robot
 from rosld.server.resources.member_outlines import action_cells, member_outlines, service_cells, topic_cells
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.paging import (
@@ -32,6 +31,8 @@ from rosld.server.rest.paging import (
 from rosld.server.rest.path_item import FORMAT, PathItem, QueryParameter
 from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource, permanent_redirect
 from rosld.server.rest.state import State
+from rosld.server.robot.session import Session
+from rosld.server.runtime.version_cache import VersionCache
 
 Namespaces = Mapping[tuple[str, ...], Members]
 
@@ -94,14 +95,14 @@ def _unhidden(graph: Graph) -> Graph:
 _listed: IdentityCache[Graph, Graph] = IdentityCache(_unhidden)
 
 
-def listed_graph(robot: Robot) -> Graph:
+def listed_graph(session: Session) -> Graph:
     """The graph as listings tell it: without hidden names, where the robot's kind of system has them."""
-    return _listed(robot.graph) if robot.adapter.capabilities.hidden_names else robot.graph
+    return _listed(session.graph) if session.adapter.capabilities.hidden_names else session.graph
 
 
-def listing_parameters(robot: Robot) -> tuple[QueryParameter, ...]:
+def listing_parameters(session: Session) -> tuple[QueryParameter, ...]:
     """What the query of a listing of names may have."""
-    return (FORMAT, _HIDDEN) if robot.adapter.capabilities.hidden_names else (FORMAT,)
+    return (FORMAT, _HIDDEN) if session.adapter.capabilities.hidden_names else (FORMAT,)
 
 
 def with_hidden(url: str) -> str:
@@ -109,30 +110,30 @@ def with_hidden(url: str) -> str:
     return f"{url}?{HIDDEN}"
 
 
-def listed_members(robot: Robot, room: str, namespace: tuple[str, ...], *, hidden: bool = False) -> Members | None:
+def listed_members(session: Session, room: str, namespace: tuple[str, ...], *, hidden: bool = False) -> Members | None:
     """The members of a namespace as its listing tells them; None where there is no such namespace.
 
     Within a namespace that is hidden itself nothing is, and neither where hidden ones are asked for.
     """
-    whole = namespaces(robot.graph, room).get(namespace)
+    whole = namespaces(session.graph, room).get(namespace)
     if whole is None or hidden or names.is_hidden(names.join(namespace)):
         return whole
-    return namespaces(listed_graph(robot), room).get(namespace, Members())
+    return namespaces(listed_graph(session), room).get(namespace, Members())
 
 
 def listing_document(
-    robot: Robot, room: str, namespace: tuple[str, ...], members: Members, *, hidden: bool = False
+    session: Session, room: str, namespace: tuple[str, ...], members: Members, *, hidden: bool = False
 ) -> Document:
     """A namespace with these members, or these of them; where its listing leaves some out it links to all."""
-    url = robot.space.container(room, namespace)
-    is_name = names.join(namespace) in things_of(robot.graph, room)
-    whole = with_hidden(url) if leaves_out(robot, room, namespace, hidden=hidden) else None
-    return namespace_document(room, namespace, members, robot.space, is_name=is_name, whole=whole)
+    url = session.space.container(room, namespace)
+    is_name = names.join(namespace) in things_of(session.graph, room)
+    whole = with_hidden(url) if leaves_out(session, room, namespace, hidden=hidden) else None
+    return namespace_document(room, namespace, members, session.space, is_name=is_name, whole=whole)
 
 
-def leaves_out(robot: Robot, room: str, namespace: tuple[str, ...], *, hidden: bool = False) -> bool:
+def leaves_out(session: Session, room: str, namespace: tuple[str, ...], *, hidden: bool = False) -> bool:
     """Whether the listing of a namespace leaves hidden members out."""
-    return listed_members(robot, room, namespace, hidden=hidden) != namespaces(robot.graph, room).get(namespace)
+    return listed_members(session, room, namespace, hidden=hidden) != namespaces(session.graph, room).get(namespace)
 
 
 def count_members(members: Members) -> int:
@@ -151,18 +152,18 @@ def members_from_keys(ends: Sequence[str]) -> Members:
     return Members(leaves, tuple(sorted(decode_segment(end[:-1]) for end in ends if end.endswith("/"))))
 
 
-def is_absent(robot: Robot, room: str, name: str) -> bool:
+def is_absent(space: Space, graph: Graph, room: str, name: str) -> bool:
     """Whether nothing in the computation graph has this name, nor is it a namespace."""
-    things: Mapping[str, object] = getattr(robot.graph, room)
-    return name not in things and redirect_to_namespace(robot, room, name) is None
+    things: Mapping[str, object] = getattr(graph, room)
+    return name not in things and redirect_to_namespace(space, graph, room, name) is None
 
 
-def redirect_to_namespace(robot: Robot, room: str, name: str) -> Problem | None:
+def redirect_to_namespace(space: Space, graph: Graph, room: str, name: str) -> Problem | None:
     """308 to the container where a name is a namespace and nothing else; None where it is none."""
     path = names.segments(name)
-    if path not in namespaces(robot.graph, room):
+    if path not in namespaces(graph, room):
         return None
-    url = robot.space.container(room, path)
+    url = space.container(room, path)
     return permanent_redirect(url)
 
 
@@ -174,16 +175,20 @@ class NamespaceContainer(Resource):
 
     def __init__(
         self,
-        robot: Robot,
+        session: Session,
+        states: VersionCache[State],
+        latest_values: LatestValues,
         room: str,
         namespace: tuple[str, ...],
         place: PagePosition | None = None,
         *,
         hidden: bool = False,
     ) -> None:
-        super().__init__(robot.space.container(room, namespace))
+        super().__init__(session.space.container(room, namespace))
         self.title = names.join(namespace) if namespace else room.capitalize()
-        self.robot = robot
+        self.session = session
+        self.states = states
+        self.latest_values = latest_values
         self.room = room
         self.namespace = namespace
         self._place = place
@@ -196,7 +201,7 @@ class NamespaceContainer(Resource):
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self.robot.space.document_shape("Container"),)
+        return (self.session.space.document_shape("Container"),)
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """The page that `?page=` asks for, the first of many pages (303)."""
@@ -204,7 +209,9 @@ class NamespaceContainer(Resource):
             return self
         hidden, token = exchange.query_flag("hidden"), exchange.query.get("page")
         place = None if token is None else parse_named_position(token)
-        asked = NamespaceContainer(self.robot, self.room, self.namespace, place, hidden=hidden)
+        asked = NamespaceContainer(
+            self.session, self.states, self.latest_values, self.room, self.namespace, place, hidden=hidden
+        )
         if place is None:
             require_page(exchange, self.url, count_members(asked._members()))
         return asked
@@ -213,15 +220,22 @@ class NamespaceContainer(Resource):
         return await self.methods_if_there()
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        query = listing_parameters(self.robot)
+        query = listing_parameters(self.session)
         return PathItem(self.room.capitalize(), query=query, is_paged=True, alike=f"namespace-of-{self.room}")
 
     async def state(self) -> State:
         members = self._members()
         page, told = (None, members) if self._place is None else self._page(self._place, members)
-        outlines = member_outlines(self.robot, things_of(self.robot.graph, self.room), self.room, self.namespace, told)
+        outlines = member_outlines(
+            self.session.space,
+            self.latest_values,
+            things_of(self.session.graph, self.room),
+            self.room,
+            self.namespace,
+            told,
+        )
         values = self._values_below()
-        version = (members, self._is_name, outlines, values, self.robot.graph.revision)
+        version = (members, self._is_name, outlines, values, self.session.graph.revision)
 
         def make() -> State:
             document = self._document(told, outlines)
@@ -231,27 +245,27 @@ class NamespaceContainer(Resource):
             part = f"p{digest(page.token.encode())}"
             return State(lambda: page.add_to(document), token=token, part=part, headers=headers)
 
-        is_partial = leaves_out(self.robot, self.room, self.namespace, hidden=self._hidden)
+        is_partial = leaves_out(self.session, self.room, self.namespace, hidden=self._hidden)
         token = digest(repr((members, self._is_name, is_partial, outlines, values)).encode("utf-8", "replace"))
-        return self.robot.states.get_or_make(self._sequence if page is None else page.url, version, make)
+        return self.states.get_or_make(self._sequence if page is None else page.url, version, make)
 
     def _values_below(self) -> Sequence[tuple[str, LatestValue | None]]:
         """The values at hand of all topics below, which the page lists, too: it is another one when one of them is."""
         if self.room != "topics":
             return ()
-        prefix, values = "".join(f"/{part}" for part in self.namespace) + "/", self.robot.latest_values
-        below = (name for name in self.robot.topics.subscribed() if name.startswith(prefix))
+        prefix, values = "".join(f"/{part}" for part in self.namespace) + "/", self.latest_values
+        below = (name for name in self.session.topics.subscribed() if name.startswith(prefix))
         return tuple((name, values.of_topic(name)) for name in below)
 
     def _document(self, members: Members, outlines: Sequence[MemberOutline]) -> Document:
         """What the namespace says of itself, and in brief of its members."""
-        document = listing_document(self.robot, self.room, self.namespace, members, hidden=self._hidden)
-        told = (triple for outline in outlines for triple in member_triples(outline, self.robot.space))
+        document = listing_document(self.session, self.room, self.namespace, members, hidden=self._hidden)
+        told = (triple for outline in outlines for triple in member_triples(outline, self.session.space))
         return replace(document, triples=(*document.triples, *told))
 
     @property
     def _is_name(self) -> bool:
-        return names.join(self.namespace) in things_of(self.robot.graph, self.room)
+        return names.join(self.namespace) in things_of(self.session.graph, self.room)
 
     def _members(self) -> Members:
         """The members; a Problem where there is no such namespace."""
@@ -261,7 +275,7 @@ class NamespaceContainer(Resource):
         return members
 
     def _found(self) -> Members | None:
-        return listed_members(self.robot, self.room, self.namespace, hidden=self._hidden)
+        return listed_members(self.session, self.room, self.namespace, hidden=self._hidden)
 
     def _page(self, place: PagePosition, members: Members) -> tuple[LdpPage, Members]:
         """A page, and the members it tells of."""
@@ -280,7 +294,7 @@ class NamespaceContainer(Resource):
     def listing(self) -> MemberColumns | None:
         """Everything below, or below what a page tells of, with types and endpoints."""
         whole = self._hidden or names.is_hidden(names.join(self.namespace))
-        graph, space = self.robot.graph if whole else listed_graph(self.robot), self.robot.space
+        graph, space = self.session.graph if whole else listed_graph(self.session), self.session.space
         members = self._found()
         if self.room == "topics":
             told, total = self._below(graph.topics, members)
@@ -288,7 +302,7 @@ class NamespaceContainer(Resource):
             return MemberColumns(
                 ("type", "latest value", "rate", "publishers", "subscribers"),
                 {
-                    space.topic(name): topic_cells(topic, self.robot.latest_values.of_topic(name), space)
+                    space.topic(name): topic_cells(topic, self.latest_values.of_topic(name), space)
                     for name, topic in topics.items()
                 },
                 total,
@@ -326,7 +340,7 @@ class NamespaceContainer(Resource):
     def _missing(self) -> Problem:
         """308 where the name is a leaf, else 404."""
         name = names.join(self.namespace)
-        if name in things_of(self.robot.graph, self.room):
-            leaf = self.robot.space.url(self.room, self.namespace)
+        if name in things_of(self.session.graph, self.room):
+            leaf = self.session.space.url(self.room, self.namespace)
             return permanent_redirect(leaf)
         return Problem(404, f"There is no namespace {name} under /{self.room}/.")

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from rosld.ontology.namespaces import IdentityCache, namespaces_of
-from rosld.ontology.urls import Location
+from rosld.ontology.urls import Location, Space
+from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.resource_tree import ResourceTree, path_of, segments_of
-from rosld.server.resources.context import Robot
 from rosld.server.resources.namespaces import listed_graph, namespaces, things_of
+from rosld.server.rest.state import State
+from rosld.server.robot.session import Session
 from rosld.server.search.near_names import NearNames
 
 _IN_GRAPH = frozenset({"nodes", "topics", "services", "actions", "parameters"})
@@ -27,22 +29,22 @@ _room_names: IdentityCache[Mapping[str, object], NearNames] = IdentityCache(_nea
 _tree_names: IdentityCache[ResourceTree, NearNames] = IdentityCache(_near_in_tree, 2)
 
 
-def near_urls(robot: Robot, url: str) -> Sequence[str]:
+def near_urls(session: Session, affordances: AffordanceService[State], url: str) -> Sequence[str]:
     """The URLs of what the robot has under names near that of `url`, the nearest first.
 
     None where `url` is in no container of names, and where its name is there: then it is absent for another reason.
     """
-    place = robot.space.location(url)
+    place = session.space.location(url)
     if place is None or not place.segments:
         return ()
     if place.kind == "resources":
-        return _near_resources(robot, place)
-    return _near_names(robot, place) if place.kind in _IN_GRAPH else ()
+        return _near_resources(session.space, affordances, place)
+    return _near_names(session, place) if place.kind in _IN_GRAPH else ()
 
 
-def _near_names(robot: Robot, place: Location) -> Sequence[str]:
-    things, name, space = things_of(listed_graph(robot), place.kind), _name(place), robot.space
-    if name in things or place.segments in namespaces(robot.graph, place.kind):
+def _near_names(session: Session, place: Location) -> Sequence[str]:
+    things, name, space = things_of(listed_graph(session), place.kind), _name(place), session.space
+    if name in things or place.segments in namespaces(session.graph, place.kind):
         return ()
     return [
         space.container(place.kind, segments_of(each))
@@ -52,11 +54,11 @@ def _near_names(robot: Robot, place: Location) -> Sequence[str]:
     ]
 
 
-def _near_resources(robot: Robot, place: Location) -> Sequence[str]:
-    tree, name = robot.affordances.cached_tree(), _name(place)
+def _near_resources(space: Space, affordances: AffordanceService[State], place: Location) -> Sequence[str]:
+    tree, name = affordances.cached_tree(), _name(place)
     if tree is None or tree.property(name) is not None or tree.action(name) is not None or f"{name}/" in tree.paths:
         return ()
-    return [url_of(each, robot.space) for each in _tree_names(tree).of(name)]
+    return [url_of(each, space) for each in _tree_names(tree).of(name)]
 
 
 def _name(place: Location) -> str:

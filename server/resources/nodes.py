@@ -20,8 +20,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import TEXT
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.command import CommandResource
-from rosld.server.resources.context import Robot
-from rosld.server.resources.limit_checks import require_message
+from rosld.server.resources.limit_checks import LimitChecks
 from rosld.server.resources.namespaces import is_absent, redirect_to_namespace
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, RDF_BODIES
@@ -29,7 +28,9 @@ from rosld.server.rest.path_item import PathItem, WriteMethod
 from rosld.server.rest.resource import READ, Answer
 from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import State
+from rosld.server.robot.session import Session
 from rosld.server.robot.write_policy import resources_only_reason
+from rosld.server.runtime.version_cache import VersionCache
 
 TRANSITION = "transition"
 """The member of a JSON body, and the field of a form, that names a transition."""
@@ -41,18 +42,20 @@ class NodeResource(CommandResource):
     kind = "Node"
     accepts: Mapping[str, Sequence[str]] = {"POST": (*RDF_BODIES, JSON)}
 
-    def __init__(self, robot: Robot, name: str) -> None:
-        super().__init__(robot.space.node(name))
-        self.robot = robot
+    def __init__(self, session: Session, limit_checks: LimitChecks, states: VersionCache[State], name: str) -> None:
+        super().__init__(session.space.node(name))
+        self.session = session
+        self.limit_checks = limit_checks
+        self.states = states
         self.name = self.title = name
 
     @property
     def view(self) -> NodeView:
         """The node and what it takes part in; a 404 Problem where there is none."""
-        found = node_views(self.robot.graph).get(self.name)
+        found = node_views(self.session.graph).get(self.name)
         if found is None:
             missing = Problem(404, f"There is no node {self.name}.")
-            raise redirect_to_namespace(self.robot, "nodes", self.name) or missing
+            raise redirect_to_namespace(self.session.space, self.session.graph, "nodes", self.name) or missing
         return self.with_offers(found)
 
     def with_offers(self, found: NodeView) -> NodeView:
@@ -62,19 +65,19 @@ class NodeResource(CommandResource):
     @property
     def lifecycle(self) -> Lifecycle | None:
         """Its lifecycle, None where it has none."""
-        found = self.robot.graph.nodes.get(self.name)
+        found = self.session.graph.nodes.get(self.name)
         return None if found is None else found.lifecycle
 
     @property
     def _offers(self) -> bool:
         """Whether a transition can be asked for here now."""
-        return "POST" in self.methods() - self.withheld and Operation.CHANGE_STATE in self.robot.adapter.allows(
+        return "POST" in self.methods() - self.withheld and Operation.CHANGE_STATE in self.session.adapter.allows(
             Ref(Kind.NODE, self.name)
         )
 
     @property
     def is_absent(self) -> bool:
-        return is_absent(self.robot, "nodes", self.name)
+        return is_absent(self.session.space, self.session.graph, "nodes", self.name)
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         if "POST" not in self.methods():
@@ -88,21 +91,21 @@ class NodeResource(CommandResource):
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self.robot.space.document_shape("Node"),)
+        return (self.session.space.document_shape("Node"),)
 
     def methods(self) -> frozenset[str]:
         lifecycle = self.lifecycle
-        if self.robot.settings.read_only or lifecycle is None or lifecycle.state is None:
+        if self.session.settings.read_only or lifecycle is None or lifecycle.state is None:
             return READ
         return READ if self._closed(lifecycle) else READ | {"POST"}
 
     def _closed(self, lifecycle: Lifecycle) -> str | None:
         """The name by which its lifecycle belongs to what is written under /resources/ only."""
-        return next((name for name in (self.name, lifecycle.service) if self.robot.is_resources_only(name)), None)
+        return next((name for name in (self.name, lifecycle.service) if self.session.is_resources_only(name)), None)
 
     def deny_reason(self, method: str) -> str:
         lifecycle = self.lifecycle
-        if self.robot.settings.read_only:
+        if self.session.settings.read_only:
             return "This server is read-only."
         if method != "POST" or lifecycle is None:
             return f"{self.name} has no lifecycle: it does not answer {method}."
@@ -112,8 +115,8 @@ class NodeResource(CommandResource):
         )
 
     async def state(self) -> State:
-        view, space, simulated = self.view, self.robot.space, self.robot.graph.simulated_time
-        return self.robot.states.get_or_make(
+        view, space, simulated = self.view, self.session.space, self.session.graph.simulated_time
+        return self.states.get_or_make(
             self.url, (view, simulated), lambda: State(partial(node_document, view, space, simulated_time=simulated))
         )
 
@@ -126,37 +129,36 @@ class NodeResource(CommandResource):
 
     async def post(self, exchange: Exchange) -> Answer:
         label = await _label_in(exchange, self.url)
-        robot, lifecycle = self.robot, self.lifecycle
+        lifecycle = self.lifecycle
         transition = next((each for each in lifecycle.transitions if each.label == label), None) if lifecycle else None
         if transition is not None and lifecycle is not None:
             await self._require(transition, lifecycle.service)
         try:
-            deadline = robot.deadline(robot.settings.call_deadline)
-            await robot.adapter.change_state(self.name, label, deadline=deadline)
+            deadline = self.session.deadline(self.session.settings.call_deadline)
+            await self.session.adapter.change_state(self.name, label, deadline=deadline)
         except Refused as error:
             raise self._refusal(error) from error
         finally:
             if lifecycle is not None:
-                robot.announce_write(Kind.SERVICE, lifecycle.service)
+                self.session.announce_write(Kind.SERVICE, lifecycle.service)
         return Response(status_code=204)
 
     async def _require(self, transition: Transition, service: str) -> None:
         """Raise LoweringError where the transition breaks a limit: on this node, or on the service that makes it."""
-        robot = self.robot
-        shape = robot.limits.resource(self.url)
+        shape = self.limit_checks.limits.resource(self.url)
         if shape is not None:
             subject = NamedNode(self.url)
             broken = tuple(shape.violations(subject, [Triple(subject, ros.transition, Literal(transition.label))]))
             if broken:
                 raise LoweringError(*broken)
-        if robot.limits:
-            found = robot.graph.services.get(service)
+        if self.limit_checks.limits:
+            found = self.session.graph.services.get(service)
             ref = found.type if found is not None else None
-            schema = await robot.schemas.service(ref or TypeRef("lifecycle_msgs/srv/ChangeState"))
+            schema = await self.session.schemas.service(ref or TypeRef("lifecycle_msgs/srv/ChangeState"))
             sent = {"transition": {"id": transition.id, "label": transition.label}}
-            message = lowerer(schema.request, robot.lifting).from_json(sent)
-            url = robot.space.service(service)
-            await require_message(robot, Kind.SERVICE, service, schema.request, message, url, "#request")
+            message = lowerer(schema.request, self.session.lifting).from_json(sent)
+            url = self.session.space.service(service)
+            await self.limit_checks.require_message(Kind.SERVICE, service, schema.request, message, url, "#request")
 
     def _refusal(self, error: Refused) -> Problem:
         """409 with the state of the node, and the transitions that are legal in it."""

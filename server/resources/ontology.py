@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 from rosld.ontology.document import Document
 from rosld.ontology.modules import CORE, MODULES, VERSION, module_url, served_triples
-from rosld.ontology.urls import Location
+from rosld.ontology.urls import Location, Space
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.message_schemas import MessageSchemas
-from rosld.server.resources.context import Robot
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import Resource, permanent_redirect
 from rosld.server.rest.state import State
+from rosld.server.runtime.version_cache import VersionCache
 
 
 class OntologyResource(Resource):
@@ -20,10 +20,11 @@ class OntologyResource(Resource):
 
     kind = "Ontology"
 
-    def __init__(self, robot: Robot, name: str = CORE, version: str = "") -> None:
-        super().__init__(module_url(name, robot.space.base, version))
+    def __init__(self, space: Space, states: VersionCache[State], name: str = CORE, version: str = "") -> None:
+        super().__init__(module_url(name, space.base, version))
         self.title = "Ontology" if name == CORE else f"Ontology: {name}"
-        self.robot = robot
+        self.space = space
+        self.states = states
         self.name = name
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
@@ -31,28 +32,28 @@ class OntologyResource(Resource):
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self.robot.space.document_shape("Ontology"),)
+        return (self.space.document_shape("Ontology"),)
 
     async def state(self) -> State:
-        return self.robot.states.get_or_make(self.url, 0, lambda: State(self.document))
+        return self.states.get_or_make(self.url, 0, lambda: State(self.document))
 
     def document(self) -> Document:
         """The module; it says nothing of its URL here, so that it is the same ontology everywhere."""
         return Document(self.url, served_triples(self.name))
 
 
-def ontology_room(robot: Robot, location: Location) -> Resource:
+def ontology_room(space: Space, states: VersionCache[State], location: Location) -> Resource:
     """`/ontology` and below."""
     if location.is_container:
-        raise permanent_redirect(robot.space.url("ontology", location.segments))
+        raise permanent_redirect(space.url("ontology", location.segments))
     version = location.segments[0] if location.segments[:1] == (VERSION,) else ""
     rest = location.segments[1:] if version else location.segments
     if rest == (CORE,):
-        raise permanent_redirect(module_url(CORE, robot.space.base, version))
+        raise permanent_redirect(module_url(CORE, space.base, version))
     if not rest:
-        return OntologyResource(robot, CORE, version)
+        return OntologyResource(space, states, CORE, version)
     if len(rest) == 1 and rest[0] in MODULES:
-        return OntologyResource(robot, rest[0], version)
+        return OntologyResource(space, states, rest[0], version)
     raise Problem(
         404,
         f"The ontology has no {'/'.join(location.segments)}: its version is {VERSION}, its modules are "

@@ -11,7 +11,7 @@ from pyoxigraph import NamedNode, Triple
 from starlette.responses import Response
 
 from rosld.adapters.base import Watch
-from rosld.adapters.model import Descriptor, Kind, Operation, ParameterValue, Ref, names
+from rosld.adapters.model import Descriptor, Graph, Kind, Operation, ParameterValue, Ref, names
 from rosld.ontology.body import index_triples, parse_body
 from rosld.ontology.document import Document
 from rosld.ontology.lower import parse_json
@@ -46,8 +46,7 @@ from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.patches.patch import apply_update, merge_patch
 from rosld.server.resources.accepted_shape import has_parameter_shape, parameter_shape, shape_query
 from rosld.server.resources.command import CommandResource
-from rosld.server.resources.context import Robot
-from rosld.server.resources.limit_checks import require_parameter
+from rosld.server.resources.limit_checks import LimitChecks
 from rosld.server.resources.namespaces import (
     HIDDEN,
     count_members,
@@ -84,8 +83,10 @@ from rosld.server.rest.resource import (
 )
 from rosld.server.rest.state import State
 from rosld.server.robot.declared_parameters import has_other_values
+from rosld.server.robot.session import Session
 from rosld.server.robot.write_policy import parameter_denied_reason, resources_only_reason
 from rosld.server.runtime.signals import call_every, combine_watches
+from rosld.server.runtime.version_cache import VersionCache
 from rosld.shapes.parameter import (
     choice_words,
     declared_shape,
@@ -107,47 +108,48 @@ _NEW_VALUE: DataSchema = {"type": ["string", "number", "boolean", "array", "obje
 class _Parameters(CommandResource):
     """What a single parameter and a tree of them have in common."""
 
-    def __init__(self, robot: Robot, name: str, url: str) -> None:
+    def __init__(self, session: Session, limit_checks: LimitChecks, name: str, url: str) -> None:
         super().__init__(url)
         self.title = name
-        self.robot = robot
+        self.session = session
+        self.limit_checks = limit_checks
         self.name = name
 
     async def current_methods(self) -> frozenset[str]:
         return await self.methods_if_there()
 
     def deny_reason(self, method: str) -> str:
-        if self.robot.settings.read_only:
+        if self.session.settings.read_only:
             return "This server is read-only."
-        if self.robot.is_resources_only(self.name):
+        if self.session.is_resources_only(self.name):
             return resources_only_reason(self.name)
-        return f"The parameters of this {self.robot.adapter.capabilities.system} do not answer {method} here."
+        return f"The parameters of this {self.session.adapter.capabilities.system} do not answer {method} here."
 
     @property
     def constrained_by(self) -> str | None:
-        return self.robot.space.shape("limits")
+        return self.session.space.shape("limits")
 
     def _descriptor(self, name: str) -> Descriptor | None:
         """What is declared of a parameter."""
-        parameter = self.robot.graph.parameters.get(name)
+        parameter = self.session.graph.parameters.get(name)
         return None if parameter is None else parameter.descriptor
 
     @property
     def changes_subtree(self) -> bool:
-        return bool(_below(self.name, self.robot))
+        return bool(_below(self.name, self.session.graph))
 
     def _can(self, operation: Operation) -> bool:
-        if self.robot.settings.read_only or self.robot.is_resources_only(self.name):
+        if self.session.settings.read_only or self.session.is_resources_only(self.name):
             return False
-        return operation in self.robot.adapter.allows(Ref(Kind.PARAMETER, self.name))
+        return operation in self.session.adapter.allows(Ref(Kind.PARAMETER, self.name))
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self.robot.space.document_shape("Parameter"),)
+        return (self.session.space.document_shape("Parameter"),)
 
     async def _value(self) -> ParameterValue | None:
-        deadline = self.robot.deadline(self.robot.settings.call_deadline)
-        return (await self.robot.adapter.get_parameters([self.name], deadline=deadline)).get(self.name)
+        deadline = self.session.deadline(self.session.settings.call_deadline)
+        return (await self.session.adapter.get_parameters([self.name], deadline=deadline)).get(self.name)
 
     def _plain(self, value: ParameterValue) -> bytes:
         """The value as plain JSON; a 406 Problem for one that another node nested too deep to be shown."""
@@ -157,7 +159,7 @@ class _Parameters(CommandResource):
             raise Problem(406, f"{self.name} cannot be shown: {error}.") from error
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
-        told = self.robot.parameter_changes.watch(wake, lambda name: _related(name, self.name))
+        told = self.session.parameter_changes.watch(wake, lambda name: _related(name, self.name))
         return combine_watches(told, call_every(_LOOK_AGAIN_SECONDS, wake))
 
     async def _require_settable(self, values: Mapping[str, ParameterValue]) -> None:
@@ -166,26 +168,26 @@ class _Parameters(CommandResource):
             self._require_open(name, value)
             for each in _leaves(name, value):
                 self._require_not_kept(each)
-            await require_parameter(self.robot, name, value)
+            await self.limit_checks.require_parameter(name, value)
 
     def _require_not_kept(self, name: str, *, delete: bool = False) -> None:
         """Raise a 409 Problem where the node of a parameter declares that this is never done with it."""
-        words = parameter_denied_reason(self.robot.graph, name, delete=delete)
+        words = parameter_denied_reason(self.session.graph, name, delete=delete)
         if words is not None:
             raise Problem(409, words)
 
     async def _set(self, values: Mapping[str, ParameterValue]) -> None:
         await self._require_settable(values)
-        deadline = self.robot.deadline(self.robot.settings.call_deadline)
+        deadline = self.session.deadline(self.session.settings.call_deadline)
         try:
-            await self.robot.adapter.set_parameters(values, deadline=deadline)
+            await self.session.adapter.set_parameters(values, deadline=deadline)
         finally:
             self._write(values)
 
     async def _answer(self, asked: Mapping[str, ParameterValue]) -> Answer:
         """What a write answers: 204, or what there is now where a node has made something else of what was asked."""
         values = {name: value for each, whole in asked.items() for name, value in _values(each, whole)}
-        if await has_other_values(self.robot, values):
+        if await has_other_values(self.session, values):
             return ShownAnswer(self, await self.state())
         return Response(status_code=204)
 
@@ -193,21 +195,21 @@ class _Parameters(CommandResource):
         for name in gone:
             self._require_open(name, {})
             self._require_not_kept(name, delete=True)
-        deadline = self.robot.deadline(self.robot.settings.call_deadline)
+        deadline = self.session.deadline(self.session.settings.call_deadline)
         try:
-            await self.robot.adapter.delete_parameters(gone, deadline=deadline)
+            await self.session.adapter.delete_parameters(gone, deadline=deadline)
         finally:
             self._write(gone)
 
     def _write(self, changed: Iterable[str]) -> None:
         for name in changed:
-            for each in (name, *_below(name, self.robot)):
-                self.robot.announce_write(Kind.PARAMETER, each)
+            for each in (name, *_below(name, self.session.graph)):
+                self.session.announce_write(Kind.PARAMETER, each)
 
     def _require_open(self, name: str, value: ParameterValue) -> None:
         """Raise a 409 Problem where a tree holds, or would hold, a name that is written under /resources/ only."""
-        for each in (name, *_below(name, self.robot), *_leaves(name, value)):
-            if self.robot.is_resources_only(each):
+        for each in (name, *_below(name, self.session.graph), *_leaves(name, value)):
+            if self.session.is_resources_only(each):
                 raise Problem(409, resources_only_reason(each))
 
     async def delete(self, exchange: Exchange) -> Answer:
@@ -223,22 +225,23 @@ class ParameterResource(_Parameters):
     kind = "Parameter"
     accepts: Mapping[str, Sequence[str]] = {"PUT": (*RDF_BODIES, JSON), "PATCH": (MERGE_PATCH, SPARQL_UPDATE)}
 
-    def __init__(self, robot: Robot, name: str) -> None:
-        super().__init__(robot, name, robot.space.parameter(name))
+    def __init__(self, session: Session, limit_checks: LimitChecks, states: VersionCache[State], name: str) -> None:
+        super().__init__(session, limit_checks, name, session.space.parameter(name))
+        self.states = states
 
     @property
     def constrained_by(self) -> str | None:
-        if has_parameter_shape(self.robot, self.name):
+        if has_parameter_shape(self.session.graph, self.name):
             return shape_query(self.url)
         return super().constrained_by
 
     async def accepted(self, url: str) -> Document | None:
-        return await parameter_shape(self.robot, self.name, url)
+        return await parameter_shape(self.session, self.limit_checks, self.name, url)
 
     def deny_reason(self, method: str) -> str:
-        if self.robot.settings.read_only or self.robot.is_resources_only(self.name):
+        if self.session.settings.read_only or self.session.is_resources_only(self.name):
             return super().deny_reason(method)
-        words = parameter_denied_reason(self.robot.graph, self.name, delete=method == "DELETE")
+        words = parameter_denied_reason(self.session.graph, self.name, delete=method == "DELETE")
         return words or super().deny_reason(method)
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
@@ -257,9 +260,9 @@ class ParameterResource(_Parameters):
     @property
     def _note(self) -> str | None:
         """What a value means that a server keeps for nodes, which they are not told of; None where it is a node's."""
-        parameter = self.robot.graph.parameters.get(self.name)
+        parameter = self.session.graph.parameters.get(self.name)
         is_kept = parameter is not None and parameter.node is None
-        return _AT_START if is_kept and self.robot.adapter.capabilities.parameter_server else None
+        return _AT_START if is_kept and self.session.adapter.capabilities.parameter_server else None
 
     def methods(self) -> frozenset[str]:
         methods = READ
@@ -278,21 +281,21 @@ class ParameterResource(_Parameters):
         return self.state_of(value)
 
     def _tree_url(self) -> str:
-        return self.robot.space.container("parameters", names.segments(self.name))
+        return self.session.space.container("parameters", names.segments(self.name))
 
     def state_of(self, value: ParameterValue) -> State:
         """The state with this value, which is no tree. Raises Problem 406 for one that is nested too deep."""
         plain, descriptor, note = self._plain(value), self._descriptor(self.name), self._note
 
         def described() -> Document:
-            document = parameter_document(self.name, value, self.robot.space)
-            declared = () if descriptor is None else declared_triples(descriptor, self.url, self.robot.space)
+            document = parameter_document(self.name, value, self.session.space)
+            declared = () if descriptor is None else declared_triples(descriptor, self.url, self.session.space)
             noted = triples_about(NamedNode(self.url), (rdfs.comment, text(note)))
             return replace(document, triples=(*document.triples, *declared, *noted))
 
         said = "" if descriptor is None and note is None else repr((descriptor, note))
         token = digest(plain + said.encode("utf-8", "surrogatepass"))
-        return self.robot.states.get_or_make(self.url, token, lambda: State(described, lambda: plain, token))
+        return self.states.get_or_make(self.url, token, lambda: State(described, lambda: plain, token))
 
     async def forms(self) -> Sequence[Form]:
         methods, value = self.methods(), await self._value()
@@ -312,7 +315,7 @@ class ParameterResource(_Parameters):
         if before is not None:
             return await self._answer({self.name: value})
         if isinstance(value, dict):
-            tree = ParameterTree(self.robot, names.segments(self.name))
+            tree = ParameterTree(self.session, self.limit_checks, self.states, names.segments(self.name))
             return CreatedAnswer(tree.url, tree, await tree.state())
         return CreatedAnswer(self.url, self, self.state_of(value))
 
@@ -359,7 +362,7 @@ class ParameterResource(_Parameters):
         parts = names.segments(self.name)
         for depth in range(1, len(parts)):
             above = names.join(parts[:depth])
-            if above in self.robot.graph.parameters:
+            if above in self.session.graph.parameters:
                 raise Problem(
                     409, f"{above} is a parameter with a value, so nothing can lie below it; DELETE it before."
                 )
@@ -372,7 +375,7 @@ class ParameterResource(_Parameters):
         if exchange.media_type == MERGE_PATCH:
             value = lower_json(merge_patch(parse_json(parameter_json(before)), parse_json(data)))
         else:
-            document = parameter_document(self.name, before, self.robot.space)
+            document = parameter_document(self.name, before, self.session.space)
             value = lower_parameter(apply_update(data, document.triples, self.url, by_value=True), self.url)
         _require_below(exchange, self.url, value)
         self._check_place(value, before)
@@ -392,9 +395,17 @@ class ParameterTree(_Parameters):
     accepts: Mapping[str, Sequence[str]] = {"POST": (*RDF_BODIES, JSON), "PATCH": (MERGE_PATCH,)}
 
     def __init__(
-        self, robot: Robot, namespace: tuple[str, ...], place: PagePosition | None = None, *, hidden: bool = False
+        self,
+        session: Session,
+        limit_checks: LimitChecks,
+        states: VersionCache[State],
+        namespace: tuple[str, ...],
+        place: PagePosition | None = None,
+        *,
+        hidden: bool = False,
     ) -> None:
-        super().__init__(robot, names.join(namespace), robot.space.container("parameters", namespace))
+        super().__init__(session, limit_checks, names.join(namespace), session.space.container("parameters", namespace))
+        self.states = states
         self.namespace = namespace
         self._place = place
         self._hidden = hidden
@@ -412,7 +423,7 @@ class ParameterTree(_Parameters):
         return PathItem(
             "A tree of parameters",
             plain=OBJECT,
-            query=listing_parameters(self.robot),
+            query=listing_parameters(self.session),
             writes={
                 "POST": WriteMethod(
                     "Makes a parameter, named by `Slug` where that is free.", ANYTHING, done=(200, 201, 204)
@@ -425,7 +436,7 @@ class ParameterTree(_Parameters):
         )
 
     def methods(self) -> frozenset[str]:
-        if not self.robot.adapter.capabilities.parameter_trees:
+        if not self.session.adapter.capabilities.parameter_trees:
             return READ | {"POST", "PATCH"} if self._can_change_node() else READ
         methods = READ
         if self._can(Operation.SET_PARAMETER) or (not self.namespace and self._may_create()):
@@ -436,15 +447,15 @@ class ParameterTree(_Parameters):
 
     def _can_change_node(self) -> bool:
         """Whether this is the container of a node whose parameters can be set."""
-        settings, allows = self.robot.settings, self.robot.adapter.allows
-        return not (settings.read_only or self.robot.is_resources_only(self.name)) and any(
+        settings, allows = self.session.settings, self.session.adapter.allows
+        return not (settings.read_only or self.session.is_resources_only(self.name)) and any(
             one.node == self.name and Operation.SET_PARAMETER in allows(Ref(Kind.PARAMETER, one.name))
-            for one in self.robot.graph.parameters.values()
+            for one in self.session.graph.parameters.values()
         )
 
     def _may_create(self) -> bool:
-        allowed = self.robot.adapter.allows(Ref(Kind.PARAMETER, "/rosld"))
-        return Operation.SET_PARAMETER in allowed and not self.robot.settings.read_only
+        allowed = self.session.adapter.allows(Ref(Kind.PARAMETER, "/rosld"))
+        return Operation.SET_PARAMETER in allowed and not self.session.settings.read_only
 
     async def state(self) -> State:
         return self.state_of(await self._value())
@@ -460,12 +471,12 @@ class ParameterTree(_Parameters):
         plain = self._plain(tree)
         if self._place is not None:
             return self._page_shown(self._place, tree, plain)
-        return self.robot.states.get_or_make(
+        return self.states.get_or_make(
             self._sequence,
             (plain, whole),
             lambda: State(
                 partial(
-                    parameter_container_document, self.namespace, tree, self.robot.space, MAX_PAGE_SIZE, whole=whole
+                    parameter_container_document, self.namespace, tree, self.session.space, MAX_PAGE_SIZE, whole=whole
                 ),
                 lambda: plain,
                 digest(plain),
@@ -475,18 +486,18 @@ class ParameterTree(_Parameters):
 
     def outline(self) -> Document:
         """What it says but for values."""
-        parameters = listed_members(self.robot, "parameters", self.namespace)
-        leaves_out = parameters != namespaces(self.robot.graph, "parameters").get(self.namespace)
+        parameters = listed_members(self.session, "parameters", self.namespace)
+        leaves_out = parameters != namespaces(self.session.graph, "parameters").get(self.namespace)
         return parameter_container_document(
             self.namespace,
             self._outline(self.namespace),
-            self.robot.space,
+            self.session.space,
             MAX_PAGE_SIZE,
             whole=with_hidden(self.url) if leaves_out else None,
         )
 
     def _outline(self, namespace: tuple[str, ...]) -> Outline:
-        members = listed_members(self.robot, "parameters", namespace)
+        members = listed_members(self.session, "parameters", namespace)
         if members is None:
             return {}
         below = {inner: self._outline((*namespace, inner)) for inner in members.namespaces}
@@ -494,14 +505,14 @@ class ParameterTree(_Parameters):
 
     def _list(self, value: dict[str, ParameterValue]) -> dict[str, ParameterValue]:
         """The tree as it is listed; the same object where nothing is left out."""
-        capabilities = self.robot.adapter.capabilities
+        capabilities = self.session.adapter.capabilities
         if self._hidden or not capabilities.hidden_names or names.is_hidden(self.name):
             return value
-        hidden = {each.name for each in self.robot.graph.parameters.values() if is_of_hidden(each)}
+        hidden = {each.name for each in self.session.graph.parameters.values() if is_of_hidden(each)}
         return _without(self.name, value, hidden) if hidden else value
 
     def _members(self) -> Members | None:
-        return listed_members(self.robot, "parameters", self.namespace, hidden=self._hidden)
+        return listed_members(self.session, "parameters", self.namespace, hidden=self._hidden)
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """The page that `?page=` asks for, the first of many pages (303) where the container is asked for."""
@@ -509,7 +520,9 @@ class ParameterTree(_Parameters):
             return self
         token = exchange.query.get("page")
         place = None if token is None else parse_named_position(token)
-        asked = ParameterTree(self.robot, self.namespace, place, hidden=exchange.query_flag("hidden"))
+        asked = ParameterTree(
+            self.session, self.limit_checks, self.states, self.namespace, place, hidden=exchange.query_flag("hidden")
+        )
         members = asked._members()
         if place is None and members is not None and not _wants_value(exchange):
             require_page(exchange, self.url, count_members(members))
@@ -521,7 +534,7 @@ class ParameterTree(_Parameters):
         def make() -> State:
             return State(
                 lambda: page.add_to(
-                    parameter_container_document(self.namespace, held, self.robot.space, MAX_PAGE_SIZE)
+                    parameter_container_document(self.namespace, held, self.session.space, MAX_PAGE_SIZE)
                 ),
                 lambda: self._plain(held),
                 digest(whole),
@@ -529,7 +542,7 @@ class ParameterTree(_Parameters):
                 headers={"link": render([*self.links, *page.links()]), "vary": "Accept, Prefer"},
             )
 
-        return self.robot.states.get_or_make(page.url, whole, make)
+        return self.states.get_or_make(page.url, whole, make)
 
     def _page(
         self, place: PagePosition, tree: Mapping[str, ParameterValue]
@@ -563,14 +576,16 @@ class ParameterTree(_Parameters):
         """A new member, named by Slug where it is free (LDP 5.2.3.10)."""
         if self.namespace and await self._value() is None:
             raise Problem(404, f"There is no tree of parameters {self.name}.")
-        member = ParameterResource(self.robot, await self._free_name(exchange.header("slug")))
+        member = ParameterResource(
+            self.session, self.limit_checks, self.states, await self._free_name(exchange.header("slug"))
+        )
         return await member.put(exchange)
 
     async def _free_name(self, slug: str | None) -> str:
         kept = "".join(char if char.isalnum() or char == "_" else "_" for char in redact_tokens(slug or "")[:_MAX_SLUG])
         name = names.join((*self.namespace, kept or f"parameter_{secrets.token_hex(3)}"))
-        deadline = self.robot.deadline(self.robot.settings.call_deadline)
-        taken = await self.robot.adapter.get_parameters([name], deadline=deadline)
+        deadline = self.session.deadline(self.session.settings.call_deadline)
+        taken = await self.session.adapter.get_parameters([name], deadline=deadline)
         return f"{name}_{secrets.token_hex(3)}" if taken else name
 
     async def patch(self, exchange: Exchange) -> Answer:
@@ -581,7 +596,7 @@ class ParameterTree(_Parameters):
             raise Problem(422, f"A patch of the tree {self.name} is a JSON object of its members.")
         merged = lower_json(merge_patch(parse_json(parameter_json(before or {})), patch))
         assert isinstance(merged, dict)
-        if not self.robot.adapter.capabilities.parameter_trees:
+        if not self.session.adapter.capabilities.parameter_trees:
             return await self._patch_node(dict(_values(self.name, before or {})), dict(_values(self.name, merged)))
         gone = [name for name in (before or {}) if name not in merged]
         changed = {name: value for name, value in merged.items() if not _same((before or {}).get(name), value)}
@@ -597,7 +612,7 @@ class ParameterTree(_Parameters):
         changed = {name: value for name, value in after.items() if not _same(before.get(name), value)}
         gone = [name for name in before if name not in after]
         for name in (*changed, *gone):
-            known = self.robot.graph.parameters.get(name)
+            known = self.session.graph.parameters.get(name)
             if known is not None and known.node != self.name:
                 raise Problem(409, f"{name} belongs to the node {known.node}: PATCH its own container.")
         for name in gone:
@@ -640,10 +655,10 @@ def _require_below(exchange: Exchange, url: str, value: ParameterValue) -> None:
         require_subtree(exchange.permissions, exchange.method, place)
 
 
-def _below(name: str, robot: Robot) -> list[str]:
+def _below(name: str, graph: Graph) -> list[str]:
     """The parameters that lie in a tree now."""
     prefix = name.rstrip("/") + "/"
-    return [each for each in robot.graph.parameters if each.startswith(prefix)]
+    return [each for each in graph.parameters if each.startswith(prefix)]
 
 
 def _leaves(name: str, value: ParameterValue) -> Iterator[str]:

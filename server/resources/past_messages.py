@@ -15,6 +15,7 @@ from rosld.ontology.describe_topics import MESSAGE
 from rosld.ontology.document import Envelope
 from rosld.ontology.lift import Lifter, partial_lifter
 from rosld.ontology.literals import date_time, quote
+from rosld.ontology.urls import Space
 from rosld.ontology.vocab import ldp, rdf, ros, xsd
 from rosld.server.auth.permissions import Permissions
 from rosld.server.history.columns import columns_of
@@ -22,8 +23,9 @@ from rosld.server.history.history import HistoryRecording
 from rosld.server.history.message_block import MessageBlock
 from rosld.server.history.past_end import clip_ranges, time_of_end
 from rosld.server.history.past_reader import PastRange, count_past, merge_ranges, read_past
+from rosld.server.history.recordings import Recordings
 from rosld.server.http.problem import Problem
-from rosld.server.resources.context import Robot
+from rosld.server.robot.session import Session
 from rosld.server.sparql.intervals import Interval
 from rosld.server.sparql.past import PastQuery, PastSelection
 from rosld.server.sparql.past_source import MAX_TEXT, PastText
@@ -36,8 +38,9 @@ _SLICE = 0.004
 class RecordedPast:
     """The past of one robot, for its SPARQL endpoint: the recordings that it has."""
 
-    def __init__(self, robot: Robot) -> None:
-        self._robot = robot
+    def __init__(self, session: Session, recordings: Recordings) -> None:
+        self._session = session
+        self._recordings = recordings
 
     async def read(
         self,
@@ -49,22 +52,22 @@ class RecordedPast:
         most: int | None = None,
     ) -> PastText:
         """What is said of the messages that a query asks for, or of those at an end of them. Raises Problems."""
-        recordings = self._recordings(asked, graphs)
+        recordings = self._find(asked, graphs)
         selections = asked.selections(now)
         readable = [one for one in recordings if self._may_read(one, permissions)]
         for selection in selections:
             self._require_recorded(selection, readable, permissions)
-        reading = _Reading(self._robot, asked, permissions, until)
+        reading = _Reading(self._session, asked, permissions, until)
         try:
             return await asyncio.to_thread(reading.read, readable, selections, most)
         finally:
             for ref, schema in reading.learned.items():
-                self._robot.schemas.add(ref, schema)
+                self._session.schemas.add(ref, schema)
 
-    def _recordings(self, asked: PastQuery, graphs: tuple[str, ...]) -> Sequence[Recording]:
+    def _find(self, asked: PastQuery, graphs: tuple[str, ...]) -> Sequence[Recording]:
         """The recordings that a query is about. Raises Problem 400 where there are none."""
-        robot, space = self._robot, self._robot.space
-        by_url = {space.bag(one.name): one for one in robot.recordings.values()}
+        space = self._session.space
+        by_url = {space.bag(one.name): one for one in self._recordings.readable.values()}
         named = asked.recordings & set(graphs) if graphs else asked.recordings
         if graphs and not named:
             raise Problem(
@@ -77,10 +80,10 @@ class RecordedPast:
             raise Problem(400, words)
         if named:
             return [by_url[url] for url in sorted(named)]
-        if robot.history.is_kept:
-            return [robot.history.recording]
-        if robot.adapter.recordings:
-            return list(robot.adapter.recordings.values())
+        if self._recordings.history.is_kept:
+            return [self._recordings.history.recording]
+        if self._session.adapter.recordings:
+            return list(self._session.adapter.recordings.values())
         raise Problem(
             400,
             "There is no past here, as nothing is recorded: start rosld with --history GLOB (--history '*' for all "
@@ -88,7 +91,7 @@ class RecordedPast:
         )
 
     def _may_read(self, recording: Recording, permissions: Permissions) -> bool:
-        space = self._robot.space
+        space = self._session.space
         return permissions.may_read(space.bag(recording.name)) and permissions.may_read(
             space.bag_message(recording.name, recording.first)
         )
@@ -97,29 +100,28 @@ class RecordedPast:
         self, selection: PastSelection, recordings: Sequence[Recording], permissions: Permissions
     ) -> None:
         """Raise Problem 400 for a topic that is named and is not recorded: silence would look like an answer."""
-        robot = self._robot
         for url in sorted(selection.urls or ()):
-            location = robot.space.location(url)
+            location = self._session.space.location(url)
             if location is None or location.kind != "topics" or not permissions.may_read(url):
                 continue
             name = location.name
             if any(name in one.topics or self._will_record(one, name) for one in recordings):
                 continue
-            if recordings and name in robot.graph.topics:
+            if recordings and name in self._session.graph.topics:
                 names = ", ".join(f"/bags/{one.name}/" for one in recordings)
                 raise Problem(400, f"Nothing of {name} is recorded in {names}: --history {name} records it.")
 
     def _will_record(self, recording: Recording, topic: str) -> bool:
-        is_history = recording is self._robot.history.recording
-        return is_history and any(fnmatchcase(topic, glob) for glob in self._robot.settings.history)
+        is_history = recording is self._recordings.history.recording
+        return is_history and any(fnmatchcase(topic, glob) for glob in self._session.settings.history)
 
 
 class _Reading:
     """One reading, in a thread. `learned` are the types that were not known before."""
 
-    def __init__(self, robot: Robot, asked: PastQuery, permissions: Permissions, until: float) -> None:
+    def __init__(self, session: Session, asked: PastQuery, permissions: Permissions, until: float) -> None:
         self.learned: dict[TypeRef, MessageSchema] = {}
-        self._robot = robot
+        self._session = session
         self._end = asked.end
         self._only = asked.predicates
         self._is_linked = asked.is_linked
@@ -145,7 +147,7 @@ class _Reading:
         texts: list[str] = []
         pause = time.monotonic() + _SLICE
         for recording, ranges in plans:
-            said = _RecordText(self._robot, recording, self._only)
+            said = _RecordText(self._session.space, recording, self._only)
             for block in read_past(recording, ranges):
                 for text, count in self._lift_block(recording, block, said):
                     texts.append(text)
@@ -157,7 +159,7 @@ class _Reading:
                         raise self._too_much(f"Recorded messages of {_list(topics)} say more than {MAX_TEXT >> 20} MiB")
                     if time.monotonic() > pause:
                         if time.monotonic() > self._until:
-                            raise out_of_time(self._robot.settings.query_time_limit)
+                            raise out_of_time(self._session.settings.query_time_limit)
                         time.sleep(_SLICE / 20)
                         pause = time.monotonic() + _SLICE
         return PastText("".join(texts).encode(), is_whole)
@@ -168,7 +170,7 @@ class _Reading:
     def _ranges(self, recording: Recording, selections: Sequence[PastSelection]) -> list[PastRange]:
         found: list[PastRange] = []
         for name, topic in recording.topics.items():
-            url = self._robot.space.topic(name)
+            url = self._session.space.topic(name)
             if not self._permissions.may_read(url):
                 continue
             for each in selections:
@@ -182,7 +184,7 @@ class _Reading:
             return False
         if selection.names is not None and topic.name not in selection.names:
             return False
-        live = self._robot.graph.topics.get(topic.name)
+        live = self._session.graph.topics.get(topic.name)
         if live is not None and not selection.topic_types <= {ref.name for ref in live.types}:
             return False
         if not selection.types:
@@ -197,7 +199,7 @@ class _Reading:
         return any(schema is not None and selection.types <= schema.types.keys() for schema in schemas)
 
     def _schema(self, recording: Recording, ref: TypeRef) -> MessageSchema | None:
-        found = self.learned.get(ref) or self._robot.schemas.find_cached(ref)
+        found = self.learned.get(ref) or self._session.schemas.find_cached(ref)
         if found is None:
             try:
                 found = recording.schema(ref)
@@ -228,7 +230,7 @@ class _Reading:
             yield self._lift(recording, message, said), 1
 
     def _lifter(self, schema: MessageSchema) -> Lifter:
-        return partial_lifter(schema, self._robot.lifting, self._only, is_linked=self._is_linked)
+        return partial_lifter(schema, self._session.lifting, self._only, is_linked=self._is_linked)
 
     def _column_lifter(self, schema: MessageSchema, topic: str) -> ColumnLifter | None:
         key = schema.ref, topic
@@ -248,12 +250,12 @@ class _Reading:
             decoded = schema.codec.decode(sample.data, sample.encoding)
         except ValueError as error:
             return said.of_record(url, message, str(error))
-        publisher = self._robot.space.node(sample.publisher) if sample.publisher else None
+        publisher = self._session.space.node(sample.publisher) if sample.publisher else None
         if publisher is not None and not self._permissions.may_read(publisher):
             publisher = None
         envelope = Envelope(sample.received_ns, sample.sequence, publisher)
         lifted = self._lifter(schema).ntriples(
-            decoded, url, MESSAGE, envelope=envelope, simulated_time=self._robot.graph.simulated_time
+            decoded, url, MESSAGE, envelope=envelope, simulated_time=self._session.graph.simulated_time
         )
         return f"{said.of_record(url, message)}{lifted}"
 
@@ -261,10 +263,10 @@ class _Reading:
 class _RecordText:
     """What is said of the messages of a recording beside what they hold."""
 
-    def __init__(self, robot: Robot, recording: Recording, only: frozenset[str] | None) -> None:
-        self.messages = robot.space.bag_messages(recording.name)
-        self._bag = robot.space.bag(recording.name)
-        self.topic = lru_cache(maxsize=1024)(robot.space.topic)
+    def __init__(self, space: Space, recording: Recording, only: frozenset[str] | None) -> None:
+        self.messages = space.bag_messages(recording.name)
+        self._bag = space.bag(recording.name)
+        self.topic = lru_cache(maxsize=1024)(space.topic)
         self._only = only
         self.is_more = only is None or not only.isdisjoint(_OF_RECORDS)
 

@@ -14,17 +14,18 @@ from urllib.parse import quote
 from starlette.responses import Response
 
 from rosld.adapters.model import RosError
+from rosld.server.history.history import History
 from rosld.server.html import Form
 from rosld.server.http.link import Link
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.affordance_service import Snapshot
+from rosld.server.hypermedia.affordance_service import AffordanceService, Snapshot
 from rosld.server.hypermedia.catalogue import Getter, ParameterSource, Property, TopicSource
 from rosld.server.hypermedia.resource_tree import ComplexPlan, PropertyPlan
 from rosld.server.hypermedia.source_reader import decode_value
 from rosld.server.hypermedia.value import Reading
 from rosld.server.hypermedia.view_documents import complex_document, complex_json, property_document, property_json
 from rosld.server.resources.complex_resource import ComplexResource
-from rosld.server.resources.context import Robot
+from rosld.server.resources.limit_checks import LimitChecks
 from rosld.server.resources.memento import (
     SETTLED_NS,
     VARY,
@@ -37,33 +38,39 @@ from rosld.server.resources.memento import (
 )
 from rosld.server.resources.property_action import MemberResource
 from rosld.server.resources.series import read_time
+from rosld.server.resources.things import ThingDescriptions
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.resource import READ, Resource
 from rosld.server.rest.state import State
+from rosld.server.robot.schemas import Schemas
+from rosld.server.robot.session import Session
+from rosld.server.runtime.version_cache import VersionCache
 
 
 class PastReadings:
     """The readings of properties at a time."""
 
-    def __init__(self, robot: Robot, at_ns: int) -> None:
-        self._robot = robot
+    def __init__(self, schemas: Schemas, affordances: AffordanceService[State], history: History, at_ns: int) -> None:
+        self._schemas = schemas
+        self._affordances = affordances
+        self._history = history
         self._at_ns = at_ns
 
     async def snapshot(self, properties: Sequence[Property]) -> Snapshot:
         """What follows from the readings of these properties."""
         readings = [await self._reading(each) for each in properties]
-        return self._robot.affordances.snapshot(await self._robot.affordances.tree(), readings)
+        return self._affordances.snapshot(await self._affordances.tree(), readings)
 
     async def _reading(self, property: Property) -> Reading:
         topics = [each.name for each in property.readers if isinstance(each, TopicSource)]
-        recorded = next((each for each in topics if is_recorded(self._robot, each)), None)
+        recorded = next((each for each in topics if is_recorded(self._history, each)), None)
         if recorded is None:
             return Reading(property.name, None, _unknown(property))
-        sample = await read_history(lambda: self._robot.history.writer.latest_at(recorded, self._at_ns))
+        sample = await read_history(lambda: self._history.writer.latest_at(recorded, self._at_ns))
         if sample is None:
             return Reading(property.name, None, f"nothing is recorded of {recorded} until then")
         try:
-            schema = await self._robot.schemas.message(sample.schema)
+            schema = await self._schemas.message(sample.schema)
         except RosError as error:
             return Reading(property.name, None, f"the message of {recorded} cannot be read: {error.sentence}")
         value, failure, read_ns = decode_value(recorded, sample, schema, property.name)
@@ -99,29 +106,42 @@ class _PastResource(Resource):
 class PastMember(_PastResource, MemberResource):
     """A property as it was."""
 
-    def __init__(self, robot: Robot, name: str, at_ns: int, text: str) -> None:
-        MemberResource.__init__(self, robot, name)
+    def __init__(
+        self,
+        session: Session,
+        affordances: AffordanceService[State],
+        limit_checks: LimitChecks,
+        things: ThingDescriptions,
+        states: VersionCache[State],
+        history: History,
+        name: str,
+        at_ns: int,
+        text: str,
+    ) -> None:
+        MemberResource.__init__(self, session, affordances, limit_checks, things, states, name)
+        self.history = history
         self.links = (*self.links, *_gate_links(self.url))
         self._at_ns, self._text = at_ns, text
 
     async def state(self) -> State:
-        tree = await self.robot.affordances.tree()
+        tree = await self.affordances.tree()
         plan = tree.property(self.name)
         if plan is None:
             raise Problem(404, f"{self.name} is an action: nothing is recorded of it.")
-        snapshot = await PastReadings(self.robot, self._at_ns).snapshot(plan.reads)
+        snapshot = await PastReadings(self.session.schemas, self.affordances, self.history, self._at_ns).snapshot(
+            plan.reads
+        )
         return _settle(self._as_it_was(replace(plan, exists_when=()), snapshot), self._at_ns)
 
     def _as_it_was(self, plan: PropertyPlan, snapshot: Snapshot) -> State:
-        robot = self.robot
-        view = robot.affordances.property_view(plan, snapshot)
+        view = self.affordances.property_view(plan, snapshot)
         view = replace(view, affordance=replace(view.affordance, write=False, observe=False))
         return replace(
             self._shown(plan, snapshot),
             describe=lambda: property_document(
-                view, robot.space, robot.lifting, simulated_time=robot.graph.simulated_time
+                view, self.session.space, self.session.lifting, simulated_time=self.session.graph.simulated_time
             ),
-            plain=lambda: property_json(view, robot.lifting),
+            plain=lambda: property_json(view, self.session.lifting),
             view=None,
         )
 
@@ -129,19 +149,31 @@ class PastMember(_PastResource, MemberResource):
 class PastComplex(_PastResource, ComplexResource):
     """A complex resource as it was."""
 
-    def __init__(self, robot: Robot, path: str, at_ns: int, text: str) -> None:
-        ComplexResource.__init__(self, robot, path)
+    def __init__(
+        self,
+        session: Session,
+        affordances: AffordanceService[State],
+        limit_checks: LimitChecks,
+        things: ThingDescriptions,
+        history: History,
+        path: str,
+        at_ns: int,
+        text: str,
+    ) -> None:
+        ComplexResource.__init__(self, session, affordances, limit_checks, things, path)
+        self.history = history
         self.links = (*self.links, *_gate_links(self.url))
         self._at_ns, self._text = at_ns, text
 
     async def state(self) -> State:
         _, plan = await self._plan()
-        snapshot = await PastReadings(self.robot, self._at_ns).snapshot(plan.reads)
+        snapshot = await PastReadings(self.session.schemas, self.affordances, self.history, self._at_ns).snapshot(
+            plan.reads
+        )
         return _settle(self._as_it_was(replace(plan, exists_when=()), snapshot), self._at_ns)
 
     def _as_it_was(self, plan: ComplexPlan, snapshot: Snapshot) -> State:
-        robot = self.robot
-        view = robot.affordances.complex_view(plan, snapshot)
+        view = self.affordances.complex_view(plan, snapshot)
         members = tuple(
             replace(each, affordance=replace(each.affordance, write=False, observe=False)) for each in view.members
         )
@@ -149,9 +181,9 @@ class PastComplex(_PastResource, ComplexResource):
         return replace(
             self._shown(plan, snapshot),
             describe=lambda: complex_document(
-                view, robot.space, robot.lifting, simulated_time=robot.graph.simulated_time
+                view, self.session.space, self.session.lifting, simulated_time=self.session.graph.simulated_time
             ),
-            plain=lambda: complex_json(view, robot.lifting),
+            plain=lambda: complex_json(view, self.session.lifting),
             view=view,
         )
 
@@ -162,37 +194,68 @@ class PastComplex(_PastResource, ComplexResource):
 class MemberTimeGate(MemberResource):
     """A property or an action, which is the TimeGate of what it was."""
 
+    def __init__(
+        self,
+        session: Session,
+        affordances: AffordanceService[State],
+        limit_checks: LimitChecks,
+        things: ThingDescriptions,
+        states: VersionCache[State],
+        history: History,
+        name: str,
+    ) -> None:
+        super().__init__(session, affordances, limit_checks, things, states, name)
+        self.history = history
+
     async def select_variant(self, exchange: Exchange) -> Resource:
         """`?at=TIME` and Accept-Datetime: as it was."""
-        return past_of(self, exchange) or await super().select_variant(exchange)
+        asked = asked_time(self.history, self.url, exchange)
+        if asked is None:
+            return await super().select_variant(exchange)
+        return PastMember(
+            self.session, self.affordances, self.limit_checks, self.things, self.states, self.history, self.name, *asked
+        )
 
 
 class ComplexTimeGate(ComplexResource):
     """A complex resource, which is the TimeGate of what it was."""
 
+    def __init__(
+        self,
+        session: Session,
+        affordances: AffordanceService[State],
+        limit_checks: LimitChecks,
+        things: ThingDescriptions,
+        history: History,
+        path: str,
+    ) -> None:
+        super().__init__(session, affordances, limit_checks, things, path)
+        self.history = history
+
     async def select_variant(self, exchange: Exchange) -> Resource:
         """`?at=TIME` and Accept-Datetime: as it was."""
-        return past_of(self, exchange) or await super().select_variant(exchange)
+        asked = asked_time(self.history, self.url, exchange)
+        if asked is None:
+            return await super().select_variant(exchange)
+        return PastComplex(
+            self.session, self.affordances, self.limit_checks, self.things, self.history, self.path, *asked
+        )
 
 
-def past_of(resource: MemberResource | ComplexResource, exchange: Exchange) -> Resource | None:
-    """The resource as it was, where `?at=` asks for that; None where nothing does. Raises Problems: 302, 400, 404."""
+def asked_time(history: History, url: str, exchange: Exchange) -> tuple[int, str] | None:
+    """The time that `?at=` asks for, and its text; None where nothing does. Raises Problems: 302, 400, 404."""
     wanted = exchange.headers.get("accept-datetime")
     if exchange.method not in ("GET", "HEAD") or ("at" not in exchange.query and wanted is None):
         return None
-    robot = resource.robot
     if "at" not in exchange.query:
-        if wanted is None or not robot.history.is_kept:
+        if wanted is None or not history.is_kept:
             return None
         at_ns = min(parse_accept_datetime(wanted), time.time_ns() - SETTLED_NS)
-        raise found(memento_url(resource.url, at_ns), _gate_links(resource.url))
-    if not robot.history.is_kept:
+        raise found(memento_url(url, at_ns), _gate_links(url))
+    if not history.is_kept:
         raise Problem(404, "Nothing is recorded: rosld serve --history records topics.")
     text = exchange.query["at"]
-    at_ns = read_time(text, time.time_ns())
-    if isinstance(resource, ComplexResource):
-        return PastComplex(robot, resource.path, at_ns, text)
-    return PastMember(robot, resource.name, at_ns, text)
+    return read_time(text, time.time_ns()), text
 
 
 def _gate_links(url: str) -> tuple[Link, Link]:

@@ -14,8 +14,8 @@ from rosld.server.http.conditional import ETag, check_preconditions, digest
 from rosld.server.http.problem import Problem
 from rosld.server.pictures.colour_map import DEFAULT_RANGE, DepthRange
 from rosld.server.pictures.picture import COMPRESSED_IMAGE, JPEG, PNG, RAW_IMAGE, PictureForm, can_draw
+from rosld.server.pictures.picture_cache import PictureCache
 from rosld.server.pictures.refusal import CannotDraw, UnknownPicture
-from rosld.server.resources.context import Robot
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import FORMATS, OFFERS
 from rosld.server.rest.motion import Motion
@@ -23,6 +23,8 @@ from rosld.server.rest.path_item import QueryParameter
 from rosld.server.rest.raw_response import RawResponse, bytes_response
 from rosld.server.rest.resource import Resource
 from rosld.server.rest.resource_headers import resource_headers
+from rosld.server.robot.schemas import Schemas
+from rosld.server.robot.session import Session
 
 MOTION = "multipart/x-mixed-replace"
 PICTURES = (JPEG, PNG, MOTION)
@@ -79,60 +81,68 @@ def require_picture(name: str, types: Sequence[TypeRef]) -> None:
 
 
 async def picture_response(
-    resource: Resource, robot: Robot, name: str, sample: Sample, exchange: Exchange, media_type: str
+    resource: Resource,
+    schemas: Schemas,
+    pictures: PictureCache,
+    name: str,
+    sample: Sample,
+    exchange: Exchange,
+    media_type: str,
 ) -> Response:
     """The picture of a sample, 304 where it is known. Raises Problems."""
     if media_type not in _NAMES:
         raise Problem(406, "This picture does not move: ask for image/jpeg or image/png.")
     form = _form(exchange, media_type)
-    schema = await _schema(robot, sample)
-    etag = ETag(f"{robot.instance_id}-{_identity(sample)}", _variant(form))
+    schema = await _schema(schemas, sample)
+    etag = ETag(f"{pictures.instance_id}-{_identity(sample)}", _variant(form))
     standing = {**resource_headers(resource), "x-content-type-options": "nosniff"}
     if check_preconditions(
         "GET", etag, if_match=exchange.header("if-match"), if_none_match=exchange.header("if-none-match")
     ):
         told = {**standing, "etag": str(etag), "vary": "Accept", "cache-control": "no-cache"}
         return RawResponse(304, b"", [(key.encode("latin-1"), value.encode("latin-1")) for key, value in told.items()])
-    data = await _draw(robot, name, schema, sample, form)
+    data = await _draw(pictures, name, schema, sample, form)
     return bytes_response(exchange, data, media_type, etag, standing.items())
 
 
-async def picture_motion(robot: Robot, name: str, first: Sample | None, exchange: Exchange) -> Motion:
+async def picture_motion(
+    session: Session, pictures: PictureCache, name: str, first: Sample | None, exchange: Exchange
+) -> Motion:
     """The pictures of a topic from now on; the first is drawn at once, for what it refuses. Raises Problems."""
     form = _form(exchange, JPEG)
     if first is not None:
-        await _draw(robot, name, await _schema(robot, first), first, form)
+        await _draw(pictures, name, await _schema(session.schemas, first), first, form)
     last: Sample | None = None
 
     async def newest() -> bytes | None:
         nonlocal last
-        view = robot.topics.find_view(name)
+        view = session.topics.find_view(name)
         sample = None if view is None else view.newest
         if sample is None or sample is last:
             return None
         last = sample
         try:
-            return await _draw(robot, name, await _schema(robot, sample), sample, form)
+            return await _draw(pictures, name, await _schema(session.schemas, sample), sample, form)
         except Problem:
             return None  # the next one may be drawn again
 
     async def watch(wake: Callable[[], None]) -> Watch:
-        return await robot.topics.watch(name, wake)
+        return await session.topics.watch(name, wake)
 
     return Motion(JPEG, watch, newest)
 
 
-async def _schema(robot: Robot, sample: Sample) -> MessageSchema:
+async def _schema(schemas: Schemas, sample: Sample) -> MessageSchema:
     require_picture("This", (sample.schema,))
     try:
-        return await robot.schemas.message(sample.schema)
+        return await schemas.message(sample.schema)
     except RosError as error:
         raise Problem(406, f"The message cannot be read: {error}.") from error
 
 
-async def _draw(robot: Robot, name: str, schema: MessageSchema, sample: Sample, form: PictureForm) -> bytes:
+async def _draw(pictures: PictureCache, name: str, schema: MessageSchema, sample: Sample, form: PictureForm) -> bytes:
     try:
-        return await robot.pictures.picture(name, schema, sample, form)
+        return await pictures.picture(name, schema, sample, form)
     except UnknownPicture as error:
         raise Problem(406, f"{error}.") from error
     except CannotDraw as error:

@@ -21,16 +21,17 @@ from rosld.server.events.broadcaster import Broadcasters
 from rosld.server.events.event_stream import HEADERS
 from rosld.server.events.query_params import EVENT_STREAM, stream_is_preferred
 from rosld.server.events.sample_stream import FollowedTopic, SampleStream
+from rosld.server.history.history import History
 from rosld.server.html import Csrf, Form, Notice, PlotPage, Site, render_plot
 from rosld.server.html.messages import type_name
 from rosld.server.html.plot import plot_query
 from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.catalogue import TopicSource
 from rosld.server.hypermedia.data_schema import DataSchema
 from rosld.server.hypermedia.json_schema import TEXT, URI
 from rosld.server.hypermedia.message_schemas import MessageSchemas
-from rosld.server.resources.context import Robot
 from rosld.server.resources.memento import is_recorded
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import OFFERS
@@ -38,6 +39,7 @@ from rosld.server.rest.path_item import FORMAT, PathItem, QueryParameter
 from rosld.server.rest.raw_response import RawResponse
 from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource
 from rosld.server.rest.state import State
+from rosld.server.robot.session import Session
 
 MAX_NUMBERS = 16
 """Numbers of one plot."""
@@ -82,14 +84,18 @@ class PlotResource(Resource):
 
     def __init__(
         self,
-        robot: Robot,
+        session: Session,
+        affordances: AffordanceService[State],
+        history: History,
         broadcasters: Broadcasters,
         references: Sequence[str] = (),
         permissions: Permissions = ALLOW_ALL,
     ) -> None:
         self.references = tuple(references)
-        super().__init__(f"{robot.space.base}plot{plot_query(references)}")
-        self.robot = robot
+        super().__init__(f"{session.space.base}plot{plot_query(references)}")
+        self.session = session
+        self.affordances = affordances
+        self.history = history
         self._broadcasters = broadcasters
         self._permissions = permissions
         self._numbers: Sequence[PlottedNumber] = ()
@@ -107,11 +113,13 @@ class PlotResource(Resource):
             raise Problem(
                 400, f"?y= is there {len(references)} times: at most {MAX_NUMBERS} numbers are drawn together."
             )
-        return PlotResource(self.robot, self._broadcasters, references, exchange.permissions)
+        return PlotResource(
+            self.session, self.affordances, self.history, self._broadcasters, references, exchange.permissions
+        )
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self.robot.space.document_shape("Plot"),)
+        return (self.session.space.document_shape("Plot"),)
 
     def document(self) -> Document:
         """The plot while nothing is asked for."""
@@ -137,8 +145,8 @@ class PlotResource(Resource):
             return RawResponse(200, b"", HEADERS)
         self._broadcasters.require_capacity(exchange.request.client)
         topics = [FollowedTopic(topic, tuple(each)) for topic, each in fields.items()]
-        schema_of, is_valid = self.robot.schemas.message, exchange.auth.is_valid
-        return SampleStream(self._broadcasters, self.robot.adapter, schema_of, topics, is_valid)
+        schema_of, is_valid = self.session.schemas.message, exchange.auth.is_valid
+        return SampleStream(self._broadcasters, self.session.adapter, schema_of, topics, is_valid)
 
     def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
         return render_plot(PlotPage(site, self.url, tuple(self._numbers), self.references, tuple(notices)))
@@ -146,7 +154,7 @@ class PlotResource(Resource):
     async def _located(self, reference: str) -> Plotted:
         """The topic and the field that a `y` names. Raises Problems."""
         url, _, path = reference.partition("#")
-        space = self.robot.space
+        space = self.session.space
         if len(reference) > _MAX_REFERENCE:
             raise Problem(400, f"?y={reference[:60]}... is too long.")
         if not url.startswith(space.base):
@@ -161,34 +169,34 @@ class PlotResource(Resource):
             raise not_found()
         if location.kind == "resources":
             return await self._of_property(location.name, url, path)
-        if location.name not in self.robot.graph.topics:
+        if location.name not in self.session.graph.topics:
             raise Problem(404, f"There is no topic {location.name}.")
         return Plotted(location.name, path)
 
     async def _of_property(self, name: str, url: str, path: str) -> Plotted:
         """The field of the topic that a property is read from."""
-        plan = (await self.robot.affordances.tree()).property(name)
+        plan = (await self.affordances.tree()).property(name)
         if plan is None:
             raise Problem(404, f"There is no property {name}.")
         source = next((each for each in plan.source.readers if isinstance(each, TopicSource)), None)
-        if source is None or not self._permissions.may_read(self.robot.space.topic(source.name)):
+        if source is None or not self._permissions.may_read(self.session.space.topic(source.name)):
             raise Problem(422, f"{url} is not read from a topic: only what a robot tells by itself is drawn over time.")
         fields = [] if source.schema is None else source.schema.type.fields
         return Plotted(source.name, path or (fields[0].name if len(fields) == 1 else ""))
 
     async def _described(self, number: Plotted) -> PlottedNumber:
-        topic = self.robot.graph.topics[number.topic]
-        url = self.robot.space.topic(number.topic)
+        topic = self.session.graph.topics[number.topic]
+        url = self.session.space.topic(number.topic)
         if topic.type is None:
             raise Problem(422, f"{number.topic} has publishers of several types.")
         try:
-            schema = await self.robot.schemas.message(TypeRef(topic.type.name, topic.type.hash))
+            schema = await self.session.schemas.message(TypeRef(topic.type.name, topic.type.hash))
             kind = number_type(schema, number.field)
         except ValueError as error:
             raise Problem(422, f"?y={number.topic}#{number.field[:60]}: {error}.") from error
         except RosError as error:
             raise Problem(422, f"The type of {number.topic} is not known: {error.sentence}") from error
-        has_series = not isinstance(kind, Array) and is_recorded(self.robot, number.topic)
+        has_series = not isinstance(kind, Array) and is_recorded(self.history, number.topic)
         series = f"{url}?series={quote(number.field, safe='.')}" if has_series else None
         return PlottedNumber(url, number.field, type_name(kind), series)
 
@@ -198,12 +206,14 @@ def number_json(number: PlottedNumber) -> dict[str, str | None]:
     return {"topic": number.topic, "field": number.field, "type": number.type, "series": number.series}
 
 
-def plot_route(broadcasters: Broadcasters) -> Mapping[str, Callable[[Robot, Location], Resource]]:
+def plot_route(
+    session: Session, affordances: AffordanceService[State], history: History, broadcasters: Broadcasters
+) -> Mapping[str, Callable[[Location], Resource]]:
     """The room of plots."""
 
-    def room(robot: Robot, location: Location) -> Resource:
+    def room(location: Location) -> Resource:
         if location.segments or location.is_container:
             raise Problem(404, f"There is nothing below /{location.kind}.")
-        return PlotResource(robot, broadcasters)
+        return PlotResource(session, affordances, history, broadcasters)
 
     return {"plot": room}

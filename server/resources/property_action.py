@@ -20,7 +20,7 @@ from rosld.ontology.vocab import rdf, ros
 from rosld.server.html import Form, action_form, cancel_forms, property_form
 from rosld.server.http.link import Link
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.affordance_service import Snapshot
+from rosld.server.hypermedia.affordance_service import AffordanceService, Snapshot
 from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.data_schema import value_schema
 from rosld.server.hypermedia.json_schema import ANYTHING, OBJECT, nullable, patch_schema, read_schema, write_schema
@@ -43,12 +43,12 @@ from rosld.server.resources.actions import ActionResource
 from rosld.server.resources.bulk_write import with_field
 from rosld.server.resources.command import CommandResource
 from rosld.server.resources.complex_resource import ComplexResource
-from rosld.server.resources.context import Robot
-from rosld.server.resources.limit_checks import require_message
+from rosld.server.resources.limit_checks import LimitChecks
 from rosld.server.resources.preconditions import read_fresh_state, require_offered, require_writable
 from rosld.server.resources.property_writes import plan_property_write, write_response
 from rosld.server.resources.service_request import call_problem, call_service, read_request, refusal_problem
 from rosld.server.resources.strictness import STRICT, is_strict
+from rosld.server.resources.things import ThingDescriptions
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH, RDF_BODIES, SPARQL_UPDATE
 from rosld.server.rest.path_item import FIELD, FIELD_READS, FORMAT, PathItem, QueryParameter, WriteMethod
@@ -56,6 +56,8 @@ from rosld.server.rest.plan import Plan, RobotWrite
 from rosld.server.rest.resource import ABSENT, READ, Answer, ShownAnswer, permanent_redirect
 from rosld.server.rest.state import State
 from rosld.server.robot.calls import CallOutcome
+from rosld.server.robot.session import Session
+from rosld.server.runtime.version_cache import VersionCache
 
 _INVOKES = "Invokes the action; what is shown then is the resource that it belongs to."
 _SENDS_A_GOAL = "Sends a goal, which is what is made; 409 where it is rejected."
@@ -73,20 +75,32 @@ class MemberResource(CommandResource):
         "POST": (*RDF_BODIES, JSON),
     }
 
-    def __init__(self, robot: Robot, name: str) -> None:
-        super().__init__(url_of(name, robot.space))
+    def __init__(
+        self,
+        session: Session,
+        affordances: AffordanceService[State],
+        limit_checks: LimitChecks,
+        things: ThingDescriptions,
+        states: VersionCache[State],
+        name: str,
+    ) -> None:
+        super().__init__(url_of(name, session.space))
         self.title = name
-        self.robot = robot
+        self.session = session
+        self.affordances = affordances
+        self.limit_checks = limit_checks
+        self.things = things
+        self.states = states
         self.name = name
 
     async def prepare(self) -> None:
-        tree = await self.robot.affordances.tree()
+        tree = await self.affordances.tree()
         if tree.property(self.name) is None and tree.action(self.name) is None:
             raise self._missing(tree)
 
     @property
     def _tree(self) -> ResourceTree | None:
-        return self.robot.affordances.cached_tree()
+        return self.affordances.cached_tree()
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         tree = self._tree
@@ -94,7 +108,7 @@ class MemberResource(CommandResource):
         action = None if tree is None else tree.action(self.name)
         value = sent = None
         if plan is not None:
-            shape = self.robot.affordances.member_affordance(plan.member, write=True).shape
+            shape = self.affordances.member_affordance(plan.member, write=True).shape
             value, sent = (value_schema(shape, schemas.lifting, sent=each) for each in (False, True))
         sends_goals = action is not None and action.sends_goals
         invoke = WriteMethod(
@@ -123,17 +137,17 @@ class MemberResource(CommandResource):
 
     def methods(self) -> frozenset[str]:
         """What can be done by the kind of resource it is, whatever conditions say now: these are told as 409."""
-        tree, robot = self._tree, self.robot
-        if tree is None or robot.settings.read_only:
+        tree = self._tree
+        if tree is None or self.session.settings.read_only:
             return READ
         methods = READ
         plan = tree.property(self.name)
-        if plan is not None and robot.affordances.is_writable(plan.source):
+        if plan is not None and self.affordances.is_writable(plan.source):
             methods |= {"PUT", "PATCH"}
         action = tree.action(self.name)
-        if action is not None and robot.affordances.is_callable(action):
+        if action is not None and self.affordances.is_callable(action):
             methods |= {"POST"}
-        if action is not None and robot.affordances.can_cancel(action):
+        if action is not None and self.affordances.can_cancel(action):
             methods |= {"DELETE"}
         return methods
 
@@ -144,23 +158,23 @@ class MemberResource(CommandResource):
 
     async def current_methods(self) -> frozenset[str]:
         """Nothing where it does not exist now; of an action that is not on offer what writes, for it says why not."""
-        tree, methods = await self.robot.affordances.tree(), self.methods()
+        tree, methods = await self.affordances.tree(), self.methods()
         plan, action = tree.property(self.name), tree.action(self.name)
         reads = (*(() if plan is None else plan.reads), *(() if action is None else action.reads))
         exists_when = next((each.exists_when for each in (plan, action) if each is not None), ())
         conditions = () if plan is not None or action is None else action.conditions
-        exists, offered = await self.robot.affordances.conditions_hold(tree, reads, exists_when, conditions)
+        exists, offered = await self.affordances.conditions_hold(tree, reads, exists_when, conditions)
         if not exists:
             return ABSENT
         return methods if offered else methods - {"GET", "HEAD"}
 
     def deny_reason(self, method: str) -> str:
         tree = self._tree
-        if self.robot.settings.read_only:
+        if self.session.settings.read_only:
             return "This server is read-only."
         plan = tree.property(self.name) if tree is not None else None
         if plan is not None and method in ("PUT", "PATCH"):
-            return not_writable_reason(self.robot, plan.source)
+            return not_writable_reason(self.session, plan.source)
         return f"{self.name} does not answer {method}."
 
     @property
@@ -174,73 +188,79 @@ class MemberResource(CommandResource):
         action = tree.action(self.name) if tree is not None else None
         plan = tree.property(self.name) if tree is not None else None
         is_invoked = action is not None and action.request is not None
-        return is_invoked or (plan is not None and has_property_shape(self.robot, plan))
+        return is_invoked or (plan is not None and has_property_shape(self.session, plan))
 
     async def accepted(self, url: str) -> Document | None:
-        tree = await self.robot.affordances.tree()
+        tree = await self.affordances.tree()
         action, plan = tree.action(self.name), tree.property(self.name)
         if action is not None and action.request is not None:
             kind, node = (Kind.ACTION, "#goal") if action.sends_goals else (Kind.SERVICE, "#request")
-            return await message_shape(self.robot, kind, action.service, action.request, url, node)
-        return None if plan is None else await property_shape(self.robot, plan, self.url, url)
+            return await message_shape(
+                self.session.space, self.limit_checks, kind, action.service, action.request, url, node
+            )
+        return (
+            None
+            if plan is None
+            else await property_shape(self.session, self.affordances, self.limit_checks, plan, self.url, url)
+        )
 
     @property
     def conforms_to(self) -> Sequence[str]:
         tree = self._tree
         is_property = tree is None or tree.property(self.name) is not None
-        return (self.robot.space.document_shape("Property" if is_property else "ActionResource"),)
+        return (self.session.space.document_shape("Property" if is_property else "ActionResource"),)
 
     # Reading
 
     async def state(self) -> State:
-        tree = await self.robot.affordances.tree()
+        tree = await self.affordances.tree()
         plan = tree.property(self.name)
         if plan is not None:
-            return await self.robot.affordances.cached_state(
+            return await self.affordances.cached_state(
                 self.url, tree, plan.reads, lambda snapshot: self._shown(plan, snapshot)
             )
         action = tree.action(self.name)
         if action is not None:
-            return await self.robot.affordances.cached_state(
+            return await self.affordances.cached_state(
                 self.url, tree, action.reads, lambda snapshot: self._shown_action(action, snapshot)
             )
         raise self._missing(tree)
 
     def _shown(self, plan: PropertyPlan, snapshot: Snapshot) -> State:
-        robot = self.robot
-        view = robot.affordances.property_view(plan, snapshot)
-        shape = shape_url(view.reading, view.field, robot.space)
+        view = self.affordances.property_view(plan, snapshot)
+        shape = shape_url(view.reading, view.field, self.session.space)
         return State(
-            lambda: property_document(view, robot.space, robot.lifting, simulated_time=robot.graph.simulated_time),
-            lambda: property_json(view, robot.lifting),
+            lambda: property_document(
+                view, self.session.space, self.session.lifting, simulated_time=self.session.graph.simulated_time
+            ),
+            lambda: property_json(view, self.session.lifting),
             received_ns=view.reading.read_ns,
-            max_age=0 if plan.is_conditional else robot.affordances.max_age((view.reading,)),
+            max_age=0 if plan.is_conditional else self.affordances.max_age((view.reading,)),
             view=view,
             shapes=() if shape is None else (shape,),
         )
 
     def _shown_action(self, plan: ActionPlan, snapshot: Snapshot) -> State:
-        robot = self.robot
-        view = robot.affordances.action_view(plan, snapshot)
-        return State(lambda: action_document(view, robot.space, robot.lifting), view=view)
+        view = self.affordances.action_view(plan, snapshot)
+        return State(lambda: action_document(view, self.session.space, self.session.lifting), view=view)
 
     def _missing(self, tree: ResourceTree) -> Problem:
         """308 to the complex resource of that name, or to the property that a mapping calls so here; else 404."""
         instead = tree.replacement(self.name)
         if instead is not None:
-            return Problem(404, f"{self.name} is offered as {url_of(instead, self.robot.space)}")
+            return Problem(404, f"{self.name} is offered as {url_of(instead, self.session.space)}")
         path = f"{self.name}/"
         if path in tree.paths:
-            return permanent_redirect(url_of(path, self.robot.space))
+            return permanent_redirect(url_of(path, self.session.space))
         elsewhere = tree.remapped_property(self.name)
         if elsewhere is not None:
-            return permanent_redirect(url_of(elsewhere, self.robot.space))
+            return permanent_redirect(url_of(elsewhere, self.session.space))
         return Problem(404, f"There is no resource {self.name}.")
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:
-        tree = await self.robot.affordances.tree()
+        tree = await self.affordances.tree()
         plan = tree.property(self.name) or tree.action(self.name)
-        return None if plan is None else await self.robot.affordances.watch(plan.reads, wake)
+        return None if plan is None else await self.affordances.watch(plan.reads, wake)
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
         """`?field=PATH`: the bytes of one field of the value."""
@@ -258,7 +278,7 @@ class MemberResource(CommandResource):
 
     async def forms(self) -> Sequence[Form]:
         """Whatever conditions say now: a form that was on offer when its page was drawn is told why it no longer is."""
-        tree, offers = await self.robot.affordances.tree(), self.robot.affordances
+        tree, offers = await self.affordances.tree(), self.affordances
         forms: list[Form] = []
         if tree.property(self.name) is not None:
             view = (await self.state()).view
@@ -277,13 +297,13 @@ class MemberResource(CommandResource):
         tree, plan = await self._property()
         content = await self._content(exchange, plan, await exchange.body())
         changed = () if plan.member.field is None else (plan.source.name,)
-        async with self.robot.affordances.lock(tree, self.name, modified=changed):
+        async with self.affordances.lock(tree, self.name, modified=changed):
             written = await self._write(tree, plan, content, defaults=not is_strict(exchange))
             return await self._answer(exchange, written)
 
     async def _answer(self, exchange: Exchange, planned: PlannedWrite) -> Answer:
         """Carry a write out: what it came to is shown where that is not what was asked for."""
-        written = await carry_out(self.robot, planned)
+        written = await carry_out(self.session, planned)
         if written is WriteOutcome.OTHERWISE:
             return ShownAnswer(self, await self.state())
         return write_response(planned, written, exchange.accept)
@@ -293,10 +313,10 @@ class MemberResource(CommandResource):
     ) -> PlannedWrite:
         """How the property comes to be what `content` says, if it may be written now; nothing moves."""
         if plan.is_conditional or plan.member.field is not None:
-            snapshot = await read_fresh_state(self.robot, tree, plan.reads)
-            require_writable(self.robot, plan, snapshot)
+            snapshot = await read_fresh_state(self.affordances, tree, plan.reads)
+            require_writable(self.session.space, self.affordances, plan, snapshot)
             content = self._whole(plan, snapshot, content)
-        return await plan_property_write(self.robot, plan.source, content, defaults=defaults)
+        return await plan_property_write(self.session, self.limit_checks, plan.source, content, defaults=defaults)
 
     async def plan_graph_write(self, triples: Sequence[Triple] | None) -> Plan:
         """Within a turn that names `concerned`."""
@@ -309,7 +329,7 @@ class MemberResource(CommandResource):
         written = await self._write(tree, plan, await self._stated(plan, body))
 
         async def carried_out() -> bool:
-            return await carry_out(self.robot, written) is not WriteOutcome.UNHEARD
+            return await carry_out(self.session, written) is not WriteOutcome.UNHEARD
 
         return RobotWrite(f"write {self.name} by {written.writer.name}", carried_out)
 
@@ -321,15 +341,15 @@ class MemberResource(CommandResource):
     async def patch(self, exchange: Exchange) -> Answer:
         tree, plan = await self._property()
         data = await exchange.body()
-        async with self.robot.affordances.lock(tree, self.name, modified=(plan.source.name,)):
-            snapshot = await read_fresh_state(self.robot, tree, plan.reads)
-            require_writable(self.robot, plan, snapshot)
+        async with self.affordances.lock(tree, self.name, modified=(plan.source.name,)):
+            snapshot = await read_fresh_state(self.affordances, tree, plan.reads)
+            require_writable(self.session.space, self.affordances, plan, snapshot)
             content = self._whole(plan, snapshot, await self._patch(exchange, plan, snapshot, data))
-            written = await plan_property_write(self.robot, plan.source, content)
+            written = await plan_property_write(self.session, self.limit_checks, plan.source, content)
             return await self._answer(exchange, written)
 
     async def _property(self) -> tuple[ResourceTree, PropertyPlan]:
-        tree = await self.robot.affordances.tree()
+        tree = await self.affordances.tree()
         plan = tree.property(self.name)
         if plan is None:
             raise self._missing(tree)
@@ -352,24 +372,24 @@ class MemberResource(CommandResource):
     async def _stated(self, plan: PropertyPlan, body: RdfBody) -> object:
         """What RDF states the value to be: by rdf:value, or by the relation that a mapping gives it."""
         subject, predicate = NamedNode(self.url), rdf.value
-        home = NamedNode(url_of(plan.parent, self.robot.space))
+        home = NamedNode(url_of(plan.parent, self.session.space))
         if plan.mapped is not None and body.objects(home, plan.mapped.predicate):
             subject, predicate = home, plan.mapped.predicate
-        await require_property_text(self.robot, plan, body, subject, predicate)
-        return content_from_rdf(body, subject, predicate, plan.source, self.robot.lifting)
+        await require_property_text(self.session, self.affordances, self.limit_checks, plan, body, subject, predicate)
+        return content_from_rdf(body, subject, predicate, plan.source, self.session.lifting)
 
     async def _patch(self, exchange: Exchange, plan: PropertyPlan, snapshot: Snapshot, data: bytes) -> object:
-        view = self.robot.affordances.property_view(plan, snapshot)
+        view = self.affordances.property_view(plan, snapshot)
         if view.reading.value is None:
             why = view.reading.failure or "it has no value yet"
             raise Problem(409, f"{self.name} cannot be patched: {why}; PUT a whole value.")
         if exchange.media_type == MERGE_PATCH:
-            return merge_patch(parse_json(property_json(view, self.robot.lifting.unelided)), parse_json(data))
-        before = property_document(view, self.robot.space, self.robot.lifting.unelided)
+            return merge_patch(parse_json(property_json(view, self.session.lifting.unelided)), parse_json(data))
+        before = property_document(view, self.session.space, self.session.lifting.unelided)
         return await self._stated(plan, apply_update(data, before.all_triples(), self.url, by_value=True))
 
     async def post(self, exchange: Exchange) -> Answer:
-        robot, tree = self.robot, await self.robot.affordances.tree()
+        tree = await self.affordances.tree()
         plan = tree.action(self.name)
         if plan is None:
             raise self._missing(tree)
@@ -377,38 +397,48 @@ class MemberResource(CommandResource):
             return await self._send_goal(exchange, tree, plan)
         if not isinstance(plan.schema, ServiceSchema):
             raise Problem(409, f"{self.name} cannot be invoked: the type of the service is not known.")
-        request = await read_request(exchange, robot, plan.service, plan.schema, self.url)
-        url = robot.space.service(plan.service)
-        await require_message(robot, Kind.SERVICE, plan.service, plan.schema.request, request, url, "#request")
-        async with robot.affordances.lock(tree, self.name):
-            require_offered(robot, plan, await read_fresh_state(robot, tree, plan.reads))
-            outcome = await call_service(exchange, robot, plan.service, plan.schema, request)
-        problem = call_problem(robot, outcome) or refusal_problem(robot, outcome)
+        request = await read_request(
+            exchange, self.session.space, self.session.lifting, self.limit_checks, plan.service, plan.schema, self.url
+        )
+        url = self.session.space.service(plan.service)
+        await self.limit_checks.require_message(
+            Kind.SERVICE, plan.service, plan.schema.request, request, url, "#request"
+        )
+        async with self.affordances.lock(tree, self.name):
+            require_offered(
+                self.session.space, self.affordances, plan, await read_fresh_state(self.affordances, tree, plan.reads)
+            )
+            outcome = await call_service(exchange, self.session, plan.service, plan.schema, request)
+        problem = call_problem(self.session.space, outcome) or refusal_problem(self.session.space, outcome)
         if problem is not None:
             raise problem
         return await self._after(plan.parent, outcome)
 
     async def _send_goal(self, exchange: Exchange, tree: ResourceTree, plan: ActionPlan) -> Answer:
         """Send a goal to the action of ROS that the mapping names: what is made is the goal."""
-        action = ActionResource(self.robot, plan.service)
+        action = ActionResource(self.session, self.limit_checks, self.states, plan.service)
         schema, goal = await action.read_goal(exchange, self.url)
-        async with self.robot.affordances.lock(tree, self.name):
-            require_offered(self.robot, plan, await read_fresh_state(self.robot, tree, plan.reads))
+        async with self.affordances.lock(tree, self.name):
+            require_offered(
+                self.session.space, self.affordances, plan, await read_fresh_state(self.affordances, tree, plan.reads)
+            )
             return await action.send(exchange, schema, goal)
 
     async def delete(self, exchange: Exchange) -> Answer:
         """Cancel the goals of an action of ROS, whatever conditions say."""
-        tree = await self.robot.affordances.tree()
+        tree = await self.affordances.tree()
         plan = tree.action(self.name)
         if plan is None:
             raise self._missing(tree)
-        return await ActionResource(self.robot, plan.service).cancel_goals(others=exchange.query_flag("others"))
+        return await ActionResource(self.session, self.limit_checks, self.states, plan.service).cancel_goals(
+            others=exchange.query_flag("others")
+        )
 
     async def _after(self, path: str, outcome: CallOutcome) -> ShownAnswer:
         """The complex resource as it is after an action; the one above where the action has ended its own."""
-        call = Link(self.robot.space.call(outcome.call.id), ros.Call.value)
+        call = Link(self.session.space.call(outcome.call.id), ros.Call.value)
         while True:
-            resource = ComplexResource(self.robot, path)
+            resource = ComplexResource(self.session, self.affordances, self.limit_checks, self.things, path)
             try:
                 return ShownAnswer(resource, await resource.state(), (call,))
             except Problem as problem:

@@ -9,23 +9,25 @@ from rosld.server.http.problem_details import render
 from rosld.server.hypermedia.catalogue import Property, Setter
 from rosld.server.hypermedia.property_writer import PlannedWrite, WriteOutcome, plan_write
 from rosld.server.hypermedia.value import MessageValue
-from rosld.server.resources.context import Robot
-from rosld.server.resources.limit_checks import require_message, require_parameter
+from rosld.server.resources.limit_checks import LimitChecks
 from rosld.server.robot.publication import no_subscriber_problem
+from rosld.server.robot.session import Session
 
 
-async def plan_property_write(robot: Robot, own: Property, content: object, *, defaults: bool = False) -> PlannedWrite:
+async def plan_property_write(
+    session: Session, limit_checks: LimitChecks, own: Property, content: object, *, defaults: bool = False
+) -> PlannedWrite:
     """How a property comes to have a value: within the limits, and nothing moves yet. Raises as `plan_write` does."""
-    plan = plan_write(robot, own, content, defaults=defaults)
+    plan = plan_write(session, own, content, defaults=defaults)
     name, value = plan.writer.name, plan.value
     if not isinstance(value, MessageValue):
-        await require_parameter(robot, name, value.value)
+        await limit_checks.require_parameter(name, value.value)
     elif isinstance(plan.writer, Setter):
-        url = robot.space.service(name)
-        await require_message(robot, Kind.SERVICE, name, value.schema, value.message, url, "#request")
+        url = session.space.service(name)
+        await limit_checks.require_message(Kind.SERVICE, name, value.schema, value.message, url, "#request")
     else:
-        url = robot.space.topic(name)
-        await require_message(robot, Kind.TOPIC, name, value.schema, value.message, url, "#message")
+        url = session.space.topic(name)
+        await limit_checks.require_message(Kind.TOPIC, name, value.schema, value.message, url, "#message")
     return plan
 
 

@@ -17,13 +17,13 @@ from rosld.ontology.vocab import rdf, ros
 from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
 from rosld.server.patches.patch import apply_update, merge_patch
-from rosld.server.resources.context import Robot
-from rosld.server.resources.limit_checks import require_message, require_text
+from rosld.server.resources.limit_checks import LimitChecks
 from rosld.server.resources.messages import decode
 from rosld.server.resources.strictness import is_strict
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH
 from rosld.server.robot.publication import Publication, no_subscriber_problem, publish
+from rosld.server.robot.session import Session
 from rosld.server.robot.velocity import passes_stop
 
 
@@ -38,15 +38,16 @@ class PlannedPublish:
 class Publisher:
     """Publishes on one topic. `plan` and `plan_patch` parse, find the type, lower and encode: nothing moves."""
 
-    def __init__(self, robot: Robot, name: str) -> None:
-        self.robot = robot
+    def __init__(self, session: Session, limit_checks: LimitChecks, name: str) -> None:
+        self.session = session
+        self.limit_checks = limit_checks
         self.name = name
-        self.url = robot.space.topic(name)
+        self.url = session.space.topic(name)
 
     @property
     def topic(self) -> Topic | None:
         """The topic in the computation graph, None where there is none of that name."""
-        return self.robot.graph.topics.get(self.name)
+        return self.session.graph.topics.get(self.name)
 
     @property
     def commands_velocity(self) -> bool:
@@ -79,16 +80,16 @@ class Publisher:
         if exchange.media_type == JSON:
             return self._from_json(exchange, schema, data)
         body = parse_body(data, exchange.media_type, url)
-        await require_text(self.robot, Kind.TOPIC, self.name, schema, body, self.url, "#message")
-        return lowerer(schema, self.robot.lifting).from_body(body, url)
+        await self.limit_checks.require_text(Kind.TOPIC, self.name, schema, body, self.url, "#message")
+        return lowerer(schema, self.session.lifting).from_body(body, url)
 
     def _from_json(self, exchange: Exchange, schema: MessageSchema, data: bytes) -> Message:
-        lowering = lowerer(schema, self.robot.lifting)
+        lowering = lowerer(schema, self.session.lifting)
         return lowering.from_json(parse_json(data), defaults=not is_strict(exchange))
 
     async def require_within_limits(self, schema: MessageSchema, message: Message) -> None:
         """Raise a LoweringError where a message is outside the limits on what is published here."""
-        await require_message(self.robot, Kind.TOPIC, self.name, schema, message, self.url, "#message")
+        await self.limit_checks.require_message(Kind.TOPIC, self.name, schema, message, self.url, "#message")
 
     async def plan_graph(self, triples: Sequence[Triple]) -> PlannedPublish:
         """What the graph of the topic asks to be published, if it is to say these triples.
@@ -98,23 +99,23 @@ class Publisher:
         body, node = index_triples(triples), NamedNode(f"{self.url}#message")
         schema = await (self._schema() if self._typed() else self._stated_schema(body))
         if node in body.subjects and not body.objects(node, rdf.type):
-            class_ = NamedNode(self.robot.space.class_of(schema.ref.name))
+            class_ = NamedNode(self.session.space.class_of(schema.ref.name))
             body = index_triples([*triples, Triple(node, rdf.type, class_)])
         return await self._publish(schema, await self._lower(schema, body), latch=False)
 
     async def plan_patch(self, exchange: Exchange, description: Sequence[Triple]) -> PlannedPublish:
         """What a PATCH of the latest message asks to be published; `description` is said of the topic beside it."""
-        view = await self.robot.topics.read(self.name)
+        view = await self.session.topics.read(self.name)
         if view.newest is None:
             raise Problem(409, f"{self.name} has no message yet that a PATCH could change; PUT one.")
         data = await exchange.body()
-        base = await decode(self.robot, view.newest)
+        base = await decode(self.session.schemas, view.newest)
         if base.schema is None or base.message is None:
             raise Problem(409, f"The latest message of {self.name} cannot be read: {base.reason}.")
-        whole = lifter(base.schema, self.robot.lifting.unelided)
+        whole = lifter(base.schema, self.session.lifting.unelided)
         if exchange.media_type == MERGE_PATCH:
             patched = merge_patch(parse_json(whole.json(base.message, self.url)), parse_json(data))
-            message = lowerer(base.schema, self.robot.lifting).from_json(patched)
+            message = lowerer(base.schema, self.session.lifting).from_json(patched)
         else:
             before = [*description, *whole.triples(base.message, self.url, "#message")]
             message = await self._lower(base.schema, apply_update(data, before, self.url, by_value=True))
@@ -122,14 +123,14 @@ class Publisher:
 
     async def _publish(self, schema: MessageSchema, message: Message, latch: bool) -> PlannedPublish:
         await self.require_within_limits(schema, message)
-        data = schema.codec.encode(message, self.robot.adapter.capabilities.encoding)
-        passes = passes_stop(self.robot, self.name, schema, message)
+        data = schema.codec.encode(message, self.session.adapter.capabilities.encoding)
+        passes = passes_stop(self.session, self.name, schema, message)
         return PlannedPublish(Publication(self.name, schema.ref, data, latch, passes), creates=self.topic is None)
 
     async def _lower(self, schema: MessageSchema, body: RdfBody) -> Message:
         self._check_stable(body)
-        await require_text(self.robot, Kind.TOPIC, self.name, schema, body, self.url, "#message")
-        return lowerer(schema, self.robot.lifting).from_body(body, self.url)
+        await self.limit_checks.require_text(Kind.TOPIC, self.name, schema, body, self.url, "#message")
+        return lowerer(schema, self.session.lifting).from_body(body, self.url)
 
     def _check_stable(self, body: RdfBody) -> None:
         """What the server says of a topic may be repeated, not changed (409)."""
@@ -139,7 +140,7 @@ class Publisher:
         said = {ros.name: self.name}
         topic = self.topic
         if topic is not None and topic.type is not None:
-            said[ros.hasMessageType] = self.robot.space.class_of(topic.type.name)
+            said[ros.hasMessageType] = self.session.space.class_of(topic.type.name)
         for predicate, value in said.items():
             for term in body.objects(about, predicate):
                 if getattr(term, "value", None) != value:
@@ -153,13 +154,13 @@ class Publisher:
         if topic is None or topic.type is None:
             raise Problem(409, f"The type of {self.name} is not known; PUT RDF that states the message's type.")
         try:
-            return await self.robot.schemas.message(topic.type)
+            return await self.session.schemas.message(topic.type)
         except UnknownType as error:
             raise Problem(409, f"Nothing can be published on {self.name}: {error.sentence}.") from error
 
     async def _stated_schema(self, body: RdfBody) -> MessageSchema:
         """The schema of the type that the body states: of `#message`, or the topic's `ros:hasMessageType`."""
-        base = self.robot.space.types
+        base = self.session.space.types
         stated = [
             *body.objects(NamedNode(f"{self.url}#message"), rdf.type),
             *body.objects(NamedNode(self.url), ros.hasMessageType),
@@ -168,13 +169,13 @@ class Publisher:
         for term in stated:
             if isinstance(term, NamedNode) and term.value.startswith(base):
                 try:
-                    return await self.robot.schemas.message(TypeRef(term.value[len(base) :]))
+                    return await self.session.schemas.message(TypeRef(term.value[len(base) :]))
                 except UnknownType as error:
                     raise Problem(422, f"{error.sentence}.") from error
         raise Problem(422, f"{self.name} has no type yet, and the body states none: give the message a type of {base}.")
 
     async def carry_out(self, plan: PlannedPublish, accept: str | None) -> Response:
-        published = await publish(self.robot, plan.publication)
+        published = await publish(self.session, plan.publication)
         if plan.creates:
             return Response(status_code=201, headers={"Location": self.url})
         if published.matched == 0:

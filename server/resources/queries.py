@@ -17,7 +17,7 @@ from rosld.adapters.base import Watch
 from rosld.ontology.document import Document
 from rosld.ontology.serialize import Syntax
 from rosld.ontology.triples import RDF_SOURCE, statements, text, triples_about
-from rosld.ontology.urls import Location
+from rosld.ontology.urls import Location, Space
 from rosld.ontology.vocab import dcterms, ldp, rdfs
 from rosld.server import html
 from rosld.server.html import MemberColumns, Notice, PageResults, QueryPage, StoredQueryParameter
@@ -29,11 +29,11 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import DataSchema
 from rosld.server.hypermedia.json_schema import ANYTHING, TEXT
 from rosld.server.hypermedia.message_schemas import MessageSchemas
-from rosld.server.policies.stored_queries import ROUTE, query_triples
-from rosld.server.resources.context import IdentityKey, Robot
+from rosld.server.policies.stored_queries import ROUTE, StoredQueries, query_triples
 from rosld.server.resources.ldp.base import EXTRA_STATUSES
 from rosld.server.resources.ldp.bodies import require_small
 from rosld.server.resources.ldp.containers import ContainerResource
+from rosld.server.resources.ldp.documents import Documents
 from rosld.server.resources.ldp.rdf_sources import DescriptionResource
 from rosld.server.resources.ldp.representation import all_members, page_at, state_of
 from rosld.server.resources.ldp.routes import AbsentResource, stored_route
@@ -53,11 +53,15 @@ from rosld.server.resources.sparql_endpoint import (
 )
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.pages import PageRenderer
+from rosld.server.rest.paging import PagePosition
 from rosld.server.rest.path_item import FORMAT, PAGE, PathItem, QueryParameter
+from rosld.server.rest.prefer_container import ALL_PARTS, ContainerParts
 from rosld.server.rest.raw_response import RawResponse
 from rosld.server.rest.resource import READ, Resource
 from rosld.server.rest.resource_headers import resource_headers
 from rosld.server.rest.state import State
+from rosld.server.runtime.version_cache import IdentityKey, VersionCache
+from rosld.server.settings import Settings
 from rosld.server.sparql import disconnect
 from rosld.server.sparql.protocol import QUERY_MEDIA_TYPE, QueryRequest, requested_timeout
 from rosld.server.sparql.query_service import QueryService
@@ -192,10 +196,14 @@ class ShippedQueryResource(Resource):
     kind = "Stored query"
     is_cacheable = False
 
-    def __init__(self, robot: Robot, query: StoredQuery, runner: QueryRunner) -> None:
-        super().__init__(robot.space.query(query.name))
+    def __init__(
+        self, space: Space, settings: Settings, states: VersionCache[State], query: StoredQuery, runner: QueryRunner
+    ) -> None:
+        super().__init__(space.query(query.name))
         self.title = query.name
-        self.robot = robot
+        self.space = space
+        self.settings = settings
+        self.states = states
         self._query = query
         self._runner = runner
 
@@ -203,16 +211,16 @@ class ShippedQueryResource(Resource):
         return _query_item(self._query.purpose, self._query.parameters)
 
     def deny_reason(self, method: str) -> str:
-        if self.robot.settings.read_only:
+        if self.settings.read_only:
             return "This server is read-only."
-        room = self.robot.space.container("queries")
+        room = self.space.container("queries")
         return f"{self._query.name} comes with rosld and stays as it is: PUT a query of another name to {room}NAME."
 
     async def state(self) -> State:
-        return self.robot.states.get_or_make(self.url, 0, self._describe)
+        return self.states.get_or_make(self.url, 0, self._describe)
 
     def _describe(self) -> State:
-        return State(partial(shipped_document, self.url, self._query), shapes=_shapes(self.robot))
+        return State(partial(shipped_document, self.url, self._query), shapes=_shapes(self.space))
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
         if (
@@ -238,20 +246,21 @@ class StoredQueryResource(StoredFile):
     writes: ClassVar[frozenset[str]] = frozenset({"PUT", "DELETE"})
     accepts: Mapping[str, Sequence[str]] = {"PUT": (QUERY_MEDIA_TYPE,)}
 
-    def __init__(self, robot: Robot, path: str, runner: QueryRunner) -> None:
-        super().__init__(robot, path)
+    def __init__(self, documents: Documents, queries: StoredQueries, path: str, runner: QueryRunner) -> None:
+        super().__init__(documents, path)
+        self.queries = queries
         self._runner = runner
 
     async def select_variant(self, exchange: Exchange) -> Resource:
-        await _require_size(self.robot, exchange)
+        await _require_size(self.queries, exchange)
         return self
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        query = self.robot.queries.outline(self.require_record())
+        query = self.queries.outline(self.require_record())
         return _query_item(query.purpose, query.parameters)
 
     async def state(self) -> State:
-        return _describe(self.robot, self.require_record())
+        return _describe(self.documents, self.queries, self.require_record())
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
         if (
@@ -260,62 +269,81 @@ class StoredQueryResource(StoredFile):
         ):
             return await super().custom_get(exchange)
         record = self.require_record()
-        query = await self.robot.queries.executable(record)
-        state = f"{self.robot.records.identity}-{record.version}"
+        query = await self.queries.executable(record)
+        state = f"{self.documents.records.identity}-{record.version}"
         return await self._runner.answer(exchange, self, query, state)
 
 
 class QueryDescription(DescriptionResource):
     """The description of a query that a client keeps: what the text says of itself is not to be written there."""
 
+    def __init__(self, documents: Documents, queries: StoredQueries, path: str) -> None:
+        super().__init__(documents, path)
+        self.queries = queries
+
     async def state(self) -> State:
-        return _describe(self.robot, self.require_record())
+        return _describe(self.documents, self.queries, self.require_record())
 
     async def with_triples(
         self, record: Record, triples: Sequence[Triple], expected: int | None, said: Set[Triple] = frozenset()
     ) -> Put:
         require_small(triples)
-        own = set(self.robot.queries.description(record))
+        own = set(self.queries.description(record))
         return await super().with_triples(record, [one for one in triples if one not in own], expected, said)
 
 
 class AbsentQueryResource(AbsentResource):
     """No query yet: PUT makes it."""
 
+    def __init__(self, documents: Documents, queries: StoredQueries, path: str) -> None:
+        super().__init__(documents, path)
+        self.queries = queries
+
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        methods = READ if self.robot.settings.read_only else READ | {"PUT", "DELETE"}
+        methods = READ if self.documents.settings.read_only else READ | {"PUT", "DELETE"}
         return replace(_query_item("A stored query that may be made", ()), methods=methods)
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         if exchange.method == "PUT":
-            await _require_size(self.robot, exchange)
+            await _require_size(self.queries, exchange)
         return await super().select_variant(exchange)
 
 
 class QueryContainer(ContainerResource):
     """`/queries/`: what clients keep there, and beside it what comes with rosld."""
 
+    def __init__(
+        self,
+        documents: Documents,
+        queries: StoredQueries,
+        path: str,
+        parts: ContainerParts = ALL_PARTS,
+        place: PagePosition | None = None,
+    ) -> None:
+        super().__init__(documents, path, parts, place)
+        self.queries = queries
+
     async def select_variant(self, exchange: Exchange) -> Resource:
         if exchange.method == "POST":
-            await _require_size(self.robot, exchange)
+            await _require_size(self.queries, exchange)
         found = await super().select_variant(exchange)
         if type(found) is ContainerResource:
-            return QueryContainer(self.robot, self.path, found._parts, found._place)
+            return QueryContainer(self.documents, self.queries, self.path, found._parts, found._place)
         return found
 
     def is_taken(self, name: str) -> bool:
-        return name in self.robot.queries.shipped or super().is_taken(name)
+        return name in self.queries.shipped or super().is_taken(name)
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:
-        return self.robot.record_changes.watch(wake, lambda path: path.startswith(ROUTE))
+        return self.documents.changes.watch(wake, lambda path: path.startswith(ROUTE))
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem("The stored queries", query=(FORMAT, PAGE), also=EXTRA_STATUSES)
 
     async def state(self) -> State:
         kept = await super().state()
-        version = self.robot.queries.version
-        return self.robot.states.get_or_make(
+        version = self.queries.version
+        return self.documents.states.get_or_make(
             f"{self.url}?{self._place}#{self._parts.variant} with what is shipped",
             (IdentityKey(kept), version),
             lambda: replace(
@@ -344,22 +372,23 @@ class QueryContainer(ContainerResource):
 
     def _shipped(self) -> dict[str, str]:
         """The purposes of the queries that come with rosld, on the page that tells of them: the first."""
-        return _shipped(self.robot) if self._place is None or self._place.after == 0 else {}
+        return _shipped(self.documents, self.queries) if self._place is None or self._place.after == 0 else {}
 
     def _kept(self) -> list[tuple[str, StoredQuery]]:
         """The queries that this page tells of."""
-        robot = self.robot
         if self._place is None:
-            records = list(robot.queries.stored_records())
+            records = list(self.queries.stored_records())
         else:
-            members = page_at(robot, self.require_record(), self._place)[1]
-            records = [one for member in members if (one := robot.records.get(member.path)) and one.blob is not None]
-        return [(robot.space.base + one.path, robot.queries.outline(one)) for one in records]
+            members = page_at(self.documents, self.require_record(), self._place)[1]
+            records = [
+                one for member in members if (one := self.documents.records.get(member.path)) and one.blob is not None
+            ]
+        return [(self.documents.space.base + one.path, self.queries.outline(one)) for one in records]
 
 
-def _shipped(robot: Robot) -> dict[str, str]:
-    urls = {robot.space.query(name): query.purpose for name, query in robot.queries.shipped.items()}
-    there = {url: robot.records.get(url[len(robot.space.base) :]) is not None for url in urls}
+def _shipped(documents: Documents, queries: StoredQueries) -> dict[str, str]:
+    urls = {documents.space.query(name): query.purpose for name, query in queries.shipped.items()}
+    there = {url: documents.records.get(url[len(documents.space.base) :]) is not None for url in urls}
     return {url: purpose for url, purpose in urls.items() if not there[url]}
 
 
@@ -378,61 +407,65 @@ def _list(document: Document, shipped: Mapping[str, str], kept: Mapping[str, str
     return Document(document.url, tuple(dict.fromkeys((*document.triples, *more, *said))))
 
 
-def queries_document(robot: Robot) -> Callable[[], Document]:
+def queries_document(documents: Documents, queries: StoredQueries) -> Callable[[], Document]:
     """What describes `/queries/` with all that is in it, as it is now. What is returned may be called in any thread."""
-    record = robot.records.get(ROUTE)
+    record = documents.records.get(ROUTE)
     assert record is not None
-    url, shipped, kept = robot.space.container("queries"), _shipped(robot), list(robot.queries.stored_records())
-    members = [robot.space.base + member.path for member in all_members(robot, record)]
+    url, shipped, kept = (
+        documents.space.container("queries"),
+        _shipped(documents, queries),
+        list(queries.stored_records()),
+    )
+    members = [documents.space.base + member.path for member in all_members(documents.records, record)]
 
     def describe() -> Document:
-        purposes = {robot.space.base + one.path: robot.queries.outline(one).purpose for one in kept}
+        purposes = {documents.space.base + one.path: queries.outline(one).purpose for one in kept}
         return _list(record_document(record, url, members, ()), shipped, purposes, titled=True)
 
     return describe
 
 
-def _describe(robot: Robot, record: Record) -> State:
+def _describe(documents: Documents, queries: StoredQueries, record: Record) -> State:
     """The description of a kept query: that of the file, and what its text says."""
-    state = state_of(robot, record)
+    state = state_of(documents, record)
 
     def describe() -> Document:
         document = state.document
-        return Document(document.url, tuple(dict.fromkeys((*document.triples, *robot.queries.description(record)))))
+        return Document(document.url, tuple(dict.fromkeys((*document.triples, *queries.description(record)))))
 
     def make() -> State:
-        return replace(state, describe=describe, shapes=_shapes(robot), renderings={})
+        return replace(state, describe=describe, shapes=_shapes(documents.space), renderings={})
 
-    url = f"{robot.space.base}{record.path}# with what it says"
-    return robot.states.get_or_make(url, IdentityKey(state), make)
+    url = f"{documents.space.base}{record.path}# with what it says"
+    return documents.states.get_or_make(url, IdentityKey(state), make)
 
 
-def _shapes(robot: Robot) -> tuple[str, ...]:
+def _shapes(space: Space) -> tuple[str, ...]:
     """What the description of a query conforms to; its results do not."""
-    return (robot.space.document_shape("Query"),)
+    return (space.document_shape("Query"),)
 
 
-async def _require_size(robot: Robot, exchange: Exchange) -> None:
+async def _require_size(queries: StoredQueries, exchange: Exchange) -> None:
     """Raise a 413 Problem for a text that says that it is longer than a query may be."""
-    limit = 4 * robot.queries.bounds.size
+    limit = 4 * queries.bounds.size
     if exchange.method in ("PUT", "POST") and (parse_content_length(exchange.header("content-length")) or 0) > limit:
         async for _ in exchange.chunks(limit=limit):
             pass
 
 
-def query_route(robot: Robot, location: Location, *, runner: QueryRunner) -> Resource:
+def query_route(documents: Documents, queries: StoredQueries, location: Location, *, runner: QueryRunner) -> Resource:
     """`/queries/` and below."""
-    found = stored_route(robot, location)
+    found = stored_route(documents, location)
     match found:
         case StoredFile():
-            return StoredQueryResource(robot, found.path, runner)
+            return StoredQueryResource(documents, queries, found.path, runner)
         case DescriptionResource():
-            return QueryDescription(robot, found.path + ".meta")
+            return QueryDescription(documents, queries, found.path + ".meta")
         case ContainerResource() if found.path == ROUTE:
-            return QueryContainer(robot, ROUTE)
+            return QueryContainer(documents, queries, ROUTE)
         case AbsentResource():
-            query = robot.queries.shipped.get(location.segments[0]) if len(location.segments) == 1 else None
+            query = queries.shipped.get(location.segments[0]) if len(location.segments) == 1 else None
             if query is not None and not location.is_container:
-                return ShippedQueryResource(robot, query, runner)
-            return AbsentQueryResource(robot, found.path)
+                return ShippedQueryResource(documents.space, documents.settings, documents.states, query, runner)
+            return AbsentQueryResource(documents, queries, found.path)
     return found

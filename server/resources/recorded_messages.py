@@ -13,8 +13,9 @@ from rosld.adapters.base import RecordedMessage, Recording
 from rosld.adapters.model import UnknownType
 from rosld.ontology.describe_bags import bag_message_document
 from rosld.ontology.document import Document
-from rosld.server.resources.context import Robot
 from rosld.server.resources.messages import DecodedSample, decode, lift_sample
+from rosld.server.robot.schemas import Schemas
+from rosld.server.robot.session import Session
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,32 +26,32 @@ class DecodedRecord:
     decoded: DecodedSample
 
 
-async def learn_type(robot: Robot, recording: Recording, message: RecordedMessage) -> None:
+async def learn_type(schemas: Schemas, recording: Recording, message: RecordedMessage) -> None:
     """Make the type of a recorded message known, as it was recorded, as far as it can be."""
     type = message.sample.schema
-    if robot.schemas.find_cached(type) is None:
+    if schemas.find_cached(type) is None:
         with contextlib.suppress(UnknownType):
-            robot.schemas.add(type, await asyncio.to_thread(recording.schema, type))
+            schemas.add(type, await asyncio.to_thread(recording.schema, type))
 
 
 async def decode_records(
-    robot: Robot, recording: Recording, messages: Iterable[RecordedMessage]
+    schemas: Schemas, recording: Recording, messages: Iterable[RecordedMessage]
 ) -> Sequence[DecodedRecord]:
     """Decode recorded messages."""
     found: list[DecodedRecord] = []
     for message in messages:
-        await learn_type(robot, recording, message)
-        found.append(DecodedRecord(message, await decode(robot, message.sample)))
+        await learn_type(schemas, recording, message)
+        found.append(DecodedRecord(message, await decode(schemas, message.sample)))
     return found
 
 
-def record_document(robot: Robot, recording: Recording, one: DecodedRecord) -> Document:
+def record_document(session: Session, recording: Recording, one: DecodedRecord) -> Document:
     """What the resource of a recorded message says."""
-    lifted = lift_sample(robot, one.decoded) if one.decoded.message is not None else None
-    said = bag_message_document(recording, one.message, robot.space, lifted, unreadable=one.decoded.reason)
-    return replace(said, simulated_time=robot.graph.simulated_time)
+    lifted = lift_sample(session.space, session.lifting, one.decoded) if one.decoded.message is not None else None
+    said = bag_message_document(recording, one.message, session.space, lifted, unreadable=one.decoded.reason)
+    return replace(said, simulated_time=session.graph.simulated_time)
 
 
-def record_triples(robot: Robot, recording: Recording, records: Iterable[DecodedRecord]) -> list[Triple]:
+def record_triples(session: Session, recording: Recording, records: Iterable[DecodedRecord]) -> list[Triple]:
     """The same of many. It takes a while: for a thread."""
-    return [triple for one in records for triple in record_document(robot, recording, one).all_triples()]
+    return [triple for one in records for triple in record_document(session, recording, one).all_triples()]

@@ -7,17 +7,20 @@ from urllib.parse import urljoin
 
 from rosld.adapters.base import Watch
 from rosld.ontology.document import Document
+from rosld.ontology.urls import Space
 from rosld.server.auth.permissions import Permissions
 from rosld.server.events.broadcaster import Broadcaster, Waiter
 from rosld.server.events.until import Until
 from rosld.server.history.recordings import ArmedRecording, Trigger
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.mapping import Condition
-from rosld.server.resources.context import Robot
+from rosld.server.hypermedia.mappings import Mappings
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.resource import Resource
 from rosld.server.rest.state import State
+from rosld.server.runtime.signals import Signal
 
 Find = Callable[[str], Resource]
 """The resource at a path below the base."""
@@ -28,26 +31,32 @@ class MappedCondition(Resource):
 
     kind = "Condition"
 
-    def __init__(self, robot: Robot, condition: Condition) -> None:
+    def __init__(self, affordances: AffordanceService[State], condition: Condition) -> None:
         super().__init__(condition.iri)
-        self._robot = robot
+        self._affordances = affordances
         self._condition = condition
 
     async def state(self) -> State:
-        offers = self._robot.affordances
+        offers = self._affordances
         tree = await offers.tree()
         (holds,) = await offers.conditions_hold(tree, tree.properties_in([self._condition]), [self._condition])
         data = b"true" if holds else b"false"
         return State(lambda: Document(self.url, ()), lambda: data, token=data.decode())
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:
-        offers = self._robot.affordances
+        offers = self._affordances
         tree = await offers.tree()
         return await offers.watch(tree.properties_in([self._condition]), wake)
 
 
 async def trigger_of(
-    robot: Robot, trigger: Trigger, find: Find | None, exchange: Exchange
+    space: Space,
+    changes: Signal,
+    affordances: AffordanceService[State],
+    mappings: Mappings,
+    trigger: Trigger,
+    find: Find | None,
+    exchange: Exchange,
 ) -> Callable[[ArmedRecording], AsyncGenerator[None, None]]:
     """What tells each time that a trigger's condition comes to hold, as who asks may see it. Raises 403, 422 Problems.
 
@@ -56,9 +65,9 @@ async def trigger_of(
     permissions = exchange.permissions
     resource: Resource
     if trigger.resource is None:
-        resource, expression = _mapped(robot, trigger.condition, permissions), "value = true"
+        resource, expression = _mapped(space, affordances, mappings, trigger.condition, permissions), "value = true"
     else:
-        resource, expression = _resource(robot, trigger.resource, find, permissions), trigger.condition
+        resource, expression = _resource(space, trigger.resource, find, permissions), trigger.condition
 
     def view(state: State) -> State:
         return state if permissions.is_unrestricted else resource.redact(state, permissions)
@@ -72,7 +81,7 @@ async def trigger_of(
         raise Problem(422, f"The trigger cannot be waited for: {words}") from problem
 
     async def occurrences(one: ArmedRecording) -> AsyncGenerator[None, None]:
-        broadcaster, waiter, held = Broadcaster(resource, robot.changes), Waiter(), False
+        broadcaster, waiter, held = Broadcaster(resource, changes), Waiter(), False
         broadcaster.start()
         try:
             while True:
@@ -99,8 +108,8 @@ def _judge(until: Until, state: State | Problem) -> tuple[bool, str | None]:
         return False, f"It cannot be told whether its condition holds: {problem.detail}"
 
 
-def _resource(robot: Robot, url: str, find: Find | None, permissions: Permissions) -> Resource:
-    base = robot.space.base
+def _resource(space: Space, url: str, find: Find | None, permissions: Permissions) -> Resource:
+    base = space.base
     whole = urljoin(base, url)
     if find is None or not whole.startswith(base) or "?" in whole or "#" in whole:
         raise Problem(422, f"The trigger is about {url[:200]}: it is about the URL of a value below {base}.")
@@ -114,11 +123,13 @@ def _resource(robot: Robot, url: str, find: Find | None, permissions: Permission
         raise Problem(422, f"The trigger is about {url[:200]}: {problem.detail}") from problem
 
 
-def _mapped(robot: Robot, iri: str, permissions: Permissions) -> MappedCondition:
-    for resource in robot.mappings.mapping_set.resources.values():
+def _mapped(
+    space: Space, affordances: AffordanceService[State], mappings: Mappings, iri: str, permissions: Permissions
+) -> MappedCondition:
+    for resource in mappings.mapping_set.resources.values():
         for condition in resource.conditions():
             if condition.iri == iri:
-                if not permissions.may_read(url_of(condition.about, robot.space)):
+                if not permissions.may_read(url_of(condition.about, space)):
                     raise Problem(403, f"You may not read {condition.about}, so you may not wait for it.")
-                return MappedCondition(robot, condition)
+                return MappedCondition(affordances, condition)
     raise Problem(422, f"No mapping has a condition {iri[:200]}: a trigger on a value names its resource, too.")

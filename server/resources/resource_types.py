@@ -7,25 +7,27 @@ from collections.abc import Iterable, Mapping
 from rosld.adapters.model import Graph, Kind, TypeRef
 from rosld.ontology.urls import Location
 from rosld.server.auth.rules import UNTYPED, Types
+from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.catalogue import GoalSource, ParameterSource, TopicSource
-from rosld.server.resources.context import Robot
+from rosld.server.rest.state import State
+from rosld.server.robot.session import Session
 
 _KINDS: Mapping[type, Kind] = {TopicSource: Kind.TOPIC, GoalSource: Kind.ACTION}
 """What a value is read from or written to; all else is a service."""
 
 
-def types_at(robot: Robot, location: Location) -> Types:
+def types_at(session: Session, affordances: AffordanceService[State], location: Location) -> Types:
     """The names of the types of what is at a location; none where it is of no type, or is not there."""
     if not location.segments:
         return UNTYPED
     try:
-        return frozenset(ref.name for ref in _refs(robot, location))
+        return frozenset(ref.name for ref in _refs(session, affordances, location))
     except ValueError:  # no name of ROS is spelt so
         return UNTYPED
 
 
-def _refs(robot: Robot, location: Location) -> Iterable[TypeRef]:
-    graph = robot.graph
+def _refs(session: Session, affordances: AffordanceService[State], location: Location) -> Iterable[TypeRef]:
+    graph = session.graph
     match location.kind:
         case "topics":
             return types_of(graph, Kind.TOPIC, location.name)
@@ -34,13 +36,13 @@ def _refs(robot: Robot, location: Location) -> Iterable[TypeRef]:
         case "actions":
             return _of_action(graph, location.name)
         case "calls":
-            found = next((call.service for call in robot.calls.all() if call.id == location.segments[0]), None)
+            found = next((call.service for call in session.calls.all() if call.id == location.segments[0]), None)
             return () if found is None else types_of(graph, Kind.SERVICE, found)
         case "goals":
-            goal = next((goal.action for goal in robot.goals.all() if goal.id == location.segments[0]), None)
+            goal = next((goal.action for goal in session.goals.all() if goal.id == location.segments[0]), None)
             return () if goal is None else _of_action(graph, goal)
         case "resources" if not location.is_container:
-            return _of_member(robot, location.name)
+            return _of_member(session.graph, affordances, location.name)
     return ()
 
 
@@ -60,15 +62,15 @@ def _of_action(graph: Graph, name: str) -> tuple[TypeRef, ...]:
     return () if action is None or action.type is None else (action.type,)
 
 
-def _of_member(robot: Robot, name: str) -> Iterable[TypeRef]:
+def _of_member(graph: Graph, affordances: AffordanceService[State], name: str) -> Iterable[TypeRef]:
     """Those of all topics and services that a property is read from and written to, or an action invokes."""
-    tree = robot.affordances.cached_tree() or robot.affordances.last_tree
+    tree = affordances.cached_tree() or affordances.last_tree
     if tree is None:
         return
     plan, action = tree.property(name), tree.action(name)
     if plan is not None:
         for way in (*plan.source.readers, *plan.source.writers):
             if not isinstance(way, ParameterSource):
-                yield from types_of(robot.graph, _KINDS.get(type(way), Kind.SERVICE), way.name)
+                yield from types_of(graph, _KINDS.get(type(way), Kind.SERVICE), way.name)
     if action is not None:
-        yield from types_of(robot.graph, Kind.ACTION if action.sends_goals else Kind.SERVICE, action.service)
+        yield from types_of(graph, Kind.ACTION if action.sends_goals else Kind.SERVICE, action.service)

@@ -16,12 +16,13 @@ from rosld.adapters.model import MessageSchema, Sample, TypeRef, UnknownType
 from rosld.ontology.describe_series import series_document
 from rosld.ontology.fields import field_at
 from rosld.ontology.literals import date_time_nanoseconds
+from rosld.ontology.urls import Space
 from rosld.server.history.columns import columns_of, number_paths
+from rosld.server.history.history import History
 from rosld.server.history.message_block import MessageBlock
 from rosld.server.history.series import Point, Series, SeriesRange, SeriesTooLong, read_series
 from rosld.server.http import negotiation
 from rosld.server.http.problem import Problem
-from rosld.server.resources.context import Robot
 from rosld.server.resources.memento import is_recorded
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import OFFERS
@@ -48,21 +49,22 @@ class SeriesResource(Resource):
     kind = "Series"
     links = (RESOURCE,)
 
-    def __init__(self, robot: Robot, topic: str, field: str, wanted: SeriesRange, query: str) -> None:
-        super().__init__(f"{robot.space.topic(topic)}?{query}")
-        self.robot = robot
+    def __init__(self, space: Space, history: History, topic: str, field: str, wanted: SeriesRange, query: str) -> None:
+        super().__init__(f"{space.topic(topic)}?{query}")
+        self.space = space
+        self.history = history
         self.topic = topic
         self.field = field
         self.wanted = wanted
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self.robot.space.document_shape("Series"),)
+        return (self.space.document_shape("Series"),)
 
     async def state(self) -> State:
         found = await self._read()
         points = [(point.time_ns, *point.statistic) for point in found.points]
-        url, topic, field, is_reduced = self.url, self.robot.space.topic(self.topic), self.field, found.is_reduced
+        url, topic, field, is_reduced = self.url, self.space.topic(self.topic), self.field, found.is_reduced
         return State(
             lambda: series_document(url, topic, field, points, is_reduced=is_reduced),
             lambda: orjson.dumps({"topic": self.topic, "field": field, **columns(found)}),
@@ -80,8 +82,8 @@ class SeriesResource(Resource):
         return Response("\r\n".join(lines) + "\r\n", media_type=CSV, headers=headers)
 
     async def _read(self) -> Series:
-        values = FieldValues(self.robot.history.recording.schema, self.field)
-        writer = self.robot.history.writer
+        values = FieldValues(self.history.recording.schema, self.field)
+        writer = self.history.writer
         try:
             found = await asyncio.to_thread(read_series, writer, self.topic, self.field, self.wanted, values)
         except SeriesTooLong as error:
@@ -160,9 +162,9 @@ def columns(series: Series) -> dict[str, list[float | str]]:
     }
 
 
-def series_of(robot: Robot, topic: str, exchange: Exchange) -> SeriesResource:
+def series_of(space: Space, history: History, topic: str, exchange: Exchange) -> SeriesResource:
     """The series that a request to a topic asks for. Raises Problems."""
-    require_history(robot, topic)
+    require_history(history, topic)
     query, now = exchange.query, time.time_ns()
     field = query["series"]
     if not 0 < len(field) <= _MAX_FIELD:
@@ -176,12 +178,12 @@ def series_of(robot: Robot, topic: str, exchange: Exchange) -> SeriesResource:
         raise Problem(400, "?from= is not before ?to=.")
     asked = {name: query[name] for name in ("series", "from", "to", "points") if name in query}
     text = "&".join(f"{name}={quote(value, safe='/:.-')}" for name, value in asked.items())
-    return SeriesResource(robot, topic, field, SeriesRange(since, until, int(points)), text)
+    return SeriesResource(space, history, topic, field, SeriesRange(since, until, int(points)), text)
 
 
-def require_history(robot: Robot, topic: str) -> None:
+def require_history(history: History, topic: str) -> None:
     """Raise a 404 Problem where nothing is kept of a topic."""
-    if not is_recorded(robot, topic):
+    if not is_recorded(history, topic):
         raise Problem(404, f"Nothing is recorded of {topic}: rosld serve --history records topics.")
 
 

@@ -4,25 +4,42 @@ from __future__ import annotations
 
 from rosld.adapters.model import Kind, Message, MessageSchema, Refused, Sent, ServiceSchema
 from rosld.ontology.body import parse_body
+from rosld.ontology.lift import LiftSettings
 from rosld.ontology.lower import lowerer, parse_json
+from rosld.ontology.urls import Space
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.value import refusal_text
-from rosld.server.resources.context import Robot
-from rosld.server.resources.limit_checks import require_text
+from rosld.server.resources.limit_checks import LimitChecks
 from rosld.server.resources.strictness import is_strict
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON
 from rosld.server.rest.ros_problems import problem_of
 from rosld.server.robot.calls import CallOutcome, IdempotencyKeyReused
+from rosld.server.robot.session import Session
 
 
-async def read_request(exchange: Exchange, robot: Robot, service: str, schema: ServiceSchema, url: str) -> Message:
+async def read_request(
+    exchange: Exchange,
+    space: Space,
+    lifting: LiftSettings,
+    limit_checks: LimitChecks,
+    service: str,
+    schema: ServiceSchema,
+    url: str,
+) -> Message:
     """The request of a service in a body sent to `url`; an empty one where the request has no fields."""
-    return await read_message(exchange, robot, Kind.SERVICE, service, schema.request, url)
+    return await read_message(exchange, space, lifting, limit_checks, Kind.SERVICE, service, schema.request, url)
 
 
 async def read_message(
-    exchange: Exchange, robot: Robot, kind: Kind, name: str, schema: MessageSchema, url: str
+    exchange: Exchange,
+    space: Space,
+    lifting: LiftSettings,
+    limit_checks: LimitChecks,
+    kind: Kind,
+    name: str,
+    schema: MessageSchema,
+    url: str,
 ) -> Message:
     """The request or the goal in a body sent to `url`, for what is called `name`.
 
@@ -30,39 +47,39 @@ async def read_message(
     does not move the robot.
     """
     data = await exchange.body()
-    lowering = lowerer(schema, robot.lifting)
+    lowering = lowerer(schema, lifting)
     if not data.strip():
         return lowering.from_json({}, defaults=exchange.query_flag("defaults"))
     if exchange.media_type == JSON:
         return lowering.from_json(parse_json(data), defaults=not is_strict(exchange))
     body, node = parse_body(data, exchange.media_type, url), "#goal" if kind is Kind.ACTION else "#request"
-    own = robot.space.action(name) if kind is Kind.ACTION else robot.space.service(name)
-    await require_text(robot, kind, name, schema, body, own, node)
+    own = space.action(name) if kind is Kind.ACTION else space.service(name)
+    await limit_checks.require_text(kind, name, schema, body, own, node)
     return lowering.from_body(body, url, node)
 
 
 async def call_service(
-    exchange: Exchange, robot: Robot, service: str, schema: ServiceSchema, request: Message
+    exchange: Exchange, session: Session, service: str, schema: ServiceSchema, request: Message
 ) -> CallOutcome:
     """What became of a call of a service, once only for each Idempotency-Key."""
-    deadline = robot.deadline(robot.settings.call_deadline)
+    deadline = session.deadline(session.settings.call_deadline)
     key = exchange.header("idempotency-key")
     if key is None:
-        return await robot.calls.call(service, schema, request, deadline=deadline)
+        return await session.calls.call(service, schema, request, deadline=deadline)
     try:
-        return await robot.calls.call_idempotent(
+        return await session.calls.call_idempotent(
             key, service, schema, request, await exchange.body(), deadline=deadline
         )
     except IdempotencyKeyReused as error:
         raise Problem(422, f"The Idempotency-Key {key!r} came before with another request.") from error
 
 
-def call_problem(robot: Robot, outcome: CallOutcome) -> Problem | None:
+def call_problem(space: Space, outcome: CallOutcome) -> Problem | None:
     """The Problem of a call that did not succeed, with the URL of the call; None where an answer came."""
     error = outcome.error
     if error is None:
         return None
-    url = robot.space.call(outcome.call.id)
+    url = space.call(outcome.call.id)
     problem = problem_of(error)
     problem.extra |= {"call": url, "state": outcome.call.state.value}
     if isinstance(error, Refused):
@@ -73,7 +90,7 @@ def call_problem(robot: Robot, outcome: CallOutcome) -> Problem | None:
     return problem
 
 
-def refusal_problem(robot: Robot, outcome: CallOutcome) -> Problem | None:
+def refusal_problem(space: Space, outcome: CallOutcome) -> Problem | None:
     """The Problem of a call whose answer says `bool success` false: a refusal in the robot's words."""
     call = outcome.call
     if call.response is None:
@@ -83,5 +100,5 @@ def refusal_problem(robot: Robot, outcome: CallOutcome) -> Problem | None:
         return None
     sentence = f"{call.service} refused" + (f": {words}" if words else "")
     problem = problem_of(Refused(sentence, words=words or None, sent=Sent.YES))
-    problem.extra |= {"call": robot.space.call(call.id)}
+    problem.extra |= {"call": space.call(call.id)}
     return problem

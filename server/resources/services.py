@@ -17,8 +17,7 @@ from rosld.server.hypermedia.json_schema import ANYTHING, nullable
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.accepted_shape import message_shape, shape_query
 from rosld.server.resources.command import CommandResource
-from rosld.server.resources.context import IdentityKey, Robot
-from rosld.server.resources.limit_checks import require_message
+from rosld.server.resources.limit_checks import LimitChecks
 from rosld.server.resources.namespaces import is_absent, redirect_to_namespace
 from rosld.server.resources.service_request import call_problem, call_service, read_request
 from rosld.server.resources.strictness import STRICT
@@ -28,7 +27,9 @@ from rosld.server.rest.path_item import PathItem, WriteMethod
 from rosld.server.rest.resource import READ, Answer, CreatedAnswer, Resource
 from rosld.server.rest.state import State
 from rosld.server.robot.calls import Call, Gone
+from rosld.server.robot.session import Session
 from rosld.server.robot.write_policy import resources_only_reason
+from rosld.server.runtime.version_cache import IdentityKey, VersionCache
 
 
 class ServiceResource(CommandResource):
@@ -37,24 +38,26 @@ class ServiceResource(CommandResource):
     kind = "Service"
     accepts: Mapping[str, Sequence[str]] = {"POST": (*RDF_BODIES, JSON)}
 
-    def __init__(self, robot: Robot, name: str) -> None:
-        super().__init__(robot.space.service(name))
+    def __init__(self, session: Session, limit_checks: LimitChecks, states: VersionCache[State], name: str) -> None:
+        super().__init__(session.space.service(name))
         self.title = name
-        self.robot = robot
+        self.session = session
+        self.limit_checks = limit_checks
+        self.states = states
         self.name = name
 
     @property
     def service(self) -> Service:
         """The service in the computation graph; a 404 Problem where there is none."""
-        found = self.robot.graph.services.get(self.name)
+        found = self.session.graph.services.get(self.name)
         if found is None:
             missing = Problem(404, f"There is no service {self.name}.")
-            raise redirect_to_namespace(self.robot, "services", self.name) or missing
+            raise redirect_to_namespace(self.session.space, self.session.graph, "services", self.name) or missing
         return found
 
     @property
     def is_absent(self) -> bool:
-        return is_absent(self.robot, "services", self.name)
+        return is_absent(self.session.space, self.session.graph, "services", self.name)
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         schema = schemas.service(self.service.type)
@@ -70,18 +73,18 @@ class ServiceResource(CommandResource):
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self.robot.space.document_shape("Service"),)
+        return (self.session.space.document_shape("Service"),)
 
     def methods(self) -> frozenset[str]:
-        if self.robot.settings.read_only or self.robot.is_resources_only(self.name):
+        if self.session.settings.read_only or self.session.is_resources_only(self.name):
             return READ
-        allowed = Operation.CALL in self.robot.adapter.allows(Ref(Kind.SERVICE, self.name))
+        allowed = Operation.CALL in self.session.adapter.allows(Ref(Kind.SERVICE, self.name))
         return READ | {"POST"} if allowed else READ
 
     def deny_reason(self, method: str) -> str:
-        if self.robot.settings.read_only:
+        if self.session.settings.read_only:
             return "This server is read-only."
-        if method == "POST" and self.robot.is_resources_only(self.name):
+        if method == "POST" and self.session.is_resources_only(self.name):
             return resources_only_reason(self.name)
         if method == "POST":
             return self.service.uncallable or f"{self.name} cannot be called."
@@ -89,19 +92,21 @@ class ServiceResource(CommandResource):
 
     async def state(self) -> State:
         service = self.service
-        space = self.robot.space
-        return self.robot.states.get_or_make(
-            self.url, IdentityKey(service), lambda: State(lambda: service_document(service, space, self.robot.graph))
+        space = self.session.space
+        return self.states.get_or_make(
+            self.url, IdentityKey(service), lambda: State(lambda: service_document(service, space, self.session.graph))
         )
 
     @property
     def constrained_by(self) -> str | None:
-        found = self.robot.graph.services.get(self.name)
+        found = self.session.graph.services.get(self.name)
         return None if found is None or found.type is None else shape_query(self.url)
 
     async def accepted(self, url: str) -> Document | None:
         request = (await self._schema()).request
-        return await message_shape(self.robot, Kind.SERVICE, self.name, request, url, "#request")
+        return await message_shape(
+            self.session.space, self.limit_checks, Kind.SERVICE, self.name, request, url, "#request"
+        )
 
     async def forms(self) -> Sequence[Form]:
         if "POST" not in self.methods():
@@ -114,13 +119,15 @@ class ServiceResource(CommandResource):
 
     async def post(self, exchange: Exchange) -> Answer:
         schema = await self._schema()
-        request = await read_request(exchange, self.robot, self.name, schema, self.url)
-        await require_message(self.robot, Kind.SERVICE, self.name, schema.request, request, self.url, "#request")
-        outcome = await call_service(exchange, self.robot, self.name, schema, request)
-        problem = call_problem(self.robot, outcome)
+        request = await read_request(
+            exchange, self.session.space, self.session.lifting, self.limit_checks, self.name, schema, self.url
+        )
+        await self.limit_checks.require_message(Kind.SERVICE, self.name, schema.request, request, self.url, "#request")
+        outcome = await call_service(exchange, self.session, self.name, schema, request)
+        problem = call_problem(self.session.space, outcome)
         if problem is not None:
             raise problem
-        resource = CallResource(self.robot, outcome.call.id)
+        resource = CallResource(self.session, self.states, outcome.call.id)
         return CreatedAnswer(resource.url, resource, resource.state_of(outcome.call))
 
     async def _schema(self) -> ServiceSchema:
@@ -128,7 +135,7 @@ class ServiceResource(CommandResource):
         if service.type is None:
             raise Problem(409, f"{self.name} cannot be called: {service.uncallable or 'its type is not known'}.")
         try:
-            return await self.robot.schemas.service(service.type)
+            return await self.session.schemas.service(service.type)
         except UnknownType as error:
             raise Problem(409, f"{self.name} cannot be called: {error.sentence}") from error
 
@@ -138,13 +145,14 @@ class CallResource(Resource):
 
     kind = "Call"
 
-    def __init__(self, robot: Robot, id: str) -> None:
-        super().__init__(robot.space.call(id))
+    def __init__(self, session: Session, states: VersionCache[State], id: str) -> None:
+        super().__init__(session.space.call(id))
         try:
-            self.title = robot.calls.find(id).service
+            self.title = session.calls.find(id).service
         except LookupError:
             self.title = id
-        self.robot = robot
+        self.session = session
+        self.states = states
         self.id = id
 
     @property
@@ -159,13 +167,13 @@ class CallResource(Resource):
         return PathItem("A call of a service", plain=ANYTHING, writes={"DELETE": WriteMethod(done=(204,))}, also=(410,))
 
     def methods(self) -> frozenset[str]:
-        return READ if self.robot.settings.read_only else READ | {"DELETE"}
+        return READ if self.session.settings.read_only else READ | {"DELETE"}
 
     @property
     def call(self) -> Call:
         """The call; a 404 or 410 Problem where it is not kept."""
         try:
-            return self.robot.calls.find(self.id)
+            return self.session.calls.find(self.id)
         except Gone as error:
             raise Problem(410, f"The call {self.id} was deleted or has become too old.") from error
         except KeyError as error:
@@ -173,14 +181,14 @@ class CallResource(Resource):
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self.robot.space.document_shape("Call"),)
+        return (self.session.space.document_shape("Call"),)
 
     async def state(self) -> State:
         call = self.call
-        return self.robot.states.get_or_make(self.url, IdentityKey(call), lambda: self.state_of(call))
+        return self.states.get_or_make(self.url, IdentityKey(call), lambda: self.state_of(call))
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
-        return self.robot.calls.changes.watch(wake)
+        return self.session.calls.changes.watch(wake)
 
     def state_of(self, call: Call) -> State:
         """The state of this call as it stood."""
@@ -188,20 +196,20 @@ class CallResource(Resource):
         def plain() -> bytes:
             if call.response is None:
                 return b"null"
-            return lifter(call.schema.response, self.robot.lifting).json(call.response, self.url)
+            return lifter(call.schema.response, self.session.lifting).json(call.response, self.url)
 
-        return State(lambda: self.document(call), plain, shapes=self.robot.space.shapes_of(call.schema))
+        return State(lambda: self.document(call), plain, shapes=self.session.space.shapes_of(call.schema))
 
     def document(self, call: Call) -> Document:
         """The RDF of this call as it stood."""
-        return call_document(_view(call), self.robot.space, self.robot.lifting)
+        return call_document(_view(call), self.session.space, self.session.lifting)
 
     async def forms(self) -> Sequence[Form]:
         return (DeleteForm("Forget the call", "Forget"),) if "DELETE" in self.methods() else ()
 
     async def delete(self, exchange: Exchange) -> Answer:
         _ = self.call
-        self.robot.calls.delete(self.id)
+        self.session.calls.delete(self.id)
         return Response(status_code=204)
 
 

@@ -11,6 +11,7 @@ from starlette.responses import Response, StreamingResponse
 from rosld.ontology.document import Document
 from rosld.ontology.modules import term_url
 from rosld.ontology.triples import statements, triples_about
+from rosld.ontology.urls import Space
 from rosld.ontology.vocab import rdf, rdfs, ros, sd
 from rosld.server import html
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
@@ -22,7 +23,6 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import DataSchema
 from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, URI
 from rosld.server.hypermedia.message_schemas import MessageSchemas
-from rosld.server.resources.context import Robot
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import HTML, RDF_BODIES
 from rosld.server.rest.pages import PageRenderer
@@ -30,6 +30,8 @@ from rosld.server.rest.path_item import FORMAT, PathItem, QueryParameter, WriteM
 from rosld.server.rest.raw_response import RawResponse
 from rosld.server.rest.resource import READ, Answer, Resource
 from rosld.server.rest.state import State
+from rosld.server.runtime.version_cache import VersionCache
+from rosld.server.settings import Settings
 from rosld.server.sparql import disconnect
 from rosld.server.sparql.deprecated_terms import find_deprecated_terms
 from rosld.server.sparql.disconnect import Disconnected
@@ -228,18 +230,22 @@ class SparqlResource(Resource):
 
     def __init__(
         self,
-        robot: Robot,
+        space: Space,
+        settings: Settings,
+        states: VersionCache[State],
         service: QueryService,
         pages: PageRenderer,
         examples: Callable[[], Sequence[StoredQueryLink]],
         updates: UpdateRunner | None = None,
     ) -> None:
-        super().__init__(f"{robot.space.base}sparql")
-        self.robot = robot
+        super().__init__(f"{space.base}sparql")
+        self.space = space
+        self.settings = settings
+        self.states = states
         self._service = service
         self._pages = pages
         self._examples = examples
-        self._updates = None if robot.settings.read_only else updates
+        self._updates = None if settings.read_only else updates
         taken = (QUERY_MEDIA_TYPE, FORM) if self._updates is None else (QUERY_MEDIA_TYPE, UPDATE_MEDIA_TYPE, FORM)
         self.accepts: Mapping[str, Sequence[str]] = {"POST": taken}
 
@@ -264,13 +270,13 @@ class SparqlResource(Resource):
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self.robot.space.document_shape("SparqlEndpoint"),)
+        return (self.space.document_shape("SparqlEndpoint"),)
 
     def methods(self) -> frozenset[str]:
         return READ | {"POST"}
 
     async def state(self) -> State:
-        return self.robot.states.get_or_make(self.url, 0, lambda: State(self.document))
+        return self.states.get_or_make(self.url, 0, lambda: State(self.document))
 
     def document(self) -> Document:
         """What it says of itself."""
@@ -285,17 +291,17 @@ class SparqlResource(Resource):
             *describe_limits(service, self._service.limits),
             *triples_about(service, *statements(sd.resultFormat, _formats((*SOLUTIONS, *GRAPHS)))),
             *_extensions(service),
-            *triples_about(service, (rdfs.seeAlso, NamedNode(f"{self.robot.space.base}graphs"))),
+            *triples_about(service, (rdfs.seeAlso, NamedNode(f"{self.space.base}graphs"))),
             *triples_about(service, (ros.hasMirror, self._mirror())),
         )
 
     def _mirror(self) -> NamedNode | None:
         """Where it is told how far another store is with this dataset, where there is one (`--store`)."""
-        return NamedNode(f"{self.robot.space.base}mirror") if self.robot.settings.store_endpoints else None
+        return NamedNode(f"{self.space.base}mirror") if self.settings.store_endpoints else None
 
     def _languages(self, service: NamedNode) -> Iterable[Triple]:
         languages = [sd.SPARQL11Query] if self._updates is None else [sd.SPARQL11Query, sd.SPARQL11Update]
-        inputs = () if self.robot.settings.read_only else _formats(RDF_BODIES)
+        inputs = () if self.settings.read_only else _formats(RDF_BODIES)
         return triples_about(
             service,
             (rdf.type, sd.Service),
@@ -311,7 +317,7 @@ class SparqlResource(Resource):
         return self
 
     def _no_updates(self) -> Problem:
-        if self.robot.settings.read_only:
+        if self.settings.read_only:
             return Problem(403, "This server is read-only: it answers queries, and takes no updates.")
         taken = ", ".join(self.accepts["POST"])
         return Problem(415, "Updates are not taken here, only queries.", headers={"Accept-Post": taken})
@@ -320,7 +326,7 @@ class SparqlResource(Resource):
         accept = accept_of(exchange)
         if exchange.query.keys().isdisjoint(_PROTOCOL):
             if not exchange.query.keys().isdisjoint(_OF_GRAPHS):
-                store = f"{self.robot.space.base}graphs"
+                store = f"{self.space.base}graphs"
                 raise Problem(400, f"Graphs are read and written at {store}?graph=URL; here queries are answered.")
             return self._page(exchange.permissions) if prefers_page(accept) else None
         request = query_request("GET", exchange.request.scope["query_string"])
@@ -366,7 +372,7 @@ class SparqlResource(Resource):
     def _deprecation_links(self, deprecated: Mapping[str, str]) -> str:
         """Links to what is said of deprecated terms (RFC 9745 3), with what has taken their places as titles."""
         first = list(deprecated.items())[:_MOST_DEPRECATED]
-        links = ((term_url(iri, self.robot.space.base), words) for iri, words in first)
+        links = ((term_url(iri, self.space.base), words) for iri, words in first)
         return link.render([link.Link(url, "deprecation", title=words) for url, words in links if url is not None])
 
     def _page(

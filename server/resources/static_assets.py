@@ -7,12 +7,12 @@ from functools import partial
 
 from starlette.responses import Response
 
+from rosld.ontology.urls import Space
 from rosld.server import html
 from rosld.server.http.conditional import ETag, check_preconditions, digest
 from rosld.server.http.link import Link
 from rosld.server.hypermedia.json_schema import OBJECT
 from rosld.server.hypermedia.message_schemas import MessageSchemas
-from rosld.server.resources.context import Robot
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import LDP, RESOURCE, Resource
@@ -28,8 +28,8 @@ class FileResource(Resource):
     kind = "File"
     links = (RESOURCE, Link(f"{LDP}NonRDFSource", "type"))
 
-    def __init__(self, robot: Robot, name: str, data: bytes, media_type: str, summary: str) -> None:
-        super().__init__(robot.space.base + name)
+    def __init__(self, space: Space, name: str, data: bytes, media_type: str, summary: str) -> None:
+        super().__init__(space.base + name)
         self._data = data
         self._media_type = media_type
         self._summary = summary
@@ -69,10 +69,10 @@ _FILES: Mapping[str, tuple[bytes, str, str]] = {
 """Of each file, by its name below the base: its bytes, its media type, what it is."""
 
 
-def _file_resource(name: str, robot: Robot) -> FileResource:
+def _file_resource(name: str, space: Space) -> FileResource:
     """The file of a name in `FILES`."""
-    return FileResource(robot, name, *_FILES[name])
+    return FileResource(space, name, *_FILES[name])
 
 
-FILES: Mapping[str, Callable[[Robot], FileResource]] = {name: partial(_file_resource, name) for name in _FILES}
+FILES: Mapping[str, Callable[[Space], FileResource]] = {name: partial(_file_resource, name) for name in _FILES}
 """What makes each, by its name."""

@@ -9,13 +9,12 @@ from pyoxigraph import NamedNode
 
 from rosld.ontology.document import Document
 from rosld.ontology.triples import RDF_SOURCE, date_time_literal, double, text, triples_about
-from rosld.ontology.urls import Location
+from rosld.ontology.urls import Location, Space
 from rosld.ontology.vocab import rdf, ros
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import DataSchema
 from rosld.server.hypermedia.json_schema import TEXT, nullable
 from rosld.server.hypermedia.message_schemas import MessageSchemas
-from rosld.server.resources.context import Robot
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import Resource
 from rosld.server.rest.state import State
@@ -29,9 +28,10 @@ class StatusResource(Resource):
 
     kind = "Server status"
 
-    def __init__(self, robot: Robot, watchdog: Watchdog) -> None:
-        super().__init__(robot.space.base + ROUTE)
-        self._robot = robot
+    def __init__(self, space: Space, storage_problems: Callable[[], tuple[str, ...]], watchdog: Watchdog) -> None:
+        super().__init__(space.base + ROUTE)
+        self._space = space
+        self._storage_problems = storage_problems
         self._watchdog = watchdog
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
@@ -43,20 +43,22 @@ class StatusResource(Resource):
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self._robot.space.document_shape("ServerStatus"),)
+        return (self._space.document_shape("ServerStatus"),)
 
     async def state(self) -> State:
-        pauses, problems = self._watchdog.pauses, self._robot.storage_problems
+        pauses, problems = self._watchdog.pauses, self._storage_problems()
         return State(lambda: status_document(self.url, pauses, problems), lambda: _plain(pauses, problems))
 
 
-def status_route(watchdog: Watchdog) -> Mapping[str, Callable[[Robot, Location], Resource]]:
+def status_route(
+    space: Space, storage_problems: Callable[[], tuple[str, ...]], watchdog: Watchdog
+) -> Mapping[str, Callable[[Location], Resource]]:
     """The room of the server's status."""
 
-    def room(robot: Robot, location: Location) -> Resource:
+    def room(location: Location) -> Resource:
         if location.segments or location.is_container:
             raise Problem(404, f"There is nothing below /{ROUTE}.")
-        return StatusResource(robot, watchdog)
+        return StatusResource(space, storage_problems, watchdog)
 
     return {ROUTE: room}
 

@@ -20,12 +20,14 @@ from rosld.server.http.token_redaction import redact_tokens
 from rosld.server.hypermedia.data_schema import DataSchema
 from rosld.server.hypermedia.json_schema import TEXT, nullable
 from rosld.server.hypermedia.message_schemas import MessageSchemas
-from rosld.server.resources.context import Robot
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON
 from rosld.server.rest.path_item import PathItem, WriteMethod
 from rosld.server.rest.resource import READ, Answer, Resource, ShownAnswer
 from rosld.server.rest.state import State
+from rosld.server.robot.session import Session
+from rosld.server.robot.software_stop import SoftwareStop
+from rosld.server.runtime.version_cache import VersionCache
 
 _MAX_REASON = 500
 """Characters of a reason."""
@@ -35,16 +37,16 @@ _ABOUT = (
 )
 
 
-def unusable_reason(robot: Robot) -> str | None:
+def unusable_reason(session: Session, software_stop: SoftwareStop) -> str | None:
     """Why the robot cannot be stopped and released from here, in a sentence; None where it can."""
-    if robot.settings.read_only:
+    if session.settings.read_only:
         return "This server is read-only: it tells the robot nothing, not even to stop."
-    return None if robot.software_stop.is_usable else f"Nothing moves in a {robot.adapter.capabilities.system}."
+    return None if software_stop.is_usable else f"Nothing moves in a {session.adapter.capabilities.system}."
 
 
-def require_right(exchange: Exchange, robot: Robot) -> None:
+def require_right(exchange: Exchange, session: Session, software_stop: SoftwareStop) -> None:
     """Raise a Problem where whoever asks must not stop (POST) or release (DELETE) the robot."""
-    refusal = unusable_reason(robot)
+    refusal = unusable_reason(session, software_stop)
     if refusal is not None:
         raise Problem(403, refusal)
 
@@ -56,9 +58,11 @@ class StopResource(Resource):
     title = "Stop"
     accepts: Mapping[str, Sequence[str]] = {"POST": (JSON,)}
 
-    def __init__(self, robot: Robot) -> None:
-        super().__init__(robot.space.stop)
-        self.robot = robot
+    def __init__(self, session: Session, states: VersionCache[State], software_stop: SoftwareStop) -> None:
+        super().__init__(session.space.stop)
+        self.session = session
+        self.states = states
+        self.software_stop = software_stop
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         count: DataSchema = {"type": "integer", "minimum": 0}
@@ -81,14 +85,14 @@ class StopResource(Resource):
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self.robot.space.document_shape("Stop"),)
+        return (self.session.space.document_shape("Stop"),)
 
     def methods(self) -> frozenset[str]:
-        return READ | {"POST", "DELETE"} if unusable_reason(self.robot) is None else READ
+        return READ | {"POST", "DELETE"} if unusable_reason(self.session, self.software_stop) is None else READ
 
     def deny_reason(self, method: str) -> str:
         if method in ("POST", "DELETE"):
-            return unusable_reason(self.robot) or super().deny_reason(method)
+            return unusable_reason(self.session, self.software_stop) or super().deny_reason(method)
         return f"POST stops the robot, DELETE lets it be moved again; it does not answer {method}."
 
     async def state(self) -> State:
@@ -96,24 +100,23 @@ class StopResource(Resource):
 
     def current_state(self) -> State:
         """What it is like now."""
-        robot = self.robot
         version = (
-            robot.software_stop.revision,
-            robot.software_stop.steps,
-            robot.software_stop.stop_state,
-            robot.software_stop.warning,
+            self.software_stop.revision,
+            self.software_stop.steps,
+            self.software_stop.stop_state,
+            self.software_stop.warning,
         )
-        return robot.states.get_or_make(self.url, version, lambda: State(self.document, self._plain))
+        return self.states.get_or_make(self.url, version, lambda: State(self.document, self._plain))
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
-        return self.robot.software_stop.changes.watch(wake)
+        return self.software_stop.changes.watch(wake)
 
     def document(self) -> Document:
         """The RDF of the stop."""
-        stops = self.robot.software_stop
+        stops = self.software_stop
         stop_state = stops.stop_state
         return stop_document(
-            self.robot.space,
+            self.session.space,
             [
                 StepView(step.description, ros.terms()[step.status.value], step.words, step.affects, step.subscribers)
                 for step in stops.steps
@@ -122,7 +125,7 @@ class StopResource(Resource):
             since_ns=None if stop_state is None else stop_state.since_ns,
             reason=None if stop_state is None else stop_state.reason,
             warning=stops.warning,
-            usable=unusable_reason(self.robot) is None,
+            usable=unusable_reason(self.session, self.software_stop) is None,
         )
 
     def _plain(self) -> bytes:
@@ -130,7 +133,7 @@ class StopResource(Resource):
 
     def _plain_for(self, permissions: Permissions) -> bytes:
         """The stop as JSON, with the steps that the agent may know of."""
-        stops = self.robot.software_stop
+        stops = self.software_stop
         stop_state = stops.stop_state
         since = None if stop_state is None else date_time_literal(stop_state.since_ns)
         steps = [
@@ -153,27 +156,27 @@ class StopResource(Resource):
         return state.redact(permissions, plain=lambda: self._plain_for(permissions))
 
     async def forms(self) -> Sequence[Form]:
-        if unusable_reason(self.robot) is not None:
+        if unusable_reason(self.session, self.software_stop) is not None:
             return ()
         stop = DeleteForm("Stop the robot", "Stop", _ABOUT, method="POST")
-        if self.robot.software_stop.stop_state is None:
+        if self.software_stop.stop_state is None:
             return (stop,)
         about = "Writes reach the robot again. Nothing is begun anew by that."
         return (DeleteForm("Release the robot", "Release", about), stop)
 
     async def post(self, exchange: Exchange) -> Answer:
-        require_right(exchange, self.robot)
+        require_right(exchange, self.session, self.software_stop)
         reason = _reason(await exchange.raw_body())  # a stop is not refused for its charset
         exchange.audit.add_step("stop the robot", self.url)
-        await self.robot.software_stop.stop(exchange.agent, reason)
+        await self.software_stop.stop(exchange.agent, reason)
         return ShownAnswer(self, self.current_state())
 
     async def delete(self, exchange: Exchange) -> Answer:
-        require_right(exchange, self.robot)
-        if self.robot.software_stop.is_running:
+        require_right(exchange, self.session, self.software_stop)
+        if self.software_stop.is_running:
             raise _still_being_stopped()
         exchange.audit.add_step("let writes pass again", self.url)
-        if not await self.robot.software_stop.release(exchange.agent):
+        if not await self.software_stop.release(exchange.agent):
             raise _still_being_stopped()
         return Response(status_code=204)
 

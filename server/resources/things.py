@@ -8,11 +8,13 @@ from dataclasses import replace
 from starlette.responses import Response
 
 from rosld.ontology.serialize import serialize
+from rosld.ontology.urls import Space
 from rosld.server.auth.authenticator import UNRESTRICTED
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.auth.redaction.thing_descriptions import redact_thing_description
 from rosld.server.http import negotiation
 from rosld.server.http.conditional import ETag, digest
+from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.json_schema import OBJECT
 from rosld.server.hypermedia.message_schemas import MessageSchemas
@@ -20,7 +22,6 @@ from rosld.server.hypermedia.resource_tree import ComplexPlan, ResourceTree
 from rosld.server.hypermedia.thing_description import MEDIA_TYPE, ThingLink, thing_description
 from rosld.server.hypermedia.thing_graph import thing_document
 from rosld.server.hypermedia.views import ActionAffordance, PropertyAffordance
-from rosld.server.resources.context import Robot
 from rosld.server.resources.thing_parts import add_part_link, thing_parts
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import RDF_BODIES, VARIANTS
@@ -28,6 +29,9 @@ from rosld.server.rest.parts import PART_QUERY, parse_part
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.raw_response import bytes_response
 from rosld.server.rest.resource import RESOURCE, Resource
+from rosld.server.rest.state import State
+from rosld.server.robot.session import Session
+from rosld.server.robot.software_stop import SoftwareStop
 
 FORMAT = "td"
 _OFFERS = (*RDF_BODIES, "application/json", "text/html", MEDIA_TYPE)
@@ -41,105 +45,112 @@ def wants_thing(exchange: Exchange) -> bool:
     return accept is not None and MEDIA_TYPE in accept and negotiation.choose(accept, _OFFERS) == MEDIA_TYPE
 
 
-def thing_response(exchange: Exchange, robot: Robot, url: str, own: str, data: bytes) -> Response:
-    """The answer with a Thing Description, or a part of it, as it is for who asks, in the syntax that is asked for.
+class ThingDescriptions:
+    """Writes the Thing Descriptions of complex resources and of the whole robot, and answers with them."""
 
-    `url` is that of the resource that answers, `own` that of the description.
-    """
-    if exchange.auth is not UNRESTRICTED:
-        data = redact_thing_description(data, exchange.permissions)
-    part = parse_part(exchange.query)
-    if part is None:
-        data = add_part_link(data, own)
-    else:
-        data = part.choose(thing_parts(data, robot.space.base, own, part.below))
-    tag, media_type = f"{robot.instance_id}-{digest(data)}", _choose_syntax(exchange)
-    if media_type == MEDIA_TYPE:
-        return bytes_response(exchange, data, MEDIA_TYPE, ETag(tag, FORMAT))
-    written = serialize(thing_document(data, url), media_type)
-    return bytes_response(exchange, written, media_type, ETag(tag, f"{FORMAT}-{VARIANTS[media_type]}"))
+    def __init__(
+        self, session: Session, affordances: AffordanceService[State], software_stop: SoftwareStop, instance_id: str
+    ) -> None:
+        """`instance_id` is part of the entity tags: another one for each run of the server."""
+        self._session = session
+        self._affordances = affordances
+        self._software_stop = software_stop
+        self._instance_id = instance_id
+
+    def response(self, exchange: Exchange, url: str, own: str, data: bytes) -> Response:
+        """The answer with a Thing Description, or a part of it, as it is for who asks, in the syntax that is asked for.
+
+        `url` is that of the resource that answers, `own` that of the description.
+        """
+        if exchange.auth is not UNRESTRICTED:
+            data = redact_thing_description(data, exchange.permissions)
+        part = parse_part(exchange.query)
+        if part is None:
+            data = add_part_link(data, own)
+        else:
+            data = part.choose(thing_parts(data, self._session.space.base, own, part.below))
+        tag, media_type = f"{self._instance_id}-{digest(data)}", _choose_syntax(exchange)
+        if media_type == MEDIA_TYPE:
+            return bytes_response(exchange, data, MEDIA_TYPE, ETag(tag, FORMAT))
+        written = serialize(thing_document(data, url), media_type)
+        return bytes_response(exchange, written, media_type, ETag(tag, f"{FORMAT}-{VARIANTS[media_type]}"))
+
+    def of_complex(self, plan: ComplexPlan) -> bytes:
+        """The Thing Description of a complex resource: everything it can ever offer."""
+        properties, actions = self._of_members(plan)
+        space = self._session.space
+        up = () if plan.parent is None else (ThingLink("collection", url_of(plan.parent, space)),)
+        down = tuple(ThingLink("item", url_of(child.path, space)) for child in plan.children)
+        related = tuple(ThingLink(link.relation.value, url_of(link.target, space)) for link in plan.links)
+        title = (plan.mapped.title if plan.mapped else None) or plan.path
+        return thing_description(
+            title,
+            url_of(plan.path, space),
+            properties,
+            actions,
+            links=(*related, *up, *down),
+            whole=bool(properties),
+            stop=space.stop if self._software_stop.is_usable else None,
+            lifting=self._session.lifting,
+        )
+
+    def of_robot(self, tree: ResourceTree, permissions: Permissions = ALLOW_ALL) -> bytes:
+        """The Thing Description of the whole robot: the affordances of all its complex resources, named by their paths.
+
+        Actions are there that no complex resource lists, too.
+
+        Of a complex resource that the agent may not read, its properties are there as their own URLs have them.
+        """
+        properties: list[PropertyAffordance] = []
+        actions: list[ActionAffordance] = []
+        links: list[ThingLink] = []
+        for path in sorted(tree.paths):
+            plan = tree.complex(path)
+            assert plan is not None
+            own, acts = self._of_members(plan)
+            if permissions.may_read(url_of(path, self._session.space)):
+                properties += (replace(one, name=path[1:] + one.name) for one in own)
+            else:
+                properties += self._by_themselves(tree, plan)
+            actions += (replace(one, name=path[1:] + one.name) for one in acts)
+            if own or acts:
+                links.append(ThingLink("item", url_of(path, self._session.space)))
+        actions += self._unlisted_actions(tree, {one.url for one in actions})
+        system = self._session.adapter.capabilities.system
+        return thing_description(
+            self._session.name,
+            self._session.space.base,
+            properties,
+            actions,
+            links=links,
+            description=system,
+            stop=self._session.space.stop if self._software_stop.is_usable else None,
+            lifting=self._session.lifting,
+        )
+
+    def _of_members(self, plan: ComplexPlan) -> tuple[Sequence[PropertyAffordance], Sequence[ActionAffordance]]:
+        offers = self._affordances
+        properties = tuple(offers.member_affordance(one, write=True) for one in plan.members)
+        return properties, tuple(map(offers.action_affordance, plan.actions))
+
+    def _unlisted_actions(self, tree: ResourceTree, listed: Container[str]) -> Iterator[ActionAffordance]:
+        """The actions that no complex resource lists, because a mapping leaves them out: they have own URLs."""
+        for name in sorted(tree.actions):
+            plan = tree.action(name)
+            if plan is not None and (affordance := self._affordances.action_affordance(plan)).url not in listed:
+                yield replace(affordance, name=name[1:])
+
+    def _by_themselves(self, tree: ResourceTree, plan: ComplexPlan) -> Iterator[PropertyAffordance]:
+        """The members of a complex resource as their own URLs have them, whatever it calls them."""
+        for name in (member.url_name for member in plan.members if member.url_name is not None):
+            own = tree.property(name)
+            if own is not None:
+                yield replace(self._affordances.member_affordance(own.member, write=True), name=name[1:])
 
 
 def _choose_syntax(exchange: Exchange) -> str:
     """In which of its syntaxes a Thing Description is asked for: JSON, unless one of RDF is preferred."""
     return negotiation.choose(exchange.accept, (MEDIA_TYPE, *RDF_BODIES)) or MEDIA_TYPE
-
-
-def complex_thing(robot: Robot, plan: ComplexPlan) -> bytes:
-    """The Thing Description of a complex resource: everything it can ever offer."""
-    properties, actions = _affordances(robot, plan)
-    space = robot.space
-    up = () if plan.parent is None else (ThingLink("collection", url_of(plan.parent, space)),)
-    down = tuple(ThingLink("item", url_of(child.path, space)) for child in plan.children)
-    related = tuple(ThingLink(link.relation.value, url_of(link.target, space)) for link in plan.links)
-    title = (plan.mapped.title if plan.mapped else None) or plan.path
-    return thing_description(
-        title,
-        url_of(plan.path, space),
-        properties,
-        actions,
-        links=(*related, *up, *down),
-        whole=bool(properties),
-        stop=space.stop if robot.software_stop.is_usable else None,
-        lifting=robot.lifting,
-    )
-
-
-def robot_thing(robot: Robot, tree: ResourceTree, permissions: Permissions = ALLOW_ALL) -> bytes:
-    """The Thing Description of the whole robot: the affordances of all its complex resources, named by their paths.
-
-    Actions are there that no complex resource lists, too.
-
-    Of a complex resource that the agent may not read, its properties are there as their own URLs have them.
-    """
-    properties: list[PropertyAffordance] = []
-    actions: list[ActionAffordance] = []
-    links: list[ThingLink] = []
-    for path in sorted(tree.paths):
-        plan = tree.complex(path)
-        assert plan is not None
-        own, acts = _affordances(robot, plan)
-        if permissions.may_read(url_of(path, robot.space)):
-            properties += (replace(one, name=path[1:] + one.name) for one in own)
-        else:
-            properties += _by_themselves(robot, tree, plan)
-        actions += (replace(one, name=path[1:] + one.name) for one in acts)
-        if own or acts:
-            links.append(ThingLink("item", url_of(path, robot.space)))
-    actions += _unlisted_actions(robot, tree, {one.url for one in actions})
-    system = robot.adapter.capabilities.system
-    return thing_description(
-        robot.name,
-        robot.space.base,
-        properties,
-        actions,
-        links=links,
-        description=system,
-        stop=robot.space.stop if robot.software_stop.is_usable else None,
-        lifting=robot.lifting,
-    )
-
-
-def _affordances(robot: Robot, plan: ComplexPlan) -> tuple[Sequence[PropertyAffordance], Sequence[ActionAffordance]]:
-    offers = robot.affordances
-    properties = tuple(offers.member_affordance(one, write=True) for one in plan.members)
-    return properties, tuple(map(offers.action_affordance, plan.actions))
-
-
-def _unlisted_actions(robot: Robot, tree: ResourceTree, listed: Container[str]) -> Iterator[ActionAffordance]:
-    """The actions that no complex resource lists, because a mapping leaves them out: they answer at their own URLs."""
-    for name in sorted(tree.actions):
-        plan = tree.action(name)
-        if plan is not None and (affordance := robot.affordances.action_affordance(plan)).url not in listed:
-            yield replace(affordance, name=name[1:])
-
-
-def _by_themselves(robot: Robot, tree: ResourceTree, plan: ComplexPlan) -> Iterator[PropertyAffordance]:
-    """The members of a complex resource as their own URLs have them, whatever it calls them."""
-    for name in (member.url_name for member in plan.members if member.url_name is not None):
-        own = tree.property(name)
-        if own is not None:
-            yield replace(robot.affordances.member_affordance(own.member, write=True), name=name[1:])
 
 
 class RobotThing(Resource):
@@ -148,9 +159,11 @@ class RobotThing(Resource):
     kind = "Thing Description"
     links = (RESOURCE,)
 
-    def __init__(self, robot: Robot) -> None:
-        super().__init__(f"{robot.space.base}.well-known/wot")
-        self.robot = robot
+    def __init__(self, space: Space, affordances: AffordanceService[State], things: ThingDescriptions) -> None:
+        super().__init__(f"{space.base}.well-known/wot")
+        self.space = space
+        self.affordances = affordances
+        self.things = things
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem(
@@ -158,7 +171,6 @@ class RobotThing(Resource):
         )
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
-        tree = await self.robot.affordances.tree()
-        return thing_response(
-            exchange, self.robot, self.url, self.url, robot_thing(self.robot, tree, exchange.permissions)
-        )
+        tree = await self.affordances.tree()
+        description = self.things.of_robot(tree, exchange.permissions)
+        return self.things.response(exchange, self.url, self.url, description)

@@ -19,6 +19,7 @@ from rosld.ontology.describe_topics import topic_document
 from rosld.ontology.document import Document
 from rosld.ontology.lift import lifter
 from rosld.ontology.lower import parse_json
+from rosld.server.history.history import History
 from rosld.server.html import DeleteForm, Form, MessageForm
 from rosld.server.html.inputs import Json
 from rosld.server.http.conditional import digest, require_if_match
@@ -27,11 +28,11 @@ from rosld.server.hypermedia.data_schema import message_schema
 from rosld.server.hypermedia.json_schema import ANYTHING, OBJECT, nullable, patch_schema
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.pictures.picture import can_draw
+from rosld.server.pictures.picture_cache import PictureCache
 from rosld.server.resources.accepted_shape import message_shape, shape_query
 from rosld.server.resources.command import CommandResource
-from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.holds import create_hold, hold_form, hold_parameters, hold_schema
-from rosld.server.resources.limit_checks import topic_bounds
+from rosld.server.resources.limit_checks import LimitChecks
 from rosld.server.resources.memento import (
     SETTLED_NS,
     TIMEMAP,
@@ -65,11 +66,14 @@ from rosld.server.rest.path_item import FIELD, FIELD_READS, FORMAT, PathItem, Qu
 from rosld.server.rest.plan import Plan, RobotWrite
 from rosld.server.rest.resource import READ, Answer, Resource
 from rosld.server.rest.state import State
+from rosld.server.robot.hold_store import Holds
 from rosld.server.robot.publication import publish
+from rosld.server.robot.session import Session
 from rosld.server.robot.topic_view import TopicView
 from rosld.server.robot.velocity import is_velocity_topic
 from rosld.server.robot.write_policy import RESERVED, denied_reason, resources_only_reason
 from rosld.server.runtime.signals import combine_watches
+from rosld.server.runtime.version_cache import IdentityKey, VersionCache
 
 _LEGAL = re.compile(r"(/[A-Za-z][A-Za-z0-9_]*)+")
 _LATCH = QueryParameter("latch", "Whether subscribers that come later get the message.", {"type": "boolean"})
@@ -85,14 +89,29 @@ class TopicResource(CommandResource):
         "POST": (*RDF_BODIES, JSON),
     }
 
-    def __init__(self, robot: Robot, name: str, find: Callable[[str], Resource] | None = None) -> None:
+    def __init__(
+        self,
+        session: Session,
+        limit_checks: LimitChecks,
+        states: VersionCache[State],
+        history: History,
+        holds: Holds,
+        pictures: PictureCache,
+        name: str,
+        find: Callable[[str], Resource] | None = None,
+    ) -> None:
         """`find` gives the resource at a path below the base, where a request may name one."""
-        super().__init__(robot.space.topic(name))
+        super().__init__(session.space.topic(name))
         self._find = find
         self.title = name
-        self.robot = robot
+        self.session = session
+        self.limit_checks = limit_checks
+        self.states = states
+        self.history = history
+        self.holds = holds
+        self.pictures = pictures
         self.name = name
-        self._publishing = Publisher(robot, name)
+        self._publishing = Publisher(session, limit_checks, name)
         self._allowed: tuple[Graph, frozenset[str], str | None] | None = None
 
     @property
@@ -102,7 +121,7 @@ class TopicResource(CommandResource):
 
     async def prepare(self) -> None:
         """One that is recorded is its own TimeGate, and says so."""
-        gate = timegate_links(self.url) if is_recorded(self.robot, self.name) else ()
+        gate = timegate_links(self.url) if is_recorded(self.history, self.name) else ()
         self.links = (*type(self).links, *gate)
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
@@ -155,13 +174,13 @@ class TopicResource(CommandResource):
     @property
     def _takes_zero(self) -> bool:
         """Whether it is a velocity topic."""
-        topic, robot = self.topic, self.robot
-        return topic is not None and is_velocity_topic(topic, robot.graph, robot.settings.stop_zero)
+        topic = self.topic
+        return topic is not None and is_velocity_topic(topic, self.session.graph, self.session.settings.stop_zero)
 
     @property
     def is_holdable(self) -> bool:
         """Whether to hold it is on offer now."""
-        return "POST" in self.methods() and not self.robot.is_stopped
+        return "POST" in self.methods() and not self.session.is_stopped
 
     def unwritable_reason(self) -> str | None:
         """Why nothing may be published here, in a sentence; None where it may."""
@@ -169,7 +188,7 @@ class TopicResource(CommandResource):
 
     def _allowance(self) -> tuple[Graph, frozenset[str], str | None]:
         """The verbs and the refusal in the graph as it is: found once a graph."""
-        graph = self.robot.graph
+        graph = self.session.graph
         if self._allowed is None or self._allowed[0] is not graph:
             denied_reason = self._refusal()
             self._allowed = (graph, self._verbs(denied_reason), denied_reason)
@@ -178,28 +197,31 @@ class TopicResource(CommandResource):
     def _verbs(self, denied_reason: str | None) -> frozenset[str]:
         """The verbs of a topic that is there; of one that is not, what makes it: nothing can be read of it."""
         verbs = READ if denied_reason else self._writing()
-        is_there = self.topic is not None or redirect_to_namespace(self.robot, "topics", self.name) is not None
+        is_there = (
+            self.topic is not None
+            or redirect_to_namespace(self.session.space, self.session.graph, "topics", self.name) is not None
+        )
         return verbs if is_there else verbs - {"GET", "HEAD"}
 
     def _writing(self) -> frozenset[str]:
         topic = self.topic
         if topic is None:
             return READ | {"PUT"}
-        own = any(endpoint.node == self.robot.graph.own_node for endpoint in topic.publishers)
+        own = any(endpoint.node == self.session.graph.own_node for endpoint in topic.publishers)
         verbs = READ | {"PUT", "PATCH", "POST"} if topic.type is not None else READ | {"PUT", "PATCH"}
         return verbs | {"DELETE"} if own else verbs
 
     def _refusal(self) -> str | None:
-        robot, topic = self.robot, self.topic
-        if robot.settings.read_only:
+        topic = self.topic
+        if self.session.settings.read_only:
             return "This server is read-only."
-        if robot.is_resources_only(self.name):
+        if self.session.is_resources_only(self.name):
             return resources_only_reason(self.name)
-        if Operation.PUBLISH not in robot.adapter.allows(Ref(Kind.TOPIC, self.name)):
-            return f"Nothing can be published on {self.name} of a {robot.adapter.capabilities.system}."
+        if Operation.PUBLISH not in self.session.adapter.allows(Ref(Kind.TOPIC, self.name)):
+            return f"Nothing can be published on {self.name} of a {self.session.adapter.capabilities.system}."
         if topic is not None:
-            return denied_reason(topic, robot.graph, robot.settings.allow_publish)
-        if self.name in RESERVED and self.name not in robot.settings.allow_publish:
+            return denied_reason(topic, self.session.graph, self.session.settings.allow_publish)
+        if self.name in RESERVED and self.name not in self.session.settings.allow_publish:
             return f"{self.name} belongs to ROS itself."
         return None if _LEGAL.fullmatch(self.name) else f"{self.name!r} is no legal name for a new topic."
 
@@ -209,37 +231,39 @@ class TopicResource(CommandResource):
         return self.unwritable_reason() or super().deny_reason(method)
 
     async def state(self) -> State:
-        robot = self.robot
-        view = robot.topics.find_view(self.name)
+        view = self.session.topics.find_view(self.name)
         if view is None:
-            if self.name not in robot.graph.topics:
+            if self.name not in self.session.graph.topics:
                 raise self._missing()
-            view = await robot.topics.read(self.name)
+            view = await self.session.topics.read(self.name)
         return await self.state_of(view)
 
     def _missing(self) -> Problem:
         """Why nothing can be read where there is no topic of this name (now)."""
-        return redirect_to_namespace(self.robot, "topics", self.name) or Problem(404, f"There is no topic {self.name}.")
+        return redirect_to_namespace(self.session.space, self.session.graph, "topics", self.name) or Problem(
+            404, f"There is no topic {self.name}."
+        )
 
     async def state_of(self, view: TopicView) -> State:
         """The state with these values; at once where the types of their messages are at hand."""
-        robot = self.robot
-        graph = robot.graph
+        graph = self.session.graph
         topic = graph.topics.get(self.name) or Topic(self.name)
-        hold = robot.holds.find_by_topic(self.name)
+        hold = self.holds.find_by_topic(self.name)
         version = (
             *(IdentityKey(topic), IdentityKey(view), graph.simulated_time, hold and hold.id, self.is_holdable),
-            is_recorded(robot, self.name),
+            is_recorded(self.history, self.name),
         )
-        known = robot.states.find(self.url, version)
+        known = self.states.find(self.url, version)
         if known is None:
-            decoded = [await decode(robot, sample) for sample in view.samples]
-            known = robot.states.put(self.url, version, self._state(topic, view, decoded))
+            decoded = [await decode(self.session.schemas, sample) for sample in view.samples]
+            known = self.states.put(self.url, version, self._state(topic, view, decoded))
         return known
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
-        holds = self.robot.holds.changes.watch(wake, lambda about: about == self.name)
-        return combine_watches(await self.robot.topics.watch(self.name, wake), self.robot.changes.watch(wake), holds)
+        holds = self.holds.changes.watch(wake, lambda about: about == self.name)
+        return combine_watches(
+            await self.session.topics.watch(self.name, wake), self.session.changes.watch(wake), holds
+        )
 
     def _state(self, topic: Topic, view: TopicView, decoded: Sequence[DecodedSample]) -> State:
         newest = decoded[-1] if decoded else None
@@ -249,19 +273,19 @@ class TopicResource(CommandResource):
                 return b"null"
             if newest.schema is None or newest.message is None:
                 raise Problem(406, f"The messages of {self.name} cannot be read: {newest.reason}.")
-            return lifter(newest.schema, self.robot.lifting).json(newest.message, self.url)
+            return lifter(newest.schema, self.session.lifting).json(newest.message, self.url)
 
-        hold, can = self.robot.holds.find_by_topic(self.name), self.is_holdable
+        hold, can = self.holds.find_by_topic(self.name), self.is_holdable
         said = f"{topic!r}{view.version_key()}{hold and hold.id}{can}{[one.reason for one in decoded]}"
         token = digest(said.encode("utf-8", "replace"))
-        recorded = bool(self.robot.adapter.recordings)  # a recording's times are of the past: no Age (RFC 9111 5.1)
+        recorded = bool(self.session.adapter.recordings)  # a recording's times are of the past: no Age (RFC 9111 5.1)
         received = view.newest.received_ns if view.newest and not recorded else None
         return State(
             lambda: self._document(topic, view, decoded),
             plain,
             token,
             received,
-            headers={"vary": VARY} if is_recorded(self.robot, self.name) else {},
+            headers={"vary": VARY} if is_recorded(self.history, self.name) else {},
             shapes=self._shapes(topic, decoded),
         )
 
@@ -270,21 +294,22 @@ class TopicResource(CommandResource):
         if len(topic.types) > 1:
             return ()
         schemas = (one.schema for one in decoded)
-        return tuple(dict.fromkeys(self.robot.space.shape(one.ref.name) for one in schemas if one is not None))
+        return tuple(dict.fromkeys(self.session.space.shape(one.ref.name) for one in schemas if one is not None))
 
     def _document(self, topic: Topic, view: TopicView, decoded: Sequence[DecodedSample]) -> Document:
-        robot = self.robot
-        found = [lift_sample(robot, one) for one in decoded if one.message is not None]
-        hold = robot.holds.find_by_topic(self.name)
+        found = [
+            lift_sample(self.session.space, self.session.lifting, one) for one in decoded if one.message is not None
+        ]
+        hold = self.holds.find_by_topic(self.name)
         reason = next((one.reason for one in decoded if one.reason), topic.unreadable)
         return topic_document(
-            topic, robot.space, robot.graph, view.rate, found, unreadable=reason,
+            topic, self.session.space, self.session.graph, view.rate, found, unreadable=reason,
             holdable=self.is_holdable, hold=None if hold is None else hold.id,
         )  # fmt: skip
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self.robot.space.document_shape("Topic"),)
+        return (self.session.space.document_shape("Topic"),)
 
     @property
     def constrained_by(self) -> str | None:
@@ -295,62 +320,78 @@ class TopicResource(CommandResource):
         topic = self.topic
         if topic is None or topic.type is None:
             return None
-        schema = await self.robot.schemas.message(topic.type)
-        return await message_shape(self.robot, Kind.TOPIC, self.name, schema, url, "#message")
+        schema = await self.session.schemas.message(topic.type)
+        return await message_shape(
+            self.session.space, self.limit_checks, Kind.TOPIC, self.name, schema, url, "#message"
+        )
 
     async def forms(self) -> Sequence[Form]:
         methods, topic = self.methods(), self.topic
         forms: list[Form] = []
         if "PUT" in methods and topic is not None and topic.type is not None:
             with contextlib.suppress(RosError):
-                forms += await self._message_forms(await self.robot.schemas.message(topic.type))
+                forms += await self._message_forms(await self.session.schemas.message(topic.type))
         if "DELETE" in methods:
             forms.append(DeleteForm("Stop advertising", "Stop advertising", f"rosld no longer publishes {self.name}."))
         return forms
 
     async def _message_forms(self, schema: MessageSchema) -> Sequence[Form]:
         """The forms that publish and hold, that with a pad first; while the robot is stopped what publishes zero."""
-        robot = self.robot
-        if robot.is_stopped:
+        if self.session.is_stopped:
             return (MessageForm(schema, title="Publish zero", about="The robot is stopped: nothing else passes."),)
         latest = await self._latest_json()
-        hold = hold_form(robot, self.name, schema, latest, await topic_bounds(robot, self.name, schema))
+        hold = hold_form(
+            self.session, self.name, schema, latest, await self.limit_checks.topic_bounds(self.name, schema)
+        )
         publish = MessageForm(schema, value=latest)
         return (publish, hold) if hold.pad is None else (hold, publish)
 
     async def _latest_json(self) -> Json:
         """The latest message as plain JSON, None where there is none that can be read."""
-        view = self.robot.topics.find_view(self.name)
+        view = self.session.topics.find_view(self.name)
         if view is None or view.newest is None:
             return None
-        decoded = await decode(self.robot, view.newest)
+        decoded = await decode(self.session.schemas, view.newest)
         if decoded.schema is None or decoded.message is None:
             return None
-        return cast(Json, parse_json(lifter(decoded.schema, self.robot.lifting).json(decoded.message, self.url)))
+        return cast(Json, parse_json(lifter(decoded.schema, self.session.lifting).json(decoded.message, self.url)))
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """`?series=FIELD`, `?at=TIME`, `?timemap`: out of the history."""
         if exchange.method in ("GET", "HEAD"):
             query = exchange.query if exchange.request.scope["query_string"] else {}
             if "series" in query:
-                return series_of(self.robot, self.name, exchange)
+                return series_of(self.session.space, self.history, self.name, exchange)
             if "timemap" in query:
-                require_history(self.robot, self.name)
-                return time_map_of(self.robot, self.name, exchange)
+                require_history(self.history, self.name)
+                return time_map_of(self.session.space, self.history, self.name, exchange)
             if "at" in query:
                 return await self._past(query["at"])
-            if "accept-datetime" in exchange.headers and is_recorded(self.robot, self.name):
-                raise await negotiate_topic(self.robot, self.name, exchange.headers["accept-datetime"])
+            if "accept-datetime" in exchange.headers and is_recorded(self.history, self.name):
+                raise await negotiate_topic(
+                    self.session.space, self.history, self.name, exchange.headers["accept-datetime"]
+                )
         return await super().select_variant(exchange)
 
     async def _past(self, text: str) -> Resource:
         """The topic as it was. Raises Problems."""
-        require_history(self.robot, self.name)
+        require_history(self.history, self.name)
         at, now = read_time(text, time.time_ns()), time.time_ns()
-        sample = await read_history(lambda: self.robot.history.writer.latest_at(self.name, at))
+        sample = await read_history(lambda: self.history.writer.latest_at(self.name, at))
         if sample is None:
             raise Problem(404, f"Nothing is recorded of {self.name} until {text}.")
-        return PastTopic(self.robot, self.name, sample, text, is_settled=at < now - SETTLED_NS)
+        return PastTopic(
+            self.session,
+            self.limit_checks,
+            self.states,
+            self.history,
+            self.holds,
+            self.pictures,
+            self.name,
+            sample,
+            text,
+            is_settled=at < now - SETTLED_NS,
+        )
 
     @property
     def is_picture(self) -> bool:
@@ -367,21 +408,23 @@ class TopicResource(CommandResource):
             return None
         if self.topic is None:
             raise self._missing()
-        view = await self.robot.topics.read(self.name, wait_for_publisher=True)
+        view = await self.session.topics.read(self.name, wait_for_publisher=True)
         if view.newest is None:
             raise Problem(404, f"{self.name} has no message yet, so no field {exchange.query['field']!r}.")
-        return await field_response(self.robot, view.newest, exchange.query["field"])
+        return await field_response(self.session.schemas, view.newest, exchange.query["field"])
 
     async def _picture(self, exchange: Exchange, wanted: str) -> Response | Motion:
         if self.topic is None:
             raise self._missing()
         require_picture(self.name, self.topic.types)
-        view = await self.robot.topics.read(self.name, wait_for_publisher=True)
+        view = await self.session.topics.read(self.name, wait_for_publisher=True)
         if wanted == MOTION:
-            return await picture_motion(self.robot, self.name, view.newest, exchange)
+            return await picture_motion(self.session, self.pictures, self.name, view.newest, exchange)
         if view.newest is None:
             raise Problem(404, f"{self.name} has no message yet, so no picture.")
-        return await picture_response(self, self.robot, self.name, view.newest, exchange, wanted)
+        return await picture_response(
+            self, self.session.schemas, self.pictures, self.name, view.newest, exchange, wanted
+        )
 
     async def plan_graph_write(self, triples: Sequence[Triple] | None) -> Plan:
         denied_reason = self.unwritable_reason()
@@ -392,7 +435,7 @@ class TopicResource(CommandResource):
         plan = await self._publishing.plan_graph(triples)
 
         async def carried_out() -> bool:
-            return (await publish(self.robot, plan.publication)).matched > 0
+            return (await publish(self.session, plan.publication)).matched > 0
 
         return RobotWrite(f"publish a {plan.publication.type.name} on {self.name}", carried_out)
 
@@ -400,7 +443,9 @@ class TopicResource(CommandResource):
         return await self._publishing.carry_out(await self._publishing.plan(exchange), exchange.accept)
 
     async def post(self, exchange: Exchange) -> Answer:
-        return await create_hold(exchange, self.robot, self.name, self._find)
+        return await create_hold(
+            exchange, self.session, self.limit_checks, self.states, self.holds, self.name, self._find
+        )
 
     async def patch(self, exchange: Exchange) -> Answer:
         require_if_match(exchange.header("if-match"), "PATCH changes the latest message, which changes often.")
@@ -409,7 +454,7 @@ class TopicResource(CommandResource):
         return await self._publishing.carry_out(plan, exchange.accept)
 
     async def delete(self, exchange: Exchange) -> Answer:
-        await self.robot.adapter.unadvertise(self.name)
+        await self.session.adapter.unadvertise(self.name)
         return Response(status_code=204)
 
 
@@ -419,9 +464,22 @@ class PastTopic(TopicResource):
     kind = "Topic as it was"
     is_cacheable = False
 
-    def __init__(self, robot: Robot, name: str, sample: Sample, text: str, *, is_settled: bool) -> None:
-        super().__init__(robot, name)
-        self.links = (*self.links, *timegate_links(robot.space.topic(name)))
+    def __init__(
+        self,
+        session: Session,
+        limit_checks: LimitChecks,
+        states: VersionCache[State],
+        history: History,
+        holds: Holds,
+        pictures: PictureCache,
+        name: str,
+        sample: Sample,
+        text: str,
+        *,
+        is_settled: bool,
+    ) -> None:
+        super().__init__(session, limit_checks, states, history, holds, pictures, name)
+        self.links = (*self.links, *timegate_links(session.space.topic(name)))
         self._sample = sample
         self._text = text
         self._is_settled = is_settled
@@ -442,8 +500,8 @@ class PastTopic(TopicResource):
 
     async def state(self) -> State:
         """The topic with the message that was its newest then."""
-        topic = self.robot.graph.topics.get(self.name) or Topic(self.name)
-        decoded = await decode(self.robot, self._sample)
+        topic = self.session.graph.topics.get(self.name) or Topic(self.name)
+        decoded = await decode(self.session.schemas, self._sample)
         state = self._state(topic, TopicView((self._sample,)), [decoded])
         headers = {"memento-datetime": memento_datetime(self._sample.received_ns)} if self._is_settled else {}
         return replace(state, headers={**headers, "vary": VARY}, received_ns=None)
@@ -456,7 +514,9 @@ class PastTopic(TopicResource):
         wanted = picture_type(exchange, is_picture=self.is_picture)
         if wanted is not None:
             require_picture(self.name, (self._sample.schema,))
-            return await picture_response(self, self.robot, self.name, self._sample, exchange, wanted)
+            return await picture_response(
+                self, self.session.schemas, self.pictures, self.name, self._sample, exchange, wanted
+            )
         if "field" not in exchange.query:
             return None
-        return await field_response(self.robot, self._sample, exchange.query["field"])
+        return await field_response(self.session.schemas, self._sample, exchange.query["field"])

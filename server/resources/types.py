@@ -15,24 +15,31 @@ from rosld.adapters.model import Schema, TypeRef, halves_of
 from rosld.ontology.describe_containers import type_container_document
 from rosld.ontology.describe_types import type_document
 from rosld.ontology.document import Document
-from rosld.ontology.urls import Location
+from rosld.ontology.urls import Location, Space
 from rosld.ontology.vocab import dcterms, rdf
 from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.policies import active_limits
-from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.ldp.base import EXTRA_STATUSES
 from rosld.server.resources.ldp.bodies import require_small
 from rosld.server.resources.ldp.containers import ContainerResource
+from rosld.server.resources.ldp.documents import Documents
 from rosld.server.resources.ldp.representation import all_members
 from rosld.server.resources.ldp.routes import stored_route
+from rosld.server.resources.limit_checks import LimitChecks
 from rosld.server.resources.limit_places import datatypes_of_limits, load_limited_types
 from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.paging import PagePosition
 from rosld.server.rest.path_item import FORMAT, PAGE, PathItem, QueryParameter
+from rosld.server.rest.prefer_container import ALL_PARTS, ContainerParts
 from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource, permanent_redirect
 from rosld.server.rest.state import State
-from rosld.server.robot.session import used_types
+from rosld.server.robot.schemas import Schemas
+from rosld.server.robot.session import Session, used_types
+from rosld.server.runtime.version_cache import IdentityKey, VersionCache
+from rosld.server.settings import Settings
 from rosld.server.storage import Put, Record
 from rosld.server.storage.record_documents import record_document
 from rosld.shapes.data import data_shape, documents_shape, query_shape
@@ -58,18 +65,19 @@ class TypeResource(Resource):
 
     kind = "Type"
 
-    def __init__(self, robot: Robot, name: str, hash: str | None = None) -> None:
-        super().__init__(robot.space.type(TypeRef(name, hash)))
-        self.robot = robot
+    def __init__(self, session: Session, states: VersionCache[State], name: str, hash: str | None = None) -> None:
+        super().__init__(session.space.type(TypeRef(name, hash)))
+        self.session = session
+        self.states = states
         self.ref = TypeRef(name, hash)
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self.robot.space.document_shape("Type"),)
+        return (self.session.space.document_shape("Type"),)
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         hash = exchange.query.get("hash")
-        return self if hash is None else TypeResource(self.robot, self.ref.name, hash)
+        return self if hash is None else TypeResource(self.session, self.states, self.ref.name, hash)
 
     async def current_methods(self) -> frozenset[str]:
         return await self.methods_if_there()
@@ -78,12 +86,12 @@ class TypeResource(Resource):
         return PathItem("One of the types", query=(FORMAT, _HASH))
 
     async def state(self) -> State:
-        schema = await schema_of(self.robot, self.ref)
-        variants = tuple(ref for ref in known_types(self.robot) if ref.name == self.ref.name)
-        return self.robot.states.get_or_make(
+        schema = await schema_of(self.session.schemas, self.ref)
+        variants = tuple(ref for ref in known_types(self.session) if ref.name == self.ref.name)
+        return self.states.get_or_make(
             self.url,
             (IdentityKey(schema), variants),
-            lambda: State(lambda: type_document(schema, self.robot.space, variants)),
+            lambda: State(lambda: type_document(schema, self.session.space, variants)),
         )
 
 
@@ -92,9 +100,11 @@ class ShapeResource(Resource):
 
     kind = "Shape"
 
-    def __init__(self, robot: Robot, name: str) -> None:
-        super().__init__(robot.space.shape(name))
-        self.robot = robot
+    def __init__(self, space: Space, schemas: Schemas, states: VersionCache[State], name: str) -> None:
+        super().__init__(space.shape(name))
+        self.space = space
+        self.schemas = schemas
+        self.states = states
         self.name = name
 
     async def current_methods(self) -> frozenset[str]:
@@ -108,9 +118,9 @@ class ShapeResource(Resource):
         return (SHACL_SHACL,)
 
     async def state(self) -> State:
-        schema = await schema_of(self.robot, TypeRef(self.name))
-        return self.robot.states.get_or_make(
-            self.url, IdentityKey(schema), lambda: State(lambda: shape_document(schema, self.robot.space))
+        schema = await schema_of(self.schemas, TypeRef(self.name))
+        return self.states.get_or_make(
+            self.url, IdentityKey(schema), lambda: State(lambda: shape_document(schema, self.space))
         )
 
 
@@ -119,16 +129,26 @@ class ShapesGraphResource(Resource):
 
     kind = "Shape"
 
-    def __init__(self, robot: Robot, name: str) -> None:
-        super().__init__(robot.space.shape(name))
-        self.robot = robot
+    def __init__(
+        self,
+        session: Session,
+        affordances: AffordanceService[State],
+        limit_checks: LimitChecks,
+        states: VersionCache[State],
+        name: str,
+    ) -> None:
+        super().__init__(session.space.shape(name))
+        self.session = session
+        self.affordances = affordances
+        self.limit_checks = limit_checks
+        self.states = states
         self.title = name
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem(_SUMMARIES[self.title])
 
     def deny_reason(self, method: str) -> str:
-        return _deny_reason(self.robot, self.url, method)
+        return _deny_reason(self.session.space, self.session.settings, self.url, method)
 
     async def current_methods(self) -> frozenset[str]:
         return await self.methods_if_there()
@@ -139,18 +159,20 @@ class ShapesGraphResource(Resource):
 
     async def state(self) -> State:
         if self.title == LIMITS:
-            await load_limited_types(self.robot)
-        key, describe = shapes_graph(self.robot, self.title)
-        return self.robot.states.get_or_make(self.url, key, lambda: State(describe))
+            await load_limited_types(self.session, self.affordances, self.limit_checks)
+        key, describe = shapes_graph(self.session, self.affordances, self.limit_checks, self.title)
+        return self.states.get_or_make(self.url, key, lambda: State(describe))
 
 
-def shapes_graph(robot: Robot, name: str) -> tuple[object, Callable[[], Document]]:
+def shapes_graph(
+    session: Session, affordances: AffordanceService[State], limit_checks: LimitChecks, name: str
+) -> tuple[object, Callable[[], Document]]:
     """One of SHAPES_GRAPHS: what tells whether it is the same as before, and what describes it."""
-    url = robot.space.shape(name)
+    url = session.space.shape(name)
     if name != LIMITS:
         return name, partial(_SHAPES[name], url)
-    datatypes, graph = datatypes_of_limits(robot), robot.limits.graph
-    return (IdentityKey(robot.limits), datatypes), lambda: Document(url, (*graph, *datatypes))
+    datatypes, graph = datatypes_of_limits(session, affordances, limit_checks), limit_checks.limits.graph
+    return (IdentityKey(limit_checks.limits), datatypes), lambda: Document(url, (*graph, *datatypes))
 
 
 _SHAPES: Mapping[str, Callable[[str], Document]] = {
@@ -167,9 +189,10 @@ class TypeContainer(Resource):
     kind = "Types"
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
 
-    def __init__(self, robot: Robot, room: str, namespace: tuple[str, ...]) -> None:
-        super().__init__(robot.space.container(room, namespace))
-        self.robot = robot
+    def __init__(self, session: Session, states: VersionCache[State], room: str, namespace: tuple[str, ...]) -> None:
+        super().__init__(session.space.container(room, namespace))
+        self.session = session
+        self.states = states
         self.room = room
         self.namespace = namespace
 
@@ -179,37 +202,37 @@ class TypeContainer(Resource):
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self.robot.space.document_shape("Container"),)
+        return (self.session.space.document_shape("Container"),)
 
     async def state(self) -> State:
-        listed = sorted({ref.name for ref in known_types(self.robot)})
+        listed = sorted({ref.name for ref in known_types(self.session)})
         below = child_names(listed, self.room, self.namespace)
         if self.namespace and not below:
             raise Problem(404, f"No type of {'/'.join(self.namespace)} is known.")
-        return self.robot.states.get_or_make(
+        return self.states.get_or_make(
             self.url,
             below,
-            lambda: State(lambda: type_container_document(self.room, self.namespace, below, self.robot.space)),
+            lambda: State(lambda: type_container_document(self.room, self.namespace, below, self.session.space)),
         )
 
 
-async def schema_of(robot: Robot, ref: TypeRef) -> Schema:
+async def schema_of(schemas: Schemas, ref: TypeRef) -> Schema:
     """The schema of a type or of one of the messages of a service or an action; raises UnknownType."""
     base, _, end = ref.name.rpartition("_")
     if any(part in ref.name and end in ends for part, ends in _HALVES.items()):
-        whole = await robot.schemas.get(TypeRef(base, ref.hash))
+        whole = await schemas.get(TypeRef(base, ref.hash))
         for half in halves_of(whole):
             if half.ref.name == ref.name:
                 return half
-    return await robot.schemas.get(ref)
+    return await schemas.get(ref)
 
 
 _HALVES = {"/srv/": ("Request", "Response"), "/action/": ("Goal", "Result", "Feedback")}
 
 
-def known_types(robot: Robot) -> Sequence[TypeRef]:
+def known_types(session: Session) -> Sequence[TypeRef]:
     """The types in use or met so far, each name and hash once."""
-    return list(dict.fromkeys([*robot.adapter.known_types(), *used_types(robot.graph)]))
+    return list(dict.fromkeys([*session.adapter.known_types(), *used_types(session.graph)]))
 
 
 def child_names(listed: Sequence[str], room: str, namespace: tuple[str, ...]) -> tuple[str, ...]:
@@ -219,28 +242,34 @@ def child_names(listed: Sequence[str], room: str, namespace: tuple[str, ...]) ->
     return (*below, *SHAPES_GRAPHS) if room == "shapes" and not namespace else below
 
 
-def type_route(robot: Robot, location: Location) -> Resource:
+def type_route(session: Session, states: VersionCache[State], location: Location) -> Resource:
     """`/types/` and below."""
     if location.is_container or len(location.segments) < 3:
-        return _container(robot, "types", location)
-    return TypeResource(robot, "/".join(location.segments))
+        return _container(session, states, "types", location)
+    return TypeResource(session, states, "/".join(location.segments))
 
 
-def shape_route(robot: Robot, location: Location) -> Resource:
+def shape_route(
+    session: Session,
+    affordances: AffordanceService[State],
+    limit_checks: LimitChecks,
+    documents: Documents,
+    location: Location,
+) -> Resource:
     """`/shapes/` and below: shapes of types, and beside their packages the limits that clients keep."""
     if location.is_container and not location.segments:
-        return LimitsContainer(robot, active_limits.ROUTE)
+        return LimitsContainer(session, documents, active_limits.ROUTE)
     if len(location.segments) == 1:
         name = location.segments[0]
         if name in SHAPES_GRAPHS and not location.is_container:
-            return ShapesGraphResource(robot, name)
-        if not location.is_container and name in _packages(robot):
-            return PackageRedirect(robot, name)
+            return ShapesGraphResource(session, affordances, limit_checks, documents.states, name)
+        if not location.is_container and name in _packages(session):
+            return PackageRedirect(session.space, session.settings, name)
         if not location.is_container:
-            return stored_route(robot, location)
+            return stored_route(documents, location)
     if location.is_container or len(location.segments) < 3:
-        return _container(robot, "shapes", location)
-    return ShapeResource(robot, "/".join(location.segments))
+        return _container(session, documents.states, "shapes", location)
+    return ShapeResource(session.space, session.schemas, documents.states, "/".join(location.segments))
 
 
 class PackageRedirect(Resource):
@@ -249,12 +278,13 @@ class PackageRedirect(Resource):
     kind = "Shape"
     is_cacheable = False
 
-    def __init__(self, robot: Robot, name: str) -> None:
-        super().__init__(robot.space.shape(name))
-        self.robot = robot
+    def __init__(self, space: Space, settings: Settings, name: str) -> None:
+        super().__init__(space.shape(name))
+        self.space = space
+        self.settings = settings
 
     def deny_reason(self, method: str) -> str:
-        return _deny_reason(self.robot, self.url, method)
+        return _deny_reason(self.space, self.settings, self.url, method)
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         if exchange.method in ("GET", "HEAD"):
@@ -265,28 +295,39 @@ class PackageRedirect(Resource):
 class LimitsContainer(ContainerResource):
     """`/shapes/`: the packages with the shapes of their types, and the limits that clients keep."""
 
+    def __init__(
+        self,
+        session: Session,
+        documents: Documents,
+        path: str,
+        parts: ContainerParts = ALL_PARTS,
+        place: PagePosition | None = None,
+    ) -> None:
+        super().__init__(documents, path, parts, place)
+        self.session = session
+
     async def select_variant(self, exchange: Exchange) -> Resource:
         found = await super().select_variant(exchange)
         if type(found) is ContainerResource:
-            return LimitsContainer(self.robot, self.path, found._parts, found._place)
+            return LimitsContainer(self.session, self.documents, self.path, found._parts, found._place)
         return found
 
     def is_taken(self, name: str) -> bool:
-        return name in SHAPES_GRAPHS or name in _packages(self.robot) or super().is_taken(name)
+        return name in SHAPES_GRAPHS or name in _packages(self.session) or super().is_taken(name)
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem("Shapes", query=(FORMAT, PAGE), also=EXTRA_STATUSES)
 
     async def state(self) -> State:
         kept = await super().state()
-        listed = _generate(self.robot)
+        listed = _generate(self.session)
         is_here = self._parts.containment and (self._place is None or self._place.after == 0)
         more = tuple(one for one in listed.triples if _is_of(one, containment=is_here, minimal=self._parts.minimal))
 
         def describe() -> Document:
             return Document(kept.document.url, tuple(dict.fromkeys((*kept.document.triples, *more))))
 
-        return self.robot.states.get_or_make(
+        return self.documents.states.get_or_make(
             f"{self.url}?{self._place}#{self._parts.variant} with what is generated",
             (IdentityKey(kept), more),
             lambda: replace(kept, describe=describe, token=f"{kept.tag}-{digest(repr(more).encode())}", renderings={}),
@@ -296,7 +337,7 @@ class LimitsContainer(ContainerResource):
         self, record: Record, triples: Sequence[Triple], expected: int | None, said: Set[Triple] = frozenset()
     ) -> Put:
         require_small(triples)
-        own = set(_generate(self.robot).triples)
+        own = set(_generate(self.session).triples)
         return await super().with_triples(record, [one for one in triples if one not in own], expected, said)
 
 
@@ -305,37 +346,37 @@ def _is_of(triple: Triple, *, containment: bool, minimal: bool) -> bool:
     return minimal if triple.predicate in (dcterms.title, rdf.type) else containment
 
 
-def _generate(robot: Robot) -> Document:
+def _generate(session: Session) -> Document:
     """What `/shapes/` says of what nobody keeps there."""
-    return type_container_document("shapes", (), child_names(_list(robot), "shapes", ()), robot.space)
+    return type_container_document("shapes", (), child_names(_list(session), "shapes", ()), session.space)
 
 
-def shapes_document(robot: Robot) -> Document:
+def shapes_document(session: Session, documents: Documents) -> Document:
     """What `/shapes/` says with all that is in it, as it is now."""
-    record = robot.records.get(active_limits.ROUTE)
+    record = documents.records.get(active_limits.ROUTE)
     assert record is not None
-    members = [robot.space.base + member.path for member in all_members(robot, record)]
-    kept = record_document(record, robot.space.container("shapes"), members, ())
-    return Document(kept.url, tuple(dict.fromkeys((*kept.triples, *_generate(robot).triples))))
+    members = [session.space.base + member.path for member in all_members(documents.records, record)]
+    kept = record_document(record, session.space.container("shapes"), members, ())
+    return Document(kept.url, tuple(dict.fromkeys((*kept.triples, *_generate(session).triples))))
 
 
-def _list(robot: Robot) -> list[str]:
-    return sorted({ref.name for ref in known_types(robot)})
+def _list(session: Session) -> list[str]:
+    return sorted({ref.name for ref in known_types(session)})
 
 
-def _packages(robot: Robot) -> set[str]:
-    return {ref.name.partition("/")[0] for ref in known_types(robot)}
+def _packages(session: Session) -> set[str]:
+    return {ref.name.partition("/")[0] for ref in known_types(session)}
 
 
-def _deny_reason(robot: Robot, url: str, method: str) -> str:
-    if robot.settings.read_only:
+def _deny_reason(space: Space, settings: Settings, url: str, method: str) -> str:
+    if settings.read_only:
         return "This server is read-only."
-    room = robot.space.container("shapes")
+    room = space.container("shapes")
     return f"{url} is the server's own and does not answer {method}: limits may be kept at {room}NAME, by another name."
 
 
-def _container(robot: Robot, room: str, location: Location) -> Resource:
+def _container(session: Session, states: VersionCache[State], room: str, location: Location) -> Resource:
     if not location.is_container:
-        url = robot.space.container(room, location.segments)
+        url = session.space.container(room, location.segments)
         raise permanent_redirect(url)
-    return TypeContainer(robot, room, location.segments)
+    return TypeContainer(session, states, room, location.segments)

@@ -23,6 +23,11 @@ class Records(Protocol):
         ...
 
     @property
+    def failure(self) -> str | None:
+        """Why not everything can be kept just now, in a sentence for people; None where it can."""
+        ...
+
+    @property
     def version(self) -> int:
         """The number of the last change; it rises with each, by more than one where a container lists anew."""
         ...

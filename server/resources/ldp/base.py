@@ -9,11 +9,11 @@ from typing import ClassVar
 from starlette.responses import Response
 
 from rosld.adapters.base import Watch
+from rosld.ontology.urls import Space
 from rosld.server.http.conditional import require_if_match
 from rosld.server.http.problem import Problem
-from rosld.server.resources.context import Robot
+from rosld.server.resources.ldp.documents import Documents
 from rosld.server.resources.ldp.transaction import write_together
-from rosld.server.resources.ldp.validation import validator_of
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import RDF_BODIES
 from rosld.server.rest.resource import READ, Answer, Resource, permanent_redirect
@@ -30,9 +30,9 @@ class StoredResource(Resource):
 
     is_cacheable = False
 
-    def __init__(self, robot: Robot, path: str) -> None:
-        super().__init__(robot.space.base + path)
-        self.robot = robot
+    def __init__(self, documents: Documents, path: str) -> None:
+        super().__init__(documents.space.base + path)
+        self.documents = documents
         self.path = path
         self.title = "/" + path
 
@@ -41,35 +41,35 @@ class StoredResource(Resource):
     @property
     def accepted_media_types(self) -> Sequence[str]:
         """The media types of what may be made here: those of its judge, where somebody judges it."""
-        permissions = validator_of(self.robot, self.path + "?")
+        permissions = self.documents.validator_of(self.path + "?")
         return (*RDF_BODIES, ANYTHING) if permissions is None else permissions.media_types
 
     def methods(self) -> frozenset[str]:
-        return READ if self.robot.settings.read_only else READ | self.writes
+        return READ if self.documents.settings.read_only else READ | self.writes
 
     def deny_reason(self, method: str) -> str:
-        if self.robot.settings.read_only:
+        if self.documents.settings.read_only:
             return "This server is read-only."
         return f"{self.kind} resources do not answer {method}."
 
     @property
     def constrained_by(self) -> str | None:
-        permissions = validator_of(self.robot, self.path)
-        return self.robot.space.shape("data" if permissions is None else permissions.shape)
+        permissions = self.documents.validator_of(self.path)
+        return self.documents.space.shape("data" if permissions is None else permissions.shape)
 
     def require_record(self) -> Record:
         """The record; a 404 or 410 Problem where there is none."""
-        found = self.robot.records.get(self.path)
+        found = self.documents.records.get(self.path)
         if found is None:
-            raise missing_problem(self.robot, self.path)
+            raise missing_problem(self.documents, self.path)
         return found
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:
-        return self.robot.record_changes.watch(wake, lambda path: path == self.path)
+        return self.documents.changes.watch(wake, lambda path: path == self.path)
 
     def require_if_match(self, exchange: Exchange) -> None:
         """Raise a 428 Problem where writes must say what they change, and this one does not."""
-        if self.robot.settings.demand_if_match:
+        if self.documents.settings.demand_if_match:
             require_if_match(exchange.header("if-match"), "What is kept is changed by those who have read it.")
 
     async def change_record(self, exchange: Exchange, make: Callable[[Record], Awaitable[Write]]) -> None:
@@ -78,22 +78,22 @@ class StoredResource(Resource):
         Where somebody else changes it meanwhile it is made anew, or 412 if the request is conditional. A 503 Problem
         where others change it all the time.
         """
-        patience = self.robot.settings.call_deadline
+        patience = self.documents.settings.call_deadline
         until = time.monotonic() + patience
         while True:
             try:
-                await write_together(self.robot, [await make(self.require_record())])
+                await write_together(self.documents, [await make(self.require_record())])
                 return
             except Conflict as error:
                 if error.cause is not ConflictCause.CHANGED or exchange.is_conditional:
-                    raise conflict_problem(self.robot, error) from error
+                    raise conflict_problem(self.documents.space, error) from error
                 if time.monotonic() > until:
                     words = f"{self.url} was changed by others all the time for {patience:g} s; nothing was done."
                     raise Problem(503, words, headers={"Retry-After": "1"}) from error
 
     async def delete(self, exchange: Exchange) -> Answer:
         self.require_if_match(exchange)
-        with_versions = exchange.query_flag("versions") and self.robot.settings.versions > 0
+        with_versions = exchange.query_flag("versions") and self.documents.settings.versions > 0
 
         async def removed(record: Record) -> Write:
             return Remove(self.path, record.version if exchange.is_conditional else None, with_versions)
@@ -102,17 +102,17 @@ class StoredResource(Resource):
         return Response(status_code=204)
 
 
-def conflict_problem(robot: Robot, error: Conflict) -> Problem:
+def conflict_problem(space: Space, error: Conflict) -> Problem:
     """The Problem of a write that cannot be done as things are."""
     status = {ConflictCause.GONE: 410, ConflictCause.CHANGED: 412, ConflictCause.MISSING: 404}.get(error.cause, 409)
-    return Problem(status, f"{robot.space.base}{error.path}: {error.words}.")
+    return Problem(status, f"{space.base}{error.path}: {error.words}.")
 
 
-def missing_problem(robot: Robot, path: str) -> Problem:
+def missing_problem(documents: Documents, path: str) -> Problem:
     """410 where something was removed and not made again, 308 to a container, else 404."""
-    if robot.records.is_tombstone(path):
+    if documents.records.is_tombstone(path):
         return Problem(410, f"/{path} was deleted; PUT makes it again.")
     other = path[:-1] if path.endswith("/") else path + "/"
-    if robot.records.get(other) is not None:
-        return permanent_redirect(robot.space.base + other)
+    if documents.records.get(other) is not None:
+        return permanent_redirect(documents.space.base + other)
     return Problem(404, f"There is nothing at /{path}; PUT makes it.")

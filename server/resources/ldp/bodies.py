@@ -13,7 +13,7 @@ from rosld.ontology.vocab import ldp
 from rosld.server.http.link import Link
 from rosld.server.http.link import parse as parse_links
 from rosld.server.http.problem import Problem
-from rosld.server.resources.context import Robot
+from rosld.server.resources.ldp.documents import Documents
 from rosld.server.resources.ldp.representation import all_members, member_uris
 from rosld.server.resources.ldp.statements import (
     CONTAINMENT,
@@ -30,6 +30,7 @@ from rosld.server.resources.ldp.statements import (
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.file_response import exact_media_type
 from rosld.server.rest.interaction import membership_triples, requested_model
+from rosld.server.runtime.offload import WorkerPool
 from rosld.server.storage import Blob, Model, Record
 from rosld.server.storage.models import rdf_types
 from rosld.server.storage.record_documents import to_ntriples
@@ -56,7 +57,7 @@ def _links(exchange: Exchange) -> Sequence[Link]:
     return () if stated is None else parse_links(stated)
 
 
-async def read_statements(robot: Robot, exchange: Exchange, url: str, subject: str) -> Statements:
+async def read_statements(workers: WorkerPool, exchange: Exchange, url: str, subject: str) -> Statements:
     """The triples of a body about `subject`, resolved against `url`. No body at all, of no type, states nothing.
 
     Raises BodyError, and a 422 Problem for triples about triples, which are not kept.
@@ -66,7 +67,7 @@ async def read_statements(robot: Robot, exchange: Exchange, url: str, subject: s
         return NO_STATEMENTS
     if is_small(data):
         return statements_of(read_ntriples(data, exchange.media_type, url))
-    return await robot.workers.run(partial(parse_body_statements, data, exchange.media_type, url, subject))
+    return await workers.run(partial(parse_body_statements, data, exchange.media_type, url, subject))
 
 
 async def as_statements(triples: Sequence[Triple], subject: str) -> Statements:
@@ -87,32 +88,36 @@ def require_small(triples: Sequence[Triple]) -> None:
         raise Problem(413, "This says more than can be kept here: a few thousand triples at the most.")
 
 
-def require_same_containment(robot: Robot, record: Record, triples: Iterable[Triple]) -> None:
+def require_same_containment(documents: Documents, record: Record, triples: Iterable[Triple]) -> None:
     """Raise a 409 Problem where a body would change what a container contains (LDP 5.2.4.1)."""
-    stated = contained_members(triples, robot.space.base + record.path)
-    if stated and stated != {NamedNode(robot.space.base + each.path) for each in all_members(robot, record)}:
+    stated = contained_members(triples, documents.space.base + record.path)
+    if stated and stated != {
+        NamedNode(documents.space.base + each.path) for each in all_members(documents.records, record)
+    }:
         raise Problem(409, f"{CONTAINMENT}, not by its triples.")
 
 
-async def receive_blob(robot: Robot, exchange: Exchange) -> Blob:
+async def receive_blob(documents: Documents, exchange: Exchange) -> Blob:
     """The body as a blob, streamed to where it is kept, unless it was read already."""
     media_type = exact_media_type(exchange.header("content-type"))
-    limit, whole = robot.settings.upload_limit, exchange.consumed_body
+    limit, whole = documents.settings.upload_limit, exchange.consumed_body
     chunks = exchange.chunks(limit=limit) if whole is None else single_chunk(whole)
-    return await robot.records.receive(chunks, media_type, limit=limit)
+    return await documents.records.receive(chunks, media_type, limit=limit)
 
 
 async def single_chunk(data: bytes) -> AsyncIterator[bytes]:
     yield data
 
 
-async def client_statements(robot: Robot, record: Record, triples: Statements, times: bytes) -> bytes:
+async def client_statements(documents: Documents, record: Record, triples: Statements, times: bytes) -> bytes:
     """What is the client's to say of a body, as it is kept: all but what the server says of the record itself.
 
     It begins with `times`, which its first writer said.
     """
-    subject, servers = robot.space.base + record.path, frozenset[Triple]()
+    subject, servers = documents.space.base + record.path, frozenset[Triple]()
     if record.membership is not None:
-        servers = frozenset(membership_triples(record.membership, member_uris(robot, all_members(robot, record))))
+        servers = frozenset(
+            membership_triples(record.membership, member_uris(documents.space, all_members(documents.records, record)))
+        )
     work = partial(client_triples, triples, subject, record.model, servers, times)
-    return await robot.workers.run(work) if triples.is_large else work()
+    return await documents.workers.run(work) if triples.is_large else work()

@@ -8,10 +8,10 @@ from rosld.ontology.urls import encode_segment
 from rosld.server.html import Form, SequenceLink
 from rosld.server.http.link import Link
 from rosld.server.hypermedia.message_schemas import MessageSchemas
-from rosld.server.resources.context import Robot
 from rosld.server.resources.ldp.base import EXTRA_STATUSES, StoredResource, conflict_problem
 from rosld.server.resources.ldp.bodies import model_of_request, receive_blob
 from rosld.server.resources.ldp.creation import create_record
+from rosld.server.resources.ldp.documents import Documents
 from rosld.server.resources.ldp.rdf_sources import N3_PATCH, RdfSourceResource
 from rosld.server.resources.ldp.representation import page_at, page_state, state_of
 from rosld.server.resources.ldp.stored_files import StoredFile
@@ -40,13 +40,13 @@ class ContainerResource(RdfSourceResource):
     takes_forms = False
 
     def __init__(
-        self, robot: Robot, path: str, parts: ContainerParts = ALL_PARTS, place: PagePosition | None = None
+        self, documents: Documents, path: str, parts: ContainerParts = ALL_PARTS, place: PagePosition | None = None
     ) -> None:
-        super().__init__(robot, path)
+        super().__init__(documents, path)
         self.accepts = {"POST": self.accepted_media_types, "PUT": RDF_BODIES, "PATCH": (SPARQL_UPDATE, N3_PATCH)}
         self._parts = parts
         self._place = place
-        record = robot.records.get(path)
+        record = documents.records.get(path)
         self.links = model_links(record.model if record is not None else Model.BASIC_CONTAINER)
 
     @property
@@ -58,7 +58,7 @@ class ContainerResource(RdfSourceResource):
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self.robot.space.document_shape("Container"),)
+        return (self.documents.space.document_shape("Container"),)
 
     def methods(self) -> frozenset[str]:
         is_root = self.path.count("/") == 1
@@ -71,24 +71,28 @@ class ContainerResource(RdfSourceResource):
         parts = select_parts(exchange.prefer) if exchange.header("prefer") is not None else ALL_PARTS
         page = exchange.query.get("page")
         if page is not None:
-            return ContainerResource(self.robot, self.path, parts, parse_position(page))
+            return ContainerResource(self.documents, self.path, parts, parse_position(page))
         if parts.containment or parts.membership:
             require_page(exchange, self.url, self.require_record().count)
-        return self if parts is ALL_PARTS else ContainerResource(self.robot, self.path, parts)
+        return self if parts is ALL_PARTS else ContainerResource(self.documents, self.path, parts)
 
     async def state(self) -> State:
         record = self.require_record()
         if self._place is None:
-            return state_of(self.robot, record, self._parts)
-        return page_state(self.robot, record, self._parts, self._place)
+            return state_of(self.documents, record, self._parts)
+        return page_state(self.documents, record, self._parts, self._place)
 
     @property
     def query(self) -> str:
         return "" if self._place is None else page_query(self._place.token)
 
     def navigation_links(self) -> tuple[SequenceLink, ...]:
-        record = self.robot.records.get(self.path)
-        return () if self._place is None or record is None else page_at(self.robot, record, self._place)[0].neighbours()
+        record = self.documents.records.get(self.path)
+        return (
+            ()
+            if self._place is None or record is None
+            else page_at(self.documents, record, self._place)[0].neighbours()
+        )
 
     async def forms(self) -> Sequence[Form]:
         return ()  # a form that is posted here is a file like any other
@@ -101,7 +105,7 @@ class ContainerResource(RdfSourceResource):
 
     def is_taken(self, name: str) -> bool:
         """Whether a member of this name, not yet encoded, is there or ever was (LDP 5.2.3.11)."""
-        records = self.robot.records
+        records = self.documents.records
         paths = (self.path + encode_segment(name), f"{self.path}{encode_segment(name)}/")
         return any(records.get(path) is not None or records.is_tombstone(path) for path in paths)
 
@@ -115,22 +119,22 @@ class ContainerResource(RdfSourceResource):
             """Whether it is taken, or not for who asks to give: which of both is not told."""
             return not permissions.may("PUT", self.url + encode_segment(name)) or self.is_taken(name)
 
-        blob = await receive_blob(self.robot, exchange) if model is Model.NON_RDF_SOURCE else None
+        blob = await receive_blob(self.documents, exchange) if model is Model.NON_RDF_SOURCE else None
         while True:
             name = encode_segment(choose_name(exchange.header("slug"), is_taken))
             path = f"{self.path}{name}/" if model.is_container else self.path + name
             try:
-                return await create_resource(self.robot, path, model, exchange, blob, unused=True)
+                return await create_resource(self.documents, path, model, exchange, blob, unused=True)
             except Conflict as error:
                 if error.path != path or error.cause not in _NAMED_MEANWHILE:
-                    raise conflict_problem(self.robot, error) from error
+                    raise conflict_problem(self.documents.space, error) from error
 
 
-def resource_of(robot: Robot, path: str, model: Model) -> StoredResource:
+def resource_of(documents: Documents, path: str, model: Model) -> StoredResource:
     """The resource of a model."""
     if model is Model.NON_RDF_SOURCE:
-        return StoredFile(robot, path)
-    return ContainerResource(robot, path) if model.is_container else RdfSourceResource(robot, path)
+        return StoredFile(documents, path)
+    return ContainerResource(documents, path) if model.is_container else RdfSourceResource(documents, path)
 
 
 _NAMED_MEANWHILE = frozenset({ConflictCause.THERE, ConflictCause.NAME, ConflictCause.GONE})
@@ -138,14 +142,14 @@ _NAMED_MEANWHILE = frozenset({ConflictCause.THERE, ConflictCause.NAME, ConflictC
 
 
 async def create_resource(
-    robot: Robot, path: str, model: Model, exchange: Exchange, blob: Blob | None, *, unused: bool = False
+    documents: Documents, path: str, model: Model, exchange: Exchange, blob: Blob | None, *, unused: bool = False
 ) -> Answer:
     """A new resource, and the answer that tells of it (LDP 4.2.3, 5.2.3). Raises Conflict as `create` does."""
-    record = await create_record(resource_of(robot, path, model), model, exchange, blob, unused=unused)
-    resource = resource_of(robot, path, model)  # as it is now that it is there
+    record = await create_record(resource_of(documents, path, model), model, exchange, blob, unused=unused)
+    resource = resource_of(documents, path, model)  # as it is now that it is there
     if model is Model.NON_RDF_SOURCE:
         return CreatedAnswer(
             resource.url, resource, None, (Link(resource.url + META, "describedby", anchor=resource.url),)
         )
-    created = CreatedAnswer(resource.url, resource, state_of(robot, record))
-    return await with_warnings(robot, path, exchange, created)
+    created = CreatedAnswer(resource.url, resource, state_of(documents, record))
+    return await with_warnings(documents, path, exchange, created)

@@ -9,9 +9,9 @@ from functools import partial
 from pyoxigraph import Triple
 
 from rosld.server.http.problem import Problem
-from rosld.server.resources.context import Robot
 from rosld.server.resources.ldp.base import StoredResource
 from rosld.server.resources.ldp.bodies import as_statements, read_statements
+from rosld.server.resources.ldp.documents import Documents
 from rosld.server.resources.ldp.managed_triples import initial_times, managed_triples_in, require_classes
 from rosld.server.resources.ldp.statements import (
     NO_STATEMENTS,
@@ -23,7 +23,7 @@ from rosld.server.resources.ldp.statements import (
 from rosld.server.resources.ldp.transaction import write_together
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.interaction import parse_membership
-from rosld.server.storage import Blob, Model, Put, Record
+from rosld.server.storage import Blob, Model, Put, Record, Records
 from rosld.server.storage.record_paths import container_of
 
 
@@ -35,29 +35,29 @@ async def create_record(
     `blob` is the body of a non-RDF source. Raises Conflict where something was made at its path meanwhile, or with
     `unused` was ever there.
     """
-    robot, path = kept.robot, kept.path
+    documents, path = kept.documents, kept.path
     if model is Model.NON_RDF_SOURCE:
-        require_free(robot, path)
+        require_free(documents, path)
         put = Put(path, model, blob=blob, expected=0, unused=unused)
-        writes = [*_ways_to(robot, path), await _as_member(robot, put, NO_STATEMENTS, kept.url)]
+        writes = [*_ways_to(documents.records, path), await _as_member(documents, put, NO_STATEMENTS, kept.url)]
     else:
-        stated = await read_statements(robot, exchange, kept.url, kept.url)
-        writes = await creation_writes(robot, path, model, stated, unused=unused)
-    record = (await write_together(robot, writes))[-1]
+        stated = await read_statements(documents.workers, exchange, kept.url, kept.url)
+        writes = await creation_writes(documents, path, model, stated, unused=unused)
+    record = (await write_together(documents, writes))[-1]
     assert record is not None
     return record
 
 
 async def creation_writes(
-    robot: Robot, path: str, model: Model, triples: Sequence[Triple], *, unused: bool = False
+    documents: Documents, path: str, model: Model, triples: Sequence[Triple], *, unused: bool = False
 ) -> list[Put]:
     """The writes that make an RDF source or a container that says these triples, the last being its own.
 
     With `unused` that one is done only where nothing was ever at its path.
     Raises 409 Problems for a name that is taken, and for containment that is stated; 422 for triples about triples.
     """
-    require_free(robot, path)
-    url = robot.space.base + path
+    require_free(documents, path)
+    url = documents.space.base + path
     stated = await as_statements(triples, url)
     managed = managed_triples_in(stated.managed, url, model)
     if managed:
@@ -65,35 +65,35 @@ async def creation_writes(
             raise Problem(409, "A new container contains nothing: leave ldp:contains away, and POST its members to it.")
         require_classes(managed, model)
         work = partial(client_triples, stated, url, model, frozenset[Triple](), initial_times(managed))
-        kept = await robot.workers.run(work) if stated.is_large else work()
+        kept = await documents.workers.run(work) if stated.is_large else work()
     else:
         kept = stated.packed
     put = Put(path, model, kept, membership=parse_membership(managed, url, model), expected=0, unused=unused)
-    return [*_ways_to(robot, path), await _as_member(robot, put, stated, url)]
+    return [*_ways_to(documents.records, path), await _as_member(documents, put, stated, url)]
 
 
-async def _as_member(robot: Robot, put: Put, stated: Statements, url: str) -> Put:
+async def _as_member(documents: Documents, put: Put, stated: Statements, url: str) -> Put:
     """With what stands for it in the membership triples of its container (LDP 5.5.1.2)."""
-    container = robot.records.get(container_of(put.path))
+    container = documents.records.get(container_of(put.path))
     if container is None or container.membership is None:
         return put
     work = partial(member_uri, container.membership, stated, url)
-    member = await robot.workers.run(work) if stated.is_large else work()
+    member = await documents.workers.run(work) if stated.is_large else work()
     return replace(put, member=member)
 
 
-def _ways_to(robot: Robot, path: str) -> list[Put]:
+def _ways_to(records: Records, path: str) -> list[Put]:
     """The containers to be made first."""
     found: list[Put] = []
     above = container_of(path)
-    while above and robot.records.get(above) is None:
+    while above and records.get(above) is None:
         found.insert(0, Put(above, Model.BASIC_CONTAINER, only_if_absent=True))
         above = container_of(above)
     return found
 
 
-def require_free(robot: Robot, path: str) -> None:
+def require_free(documents: Documents, path: str) -> None:
     """Raise a 409 Problem where the same name is a container already, or is none: a name means one thing."""
     other = path[:-1] if path.endswith("/") else path + "/"
-    if robot.records.get(other) is not None:
-        raise Problem(409, f"There is {robot.space.base}{other} already: choose another name.")
+    if documents.records.get(other) is not None:
+        raise Problem(409, f"There is {documents.space.base}{other} already: choose another name.")

@@ -11,10 +11,10 @@ from rosld.server.http import media
 from rosld.server.http.charset import to_utf8
 from rosld.server.http.multipart import MULTIPART, Part, split_parts
 from rosld.server.http.problem import Problem
-from rosld.server.resources.context import Robot
 from rosld.server.resources.ldp.statements import Statements, is_small, parse_statements, rename_blank_nodes
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import RDF_BODIES
+from rosld.server.runtime.offload import WorkerPool
 from rosld.server.storage.packing import size_of, unpack
 from rosld.server.storage.record_documents import to_ntriples
 
@@ -23,7 +23,7 @@ _MAX_UNITED = 4 * 1024 * 1024
 """Bytes of N-Triples that several parts may make a new graph of."""
 
 
-async def merged_statements(robot: Robot, exchange: Exchange, url: str, subject: str) -> Statements:
+async def merged_statements(workers: WorkerPool, exchange: Exchange, url: str, subject: str) -> Statements:
     """The statements about `subject` of a request whose body is multipart/form-data: what all its parts say.
 
     The parts are resolved against `url`. Raises BodyError and Problems: 400 for what cannot be cut into parts, 415 for
@@ -31,15 +31,15 @@ async def merged_statements(robot: Robot, exchange: Exchange, url: str, subject:
     """
     data, stated = await exchange.raw_body(), media.parse(exchange.header("content-type") or "")
     work = partial(_unite, data, stated.parameter("boundary"), url, subject)
-    return work() if is_small(data) else await robot.workers.run(work)
+    return work() if is_small(data) else await workers.run(work)
 
 
-async def merge_parts(robot: Robot, exchange: Exchange, url: str) -> None:
+async def merge_parts(workers: WorkerPool, exchange: Exchange, url: str) -> None:
     """Turn a request whose body is multipart/form-data into one of N-Triples that says what all its parts say.
 
     Raises what `united` raises, and a 413 Problem where that is too large.
     """
-    found = await merged_statements(robot, exchange, url, url)
+    found = await merged_statements(workers, exchange, url, url)
     if size_of(found.packed) > _MAX_UNITED:
         raise Problem(413, f"The parts say more than {_MAX_UNITED} bytes of N-Triples: PUT one body instead.")
     exchange.override(exchange.method, _N_TRIPLES, unpack(found.packed))

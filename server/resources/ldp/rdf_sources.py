@@ -13,7 +13,6 @@ from rosld.server.html import DeleteForm, Form
 from rosld.server.http.multipart import MULTIPART
 from rosld.server.http.problem import Problem
 from rosld.server.patches.patch import TooManyTriples
-from rosld.server.resources.context import Robot
 from rosld.server.resources.ldp.base import StoredResource
 from rosld.server.resources.ldp.bodies import (
     as_statements,
@@ -22,6 +21,7 @@ from rosld.server.resources.ldp.bodies import (
     require_model,
     require_same_containment,
 )
+from rosld.server.resources.ldp.documents import Documents
 from rosld.server.resources.ldp.graph_merge import merged_statements
 from rosld.server.resources.ldp.managed_triples import managed_triples_in, require_membership, require_unchanged
 from rosld.server.resources.ldp.representation import state_of
@@ -35,7 +35,6 @@ from rosld.server.resources.ldp.statements import (
     patch_statements,
     require_same_members,
 )
-from rosld.server.resources.ldp.validation import validator_of
 from rosld.server.resources.ldp.versions import former_of, has_versions
 from rosld.server.resources.ldp.warnings import with_warnings
 from rosld.server.resources.memento import VARY, timegate_links
@@ -66,21 +65,21 @@ class RdfSourceResource(StoredResource):
 
     async def prepare(self) -> None:
         """One of which versions are kept is its own TimeGate, and says so."""
-        if has_versions(self.robot, self.path):
+        if has_versions(self.documents.settings, self.path):
             self.links = (*type(self).links, *timegate_links(self.url))
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """`?at=TIME`, `?timemap`: as it was."""
-        return former_of(self.robot, self.path, exchange) or await super().select_variant(exchange)
+        return former_of(self.documents, self.path, exchange) or await super().select_variant(exchange)
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        validator = validator_of(self.robot, self.path)
-        return (self.robot.space.document_shape("Source"), *(() if validator is None else validator.conforms_to))
+        validator = self.documents.validator_of(self.path)
+        return (self.documents.space.document_shape("Source"), *(() if validator is None else validator.conforms_to))
 
     async def state(self) -> State:
-        state = state_of(self.robot, self.require_record())
-        if has_versions(self.robot, self.path):
+        state = state_of(self.documents, self.require_record())
+        if has_versions(self.documents.settings, self.path):
             state.headers = {**state.headers, "vary": VARY}
         return state
 
@@ -90,7 +89,7 @@ class RdfSourceResource(StoredResource):
     async def put(self, exchange: Exchange) -> Answer:
         self.require_if_match(exchange)
         require_model(exchange, self.require_record().model, self.url)
-        triples = await read_statements(self.robot, exchange, self.document_url, self._subject)
+        triples = await read_statements(self.documents.workers, exchange, self.document_url, self._subject)
 
         async def replaced(record: Record) -> Write:
             whole = record.model is Model.RDF_SOURCE and not exchange.is_conditional
@@ -98,24 +97,24 @@ class RdfSourceResource(StoredResource):
             return await self.with_triples(record, triples, expected)
 
         await self.change_record(exchange, replaced)
-        return await with_warnings(self.robot, self.path, exchange, no_content())
+        return await with_warnings(self.documents, self.path, exchange, no_content())
 
     async def post(self, exchange: Exchange) -> Answer:
         """The body is merged into what is here (SPARQL 1.1 Graph Store Protocol 5.5)."""
         self.require_if_match(exchange)
         read = merged_statements if exchange.essence == MULTIPART else read_statements
-        added = await read(self.robot, exchange, self.document_url, self._subject)
+        added = await read(self.documents.workers, exchange, self.document_url, self._subject)
 
         async def with_added(record: Record) -> Write:
-            before = state_of(self.robot, record)
+            before = state_of(self.documents, record)
             require_memory(before)
             work = partial(merge_statements, before.describe, added, self._subject)
             is_large = added.is_large or before.is_large
-            stated = await self.robot.workers.run(work) if is_large else work()
+            stated = await self.documents.workers.run(work) if is_large else work()
             return await self.with_triples(record, stated, record.version)
 
         await self.change_record(exchange, with_added)
-        return await with_warnings(self.robot, self.path, exchange, no_content())
+        return await with_warnings(self.documents, self.path, exchange, no_content())
 
     async def patch(self, exchange: Exchange) -> Answer:
         self.require_if_match(exchange)
@@ -125,7 +124,7 @@ class RdfSourceResource(StoredResource):
             return parse_patch(data, media_type, url, MAX_PATCHED)(before)
 
         async def changed(record: Record) -> Write:
-            before = state_of(self.robot, record)
+            before = state_of(self.documents, record)
             require_memory(before)
             if not before.is_large:
                 with suppress(TooManyTriples):
@@ -133,10 +132,10 @@ class RdfSourceResource(StoredResource):
                     after = await self._patch(patch, said)
                     return await self.with_triples(record, after, record.version, frozenset(said))
             work = partial(patch_statements, before.describe, data, media_type, url, self._subject)
-            return await self.with_triples(record, await self.robot.workers.run(work), record.version)
+            return await self.with_triples(record, await self.documents.workers.run(work), record.version)
 
         await self.change_record(exchange, changed)
-        return await with_warnings(self.robot, self.path, exchange, no_content())
+        return await with_warnings(self.documents, self.path, exchange, no_content())
 
     async def _patch(
         self, patch: Callable[[Sequence[Triple]], Sequence[Triple]], before: Sequence[Triple]
@@ -162,7 +161,7 @@ class RdfSourceResource(StoredResource):
     @property
     def _subject(self) -> str:
         """What the server says something of."""
-        return self.robot.space.base + self.path
+        return self.documents.space.base + self.path
 
     async def with_triples(
         self, record: Record, triples: Sequence[Triple], expected: int | None, said: Set[Triple] = frozenset()
@@ -178,11 +177,11 @@ class RdfSourceResource(StoredResource):
         if record.membership is not None or managed or times:
             new = [each for each in managed if each not in said] if said else managed
             if new:
-                require_same_containment(self.robot, record, managed)
+                require_same_containment(self.documents, record, managed)
                 require_unchanged(new, record, url)
                 if record.membership is not None:
                     require_membership(record.membership, new, url)
-            kept = await client_statements(self.robot, record, stated, times)
+            kept = await client_statements(self.documents, record, stated, times)
         else:
             kept = stated.packed
         member = await self._member(record, stated)
@@ -202,11 +201,11 @@ class RdfSourceResource(StoredResource):
         """What stands for it from now on in the membership triples of its container; None: what did before."""
         if record.member != NO_MEMBER:
             return None
-        container = self.robot.records.get(container_of(record.path))
+        container = self.documents.records.get(container_of(record.path))
         if container is None or container.membership is None:
             return None
         work = partial(member_uri, container.membership, stated, self._subject)
-        return await self.robot.workers.run(work) if stated.is_large else work()
+        return await self.documents.workers.run(work) if stated.is_large else work()
 
 
 class DescriptionResource(RdfSourceResource):
@@ -216,15 +215,15 @@ class DescriptionResource(RdfSourceResource):
     writes = frozenset({"PUT", "POST", "PATCH"})
     in_turn = frozenset({"PUT", "POST", "PATCH"})
 
-    def __init__(self, robot: Robot, path: str) -> None:
-        super().__init__(robot, path.removesuffix(META))
-        self.url = robot.space.base + path
+    def __init__(self, documents: Documents, path: str) -> None:
+        super().__init__(documents, path.removesuffix(META))
+        self.url = documents.space.base + path
         self.title = "/" + path
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        validator = validator_of(self.robot, self.path)
-        return (self.robot.space.document_shape("File"), *(() if validator is None else validator.conforms_to))
+        validator = self.documents.validator_of(self.path)
+        return (self.documents.space.document_shape("File"), *(() if validator is None else validator.conforms_to))
 
     async def forms(self) -> Sequence[Form]:
         return ()

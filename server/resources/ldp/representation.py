@@ -8,67 +8,70 @@ from functools import partial
 
 from pyoxigraph import Triple
 
+from rosld.ontology.urls import Space
 from rosld.server.http.link import render
-from rosld.server.resources.context import Robot
+from rosld.server.resources.ldp.documents import Documents
 from rosld.server.resources.ldp.stored_document import member_derived_uris_of, stored_document
 from rosld.server.rest.interaction import model_links
 from rosld.server.rest.paging import MAX_PAGE_SIZE, LdpPage, PagePosition, last_page_size, last_position, page_of
 from rosld.server.rest.prefer_container import ALL_PARTS, ContainerParts
 from rosld.server.rest.state import State
-from rosld.server.storage import Member, Record
+from rosld.server.storage import Member, Record, Records
 from rosld.server.storage.packing import size_of
 
 
-def all_members(robot: Robot, record: Record) -> list[Member]:
+def all_members(records: Records, record: Record) -> list[Member]:
     """All members of a container."""
     found: list[Member] = []
     if record.model.is_container:
-        while page := robot.records.members(record.path, after=found[-1].number if found else 0):
+        while page := records.members(record.path, after=found[-1].number if found else 0):
             found += page
     return found
 
 
-def member_uris(robot: Robot, members: Iterable[Member]) -> list[str]:
+def member_uris(space: Space, members: Iterable[Member]) -> list[str]:
     """What stands for members in the membership triples of their container (LDP 5.4.1.5, 5.5.1.2)."""
-    return member_derived_uris_of(robot.space.base, members)
+    return member_derived_uris_of(space.base, members)
 
 
-def state_of(robot: Robot, record: Record, parts: ContainerParts = ALL_PARTS) -> State:
+def state_of(documents: Documents, record: Record, parts: ContainerParts = ALL_PARTS) -> State:
     """A record as it is, or the parts of a container that are asked for: kept while it does not change.
 
     A container that comes in pages is shown without its members: what is done with it does not grow with them.
     """
     if record.count > MAX_PAGE_SIZE:
         parts = replace(parts, containment=False, membership=False)
-    url = robot.space.base + record.path
-    return robot.states.get_or_make(
+    url = documents.space.base + record.path
+    return documents.states.get_or_make(
         f"{url}#{parts.variant}",
         (record.version, record.listed),
-        lambda: _state(robot, record, parts, all_members(robot, record) if _lists(parts) else []),
+        lambda: _state(documents, record, parts, all_members(documents.records, record) if _lists(parts) else []),
     )
 
 
-def former_state(robot: Robot, record: Record) -> State:
+def former_state(documents: Documents, record: Record) -> State:
     """A document as a former version of its record has it."""
-    return _state(robot, record, ALL_PARTS, [])
+    return _state(documents, record, ALL_PARTS, [])
 
 
-def page_state(robot: Robot, record: Record, parts: ContainerParts, place: PagePosition) -> State:
+def page_state(documents: Documents, record: Record, parts: ContainerParts, place: PagePosition) -> State:
     """One page of a container (LDP Paging 1.0)."""
-    url = robot.space.base + record.path
+    url = documents.space.base + record.path
 
     def make() -> State:
-        page, found = page_at(robot, record, place)
-        links = page.links(f"{robot.records.identity}-{_tag(record)}.any")
+        page, found = page_at(documents, record, place)
+        links = page.links(f"{documents.records.identity}-{_tag(record)}.any")
         headers = {"link": render([*model_links(record.model), *links])}
-        return _state(robot, record, parts, found, headers=headers, page=f"p{place.token}", said=page.triples())
+        return _state(documents, record, parts, found, headers=headers, page=f"p{place.token}", said=page.triples())
 
-    return robot.states.get_or_make(f"{url}?page={place.token}#{parts.variant}", (record.version, record.listed), make)
+    return documents.states.get_or_make(
+        f"{url}?page={place.token}#{parts.variant}", (record.version, record.listed), make
+    )
 
 
-def page_at(robot: Robot, record: Record, place: PagePosition) -> tuple[LdpPage, Sequence[Member]]:
+def page_at(documents: Documents, record: Record, place: PagePosition) -> tuple[LdpPage, Sequence[Member]]:
     """The page of a container at a place, and its members."""
-    records, after, limit = robot.records, place.after, place.limit
+    records, after, limit = documents.records, place.after, place.limit
     assert isinstance(after, int)
     found = records.members(record.path, after=after, limit=limit + 1)
     before = records.last_member_numbers(record.path, up_to=after, limit=limit + 1) if after else ()
@@ -78,7 +81,7 @@ def page_at(robot: Robot, record: Record, place: PagePosition) -> tuple[LdpPage,
         else ()
     )
     last = last_position(limit, record.count, latest)
-    page = page_of(robot.space.base + record.path, place, [each.number for each in found], before, last)
+    page = page_of(documents.space.base + record.path, place, [each.number for each in found], before, last)
     return page, found[:limit]
 
 
@@ -91,7 +94,7 @@ def _tag(record: Record) -> str:
 
 
 def _state(
-    robot: Robot,
+    documents: Documents,
     record: Record,
     parts: ContainerParts,
     members: Sequence[Member],
@@ -105,9 +108,9 @@ def _state(
     if record.model.is_container:
         headers = {**headers, "vary": "Accept, Prefer"}
     return State(
-        partial(stored_document, robot.space.base, record, parts, members, said),
+        partial(stored_document, documents.space.base, record, parts, members, said),
         token=_tag(record),
-        scope=robot.records.identity,
+        scope=documents.records.identity,
         part=f"{page}{parts.variant}",
         headers=headers,
         weight=size_of(record.triples) if parts.minimal else 0,

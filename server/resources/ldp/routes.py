@@ -15,11 +15,11 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import ANYTHING
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.patches.patch import has_deletes
-from rosld.server.resources.context import Robot
 from rosld.server.resources.ldp.base import EXTRA_STATUSES, StoredResource, conflict_problem, missing_problem
 from rosld.server.resources.ldp.bodies import model_of_request, receive_blob, require_model
 from rosld.server.resources.ldp.containers import create_resource, resource_of
 from rosld.server.resources.ldp.creation import creation_writes, require_free
+from rosld.server.resources.ldp.documents import Documents
 from rosld.server.resources.ldp.graph_merge import merge_parts
 from rosld.server.resources.ldp.rdf_sources import DescriptionResource
 from rosld.server.resources.ldp.representation import state_of
@@ -35,7 +35,7 @@ from rosld.server.rest.plan import StorageWrite
 from rosld.server.rest.resource import ABSENT, READ, Answer, CreatedAnswer, Resource, permanent_redirect
 from rosld.server.rest.resource_headers import resource_headers
 from rosld.server.rest.state import State
-from rosld.server.storage import Blob, Conflict, ConflictCause, Model
+from rosld.server.storage import Blob, Conflict, ConflictCause, Model, Records
 from rosld.server.storage.record_documents import META
 
 _PATCHES = (SPARQL_UPDATE, N3_PATCH)
@@ -50,8 +50,8 @@ class AbsentResource(StoredResource):
     merges = False
     """Whether what is sent is added to what others make here meanwhile, and does not replace it."""
 
-    def __init__(self, robot: Robot, path: str) -> None:
-        super().__init__(robot, path)
+    def __init__(self, documents: Documents, path: str) -> None:
+        super().__init__(documents, path)
         puts = RDF_BODIES if path.endswith("/") else self.accepted_media_types
         self.accepts: Mapping[str, Sequence[str]] = {"PUT": puts}
         if RDF_BODIES[0] in puts:
@@ -61,7 +61,7 @@ class AbsentResource(StoredResource):
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         """What may come to be here: what one URL answers depends on what is there."""
-        methods = READ if self.robot.settings.read_only else READ | {"PUT", "POST", "PATCH", "DELETE"}
+        methods = READ if self.documents.settings.read_only else READ | {"PUT", "POST", "PATCH", "DELETE"}
         is_limits = self.path.startswith("shapes/")
         if is_limits:
             return PathItem(
@@ -86,10 +86,10 @@ class AbsentResource(StoredResource):
         )
 
     def methods(self) -> frozenset[str]:
-        return ABSENT if self.robot.settings.read_only else ABSENT | self.accepts.keys()
+        return ABSENT if self.documents.settings.read_only else ABSENT | self.accepts.keys()
 
     async def select_variant(self, exchange: Exchange) -> Resource:
-        former = former_of(self.robot, self.path, exchange)
+        former = former_of(self.documents, self.path, exchange)
         if former is not None:
             return former
         method = exchange.method
@@ -106,22 +106,22 @@ class AbsentResource(StoredResource):
         Raises what `unite` raises.
         """
         if exchange.essence == MULTIPART:
-            await merge_parts(self.robot, exchange, self.url)
+            await merge_parts(self.documents.workers, exchange, self.url)
         self.merges = True
         exchange.method = "PUT"
 
     def _missing(self, exchange: Exchange) -> Problem:
         """That nothing is here, and for those who may make something what that may be."""
-        problem = missing_problem(self.robot, self.path)
+        problem = missing_problem(self.documents, self.path)
         if problem.status in (404, 410) and self.methods() > ABSENT and exchange.permissions.may("PUT", self.url):
             problem.headers |= {name: value for name, value in resource_headers(self).items() if name != "link"}
         return problem
 
     async def state(self) -> State:
-        found = self.robot.records.get(self.path)
+        found = self.documents.records.get(self.path)
         if found is None:
-            raise missing_problem(self.robot, self.path)
-        return state_of(self.robot, found)  # it was made while this request waited for its turn
+            raise missing_problem(self.documents, self.path)
+        return state_of(self.documents, found)  # it was made while this request waited for its turn
 
     def streams_body(self, exchange: Exchange) -> bool:
         return exchange.method == "PUT" and self._model(exchange) is Model.NON_RDF_SOURCE
@@ -133,9 +133,9 @@ class AbsentResource(StoredResource):
         if "PUT" not in self.methods():
             raise Problem(403, self.deny_reason("PUT"))
         if triples is None:
-            raise missing_problem(self.robot, self.path)
+            raise missing_problem(self.documents, self.path)
         return StorageWrite(
-            f"make {self.title}", tuple(await creation_writes(self.robot, self.path, self._plain_model, triples))
+            f"make {self.title}", tuple(await creation_writes(self.documents, self.path, self._plain_model, triples))
         )
 
     @property
@@ -146,41 +146,43 @@ class AbsentResource(StoredResource):
     async def put(self, exchange: Exchange) -> Answer:
         model, blob = self._model(exchange), None
         if model is Model.NON_RDF_SOURCE:
-            require_free(self.robot, self.path)
-            blob = await receive_blob(self.robot, exchange)
+            require_free(self.documents, self.path)
+            blob = await receive_blob(self.documents, exchange)
         try:
-            return await create_resource(self.robot, self.path, model, exchange, blob)
+            return await create_resource(self.documents, self.path, model, exchange, blob)
         except Conflict as error:
             if error.path != self.path or error.cause is not ConflictCause.THERE:
-                raise conflict_problem(self.robot, error) from error
+                raise conflict_problem(self.documents.space, error) from error
         if exchange.is_conditional:
             raise Problem(412, f"{self.url} was made by another request meanwhile; nothing was done.")
         return await self._once_more(exchange, blob)
 
     async def patch(self, exchange: Exchange) -> Answer:
         """What is not there is made of what a patch inserts; what was made meanwhile is patched."""
-        if self.robot.records.get(self.path) is not None:
+        if self.documents.records.get(self.path) is not None:
             return await self._patch_there(exchange)
         data, media_type = await exchange.body(), exchange.media_type
         if media_type == SPARQL_UPDATE and has_deletes(data):
             raise self._missing(exchange)
         work = partial(patch_statements, partial(Document, self.url, ()), data, media_type, self.url, self.url)
-        said = await (asyncio.to_thread(work) if is_small(data) else self.robot.workers.run(work))
+        said = await (asyncio.to_thread(work) if is_small(data) else self.documents.workers.run(work))
         try:
             record = (
-                await write_together(self.robot, await creation_writes(self.robot, self.path, self._plain_model, said))
+                await write_together(
+                    self.documents, await creation_writes(self.documents, self.path, self._plain_model, said)
+                )
             )[-1]
         except Conflict as error:
             if error.path != self.path or error.cause is not ConflictCause.THERE or exchange.is_conditional:
-                raise conflict_problem(self.robot, error) from error
+                raise conflict_problem(self.documents.space, error) from error
             return await self._patch_there(exchange)
         assert record is not None
-        made = resource_of(self.robot, self.path, record.model)
-        created = CreatedAnswer(made.url, made, state_of(self.robot, record))
-        return await with_warnings(self.robot, self.path, exchange, created)
+        made = resource_of(self.documents, self.path, record.model)
+        created = CreatedAnswer(made.url, made, state_of(self.documents, record))
+        return await with_warnings(self.documents, self.path, exchange, created)
 
     async def _patch_there(self, exchange: Exchange) -> Answer:
-        there = resource_of(self.robot, self.path, self.require_record().model)
+        there = resource_of(self.documents, self.path, self.require_record().model)
         if exchange.media_type not in there.accepts["PATCH"]:
             raise Problem(415, f"PATCH takes {', '.join(there.accepts['PATCH'])} here, not {exchange.media_type}.")
         return await there.patch(exchange)
@@ -188,38 +190,38 @@ class AbsentResource(StoredResource):
     async def _once_more(self, exchange: Exchange, blob: Blob | None) -> Answer:
         """The same write of what another request has made meanwhile: of those without a condition the last one wins."""
         record = self.require_record()
-        there = resource_of(self.robot, self.path, record.model)
+        there = resource_of(self.documents, self.path, record.model)
         if isinstance(there, StoredFile):
             require_model(exchange, record.model, self.url)
-            return await there.replace(exchange, record, blob or await receive_blob(self.robot, exchange))
+            return await there.replace(exchange, record, blob or await receive_blob(self.documents, exchange))
         if blob is not None:
             raise Problem(415, f"PUT takes {', '.join(RDF_BODIES)} here, not {blob.media_type}.")
         return await (there.post(exchange) if self.merges else there.put(exchange))
 
 
-def missing_description(robot: Robot, path: str) -> Problem:
+def missing_description(records: Records, path: str) -> Problem:
     """410 where the description went with its file (LDP 5.2.5.2), else 404: it comes with a file and not otherwise."""
     file = path.removesuffix(META)
-    if robot.records.is_tombstone(file):
+    if records.is_tombstone(file):
         return Problem(410, f"/{file} was deleted, and its description with it.")
     return Problem(
         404, f"/{path} would describe a file at /{file}, and there is none: PUT the file, and it comes along."
     )
 
 
-def stored_route(robot: Robot, location: Location) -> Resource:
+def stored_route(documents: Documents, location: Location) -> Resource:
     """`/data/` and below: as what is recorded now has it."""
     if not location.segments and not location.is_container:
-        raise permanent_redirect(robot.space.container(location.kind))
-    path = robot.space.url(location.kind, location.segments)[len(robot.space.base) :]
+        raise permanent_redirect(documents.space.container(location.kind))
+    path = documents.space.url(location.kind, location.segments)[len(documents.space.base) :]
     if location.is_container:
         path += "/"
-    record = robot.records.get(path)
+    record = documents.records.get(path)
     if record is not None:
-        return resource_of(robot, path, record.model)
+        return resource_of(documents, path, record.model)
     if path.endswith(META):
-        described = robot.records.get(path.removesuffix(META))
+        described = documents.records.get(path.removesuffix(META))
         if described is None or described.model is not Model.NON_RDF_SOURCE:
-            raise missing_description(robot, path)
-        return DescriptionResource(robot, path)
-    return AbsentResource(robot, path)
+            raise missing_description(documents.records, path)
+        return DescriptionResource(documents, path)
+    return AbsentResource(documents, path)

@@ -17,9 +17,9 @@ from rosld.server.http.conditional import ETag, check_preconditions
 from rosld.server.http.link import Link
 from rosld.server.http.problem import Problem
 from rosld.server.patches.patch import merge_patch
-from rosld.server.resources.context import Robot
 from rosld.server.resources.ldp.base import ANYTHING, StoredResource
 from rosld.server.resources.ldp.bodies import receive_blob, require_model, single_chunk
+from rosld.server.resources.ldp.documents import Documents
 from rosld.server.resources.ldp.representation import state_of
 from rosld.server.resources.ldp.statements import SMALL_BYTES
 from rosld.server.rest.exchange import Exchange
@@ -40,15 +40,15 @@ class StoredFile(StoredResource):
     writes = frozenset({"PUT", "PATCH", "DELETE"})
     accepts: Mapping[str, Sequence[str]] = {"PUT": (ANYTHING,), "PATCH": (MERGE_PATCH,)}
 
-    def __init__(self, robot: Robot, path: str) -> None:
-        super().__init__(robot, path)
+    def __init__(self, documents: Documents, path: str) -> None:
+        super().__init__(documents, path)
         self.links = (*model_links(Model.NON_RDF_SOURCE), Link(self.url + META, "describedby"))
 
     def streams_body(self, exchange: Exchange) -> bool:
         return exchange.method == "PUT"
 
     async def state(self) -> State:
-        return state_of(self.robot, self.require_record())
+        return state_of(self.documents, self.require_record())
 
     in_turn = frozenset({"PATCH"})
 
@@ -58,19 +58,19 @@ class StoredFile(StoredResource):
             try:
                 return await self._sent(exchange, record)
             except FileNotFoundError:
-                if self.robot.records.get(self.path) is record:  # nobody has replaced it meanwhile
+                if self.documents.records.get(self.path) is record:  # nobody has replaced it meanwhile
                     raise
 
     async def _sent(self, exchange: Exchange, record: Record) -> Response:
         """The answer with its bytes. Raises FileNotFoundError where they are no more."""
         assert record.blob is not None
-        etag = ETag(f"{self.robot.records.identity}-{record.version}", "bin")
+        etag = ETag(f"{self.documents.records.identity}-{record.version}", "bin")
         if_match, if_none_match = exchange.header("if-match"), exchange.header("if-none-match")
         headers = {**resource_headers(self), "vary": "Accept", "cache-control": "no-cache"}
         if check_preconditions(exchange.method, etag, if_match=if_match, if_none_match=if_none_match):
             return Response(status_code=304, headers={**headers, "etag": str(etag)})
         return await file_response(
-            self.robot.records.file(record.blob),
+            self.documents.records.file(record.blob),
             record.blob.size,
             record.blob.media_type,
             str(etag),
@@ -85,7 +85,7 @@ class StoredFile(StoredResource):
         self.require_if_match(exchange)
         before = self.require_record()
         require_model(exchange, before.model, self.url)
-        return await self.replace(exchange, before, await receive_blob(self.robot, exchange))
+        return await self.replace(exchange, before, await receive_blob(self.documents, exchange))
 
     async def replace(self, exchange: Exchange, before: Record, blob: Blob) -> Answer:
         """The answer to a PUT of these bytes; `before` is what the request was judged against."""
@@ -113,17 +113,17 @@ class StoredFile(StoredResource):
         assert record.blob is not None
         if record.blob.media_type.partition(";")[0].strip() != JSON:
             raise Problem(415, f"{MERGE_PATCH} changes {JSON}, and this is {record.blob.media_type}.")
-        if record.blob.size > self.robot.settings.body_limit:
+        if record.blob.size > self.documents.settings.body_limit:
             raise Problem(413, f"A file of {record.blob.size} bytes is too large to be patched; PUT it whole.")
         is_light = record.blob.size + len(patch) <= SMALL_BYTES
         try:
-            work = partial(merge_json_file, self.robot.records.file(record.blob), patch, record.blob.media_type)
-            data = await (asyncio.to_thread(work) if is_light else self.robot.workers.run(work))
+            work = partial(merge_json_file, self.documents.records.file(record.blob), patch, record.blob.media_type)
+            data = await (asyncio.to_thread(work) if is_light else self.documents.workers.run(work))
         except FileNotFoundError as error:
-            if self.robot.records.get(self.path) is record:
+            if self.documents.records.get(self.path) is record:
                 raise
             raise Conflict(record.path, "its bytes were replaced meanwhile", ConflictCause.CHANGED) from error
-        return await self.robot.records.receive(single_chunk(data), record.blob.media_type, limit=len(data))
+        return await self.documents.records.receive(single_chunk(data), record.blob.media_type, limit=len(data))
 
 
 def merge_json_file(path: Path, patch: bytes, media_type: str) -> bytes:

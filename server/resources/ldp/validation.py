@@ -6,18 +6,23 @@ A judge is asked before a write is done, and told what to do with it afterwards;
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
+from rosld.ontology.urls import Space
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.mappings import Mappings
 from rosld.server.policies.active_limits import ROUTE as SHAPES
+from rosld.server.policies.active_limits import ActiveLimits
 from rosld.server.policies.stored_mappings import ROUTE as MAPPINGS
 from rosld.server.policies.stored_mappings import stored_mapping
 from rosld.server.policies.stored_queries import ROUTE as QUERIES
-from rosld.server.resources.context import Robot
+from rosld.server.policies.stored_queries import StoredQueries
 from rosld.server.rest.formats import RDF_BODIES
+from rosld.server.rest.state import State
+from rosld.server.runtime.version_cache import VersionCache
 from rosld.server.sparql.protocol import QUERY_MEDIA_TYPE
-from rosld.server.storage import Model, Put, Remove, Write
+from rosld.server.storage import Model, Put, Records, Remove, Write
 from rosld.server.storage.packing import size_of, unpack
 from rosld.shapes.message import SHACL_SHACL
 
@@ -54,34 +59,37 @@ class MappingValidator:
     shape = "mapping"
     media_types: Sequence[str] = RDF_BODIES
 
-    def __init__(self, robot: Robot) -> None:
-        self._robot = robot
+    def __init__(self, mappings: Mappings, space: Space, announce: Callable[[], None]) -> None:
+        """`announce` tells that other mappings are in force."""
+        self._mappings = mappings
+        self._space = space
+        self._announce = announce
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self._robot.space.shape(self.shape),)
+        return (self._space.shape(self.shape),)
 
     @property
     def lock(self) -> asyncio.Lock:
-        return self._robot.mappings.lock
+        return self._mappings.lock
 
     async def validate(self, write: Write) -> Callable[[], None]:
-        robot, url = self._robot, self._robot.space.base + write.path
+        url = self._space.base + write.path
         if isinstance(write, Remove):
-            return self._told(lambda: robot.mappings.remove(url))
+            return self._told(lambda: self._mappings.remove(url))
         if write.model is not Model.RDF_SOURCE or "/" in write.path.removeprefix(MAPPINGS):
-            room = robot.space.base + MAPPINGS
+            room = self._space.base + MAPPINGS
             raise Problem(
                 409, f"A mapping is an RDF source directly under {room}: files and containers have no place there."
             )
         document = await asyncio.to_thread(stored_mapping, _unpack(write), url)  # a large one takes its time
-        robot.mappings.check(document)
-        return self._told(lambda: robot.mappings.replace(document))
+        self._mappings.check(document)
+        return self._told(lambda: self._mappings.replace(document))
 
     def _told(self, act: Callable[[], None]) -> Callable[[], None]:
         def sequel() -> None:
             act()
-            self._robot.changes.emit()
+            self._announce()
 
         return sequel
 
@@ -92,36 +100,39 @@ class QueryValidator:
     shape = "query"
     media_types: Sequence[str] = (QUERY_MEDIA_TYPE,)
 
-    def __init__(self, robot: Robot) -> None:
-        self._robot = robot
+    def __init__(self, queries: StoredQueries, records: Records, space: Space, announce: Callable[[], None]) -> None:
+        """`announce` tells that other queries are kept."""
+        self._queries = queries
+        self._records = records
+        self._space = space
+        self._announce = announce
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self._robot.space.document_shape("Query"),)
+        return (self._space.document_shape("Query"),)
 
     @property
     def lock(self) -> asyncio.Lock:
-        return self._robot.queries.lock
+        return self._queries.lock
 
     async def validate(self, write: Write) -> Callable[[], None]:
         if isinstance(write, Put):
             await self._permissions(write)
-        return self._robot.changes.emit
+        return self._announce
 
     async def _permissions(self, put: Put) -> None:
-        robot = self._robot
         if put.blob is None or "/" in put.path.removeprefix(QUERIES):
-            room = robot.space.base + QUERIES
+            room = self._space.base + QUERIES
             raise Problem(
                 409, f"A stored query is {QUERY_MEDIA_TYPE} directly under {room}: nothing else has a place there."
             )
-        before = robot.records.get(put.path)
+        before = self._records.get(put.path)
         if before is not None and before.blob == put.blob:
             return  # its description changes
         try:
-            await asyncio.to_thread(robot.queries.check, put.path, put.blob)  # a long one takes its time
+            await asyncio.to_thread(self._queries.check, put.path, put.blob)  # a long one takes its time
         except ValueError as error:
-            robot.records.discard(put.blob)
+            self._records.discard(put.blob)
             raise Problem(422, f"This is no stored query: {error}.") from error
 
 
@@ -131,8 +142,14 @@ class LimitsValidator:
     shape = "limits"
     media_types: Sequence[str] = RDF_BODIES
 
-    def __init__(self, robot: Robot) -> None:
-        self._robot = robot
+    def __init__(
+        self, limits: ActiveLimits, states: VersionCache[State], space: Space, announce: Callable[[], None]
+    ) -> None:
+        """`announce` tells that other limits are in force."""
+        self._limits = limits
+        self._states = states
+        self._space = space
+        self._announce = announce
 
     @property
     def conforms_to(self) -> Sequence[str]:
@@ -140,14 +157,14 @@ class LimitsValidator:
 
     @property
     def lock(self) -> asyncio.Lock:
-        return self._robot.active_limits.lock
+        return self._limits.lock
 
     async def validate(self, write: Write) -> Callable[[], None]:
-        limits, url = self._robot.active_limits, self._robot.space.base + write.path
+        limits, url = self._limits, self._space.base + write.path
         if isinstance(write, Remove):
             return self._told(lambda: limits.remove(url))
         if write.model is not Model.RDF_SOURCE or "/" in write.path.removeprefix(SHAPES):
-            room = self._robot.space.base + SHAPES
+            room = self._space.base + SHAPES
             raise Problem(409, f"Limits are an RDF source directly under {room}: nothing else has a place there.")
         try:
             graph = await asyncio.to_thread(limits.check, url, _unpack(write))  # a large one takes its time
@@ -159,8 +176,8 @@ class LimitsValidator:
     def _told(self, act: Callable[[], None]) -> Callable[[], None]:
         def sequel() -> None:
             act()
-            self._robot.states.clear()  # bounds are part of what resources say of themselves
-            self._robot.changes.emit()
+            self._states.clear()  # bounds are part of what resources say of themselves
+            self._announce()
 
         return sequel
 
@@ -171,16 +188,3 @@ def _unpack(put: Put) -> bytes:
         words = f"A document that is put in force has at most {MAX_BYTES} bytes of N-Triples"
         raise Problem(413, f"{words}, and this one {size_of(put.triples)}: split it into several.")
     return unpack(put.triples)
-
-
-_JUDGES: Mapping[str, Callable[[Robot], Validator]] = {
-    MAPPINGS: MappingValidator,
-    QUERIES: QueryValidator,
-    SHAPES: LimitsValidator,
-}
-
-
-def validator_of(robot: Robot, path: str) -> Validator | None:
-    """Who judges what is kept at a path; nobody, for most."""
-    room = path[: path.find("/") + 1]
-    return _JUDGES[room](robot) if room in _JUDGES and path != room else None

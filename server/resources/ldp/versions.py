@@ -10,7 +10,7 @@ from starlette.responses import Response
 
 from rosld.ontology.describe_time_map import time_map_document
 from rosld.server.http.problem import Problem
-from rosld.server.resources.context import Robot
+from rosld.server.resources.ldp.documents import Documents
 from rosld.server.resources.ldp.representation import former_state
 from rosld.server.resources.memento import (
     VARY,
@@ -25,7 +25,8 @@ from rosld.server.resources.series import read_time
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource
 from rosld.server.rest.state import State
-from rosld.server.storage import Record
+from rosld.server.settings import Settings
+from rosld.server.storage import Record, Records
 from rosld.server.storage.record import Model
 
 _ROOT = "data/"
@@ -37,11 +38,11 @@ class FormerDocument(Resource):
     kind = "Document as it was"
     is_cacheable = False
 
-    def __init__(self, robot: Robot, record: Record, at_ns: int, text: str) -> None:
-        super().__init__(robot.space.base + record.path)
+    def __init__(self, documents: Documents, record: Record, at_ns: int, text: str) -> None:
+        super().__init__(documents.space.base + record.path)
         self.links = (RESOURCE, RDF_SOURCE, *timegate_links(self.url))
         self.title = "/" + record.path
-        self.robot = robot
+        self.documents = documents
         self._record = record
         self._at_ns, self._text = at_ns, text
 
@@ -54,7 +55,7 @@ class FormerDocument(Resource):
         return f"at={self._text}"
 
     async def state(self) -> State:
-        state = former_state(self.robot, self._record)
+        state = former_state(self.documents, self._record)
         headers = {**state.headers, "vary": VARY}
         if self._at_ns < time.time_ns():  # what is written from now on is of a later time
             headers["memento-datetime"] = memento_datetime(self._record.modified_ns)
@@ -67,67 +68,69 @@ class DocumentTimeMap(Resource):
     kind = "TimeMap"
     is_cacheable = False
 
-    def __init__(self, robot: Robot, path: str) -> None:
-        self._original = robot.space.base + path
+    def __init__(self, documents: Documents, path: str) -> None:
+        self._original = documents.space.base + path
         super().__init__(f"{self._original}?timemap")
         self.title = f"Mementos of /{path}"
-        self.robot = robot
+        self.documents = documents
         self._path = path
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self.robot.space.document_shape("TimeMap"),)
+        return (self.documents.space.document_shape("TimeMap"),)
 
     async def state(self) -> State:
-        times = memento_times(self.robot, self._path)
+        times = memento_times(self.documents.records, self._path)
         mementos = [(memento_url(self._original, each), each) for each in times]
         return State(lambda: time_map_document(self.url, self._original, mementos))
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
         """As links (RFC 6690), the default."""
-        return time_map_response(self, exchange, self._original, memento_times(self.robot, self._path), None)
+        return time_map_response(
+            self, exchange, self._original, memento_times(self.documents.records, self._path), None
+        )
 
 
-def has_versions(robot: Robot, path: str) -> bool:
+def has_versions(settings: Settings, path: str) -> bool:
     """Whether former versions of what is at a path are kept, if it is a document."""
-    return robot.settings.versions > 0 and path.startswith(_ROOT) and not path.endswith("/")
+    return settings.versions > 0 and path.startswith(_ROOT) and not path.endswith("/")
 
 
-def memento_times(robot: Robot, path: str) -> list[int]:
+def memento_times(records: Records, path: str) -> list[int]:
     """When each version of a document that is known was written, in ns, ascending."""
-    current = robot.records.get(path)
-    times = [each.modified_ns for each in robot.records.versions(path)]
+    current = records.get(path)
+    times = [each.modified_ns for each in records.versions(path)]
     is_document = current is not None and current.model is Model.RDF_SOURCE
     return [*times, current.modified_ns] if current is not None and is_document else times
 
 
-def version_at(robot: Robot, path: str, time_ns: int) -> Record | None:
+def version_at(records: Records, path: str, time_ns: int) -> Record | None:
     """The version of a document at a time, the one of now included; None where there was none."""
-    current = robot.records.get(path)
+    current = records.get(path)
     if current is not None and current.model is Model.RDF_SOURCE and current.modified_ns <= time_ns:
         return current
-    return robot.records.version_at(path, time_ns)
+    return records.version_at(path, time_ns)
 
 
-def former_of(robot: Robot, path: str, exchange: Exchange) -> Resource | None:
+def former_of(documents: Documents, path: str, exchange: Exchange) -> Resource | None:
     """What a request asks of the past of a document; None where it asks for nothing. Raises Problems: 302, 400, 404."""
-    if exchange.method not in ("GET", "HEAD") or not has_versions(robot, path):
+    if exchange.method not in ("GET", "HEAD") or not has_versions(documents.settings, path):
         return None
     query, wanted = exchange.query, exchange.headers.get("accept-datetime")
     if "timemap" not in query and "at" not in query and wanted is None:
         return None
-    times = memento_times(robot, path)
+    times = memento_times(documents.records, path)
     if not times:
         return None
     if "timemap" in query:
-        return DocumentTimeMap(robot, path)
-    url = robot.space.base + path
+        return DocumentTimeMap(documents, path)
+    url = documents.space.base + path
     if "at" in query:
         at_ns = read_time(query["at"], time.time_ns())
-        record = version_at(robot, path, at_ns)
+        record = version_at(documents.records, path, at_ns)
         if record is None:
             raise Problem(404, f"There was no /{path} at {query['at'][:60]}, or that version is not kept any more.")
-        return FormerDocument(robot, record, at_ns, query["at"])
+        return FormerDocument(documents, record, at_ns, query["at"])
     assert wanted is not None
     asked = parse_accept_datetime(wanted)
     chosen = max((each for each in times if each <= asked), default=times[0])

@@ -6,17 +6,17 @@ from rosld.server.http.link import to_uri
 from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
 from rosld.server.policies.stored_mappings import ROUTE
-from rosld.server.resources.context import Robot
+from rosld.server.resources.ldp.documents import Documents
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.resource import Answer, CreatedAnswer
 
 
-async def with_warnings(robot: Robot, path: str, exchange: Exchange, answer: Answer) -> Answer:
+async def with_warnings(documents: Documents, path: str, exchange: Exchange, answer: Answer) -> Answer:
     """The answer to a write that put a mapping in force: in words where it names in vain, if no other is preferred."""
     if not path.startswith(ROUTE) or exchange.prefer.minimal or exchange.prefer.representation:
         return answer
-    url = robot.space.base + path
-    warnings = await robot.affordances.mapping_warnings(url)
+    url = documents.space.base + path
+    warnings = await documents.mapping_warnings(url)
     if not warnings:
         return answer
     is_new = isinstance(answer, CreatedAnswer)

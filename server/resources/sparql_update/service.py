@@ -15,10 +15,11 @@ from rosld.ontology.body import BodyError
 from rosld.ontology.lower import LoweringError
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.receipts.audit_context import record_step
 from rosld.server.resources.complex_resource import ComplexResource
-from rosld.server.resources.context import Robot
 from rosld.server.resources.ldp.base import StoredResource, conflict_problem
+from rosld.server.resources.ldp.documents import Documents
 from rosld.server.resources.ldp.transaction import write_together
 from rosld.server.resources.property_action import MemberResource
 from rosld.server.resources.sparql_update.loading import load_documents
@@ -36,6 +37,8 @@ from rosld.server.resources.sparql_update.update_rights import require_change, r
 from rosld.server.rest.keyed_lock import KeyedLock
 from rosld.server.rest.plan import Plan, RobotWrite, StorageWrite
 from rosld.server.rest.resource import READ, Resource
+from rosld.server.rest.state import State
+from rosld.server.robot.session import Session
 from rosld.server.sparql.analysis import Analyser
 from rosld.server.sparql.protocol import UpdateRequest
 from rosld.server.sparql.syntax.lexer import QueryBounds
@@ -76,14 +79,18 @@ class UpdateService:
 
     def __init__(
         self,
-        robot: Robot,
+        session: Session,
+        affordances: AffordanceService[State],
+        documents: Documents,
         evaluator: UpdateEvaluator,
         analyser: Analyser,
         bounds: QueryBounds,
         at: Callable[[str], Resource],
         keyed_lock: KeyedLock,
     ) -> None:
-        self._robot = robot
+        self._session = session
+        self._affordances = affordances
+        self._documents = documents
         self._evaluator = evaluator
         self._read_operations = partial(read_update, prefixes=analyser.prefixes, base=analyser.base, bounds=bounds)
         self._at = at
@@ -99,7 +106,7 @@ class UpdateService:
         fit, 409 where it is in conflict, 503 where the robot is gone. An update that fails part-way lists in its
         problem, graph by graph, what was done, what was not, and what is unknown.
         """
-        if self._robot.settings.read_only:
+        if self._session.settings.read_only:
             raise Problem(403, "This server is read-only.")
         return await self.carry_out(await self._read(request), dry_run=dry_run, permissions=permissions)
 
@@ -107,11 +114,11 @@ class UpdateService:
         self, operations: Sequence[Operation], *, dry_run: bool, permissions: Permissions = ALLOW_ALL
     ) -> Response:
         """Carry out operations, as `answer` does those of an update. Raises Problems."""
-        if self._robot.settings.read_only:
+        if self._session.settings.read_only:
             raise Problem(403, "This server is read-only.")
         operations = without_silent_failures(operations, lambda each: require_rights([each], permissions))
         operations = without_silent_failures(operations, self._require_manageable)
-        settings = self._robot.settings
+        settings = self._session.settings
         operations = await load_documents(
             operations,
             frozenset(settings.allow_load),
@@ -172,7 +179,7 @@ class UpdateService:
 
     def _kind(self, graph: str) -> str | None:
         """The room that it lies in; None where it is none of this server's."""
-        location = self._robot.space.location(graph)
+        location = self._session.space.location(graph)
         return None if location is None else location.kind
 
     def _unseen(self, drawn: Delta) -> frozenset[str]:
@@ -196,7 +203,7 @@ class UpdateService:
 
     def _found(self, graph: str) -> Resource | None:
         """The resource whose graph this is; None where nothing of this server has that URL."""
-        base = self._robot.space.base
+        base = self._session.space.base
         if not graph.startswith(base) or "?" in graph or "#" in graph:
             return None
         try:
@@ -208,7 +215,7 @@ class UpdateService:
     def _resource(self, graph: str) -> Resource:
         found = self._found(graph)
         if found is None:
-            base = self._robot.space.base
+            base = self._session.space.base
             raise Problem(403, f"It is no graph that can be written here; {base}data/ and below keep what you like.")
         return found
 
@@ -263,16 +270,16 @@ class UpdateService:
             await held.enter_async_context(self._held({target.resource.url for target in targets} - held_already))
             members = [each.resource for each in targets if isinstance(each.resource, MemberResource | ComplexResource)]
             if members:
-                tree = await self._robot.affordances.tree()
+                tree = await self._affordances.tree()
                 names = [name for each in members for name in each.affected_names(tree)]
-                await held.enter_async_context(self._robot.affordances.lock(tree, *names, modified=names))
+                await held.enter_async_context(self._affordances.lock(tree, *names, modified=names))
             yield
 
     async def _holds(self, drawn: Delta, targets: Sequence[Target]) -> bool:
         """Whether everything that the update was drawn over is as it was."""
         for target in targets:
             if isinstance(target.resource, StoredResource):
-                record = self._robot.records.get(target.resource.path)
+                record = self._documents.records.get(target.resource.path)
                 if record is not None and max(record.version, record.listed) > drawn.stored:
                     return False
                 if (record is not None) != target.change.was_there:
@@ -284,7 +291,7 @@ class UpdateService:
 
     async def _is_as_seen(self, graph: str, token: Hashable) -> bool:
         try:
-            return (await self._at("/" + graph[len(self._robot.space.base) :]).state()).tag == token
+            return (await self._at("/" + graph[len(self._session.space.base) :]).state()).tag == token
         except (Problem, RosError, ValueError):
             return False
 
@@ -309,20 +316,20 @@ class UpdateService:
         kept = [(graph, plan) for graph, plan in plans if isinstance(plan, StorageWrite)]
         moves = [(graph, plan) for graph, plan in plans if isinstance(plan, RobotWrite)]
         if moves:
-            self._robot.interlock.require_open()
+            self._session.interlock.require_open()
         if kept:
             writes: dict[str, Write] = {}
             for graph, plan in kept:
                 for write in plan.writes:  # what makes a container for a member must not replace what it is to say
-                    if write.path not in writes or graph == self._robot.space.base + write.path:
+                    if write.path not in writes or graph == self._session.space.base + write.path:
                         writes[write.path] = write
             try:
-                await write_together(self._robot, tuple(writes.values()))
+                await write_together(self._documents, tuple(writes.values()))
             except Conflict as error:
                 if error.cause in _CHANGED:
                     return None
                 raise RefusedGraphs(
-                    [(self._robot.space.base + error.path, conflict_problem(self._robot, error))]
+                    [(self._session.space.base + error.path, conflict_problem(self._session.space, error))]
                 ) from error
         entries = [ReportEntry(graph, plan.description, Outcome.DONE) for graph, plan in kept]
         for graph, move in moves:

@@ -25,11 +25,11 @@ DISPLAY = "/topics/cockpit/display"
 
 async def show(app: Any, text: str) -> None:
     """Publish on the cockpit's display."""
-    schema = await app.robot.schemas.message(TypeRef("std_msgs/msg/String"))
-    encoding = app.robot.adapter.capabilities.encoding
+    schema = await app.session.schemas.message(TypeRef("std_msgs/msg/String"))
+    encoding = app.session.adapter.capabilities.encoding
     data = schema.codec.encode(schema.codec.build(schema.ref.name, {"data": text}), encoding)
     deadline = asyncio.get_running_loop().time() + 5
-    await app.robot.adapter.publish("/cockpit/display", schema.ref, data, deadline=deadline)
+    await app.session.adapter.publish("/cockpit/display", schema.ref, data, deadline=deadline)
 
 
 def test_three_hundred_readers_cost_one_rendering_a_value(opened: Any, reader: Any) -> None:
@@ -104,7 +104,7 @@ def test_who_hangs_up_leaves_nothing_behind(opened: Any, reader: Any) -> None:
             await stuck.leave()
             assert not broadcasters.resources
             assert not broadcasters.readers
-            assert not app.robot.topics.always_subscribed()
+            assert not app.session.topics.always_subscribed()
             assert asyncio.all_tasks() <= before
 
     asyncio.run(main())
@@ -126,10 +126,10 @@ def test_a_topic_that_is_watched_stays_subscribed_and_no_longer(opened: Any, rea
             await other.task
             count = len(watched.events)
             await watched.until(lambda one: len(one.events) >= count + 8)
-            assert "/aircraft/engine/speed" in app.robot.topics.subscribed()
+            assert "/aircraft/engine/speed" in app.session.topics.subscribed()
             await watched.leave()
             deadline = time.monotonic() + 5
-            while app.robot.topics.subscribed():
+            while app.session.topics.subscribed():
                 assert time.monotonic() < deadline
                 await asyncio.sleep(0.05)
 
@@ -229,7 +229,7 @@ def test_a_failure_nobody_foresaw_is_told_and_logged(
                 raise RuntimeError("the inside")
 
             with monkeypatch.context() as patched:
-                patched.setattr(app.robot.topics, "find_view", broken)
+                patched.setattr(app.session.topics, "find_view", broken)
                 await show(app, "unseen")
                 await one.until(lambda one: b"event: problem" in one.events[-1])
             assert b"the inside" not in one.events[-1]

@@ -59,8 +59,8 @@ from rosld.server.hypermedia.property_writer import (
 )
 from rosld.server.hypermedia.type_inference import value_kind
 from rosld.server.hypermedia.value import MessageValue, StoredValue, plain_json
-from rosld.server.resources.context import Robot
 from rosld.server.robot.calls import UnreadableResponse
+from rosld.server.robot.session import Session
 from rosld.server.settings import Settings
 
 T = TypeVar("T")
@@ -79,7 +79,7 @@ class Flight:
 
     def __init__(self, **settings: Any) -> None:
         self.adapter = Aircraft(AdapterOptions())
-        self.robot = Robot(self.adapter, Settings(**settings))
+        self.robot = Session(self.adapter, Settings(**settings))
         self.written: list[tuple[Kind, str]] = []
         self.robot.add_write_listener(lambda kind, name: self.written.append((kind, name)))
         self.catalogue: Catalogue = catalogue(self.adapter.graph, LIBRARY.find)
@@ -104,11 +104,11 @@ class Flight:
 def flown(test: Callable[[Flight], Awaitable[None]], **settings: Any) -> None:
     async def main() -> None:
         flight = Flight(**settings)
-        await flight.robot.start()
+        await flight.robot.open()
         try:
             await test(flight)
         finally:
-            await flight.robot.stop()
+            await flight.robot.close()
 
     run(main())
 
@@ -331,9 +331,11 @@ WHOLE_GRAPH = Graph(
 )
 
 
-def robot(graph: Graph = WHOLE_GRAPH, allowed: Iterable[Operation] = Operation, **settings: Any) -> tuple[Robot, Fake]:
+def robot(
+    graph: Graph = WHOLE_GRAPH, allowed: Iterable[Operation] = Operation, **settings: Any
+) -> tuple[Session, Fake]:
     fake = Fake(graph, allowed)
-    own = Robot(cast(Adapter, fake), Settings(**{"allow_publish": (X,), **settings}))
+    own = Session(cast(Adapter, fake), Settings(**{"allow_publish": (X,), **settings}))
     return own, fake
 
 

@@ -11,9 +11,10 @@ from pyoxigraph import NamedNode, Quad, QueryBoolean, QuerySolutions, RdfFormat,
 from rosld.ontology.vocab import PREFIXES
 from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.mappings import relations
-from rosld.server.resources.context import Robot
-from rosld.server.resources.live_graphs import RobotGraphs
 from rosld.server.resources.namespaces import namespaces
+from rosld.server.routing.live_graphs import RobotGraphs
+from rosld.server.routing.resource_factory import ResourceFactory
+from rosld.server.routing.services import Services
 from rosld.server.sparql.analysis import Analyser
 from rosld.server.sparql.change_source import Changes
 from rosld.server.sparql.materializer import Synchroniser
@@ -39,7 +40,7 @@ class Frozen:
     `loop` is the one the robot runs on.
     """
 
-    robot: Robot
+    services: Services
     dataset: RobotGraphs
     loop: asyncio.AbstractEventLoop
     described: Mapping[str, str]
@@ -47,7 +48,7 @@ class Frozen:
 
     @property
     def base(self) -> str:
-        return self.robot.space.base
+        return self.services.session.space.base
 
     def kind(self, iri: str) -> str:
         """The container that a graph lies in."""
@@ -55,10 +56,11 @@ class Frozen:
         return "trees" if kind == "parameters" and iri.endswith("/") else kind
 
 
-async def freeze(robot: Robot) -> Frozen:
+async def freeze(services: Services) -> Frozen:
     """All that a robot's dataset holds, every topic being subscribed to."""
-    dataset, space = RobotGraphs(robot), robot.space
-    tree = await robot.affordances.tree()
+    robot = services.session
+    dataset, space = RobotGraphs(ResourceFactory(services)), robot.space
+    tree = await services.affordances.tree()
     below = {url_of(path, space) for path in (*tree.paths, *tree.properties, *tree.actions)}
     recorded = {
         space.bag_message(name, index)
@@ -76,7 +78,7 @@ async def freeze(robot: Robot) -> Frozen:
         for iri, entry in dataset.descriptions().items()
         if iri.removeprefix(space.base).partition("/")[0] in _STATIC
     }
-    return Frozen(robot, dataset, loop, described, {entry.iri: entry.ntriples() for entry in entries})
+    return Frozen(services, dataset, loop, described, {entry.iri: entry.ntriples() for entry in entries})
 
 
 class _Kept:
@@ -105,10 +107,10 @@ class Comparison:
     found: dict[Needs, frozenset[str]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        robot = self.frozen.robot
-        space = robot.space
+        services = self.frozen.services
+        space = services.session.space
         mentions = Mentions(space.base, space.types)
-        self.analyser = Analyser(space.base, space.types, relations=lambda: relations(robot.mappings.mapping_set))
+        self.analyser = Analyser(space.base, space.types, relations=lambda: relations(services.mappings.mapping_set))
         self._synchroniser = Synchroniser(
             LocalStore(),
             self.frozen.dataset,

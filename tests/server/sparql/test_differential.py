@@ -16,7 +16,7 @@ from pyoxigraph import Quad
 from rosld.adapters.base import AdapterOptions
 from rosld.adapters.registry import adapter_for
 from rosld.server.http.problem import Problem
-from rosld.server.resources.context import Robot
+from rosld.server.routing.services import Services
 from rosld.server.settings import Settings
 from tests.server.sparql import frozen, recorded
 from tests.server.sparql.frozen import Comparison, Frozen, TooMany, freeze, quads_of
@@ -39,7 +39,7 @@ def robot(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     if request.param == "a recording":
         source = str(recorded.record(tmp_path_factory.mktemp("recorded") / "run"))
     loop = asyncio.new_event_loop()
-    served = Robot(adapter_for(source, AdapterOptions()), Settings(subscribe=("*",)))
+    served = Services(adapter_for(source, AdapterOptions()), Settings(subscribe=("*",)))
     loop.run_until_complete(served.start())
     yield loop.run_until_complete(freeze(served))
     loop.run_until_complete(served.stop())

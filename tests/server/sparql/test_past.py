@@ -20,9 +20,10 @@ from rosld.ontology.serialize import Syntax, serialize
 from rosld.ontology.vocab import PREFIXES, ros
 from rosld.server.auth.permissions import ALLOW_ALL
 from rosld.server.http.problem import Problem
-from rosld.server.resources.bags import BagMessage
-from rosld.server.resources.context import Robot
 from rosld.server.resources.past_messages import RecordedPast
+from rosld.server.robot.session import Session
+from rosld.server.routing.resource_factory import ResourceFactory
+from rosld.server.routing.services import Services
 from rosld.server.settings import Settings
 from rosld.server.sparql.analysis import Analyser
 from rosld.server.sparql.intervals import Interval
@@ -41,7 +42,7 @@ _SECOND = 1_000_000_000
 class Recorded(NamedTuple):
     """A robot that serves a recording, all that is said of its messages, and from when on they are."""
 
-    robot: Robot
+    services: Services
     loop: asyncio.AbstractEventLoop
     described: str
     everything: str
@@ -67,34 +68,36 @@ def past(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Recorded]:
     start_ns = time.time_ns() - 60 * _SECOND
     source = str(write(tmp_path_factory.mktemp("past") / "run", start_ns))
     loop = asyncio.new_event_loop()
-    robot = Robot(adapter_for(source, AdapterOptions()), Settings())
-    loop.run_until_complete(robot.start())
-    yield Recorded(robot, loop, described(robot), loop.run_until_complete(everything(robot)), start_ns)
-    loop.run_until_complete(robot.stop())
+    services = Services(adapter_for(source, AdapterOptions()), Settings())
+    loop.run_until_complete(services.start())
+    texts = described(services.session), loop.run_until_complete(everything(services))
+    yield Recorded(services, loop, *texts, start_ns)
+    loop.run_until_complete(services.stop())
     loop.close()
 
 
-def described(robot: Robot) -> str:
+def described(session: Session) -> str:
     """What is said of topics beside their messages."""
-    space = robot.space
+    space = session.space
     lines = []
-    for topic in robot.graph.topics.values():
+    for topic in session.graph.topics.values():
         node = f"<{space.topic(topic.name)}>"
         lines += [f'{node} {ros.name} "{topic.name}" .', f"{node} a {ros.Topic} ."]
         lines += [f"{node} {ros.hasMessageType} <{space.class_of(ref.name)}> ." for ref in topic.types]
     return "\n".join(lines)
 
 
-async def everything(robot: Robot) -> str:
+async def everything(services: Services) -> str:
     """All messages of the recording as their own URLs say them, and the links from topics and to the recording."""
-    (recording,) = robot.adapter.recordings.values()
+    factory, space = ResourceFactory(services), services.session.space
+    (recording,) = services.session.adapter.recordings.values()
     texts = []
     for index in range(recording.count):
-        document = (await BagMessage(robot, recording, index).state()).document
+        document = (await factory.bag_message(recording, index).state()).document
         texts.append(serialize(document, Syntax.N_TRIPLES).decode())
-        topic, message = robot.space.topic(recording.message(index).topic), f"<{document.url}#message>"
+        topic, message = space.topic(recording.message(index).topic), f"<{document.url}#message>"
         texts.append(f"<{topic}> {ros.past} {message} .\n")
-        texts.append(f"{message} {ros.recordedIn} <{robot.space.bag(recording.name)}> .\n")
+        texts.append(f"{message} {ros.recordedIn} <{space.bag(recording.name)}> .\n")
     return "".join(texts)
 
 
@@ -125,17 +128,19 @@ def read(past: Recorded, query: str, now_ns: int) -> str:
 
 def read_end(past: Recorded, query: str, now_ns: int, most: int | None) -> tuple[str, PastEnd | None]:
     """What is read of the past for a query, of about so many messages; at which end, None where that is all."""
-    space = past.robot.space
+    space = past.services.session.space
     asked = Analyser(space.base, space.types).analyse_once(query).past
     assert asked is not None
     moments = Interval(now_ns, now_ns)
     until = time.monotonic() + 60
-    found = past.loop.run_until_complete(RecordedPast(past.robot).read(asked, (), ALLOW_ALL, moments, until, most))
+    found = past.loop.run_until_complete(
+        RecordedPast(past.services.session, past.services.recordings).read(asked, (), ALLOW_ALL, moments, until, most)
+    )
     return found.text.decode(), None if found.is_whole else asked.end
 
 
 def test_a_query_answers_over_what_it_reads_as_over_all_that_is_recorded(past: Recorded) -> None:
-    base = past.robot.space.base
+    base = past.services.session.space.base
     now_ns = time.time_ns()
     now = datetime.fromtimestamp(now_ns // 1000 / 1e6, timezone.utc)
     now_ns = int(now.timestamp() * 1e6) * 1000
@@ -161,7 +166,7 @@ def test_a_query_answers_over_what_it_reads_as_over_all_that_is_recorded(past: R
 
 
 def test_the_first_rows_over_the_messages_at_an_end_are_those_over_all(past: Recorded) -> None:
-    base = past.robot.space.base
+    base = past.services.session.space.base
     now = datetime.fromtimestamp(time.time_ns() // 1000 / 1e6, timezone.utc)
     now_ns = int(now.timestamp() * 1e6) * 1000
     maker = PastMaker(base, datetime.fromtimestamp(past.start_ns // _SECOND, timezone.utc), SECONDS, now)

@@ -46,13 +46,8 @@ from rosld.server.hypermedia.mappings import related
 from rosld.server.hypermedia.resource_tree import path_of
 from rosld.server.policies import active_limits, stored_queries
 from rosld.server.resources import types
-from rosld.server.resources.actions import ActionResource, GoalResource
-from rosld.server.resources.bags import BagMessage, bag_urls, describe_armed, describe_bag, describe_running
-from rosld.server.resources.complex_resource import ComplexResource
-from rosld.server.resources.context import IdentityKey, Robot
-from rosld.server.resources.graph import GraphResource
-from rosld.server.resources.holds import HoldResource
-from rosld.server.resources.listings import LISTINGS, ListingResource
+from rosld.server.resources.bags import bag_urls, describe_armed, describe_bag, describe_running
+from rosld.server.resources.listings import ListingResource
 from rosld.server.resources.namespaces import (
     NamespaceContainer,
     listed_graph,
@@ -61,25 +56,20 @@ from rosld.server.resources.namespaces import (
     namespaces,
     things_of,
 )
-from rosld.server.resources.nodes import NodeResource
-from rosld.server.resources.ontology import OntologyResource
 from rosld.server.resources.parameters import ParameterResource, ParameterTree
-from rosld.server.resources.property_action import MemberResource
 from rosld.server.resources.queries import queries_document, shipped_document
-from rosld.server.resources.services import CallResource
-from rosld.server.resources.stop import StopResource
 from rosld.server.resources.topics import TopicResource
 from rosld.server.resources.types import (
     SHAPES_GRAPHS,
-    ShapeResource,
-    TypeResource,
     child_names,
     known_types,
     shapes_graph,
 )
 from rosld.server.rest.resource import Resource
 from rosld.server.rest.state import State
+from rosld.server.routing.resource_factory import ResourceFactory
 from rosld.server.runtime.loop_time import loop_time
+from rosld.server.runtime.version_cache import IdentityKey
 from rosld.server.sparql.materializer import GraphEntry
 from rosld.server.sparql.needs import Needs
 from rosld.server.sparql.vocabulary_view import ACTIONS, COMPLEX, PROPERTIES
@@ -101,8 +91,10 @@ _TURNS = 4
 class RobotGraphs:
     """The graphs of one robot: the `GraphSource` of its SPARQL endpoint."""
 
-    def __init__(self, robot: Robot) -> None:
-        self._robot = robot
+    def __init__(self, factory: ResourceFactory) -> None:
+        self._factory = factory
+        self._services = factory.services
+        self._session = factory.session
         self._described: tuple[Hashable, Mapping[str, GraphEntry]] = (None, {})
         self._found: dict[Needs, tuple[Hashable, Sequence[Resource]]] = {}
         self._fixed: Mapping[str, Callable[[], Document]] = {}
@@ -116,12 +108,26 @@ class RobotGraphs:
     @property
     def revision(self) -> Hashable:
         """Changes whenever a description may have changed."""
-        return self._robot.revision
+        session, services = self._session, self._services
+        return (
+            IdentityKey(session.graph),
+            session.schemas.count,
+            session.calls.revision,
+            session.goals.revision,
+            services.holds.revision,
+            services.software_stop.revision,
+            services.recordings.history.digests.revision,
+            services.queries.version,
+            services.recordings.revision,
+            IdentityKey(services.active_limits.current),
+            IdentityKey(services.mappings.mapping_set),
+            IdentityKey(services.affordances.last_tree),
+        )
 
     @property
     def writes(self) -> int:
         """How many writes have ended that the robot was told of."""
-        return self._robot.interlock.writes
+        return self._session.interlock.writes
 
     def descriptions(self) -> Mapping[str, GraphEntry]:
         """Every graph without live values, by IRI."""
@@ -132,7 +138,7 @@ class RobotGraphs:
 
     async def documents_of(self, terms: Collection[str]) -> Collection[str]:
         """The URLs of the complex resources, properties and actions that these terms may be said of."""
-        tree, space = await self._robot.affordances.tree(), self._robot.space
+        tree, space = await self._services.affordances.tree(), self._session.space
         paths: set[str] = set()
         for term in terms:
             paths |= set(tree.paths) if term in COMPLEX else related(tree.mapping_set, term)
@@ -147,23 +153,25 @@ class RobotGraphs:
 
         Only those count that the judge lets be read.
         """
-        robot, space = self._robot, self._robot.space
+        session, space = self._session, self._session.space
         found: dict[str, int] = {}
         if needs.is_everything:
             wanted = {one.url for one in self._resources(needs)}
-            urls = {space.topic(name) for name in robot.graph.topics}
+            urls = {space.topic(name) for name in session.graph.topics}
             found["topics"] = sum(map(permissions.may_read, urls - wanted))
         if needs.resources:
-            tree = await robot.affordances.tree()
+            tree = await self._services.affordances.tree()
             urls = {url_of(path, space) for path in (*tree.paths, *tree.properties, *tree.actions)}
             found["resources"] = sum(map(permissions.may_read, urls - needs.documents))
             left = () if needs.is_everything else (url for url in self._live if url not in needs.documents)
             found |= {url.removeprefix(space.base): int(permissions.may_read(url)) for url in left}
         if needs.trees:
-            urls = {space.container("parameters", path) for path in namespaces(robot.graph, "parameters")}
+            urls = {space.container("parameters", path) for path in namespaces(session.graph, "parameters")}
             found["parameters"] = sum(map(permissions.may_read, urls - needs.graph_names))
         if needs.records:
-            recordings = [one for one in robot.recordings.values() if permissions.may_read(space.bag(one.name))]
+            recordings = [
+                one for one in self._services.recordings.readable.values() if permissions.may_read(space.bag(one.name))
+            ]
             named = (space.location(url) for url in needs.documents)
             count = sum(one is not None and one.kind == "bags" and len(one.segments) == 3 for one in named)
             found["bags"] = sum(one.count for one in recordings) - count
@@ -187,7 +195,7 @@ class RobotGraphs:
         """The resources of `_wanted`, kept for as long as they are the same: where needs name what they are about."""
         if any(demand.is_anything for demand in needs.demands):
             return list(self._wanted(needs))
-        version = (self._robot.graph.revision, self._robot.schemas.count)
+        version = (self._session.graph.revision, self._session.schemas.count)
         known = self._found.get(needs)
         if known is None or known[0] != version:
             if len(self._found) >= _KEPT:
@@ -196,23 +204,23 @@ class RobotGraphs:
         return known[1]
 
     def _wanted(self, needs: Needs) -> Iterator[Resource]:
-        robot = self._robot
+        session = self._session
         if needs.needs_messages:
-            at_hand = {*robot.topics.subscribed(), *robot.adapter.published}
+            at_hand = {*session.topics.subscribed(), *session.adapter.published}
             definite = Needs(tuple(demand for demand in needs.demands if not demand.is_anything))
             for topic in self._candidates(needs.graphs):
-                url = robot.space.topic(topic.name)
+                url = session.space.topic(topic.name)
                 asked = needs if topic.name in at_hand else definite  # looking at anything subscribes to nothing new
                 if asked.wants_topic(url, self._types_within(topic)):
-                    yield TopicResource(robot, topic.name)
+                    yield self._factory.topic(topic.name)
         if needs.needs_parameters:
-            for name in robot.graph.parameters:
-                if needs.wants_parameter(robot.space.parameter(name)):
-                    yield ParameterResource(robot, name)
-            for path in namespaces(robot.graph, "parameters") if needs.graph_names else ():
-                url = robot.space.container("parameters", path)
+            for name in session.graph.parameters:
+                if needs.wants_parameter(session.space.parameter(name)):
+                    yield self._factory.parameter(name)
+            for path in namespaces(session.graph, "parameters") if needs.graph_names else ():
+                url = session.space.container("parameters", path)
                 if url in needs.graph_names and needs.wants_parameter(url):
-                    yield ParameterTree(robot, path)
+                    yield self._factory.parameter_tree(path)
         yield from self._named_listings(needs.graph_names)
         anything = any(demand.is_anything for demand in needs.demands)
         yield from (one for url, one in self._live.items() if anything or url in needs.documents)
@@ -220,23 +228,25 @@ class RobotGraphs:
 
     def _named_listings(self, graph_names: frozenset[str]) -> Iterator[Resource]:
         """The listings that are named as graphs: only there they tell what their members say of themselves, too."""
+        factory = self._factory
+        listings = {"calls": factory.calls, "goals": factory.goals, "holds": factory.holds}
         for url in graph_names:
-            location = self._robot.space.location(url)
+            location = self._session.space.location(url)
             if location is None or not location.is_container:
                 continue
             if location.kind in _LISTINGS:
-                yield NamespaceContainer(self._robot, location.kind, location.segments)
-            elif location.kind in LISTINGS and not location.segments:
-                yield LISTINGS[location.kind](self._robot)
+                yield self._factory.namespace(location.kind, location.segments)
+            elif location.kind in listings and not location.segments:
+                yield listings[location.kind]()
 
     def _candidates(self, named: frozenset[str] | None) -> Iterator[Topic]:
         """The topics among these URLs; all where none are named."""
-        topics = self._robot.graph.topics
+        topics = self._session.graph.topics
         if named is None:
             yield from topics.values()
             return
         for url in named:
-            location = self._robot.space.location(url)
+            location = self._session.space.location(url)
             if location is not None and location.kind == "topics" and location.name in topics:
                 yield topics[location.name]
 
@@ -245,13 +255,13 @@ class RobotGraphs:
         found: set[str] = set()
         for ref in topic.types:
             found.add(ref.name)
-            schema = self._robot.schemas.find_cached(ref) or self._robot.schemas.find_cached_by_name(ref.name)
+            schema = self._session.schemas.find_cached(ref) or self._session.schemas.find_cached_by_name(ref.name)
             if isinstance(schema, MessageSchema):
                 found.update(schema.types)
         return frozenset(found)
 
     def _is_known(self, type: str) -> bool:
-        return self._robot.schemas.find_cached_by_name(type) is not None
+        return self._session.schemas.find_cached_by_name(type) is not None
 
     def _named(self, documents: frozenset[str]) -> Iterator[Resource]:
         """What is in the dataset only where it is named.
@@ -260,21 +270,21 @@ class RobotGraphs:
         of the graph. Diagnostics are not: their words tell of topics that not everybody may read.
         """
         for url in documents:
-            location = self._robot.space.location(url)
+            location = self._session.space.location(url)
             match location:
                 case Location("bags", (bag, "messages", index), False) if index.isdecimal():
-                    recording = self._robot.recordings.get(bag)
+                    recording = self._services.recordings.readable.get(bag)
                     if recording is not None and recording.first <= int(index) < recording.first + recording.count:
-                        yield BagMessage(self._robot, recording, int(index))
+                        yield self._factory.bag_message(recording, int(index))
                 case Location("types" | "shapes", (_, _, _) as path, False) if not self._is_known("/".join(path)):
-                    make = TypeResource if location.kind == "types" else ShapeResource
-                    yield make(self._robot, "/".join(path))
+                    name = "/".join(path)
+                    yield self._factory.type(name) if location.kind == "types" else self._factory.shape(name)
                 case Location("graph", (), False):
-                    yield GraphResource(self._robot)
+                    yield self._factory.graph()
                 case Location("resources", segments, True):
-                    yield ComplexResource(self._robot, path_of(segments))
+                    yield self._factory.complex(path_of(segments))
                 case Location("resources", (_, *_), False):
-                    yield MemberResource(self._robot, location.name)
+                    yield self._factory.member(location.name)
 
     async def _look(
         self, topics: Iterable[TopicResource], others: Iterable[Resource], deadline: float
@@ -283,7 +293,7 @@ class RobotGraphs:
 
         What must be waited for is looked at together: what getters answer, and the first values of topics.
         """
-        is_settled = self._robot.topics.is_settled
+        is_settled = self._session.topics.is_settled
         firsts = (self._first(topic) for topic in topics if not is_settled(topic.name))
         shown = (
             self._entry(one.url, one.state(), is_transient=isinstance(one, NamespaceContainer | ListingResource))
@@ -308,7 +318,7 @@ class RobotGraphs:
     async def _first(self, topic: TopicResource) -> None:
         """Have the first value of a topic come; what fails is seen again when it is shown."""
         with contextlib.suppress(Problem, RosError):
-            await self._robot.topics.read(topic.name)
+            await self._session.topics.read(topic.name)
 
     async def _parameters(
         self, resources: Sequence[ParameterResource | ParameterTree], deadline: float
@@ -316,10 +326,10 @@ class RobotGraphs:
         """The graphs of parameters and of trees of them, asked for all together."""
         if not resources:
             return ()
-        robot = self._robot
-        until = min(deadline, robot.deadline(robot.settings.call_deadline))
+        session = self._session
+        until = min(deadline, session.deadline(session.settings.call_deadline))
         try:
-            values = await robot.adapter.get_parameters([one.name for one in resources], deadline=until)
+            values = await session.adapter.get_parameters([one.name for one in resources], deadline=until)
         except RosError:
             return ()
         found = ((one, values.get(one.name)) for one in resources)
@@ -330,7 +340,7 @@ class RobotGraphs:
 
         Where something must be fetched first (the type of a message), they are all looked at again.
         """
-        known = self._robot.topics.current_view
+        known = self._session.topics.current_view
         for _ in range(_TURNS):
             turns: list[None] = []
             asyncio.get_running_loop().call_soon(turns.append, None)
@@ -349,19 +359,20 @@ class RobotGraphs:
             return None
 
     def _describe(self) -> Iterator[GraphEntry]:
-        robot, space, graph = self._robot, self._robot.space, self._robot.graph
-        system = robot.adapter.capabilities.system
-        problems = robot.storage_problems
-        entry = partial(entry_document, listed_graph(robot), space, system, problems, name=robot.name)
+        session, services = self._session, self._services
+        space, graph = session.space, session.graph
+        system = session.adapter.capabilities.system
+        problems = services.storage_problems()
+        entry = partial(entry_document, listed_graph(session), space, system, problems, name=session.name)
         yield _described(space.base, (graph.revision, problems), entry)
         simulated = graph.simulated_time
         for name, known in node_views(graph).items():
-            view = NodeResource(robot, name).with_offers(known)
+            view = self._factory.node(name).with_offers(known)
             describe = partial(node_document, view, space, simulated_time=simulated)
             yield _described(space.node(name), (view, simulated), describe)
         for topic in graph.topics.values():
-            hold = robot.holds.find_by_topic(topic.name)
-            can = TopicResource(robot, topic.name).is_holdable
+            hold = services.holds.find_by_topic(topic.name)
+            can = self._factory.topic(topic.name).is_holdable
             yield _described(
                 space.topic(topic.name),
                 (topic, hold and hold.id, can),
@@ -370,8 +381,8 @@ class RobotGraphs:
         for service in graph.services.values():
             yield _described(space.service(service.name), service, partial(service_document, service, space, graph))
         for name, action in graph.actions.items():
-            one = ActionResource(robot, name)
-            goals = tuple(goal.id for goal in robot.goals.of_action(name))
+            one = self._factory.action(name)
+            goals = tuple(goal.id for goal in session.goals.of_action(name))
             yield _described(one.url, (action, goals, one.takes_goals), one.document)
         for parameter in graph.parameters.values():
             url = space.parameter(parameter.name)
@@ -381,32 +392,36 @@ class RobotGraphs:
         yield from self._records()
         for iri, fixed in self._fixed.items():
             yield _described(iri, 0, fixed)
-        for module in (OntologyResource(robot, name) for name in MODULES):
+        for module in (self._factory.ontology_module(name) for name in MODULES):
             yield _described(module.url, 0, module.document)
 
     def _containers(self) -> Iterator[GraphEntry]:
-        space, graph = self._robot.space, self._robot.graph
+        space, graph = self._session.space, self._session.graph
         for path in namespaces(graph, "parameters"):
-            tree = ParameterTree(self._robot, path)
+            tree = self._factory.parameter_tree(path)
             yield _described(tree.url, IdentityKey(graph.parameters), partial(_of_itself, tree))
         for room in _LISTINGS:
             for path, whole in namespaces(graph, room).items():
-                members = listed_members(self._robot, room, path)
+                members = listed_members(self._session, room, path)
                 assert members is not None
                 is_name = names.join(path) in things_of(graph, room)
-                describe = partial(listing_document, self._robot, room, path, members)
+                describe = partial(listing_document, self._session, room, path, members)
                 yield _described(space.container(room, path), (members, is_name, members == whole), describe)
-        recordings = bag_urls(self._robot)
+        recordings = bag_urls(space, self._services.recordings)
         bags = partial(container_document, space.container("bags"), recordings, "Recordings")
         yield _described(space.container("bags"), recordings, bags)
-        yield _described(space.container("queries"), self._robot.queries.version, queries_document(self._robot))
-        for name, query in self._robot.queries.shipped.items():
+        yield _described(
+            space.container("queries"),
+            self._services.queries.version,
+            queries_document(self._services.documents, self._services.queries),
+        )
+        for name, query in self._services.queries.shipped.items():
             url = space.query(name)
             yield _described(url, 0, partial(shipped_document, url, query))
 
     def _types(self) -> Iterator[GraphEntry]:
-        space = self._robot.space
-        listed = tuple(sorted({ref.name for ref in known_types(self._robot)}))
+        space = self._session.space
+        listed = tuple(sorted({ref.name for ref in known_types(self._session)}))
         paths = {tuple(name.split("/"))[:depth] for name in listed for depth in range(3)} | {()}
         for room, path in product(("types", "shapes"), sorted(paths)):
             if room == "shapes" and not path:
@@ -414,54 +429,65 @@ class RobotGraphs:
             below = child_names(listed, room, path)
             describe = partial(type_container_document, room, path, below, space)
             yield _described(space.container(room, path), below, describe)
-        shapes = types.shapes_document(self._robot)
+        shapes = types.shapes_document(self._session, self._services.documents)
         yield _described(shapes.url, IdentityKey(shapes), lambda: shapes)
         for name in SHAPES_GRAPHS:
-            yield _described(space.shape(name), *shapes_graph(self._robot, name))
-        variants = known_types(self._robot)
-        for schema in self._robot.schemas.all():
+            yield _described(
+                space.shape(name),
+                *shapes_graph(self._session, self._services.affordances, self._factory.limit_checks, name),
+            )
+        variants = known_types(self._session)
+        for schema in self._session.schemas.all():
             yield from self._type(schema, variants)
 
     def _type(self, schema: Schema, variants: Sequence[TypeRef]) -> Iterator[GraphEntry]:
-        space = self._robot.space
+        space = self._session.space
         for one in (schema,) if isinstance(schema, MessageSchema) else (schema, *halves_of(schema)):
             same = tuple(ref for ref in variants if ref.name == one.ref.name)
             yield _described(space.type(one.ref.name), (one.ref, same), partial(type_document, one, space, same))
             yield _described(space.shape(one.ref.name), one.ref, partial(shape_document, one, space))
 
     def _records(self) -> Iterator[GraphEntry]:
-        space = self._robot.space
-        for recording in self._robot.recordings.values():
-            digest = self._robot.history.digests.known(recording.path)
-            size = recording.first, recording.count, self._robot.history.problem, digest
-            yield _described(space.bag(recording.name), size, partial(describe_bag, self._robot, recording))
-        for armed in self._robot.bags.armed.values():
+        space = self._session.space
+        for recording in self._services.recordings.readable.values():
+            digest = self._services.recordings.history.digests.known(recording.path)
+            size = recording.first, recording.count, self._services.recordings.history.problem, digest
+            yield _described(
+                space.bag(recording.name),
+                size,
+                partial(describe_bag, space, self._services.recordings.history, recording),
+            )
+        for armed in self._services.recordings.armed.values():
             waits = armed.count, armed.problem
-            yield _described(space.bag(armed.name), waits, partial(describe_armed, self._robot, armed))
-        for one in self._robot.bags.running.values():
+            yield _described(space.bag(armed.name), waits, partial(describe_armed, space, armed))
+        for one in self._services.recordings.running.values():
             progress = one.writer.count, one.writer.problem
-            yield _described(space.bag(one.name), progress, partial(describe_running, self._robot, one))
-        calls = tuple(space.call(call.id) for call in self._robot.calls.all())
+            yield _described(
+                space.bag(one.name), progress, partial(describe_running, space, self._services.recordings, one)
+            )
+        calls = tuple(space.call(call.id) for call in self._session.calls.all())
         listed = partial(container_document, space.container("calls"), calls, "Calls")
         yield _described(space.container("calls"), calls, listed)
-        for call in self._robot.calls.all():
-            resource = CallResource(self._robot, call.id)
+        for call in self._session.calls.all():
+            resource = self._factory.call(call.id)
             yield _described(resource.url, (call.id, call.state), partial(resource.document, call))
-        holds = self._robot.holds.all()
+        holds = self._services.holds.all()
         held, room = tuple(space.hold(hold.id) for hold in holds), space.container("holds")
         yield _described(room, held, partial(container_document, room, held, "Holds"))
         for hold in holds:
-            of = HoldResource(self._robot, hold.id)
+            of = self._factory.hold(hold.id)
             yield _described(of.url, IdentityKey(hold), partial(of.document, hold))
-        stop = StopResource(self._robot)
-        yield _described(stop.url, (self._robot.software_stop.revision, self._robot.software_stop.steps), stop.document)
-        goals = self._robot.goals.all()
+        stop = self._factory.stop()
+        yield _described(
+            stop.url, (self._services.software_stop.revision, self._services.software_stop.steps), stop.document
+        )
+        goals = self._session.goals.all()
         known = tuple(space.goal(goal.id) for goal in goals)
         yield _described(
             space.container("goals"), known, partial(container_document, space.container("goals"), known, "Goals")
         )
         for goal in goals:
-            told = GoalResource(self._robot, goal.id)
+            told = self._factory.goal(goal.id)
             yield _described(told.url, IdentityKey(goal), partial(told.document, goal))
 
 

@@ -1,0 +1,138 @@
+"""The services of one run of the server: composed once, from the adapter and the settings."""
+
+from __future__ import annotations
+
+import gc
+import secrets
+from collections.abc import Sequence
+
+from rosld.adapters.base import Adapter
+from rosld.adapters.model import RosError
+from rosld.server.history.recordings import Recordings
+from rosld.server.hypermedia.affordance_service import AffordanceService
+from rosld.server.hypermedia.mappings import Mappings
+from rosld.server.hypermedia.property_reader import PropertyReader
+from rosld.server.pictures.picture_cache import PictureCache
+from rosld.server.policies import active_limits, stored_mappings, stored_queries
+from rosld.server.policies.active_limits import ActiveLimits, initial_limits
+from rosld.server.policies.stored_mappings import initial_mappings, load_stored_mappings
+from rosld.server.receipts.journal import Journal
+from rosld.server.resources.ldp.documents import Documents
+from rosld.server.resources.ldp.validation import LimitsValidator, MappingValidator, QueryValidator
+from rosld.server.rest.state import State
+from rosld.server.robot.hold_store import Holds
+from rosld.server.robot.session import Session
+from rosld.server.robot.software_stop import SoftwareStop, StopCommand
+from rosld.server.runtime.offload import WorkerPool
+from rosld.server.runtime.signals import Signal
+from rosld.server.runtime.version_cache import VersionCache
+from rosld.server.settings import Settings
+from rosld.server.sparql.syntax.lexer import QueryBounds
+from rosld.server.storage import RecordChange
+from rosld.server.storage.sqlite import open_records
+
+
+class Services:
+    """Everything that serves one robot. Resources are given those that they need, each by its name."""
+
+    def __init__(self, adapter: Adapter, settings: Settings) -> None:
+        self.session = Session(adapter, settings)
+        self.instance_id = secrets.token_hex(4)
+        """Another one for each run of the server."""
+        session, space = self.session, self.session.space
+        self.states: VersionCache[State] = VersionCache()
+        self.active_limits = ActiveLimits(tuple(initial_limits(settings, adapter, space)), space)
+        records = open_records(
+            settings.data,
+            roots=(stored_mappings.ROUTE, stored_queries.ROUTE, active_limits.ROUTE),
+            versions=settings.versions,
+        )
+        self.receipts = Journal(
+            settings.data,
+            limit=settings.receipts_kept,
+            age=settings.receipts_age,
+            excerpt_bytes=settings.receipt_excerpt,
+        )
+        self.queries = stored_queries.StoredQueries(records, space, QueryBounds(size=settings.query_size_limit))
+        self.mappings = Mappings(initial_mappings(settings, adapter, space))
+        self.property_reader = PropertyReader(
+            adapter,
+            session.topics,
+            session.goals,
+            session.schemas,
+            space,
+            freshness=settings.freshness,
+            patience=settings.call_deadline,
+        )
+        self.affordances: AffordanceService[State] = AffordanceService(
+            session, self.mappings, self.property_reader, self.states, lambda: self.active_limits.current
+        )
+        announce = session.changes.emit
+        self.documents = Documents(
+            space,
+            settings,
+            records,
+            Signal(),
+            self.states,
+            WorkerPool(),
+            {
+                stored_mappings.ROUTE: MappingValidator(self.mappings, space, announce),
+                stored_queries.ROUTE: QueryValidator(self.queries, records, space, announce),
+                active_limits.ROUTE: LimitsValidator(self.active_limits, self.states, space, announce),
+            },
+            self.affordances.mapping_warnings,
+        )
+        self.holds = Holds(session)
+        self.recordings = Recordings(adapter, settings, session.schemas.get, session.schemas.definition_of)
+        self.software_stop = SoftwareStop(
+            session, self.holds, lambda: self.mappings.mapping_set.stop_commands(), self._is_at_rest
+        )
+        self.pictures = PictureCache(self.instance_id)
+
+    async def _is_at_rest(self, command: StopCommand) -> bool:
+        """Whether what a mapping's stop is about says, read now, that it is at rest."""
+        conditions = self.mappings.mapping_set.at_rest_when(command)
+        if not conditions:
+            return False
+        tree = await self.affordances.tree()
+        try:
+            readings = await self.affordances.read(tree.properties_in(conditions), refresh=True)
+        except RosError:
+            return False
+        return self.affordances.snapshot(tree, readings).results.hold(conditions)
+
+    def storage_problems(self) -> tuple[str, ...]:
+        """Why not everything can be stored just now, in sentences; none where it can."""
+        found = (self.documents.records.failure, self.receipts.failure, self.recordings.history.problem)
+        return tuple(problem for problem in found if problem is not None)
+
+    async def start(self) -> None:
+        """Open the session, and put into force what is kept. Raises what `Adapter.open` raises."""
+        await self.session.open()
+        self.documents.records.watch(self._kept)
+        self.receipts.start()
+        await self.recordings.start()
+        self.session.changes.watch(self.recordings.refresh)
+        self.active_limits.load_stored(self.documents.records)
+        await load_stored_mappings(self.mappings, self.documents.records, self.session.settings, self.session.space)
+        gc.collect()
+        gc.freeze()  # what is loaded now stays: looking through it again and again would hold everybody up
+        self.session.follow()
+
+    async def stop(self) -> None:
+        """Give everything back to the robot; idempotent."""
+        self.holds.close("rosld ended")
+        self.pictures.close()
+        await self.documents.workers.close()
+        await self.holds.wait_closed()
+        await self.software_stop.wait_ended()
+        await self.receipts.close()
+        await self.property_reader.stop()
+        await self.recordings.stop()
+        await self.session.close()
+        await self.documents.records.close()
+
+    def _kept(self, changes: Sequence[RecordChange]) -> None:
+        for each in changes:
+            self.queries.on_record_change(each)
+            self.documents.changes.emit(each.path)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections import deque
 from collections.abc import Collection, Iterable
 from typing import cast
@@ -154,11 +155,22 @@ class Publication:
         self._count()
 
     async def close(self, patience: float) -> None:
-        """Let what is written go out for at most `patience` seconds, then end all connections."""
+        """Let what is written go out and the subscribers hang up, for at most `patience` seconds; end all connections.
+
+        A rospy subscriber that hears of a new registration before it has seen the end of the old connection takes
+        itself for connected (`_connect_topic`), and never connects.
+        """
+        now = asyncio.get_running_loop().time
+        until = now() + patience
         self._flush()
-        until = asyncio.get_running_loop().time() + patience
         for link in tuple(self._links):
             await link.wait_written(until)
+        for link in tuple(self._links):
+            link.end()
+        while self._links and (left := until - now()) > 0:
+            self._changed.clear()
+            with contextlib.suppress(asyncio.TimeoutError):
+                await asyncio.wait_for(self._changed.wait(), left)
         for link in tuple(self._links):
             link.close()
 
@@ -187,6 +199,7 @@ class SubscriberConnection(asyncio.Protocol):
         self._received = bytearray()
         self._waiting = Outbox(_MAX_WAITING)
         self._paused = False
+        self._ended = False
         self._drained: asyncio.Future[None] | None = None
         self._transport: asyncio.Transport
 
@@ -230,12 +243,18 @@ class SubscriberConnection(asyncio.Protocol):
             self._waiting.add(each)
         self._write()
 
+    def end(self) -> None:
+        """Tell the subscriber that nothing follows, upon which it hangs up."""
+        self._ended = True
+        if not self._transport.is_closing():
+            self._transport.write_eof()
+
     def close(self) -> None:
         """End the connection."""
         self._transport.close()
 
     def _write(self) -> None:
-        while self._waiting and not self._paused and not self._transport.is_closing():
+        while self._waiting and not (self._paused or self._ended or self._transport.is_closing()):
             self._transport.write(self._waiting.take(_HIGH_WATER))
         if self._drained is not None and not self._waiting and not self._drained.done():
             self._drained.set_result(None)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Coroutine, Mapping, Sequence
 from typing import NamedTuple
+from weakref import WeakValueDictionary
 
 from rosld.adapters.model import MessageSchema, NotFound, Refused, RosError, TypeRef, UnknownType
 from rosld.adapters.ros1.hosts import Hosts
@@ -18,6 +19,11 @@ from rosld.adapters.ros1.xmlrpc import XmlRpcClient
 _PROOF = 2.0
 _PATIENCE = 0.5  # seconds that the first message waits for all subscribers the master named, once one is there
 _GOODBYE = 1.0
+_REMINDERS = (0.5, 1.0, 2.0, 4.0)
+"""Seconds between registrations of a topic that a subscriber has not connected to.
+
+Upon each the master tells the subscribers of us anew: one that missed it, or could not connect then, is reached.
+"""
 
 
 class Servers(NamedTuple):
@@ -54,8 +60,10 @@ class Publications:
         self._candidates = candidates
         self._changed = changed
         self._servers: Servers | None = None
-        self._advertising = asyncio.Lock()
+        self._starting = asyncio.Lock()
+        self._changing: WeakValueDictionary[str, asyncio.Lock] = WeakValueDictionary()
         self._registering: set[asyncio.Task[None]] = set()
+        self._reminding: set[asyncio.Task[None]] = set()
 
     @property
     def uri(self) -> str | None:
@@ -77,11 +85,13 @@ class Publications:
         Raises Refused where our address does not answer or the topic is ours with another type, UnknownType.
         """
         wanted = 1
-        async with self._advertising:
+        async with self._changing.setdefault(topic, asyncio.Lock()):
             publication = self.by_topic.get(topic)
             if publication is None:
                 publication, subscribers = await self._advertise(topic, type, until)
                 wanted = max(1, len(subscribers))
+                if subscribers:
+                    self._begin(self._remind(publication, len(subscribers)), self._reminding)
             elif not publication.carries(type):
                 raise Refused(
                     f"rosld publishes {topic} as {publication.ref.name} ({publication.ref.hash}), not {type.name}"
@@ -92,7 +102,7 @@ class Publications:
 
     async def unadvertise(self, topic: str) -> None:
         """Stop publishing. Raises NotFound."""
-        async with self._advertising:
+        async with self._changing.setdefault(topic, asyncio.Lock()):
             publication = self.by_topic.pop(topic, None)
             if publication is None:
                 raise NotFound(f"rosld does not publish {topic}")
@@ -111,12 +121,12 @@ class Publications:
             if publication.registered_at is None or publication.registered_at >= asked_at:
                 continue
             if self._node not in listed.get(topic, ()) and not self._registering:
-                task = asyncio.get_running_loop().create_task(self._register_again(publication))
-                self._registering.add(task)
-                task.add_done_callback(self._registering.discard)
+                self._begin(self._register_again(publication), self._registering)
 
     async def close(self) -> None:
         """Unregister everything, within a second and a half even if the master hangs."""
+        for task in self._reminding:
+            task.cancel()
         publications = list(self.by_topic.values())
         self.by_topic.clear()
         goodbyes = [self._master.unregister_publisher(each.topic, self.uri or "", _GOODBYE) for each in publications]
@@ -146,6 +156,14 @@ class Publications:
         finally:
             self._changed()
 
+    async def _remind(self, publication: Publication, subscribers: int) -> None:
+        """Register a topic again, less and less often, while fewer than so many subscribers are connected to it."""
+        for pause in _REMINDERS:
+            await asyncio.sleep(pause)
+            if publication.matched >= subscribers:
+                return
+            await self._register_again(publication)
+
     async def _register_again(self, publication: Publication) -> None:
         if self._servers is None or self.by_topic.get(publication.topic) is not publication:
             return
@@ -158,7 +176,9 @@ class Publications:
 
     async def _serve(self) -> Servers:
         """Our servers, started if they are not running, at an address that answers. Raises Refused."""
-        if self._servers is None:
+        async with self._starting:
+            if self._servers is not None:
+                return self._servers
             tried: list[str] = []
             for address in self._candidates():
                 if (servers := await self._try(address)) is not None:
@@ -169,7 +189,6 @@ class Publications:
                 f"nothing is published: rosld does not answer at {' or '.join(tried) or 'any address'}, where ROS "
                 "would look for it; give this machine's address with --ros-ip"
             )
-        return self._servers
 
     async def _try(self, address: str) -> Servers | None:
         """Servers that were proved to answer at an address; None where they do not."""
@@ -192,9 +211,13 @@ class Publications:
     def _asked_to_leave(self, words: str) -> None:
         """`rosnode kill`, or another node took our name: give up what we publish; a later publish begins anew."""
         for topic in list(self.by_topic):
-            task = asyncio.get_running_loop().create_task(self._leave(topic))
-            self._registering.add(task)
-            task.add_done_callback(self._registering.discard)
+            self._begin(self._leave(topic), self._registering)
+
+    def _begin(self, work: Coroutine[None, None, None], tasks: set[asyncio.Task[None]]) -> None:
+        """Do this beside, as one of these tasks."""
+        task = asyncio.get_running_loop().create_task(work)
+        tasks.add(task)
+        task.add_done_callback(tasks.discard)
 
     async def _leave(self, topic: str) -> None:
         try:

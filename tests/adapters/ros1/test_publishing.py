@@ -69,6 +69,27 @@ def test_a_subscriber_in_cpp_hears_it_too(ros: RosSystem, opened: Opening) -> No
     relay.stop()
 
 
+@pytest.mark.parametrize("seconds", [0.3, 1.2])
+def test_a_subscriber_that_is_slow_to_notice_the_end_of_a_connection_hears_the_next(
+    ros: RosSystem, opened: Opening, seconds: float
+) -> None:
+    """While it has not noticed, it takes itself for connected; above a second it is not waited for, but told again."""
+    listener = ros.node("slow_hangup_node.py", "/slow", str(seconds))
+
+    async def publish_twice() -> None:
+        async with opened(ros) as session:
+            for words in ("first", "second"):
+                published = await session.adapter.publish("/slow", STRING, text(words), deadline=session.deadline())
+                assert published.matched == 1
+                assert (await asyncio.to_thread(listener.line, "heard")).split()[1] == words
+                await session.adapter.unadvertise("/slow")
+
+    try:
+        asyncio.run(publish_twice())
+    finally:
+        listener.stop()
+
+
 def test_it_is_registered_while_open_and_leaves_no_trace_after_close(ros: RosSystem, opened: Opening) -> None:
     async def publish() -> str:
         async with opened(ros) as session:

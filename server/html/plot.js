@@ -6,7 +6,6 @@ Without this file, or with scripts off, the page tells the numbers as they were 
   const KEPT = 20000; // messages of a topic that are kept; of older ones every second
   const FRAME = 100, SECOND = 1000; // milliseconds between two drawings, and where nothing comes
   const POINTS = 1000; // of what is recorded of a number, at most
-  const COLOURS = 8; // that the stylesheet has: --line-0 and so on
   const HEIGHT = 360;
   const root = document.getElementById("plot"), wanted = JSON.parse(root.dataset.plot);
   const element = (name) => root.querySelector(`[data-part=${name}]`);
@@ -137,28 +136,18 @@ Without this file, or with scripts off, the page tells the numbers as they were 
     figure.dataset.points = plot.data[0].length;
   }
 
-  const colour = (name) => getComputedStyle(root).getPropertyValue(name).trim();
+  const colour = (name) => chart.colour(root, name);
 
   function build() {
     plot?.destroy();
-    const axis = { stroke: colour("--quiet"), grid: { stroke: colour("--line"), width: 1 }, ticks: { stroke: colour("--line") } };
-    const drawn = lines.map(({ label, place }, at) => ({
-      label,
-      stroke: colour(`--line-${at % COLOURS}`),
-      dash: at < COLOURS ? [] : [6, 4],
-      width: 1.5,
-      spanGaps: true,
-      points: { show: false },
-      value: (_, number) => number === null || number === undefined ? "" : `${Number(number.toPrecision(7))}${wanted.y[place].unit}`,
-    }));
     plot = new uPlot({
       width: figure.clientWidth,
       height: HEIGHT,
-      series: [{ label: "Time" }, ...drawn],
-      axes: [axis, { ...axis, size: 64 }],
+      series: chart.series(root, lines.map(({ label }) => label)),
+      axes: chart.axes(root),
       cursor: { drag: { x: true, y: false, setScale: false } },
       hooks: { setSelect: [zoom] },
-    }, [[], ...drawn.map(() => [])], figure);
+    }, [[], ...lines.map(() => [])], figure);
     plot.over.addEventListener("mousedown", () => { isHeld = true; });
     plot.over.addEventListener("dblclick", follow);
     isStale = true;
@@ -232,7 +221,7 @@ Without this file, or with scripts off, the page tells the numbers as they were 
     context.drawImage(drawn, 0, 0);
     context.font = `${14 * devicePixelRatio}px sans-serif`;
     lines.forEach(({ label }, at) => {
-      context.fillStyle = colour(`--line-${at % COLOURS}`);
+      context.fillStyle = colour(`--line-${at % chart.COLOURS}`);
       context.fillText(`\u25a0 ${label}`, line / 2, drawn.height + line * (at + 0.7));
     });
     whole.toBlob((blob) => save(blob, "plot.png"), "image/png");

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
@@ -16,7 +17,7 @@ from pyoxigraph import NamedNode
 from rosld.ontology.describe_search import SearchResult
 from rosld.ontology.document import Document
 from rosld.ontology.neutral_message import COMMANDS
-from rosld.ontology.vocab import ldp, ros, td
+from rosld.ontology.vocab import PREFIXES, ldp, ros, td
 from rosld.server.html.auto_refresh import MAX_RATE, is_refreshed
 from rosld.server.html.breadcrumb import breadcrumb
 from rosld.server.html.brief import brief_text
@@ -68,6 +69,9 @@ CONTENT_SECURITY_POLICY = "; ".join(
 )
 """Nothing but our own files is loaded and run, nothing of a page itself is run, and all goes nowhere else."""
 
+QUERY_EDITOR_POLICY = CONTENT_SECURITY_POLICY.replace("style-src 'self'", "style-src 'self' 'unsafe-inline'")
+"""The policy of the page at `/sparql` alone: its editor writes styles into what it draws."""
+
 HEADERS: Mapping[str, str] = {
     "content-security-policy": CONTENT_SECURITY_POLICY,
     "x-content-type-options": "nosniff",
@@ -92,6 +96,8 @@ DRIVE_SCRIPT = (_HERE / "drive.js").read_bytes()
 """Served at `drive.js` below the base: the pad on the page of a topic that commands a velocity."""
 PICTURE_SCRIPT = (_HERE / "picture.js").read_bytes()
 """Served at `picture.js` below the base: pictures move while they are looked at."""
+CHART_SCRIPT = (_HERE / "chart.js").read_bytes()
+"""Served at `chart.js` below the base: what plots look like."""
 PLOT_SCRIPT = (_HERE / "plot.js").read_bytes()
 """Served at `plot.js` below the base: draws the page of a plot, by means of `PLOT_LIBRARY`."""
 SPARK_SCRIPT = (_HERE / "spark.js").read_bytes()
@@ -100,10 +106,26 @@ PLOT_LIBRARY = (_HERE / "vendor" / "uplot.js").read_bytes()
 """Served at `uplot.js` below the base: uPlot, whose licence (MIT) lies beside it."""
 PLOT_STYLESHEET = (_HERE / "vendor" / "uplot.css").read_bytes()
 """Served at `uplot.css` below the base."""
+QUERY_TERMS_SCRIPT = (_HERE / "query_terms.js").read_bytes()
+"""Served at `query_terms.js` below the base: completes prefixes and terms in the editor of queries."""
+QUERY_PARAMETERS_SCRIPT = (_HERE / "query_parameters.js").read_bytes()
+"""Served at `query_parameters.js` below the base: fields for the parameters that a query declares."""
+QUERY_VIEWS_SCRIPT = (_HERE / "query_views.js").read_bytes()
+"""Served at `query_views.js` below the base: results of queries as a plot and as a picture of links."""
+QUERY_EDITOR_SCRIPT = (_HERE / "query_editor.js").read_bytes()
+"""Served at `query_editor.js` below the base: the editor of queries, by means of `QUERY_EDITOR_LIBRARY`."""
+QUERY_EDITOR_STYLESHEET = (_HERE / "query_editor.css").read_bytes()
+"""Served at `query_editor.css` below the base."""
+QUERY_EDITOR_LIBRARY = (_HERE / "vendor" / "yasgui.js").read_bytes()
+"""Served at `yasgui.js` below the base: YASGUI, whose licence (MIT) and those of what it holds lie beside it."""
+QUERY_EDITOR_LIBRARY_STYLESHEET = (_HERE / "vendor" / "yasgui.css").read_bytes()
+"""Served at `yasgui.css` below the base."""
 _FILES = b"".join(
     (
         *(STYLESHEET, ICON, SCRIPT, AGES_SCRIPT, FILTER_SCRIPT, FIND_SCRIPT, DRIVE_SCRIPT, PICTURE_SCRIPT),
-        *(PLOT_SCRIPT, SPARK_SCRIPT, PLOT_LIBRARY),
+        *(CHART_SCRIPT, PLOT_SCRIPT, SPARK_SCRIPT, PLOT_LIBRARY, PLOT_STYLESHEET),
+        *(QUERY_TERMS_SCRIPT, QUERY_PARAMETERS_SCRIPT, QUERY_VIEWS_SCRIPT, QUERY_EDITOR_SCRIPT),
+        *(QUERY_EDITOR_STYLESHEET, QUERY_EDITOR_LIBRARY, QUERY_EDITOR_LIBRARY_STYLESHEET),
     )
 )
 _VERSION = hashlib.blake2b(_FILES, digest_size=4).hexdigest()
@@ -135,6 +157,17 @@ SELECT ?topic ?type ?rate WHERE {{
          ros:rate ?rate .
 }}
 ORDER BY DESC(?rate)"""
+
+
+_EDITOR_SCRIPTS = (
+    "yasgui.js",
+    "uplot.js",
+    "chart.js",
+    "query_terms.js",
+    "query_parameters.js",
+    "query_views.js",
+    "query_editor.js",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,6 +216,17 @@ class _Frame:
     @property
     def picture_script(self) -> str:
         return f"{self.site.root}picture.js?v={_VERSION}"
+
+    @property
+    def chart_script(self) -> str:
+        return f"{self.site.root}chart.js?v={_VERSION}"
+
+    @property
+    def query_editor_files(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """The stylesheets and the scripts of the editor of queries, in the order in which they are read."""
+        files = (("uplot.css", "yasgui.css", "query_editor.css"), _EDITOR_SCRIPTS)
+        styles, scripts = (tuple(f"{self.site.root}{name}?v={_VERSION}" for name in names) for names in files)
+        return styles, scripts
 
     @property
     def plot_script(self) -> str:
@@ -380,12 +424,28 @@ def render_sparql(page: SparqlPage) -> bytes:
         _frame(page.site, "SPARQL", f"{page.site.base}sparql", page.notices),
         page=page,
         query=escape_controls(query),
+        config=_editor_config(page),
         lines=max(8, min(24, query.count("\n") + 2)),
         action=f"{page.site.root}sparql",
         formats=_FORMATS,
         results=results_table(page.results, page.site) if page.results else None,
         examples=[(each, page.site.href(each.url)) for each in page.examples],
         endpoint=f"{page.site.base}sparql",
+    )
+
+
+def _editor_config(page: SparqlPage) -> str:
+    """What the editor is made with, as JSON. `isAsked`: the query in the box is that of the page's address."""
+    site = page.site
+    return json.dumps(
+        {
+            "endpoint": f"{site.root}sparql",
+            "base": site.base,
+            "root": site.root,
+            "types": site.types,
+            "prefixes": PREFIXES,
+            "isAsked": bool(page.query),
+        }
     )
 
 

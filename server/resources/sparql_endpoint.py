@@ -387,5 +387,6 @@ class SparqlResource(Resource):
         examples = tuple(each for each in self._examples() if permissions.may_read(each.url))
         page = SparqlPage(self._pages.site_for(permissions), text, examples, results, tuple(notices))
         status, also = (200, {}) if problem is None else (problem.status, problem.headers)
-        headers = {**also, **self._pages.headers, "Vary": "Accept", "Cache-Control": "no-cache"}
+        policy = {"content-security-policy": html.QUERY_EDITOR_POLICY}
+        headers = {**also, **self._pages.headers, **policy, "Vary": "Accept", "Cache-Control": "no-cache"}
         return Response(html.render_sparql(page), status, headers, "text/html; charset=utf-8")

@@ -84,6 +84,11 @@ def test_nothing_is_run_and_nothing_is_styled_in_place(page: Reader) -> None:
 
 OF_SOME = ("/ages.js", "/spark.js", "/drive.js", "/picture.js")
 """The scripts of pages that have what these are for."""
+OF_QUERIES = tuple(
+    f"/{name}.js"
+    for name in ("yasgui", "uplot", "chart", "query_terms", "query_parameters", "query_views", "query_editor")
+)
+"""The scripts of the page that has the editor of queries."""
 
 
 def test_scripts_are_our_own_files_and_wait_for_the_page(page: Reader) -> None:
@@ -91,7 +96,11 @@ def test_scripts_are_our_own_files_and_wait_for_the_page(page: Reader) -> None:
     pads = [each for each in page.all("div") if "data-drive" in each]
     scripts = page.all("script")
     names = [re.sub(r"\?v=[0-9a-f]{8}", "", each["src"] or "") for each in scripts]
-    assert [name for name in names if name not in OF_SOME] == [*["/live.js" for _ in live], "/find.js"]
+    assert [name for name in names if name not in OF_SOME] == [
+        *["/live.js" for _ in live],
+        "/find.js",
+        *(OF_QUERIES if any(each.get("id") == "editor" for each in page.all("section")) else ()),
+    ]
     assert names.count("/picture.js") == len([each for each in page.all("img") if "data-motion" in each])
     assert "/spark.js" in names or not live or not any(each.get("class") == "plot" for each in page.all("a"))
     assert names.count("/drive.js") >= len(pads)

@@ -6,6 +6,7 @@ What is missing must be installed then, or the run fails and says what it is.
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Generator
 from typing import Any
 
@@ -15,6 +16,10 @@ from hypothesis import HealthCheck, settings
 settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("any machine")
 """How long an example takes, to make or to try, is no test: hypothesis' limits of time fail on a busy machine."""
+
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
+"""Hundreds of servers are started: one that must compile its modules takes 1.6 times the CPU until it answers."""
 
 NOTHING_SKIPPED = os.environ.get("CI", "").lower() == "true"
 

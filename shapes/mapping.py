@@ -1,34 +1,13 @@
-"""The shape of mapping documents (`mapping.ttl` beside this file), and the judgement of one by it."""
+"""The shape of mapping documents: `mapping.ttl` beside this file."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from functools import cache
 from importlib.resources import files
-from typing import NamedTuple
 
-import rdflib
-from pyoxigraph import BlankNode, Literal, NamedNode, RdfFormat, Triple, parse
-from rdflib.namespace import SH
+from pyoxigraph import RdfFormat, parse
 
 from rosld.ontology.document import Document
-from rosld.ontology.vocab import rdfs, xsd
-
-_OTHER = rdflib.URIRef("about:other")
-
-
-class ValidationResult(NamedTuple):
-    """One result of a validation.
-
-    The node it is about (of a literal its text) and the predicate (None: the node itself), what the shape says of it,
-    the value that is wrong (None where one is missing), and the constraint.
-    """
-
-    focus: NamedNode | BlankNode | str
-    predicate: NamedNode | None
-    message: str
-    value: str | None
-    component: NamedNode
 
 
 @cache
@@ -36,62 +15,3 @@ def mapping_shape(url: str) -> Document:
     """The shape as the document at `url`."""
     text = files("rosld.shapes").joinpath("mapping.ttl").read_bytes()
     return Document(url, tuple(quad.triple for quad in parse(text, format=RdfFormat.TURTLE, base_iri=url)))
-
-
-@cache
-def _shapes() -> rdflib.Graph:
-    return _graph(mapping_shape("https://w3id.org/rosld/shapes/mapping").triples, exact=True)
-
-
-def validate_mapping(triples: Iterable[Triple]) -> list[ValidationResult]:
-    """What SHACL finds wrong with the triples of a mapping document (none of them with a triple term)."""
-    import pyshacl  # takes its time, and many servers never judge a mapping
-
-    conforms, report, _ = pyshacl.validate(_graph(triples), shacl_graph=_shapes())
-    if conforms:
-        return []
-    assert isinstance(report, rdflib.Graph)
-    top = report.objects(report.value(predicate=rdflib.RDF.type, object=SH.ValidationReport), SH.result)
-    return [_misfit(report, result) for result in top]
-
-
-def _misfit(report: rdflib.Graph, result: rdflib.term.Node) -> ValidationResult:
-    focus = report.value(result, SH.focusNode)
-    path = report.value(result, SH.resultPath)
-    value = report.value(result, SH.value)
-    return ValidationResult(
-        NamedNode(focus) if isinstance(focus, rdflib.URIRef)
-        else BlankNode(focus) if isinstance(focus, rdflib.BNode)
-        else str(focus),
-        NamedNode(path) if isinstance(path, rdflib.URIRef) else None,
-        str(report.value(result, SH.resultMessage)),
-        None if value is None or value == focus or isinstance(value, rdflib.BNode) else str(value),
-        NamedNode(str(report.value(result, SH.sourceConstraintComponent))),
-    )  # fmt: skip
-
-
-def _graph(triples: Iterable[Triple], *, exact: bool = False) -> rdflib.Graph:
-    """The triples for pyshacl. Unless `exact`, it sees as much of a stranger's document as the shape asks about:
-
-    subclasses, which it would follow however long their chains, are left out, and a datatype but xsd:string is only
-    told to be another, for rdflib would read the value, which costs what a stranger likes it to.
-    """
-    graph = rdflib.Graph()
-    for subject, predicate, object in triples:
-        if predicate == rdfs.subClassOf and not exact:
-            continue
-        graph.add((_term(subject, exact), rdflib.URIRef(predicate.value), _term(object, exact)))
-    return graph
-
-
-def _term(term: NamedNode | BlankNode | Literal | Triple, exact: bool) -> rdflib.term.Node:
-    if isinstance(term, NamedNode):
-        return rdflib.URIRef(term.value)
-    if isinstance(term, BlankNode):
-        return rdflib.BNode(term.value)
-    if isinstance(term, Triple):
-        raise ValueError(f"SHACL 1.0 does not know the triple term {term}")
-    if term.language is not None:
-        return rdflib.Literal(term.value, lang=term.language)
-    datatype = rdflib.URIRef(term.datatype.value) if exact or term.datatype == xsd.string else _OTHER
-    return rdflib.Literal(term.value, datatype=datatype)

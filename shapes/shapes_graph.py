@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
@@ -14,10 +14,12 @@ from rosld.ontology.vocab import rdf, sh, xsd
 from rosld.shapes import components
 from rosld.shapes.bounds import is_exact, merge_bounds, narrow
 from rosld.shapes.compiled_shape import Extent, SetConstraint, Shape, ValueConstraint
-from rosld.shapes.pyshacl_fallback import PyshaclShape
 from rosld.shapes.safe_regex import SafePattern, compile_pattern
 from rosld.shapes.terms import is_numeric, number
 from rosld.shapes.value import UNBOUNDED, Bounds
+
+if TYPE_CHECKING:
+    from rosld.shapes.pyshacl_fallback import PyshaclShape
 
 Node: TypeAlias = NamedNode | BlankNode
 
@@ -153,6 +155,8 @@ class ShapesGraph:
 
     def pyshacl_shape(self, node: Node) -> PyshaclShape:
         """A shape as pyshacl judges it, with all that it refers to and nothing else."""
+        from rosld.shapes.pyshacl_fallback import PyshaclShape  # rdflib, as in `terms`
+
         shapes: dict[Term, None] = {}
         triples = list(self._closure(node, shapes))
         longest = min((self._longest.get(each, sys.maxsize) for each in shapes if isinstance(each, Node)), default=0)

@@ -11,20 +11,24 @@ from collections.abc import Callable, Iterable, Sequence
 from datetime import datetime, time
 from decimal import Decimal, InvalidOperation
 from math import isnan
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
-import rdflib
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
-from rdflib.term import BNode, URIRef
-from rdflib.term import Literal as Normal
 
 from rosld.ontology.body import Term
 from rosld.ontology.coercion import RANGES
 from rosld.ontology.literals import DATATYPES
 from rosld.ontology.vocab import rdf, xsd
 
+if TYPE_CHECKING:
+    import rdflib
+    from rdflib.term import BNode, URIRef
+    from rdflib.term import Literal as Normal
+
 Number: TypeAlias = "int | float | Decimal"
-Node: TypeAlias = URIRef | BNode | Normal
+Node: TypeAlias = "URIRef | BNode | Normal"
+# rdflib is imported where it is asked: with what it brings it is a tenth of what a server takes to start, and most
+# servers never need it.
 
 _NAN = float("nan")
 
@@ -99,6 +103,8 @@ def normalize(term: Term, space: str = "") -> Node:
 
     A triple term, of which rdflib knows nothing, is a blank node.
     """
+    from rdflib.term import BNode, URIRef
+
     if isinstance(term, NamedNode):
         return URIRef(term.value)
     if isinstance(term, Literal):
@@ -107,6 +113,8 @@ def normalize(term: Term, space: str = "") -> Node:
 
 
 def _normal(literal: Literal) -> Normal:
+    from rdflib.term import Literal as Normal
+
     text = literal.value
     if literal.language is not None:
         return Normal(text, lang=literal.language)
@@ -123,6 +131,8 @@ def _normal(literal: Literal) -> Normal:
 
 def normalize_graph(triples: Iterable[Triple], space: str) -> rdflib.Graph:
     """A graph as rdflib has it."""
+    import rdflib
+
     graph = rdflib.Graph()
     for triple in triples:
         graph.add((normalize(triple.subject, space), normalize(triple.predicate), normalize(triple.object, space)))

@@ -6,9 +6,7 @@ from dataclasses import dataclass
 
 from rosld.adapters.model import Message, MessageSchema
 from rosld.server.html.view import escape_controls
-from rosld.server.pictures.colour_map import DEFAULT_RANGE
-from rosld.server.pictures.picture import COMPRESSED_IMAGE, can_draw
-from rosld.server.pictures.raw_image import ENCODINGS, depth_scale, read_raw_image
+from rosld.server.pictures.form import COMPRESSED_IMAGE, DEFAULT_RANGE, can_draw
 from rosld.server.pictures.refusal import CannotDraw
 
 MAX_WIDTH, MAX_RATE = 960, 15
@@ -34,6 +32,8 @@ def picture_view(schema: MessageSchema, message: Message, query: str, *, moves: 
     """The picture of a message, None where it is none. `query` is what the URL of its page ends in."""
     if not can_draw(schema.ref.name):
         return None
+    from rosld.server.pictures.raw_image import ENCODINGS, read_raw_image  # Pillow, as in `PictureCache`
+
     before = f"?{query}&" if query else "?"
     still = f"{before}format=jpeg&width={MAX_WIDTH}"
     motion = f"{before}format=mjpeg&width={MAX_WIDTH}&rate={MAX_RATE}" if moves and not query else ""
@@ -56,6 +56,8 @@ def picture_view(schema: MessageSchema, message: Message, query: str, *, moves: 
 
 
 def _words(encoding: str) -> str:
+    from rosld.server.pictures.raw_image import depth_scale
+
     if depth_scale(encoding) is None:
         return ""
     nearest, farthest = DEFAULT_RANGE

@@ -16,7 +16,6 @@ from time import monotonic
 from typing import TypeAlias, TypeVar
 
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
-from rdflib.namespace import SH
 
 from rosld.ontology.body import BodyError, RdfBody, Term, parse_body, parse_json
 from rosld.ontology.syntax import Syntax
@@ -35,7 +34,6 @@ from rosld.server.hypermedia.mapping import (
 )
 from rosld.server.robot.software_stop import StopCommand
 from rosld.shapes.constraints import compile_shape
-from rosld.shapes.mapping import validate_mapping
 from rosld.shapes.shapes_graph import ShapesGraph
 from rosld.shapes.value import Measure
 
@@ -152,6 +150,9 @@ class _Reader:
 
     def permissions(self) -> None:
         """Judge the document by the shape of mappings. Raises MappingRefused."""
+        # pyshacl and rdflib, which many servers never need, take longer to import than all of the SPARQL service.
+        from rosld.shapes.mapping_validation import validate_mapping
+
         for misfit in validate_mapping(self.triples):
             self.wrong(misfit.focus, misfit.message, misfit.value, misfit.predicate, misfit.component)
         self.refuse()
@@ -428,11 +429,15 @@ def _unknown(term: NamedNode) -> bool:
     """Whether a term is of `map:` or SHACL and does not exist there."""
     if term.value.startswith(mapping.iri):
         return term not in _TERMS
+    from rdflib.namespace import SH  # imported with pyshacl, before a document comes this far
+
     return term.value.startswith(sh.iri) and term.value not in SH
 
 
 def _no_term(term: NamedNode) -> str:
     """What to say of a term that does not exist."""
+    from rdflib.namespace import SH
+
     known = [each.value for each in _TERMS] if term.value.startswith(mapping.iri) else [str(each) for each in dir(SH)]
     close = get_close_matches(term.value, known, 1)
     hint = f"; {prefixed_name(close[0])[0]} does" if close else ""

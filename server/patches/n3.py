@@ -1,24 +1,17 @@
-"""Notation3 as patches are written in: statements and formulae, with every literal spelt as it was.
-
-rdflib's parser reads the syntax. What it would make of terms is made here instead: its literals are interpreted as they
-are made (XML among them), numbers lose their spelling, `<?a>` is resolved wrongly, and `?a` becomes one with `<#a>`.
-Nothing is fetched.
-"""
+"""Notation3 as patches are written in: statements and formulae."""
 
 # The parser's names.
 # ruff: noqa: N802
 
 from __future__ import annotations
 
-import re
-from collections.abc import MutableSequence
-from typing import NamedTuple, NoReturn, TypeAlias, cast
+from typing import NamedTuple, NoReturn, TypeAlias
 
-from pyoxigraph import BlankNode, Literal, NamedNode, RdfFormat, parse
-from rdflib.plugins.parsers.notation3 import BadSyntax, RDFSink, SinkParser
+from pyoxigraph import BlankNode, Literal, NamedNode
 
-from rosld.ontology.body import BodyError, check_turtle_depth
-from rosld.ontology.vocab import rdf, xsd
+
+class RefusedSyntax(Exception):
+    """Something that N3 has and patches do not."""
 
 
 class Variable(NamedTuple):
@@ -43,11 +36,11 @@ class Formula:
 
     def newUniversal(self, name: str, why: object = None) -> NoReturn:
         """Refuses: variables are written `?name` only."""
-        raise _Refused("@forAll is not read here: write ?variables")
+        raise RefusedSyntax("@forAll is not read here: write ?variables")
 
     def declareExistential(self, name: str) -> NoReturn:
         """Refuses: blank nodes are written `_:name` or `[]` only."""
-        raise _Refused("@forSome is not read here: write blank nodes")
+        raise RefusedSyntax("@forSome is not read here: write blank nodes")
 
 
 Node: TypeAlias = "NamedNode | BlankNode | Literal | Variable | Formula"
@@ -59,167 +52,3 @@ class Statement(NamedTuple):
     subject: Node
     predicate: Node
     object: Node
-
-
-def read_n3(data: bytes, base: str) -> Formula:
-    """The document, its relative IRIs resolved against `base`.
-
-    Raises BodyError for what is not UTF-8, nested too deep or no N3. The caller checks the size.
-    """
-    check_turtle_depth(data)
-    text = data.removeprefix(b"\xef\xbb\xbf").decode()
-    parser = _Parser(cast(RDFSink, _Sink()), baseURI=base)
-    try:
-        return cast(Formula, parser.loadBuf(text))
-    except BadSyntax as error:
-        raise _error(text, error._i, error._why) from error
-    except _Refused as error:
-        raise BodyError(str(error)) from error
-    except RecursionError as error:
-        raise BodyError("nested deeper than can be read here") from error
-    except Exception as error:  # a parser that meets what it does not expect fails in many ways
-        raise BodyError(f"this is no N3 that can be read: {_words(error)}") from error
-
-
-class _Refused(Exception):
-    """Something that N3 has and patches do not."""
-
-
-_NUMERAL = re.compile(
-    r"[-+]?(?:(?P<double>(?:[0-9]+\.[0-9]*|\.?[0-9]+)[eE][-+]?[0-9]+)|(?P<decimal>[0-9]*\.[0-9]+)|(?P<integer>[0-9]+))"
-)
-_TAGGED = frozenset({rdf.langString.value, f"{rdf.iri}dirLangString"})
-_DATATYPES = {"double": xsd.double, "decimal": xsd.decimal, "integer": xsd.integer}
-_REFERENCE = re.compile(r'<[^\x00-\x20<>"{}|^`]*>')
-_PLAIN = re.compile(r"<https?://[\w.:\-]+/[\w/#\-]*>", re.ASCII)
-"""Absolute IRIs that resolve to themselves."""
-_VARIABLE = re.compile(r"\?([^\W\d][\w\-]*)")
-
-
-class _Parser(SinkParser):
-    """rdflib's parser, with numbers and variables as they are written, and what else Turtle has."""
-
-    def __init__(self, store: RDFSink, baseURI: str) -> None:  # noqa: N803
-        super().__init__(store, baseURI=baseURI)
-        self.string_delimiters = ('"', "'")
-
-    def directiveOrStatement(self, argstr: str, h: int) -> int:
-        start = self.skipSpace(argstr, h)
-        if start >= 0 and argstr[start] in "PpBb" and (end := self.sparqlDirective(argstr, start)) >= 0:
-            return end
-        return super().directiveOrStatement(argstr, h)
-
-    def nodeOrLiteral(self, argstr: str, i: int, res: MutableSequence[object]) -> int:
-        start = self.skipSpace(argstr, i)
-        numeral = _NUMERAL.match(argstr, start) if start >= 0 else None
-        if numeral is None:
-            return super().nodeOrLiteral(argstr, i, res)
-        assert numeral.lastgroup is not None
-        res.append(Literal(numeral[0], datatype=_DATATYPES[numeral.lastgroup]))
-        return numeral.end()
-
-    def uri_ref2(self, argstr: str, i: int, res: MutableSequence[object]) -> int:
-        start = self.skipSpace(argstr, i)
-        if start < 0 or argstr[start] != "<":
-            return super().uri_ref2(argstr, i, res)
-        found = _REFERENCE.match(argstr, start)
-        if found is None:
-            self.BadSyntax(argstr, start, "no IRI reference")
-        assert self._baseURI is not None
-        res.append(_resolve(found[0], self._baseURI))
-        return found.end()
-
-    def variable(self, argstr: str, i: int, res: MutableSequence[object]) -> int:
-        start = self.skipSpace(argstr, i)
-        if start < 0 or argstr[start] != "?":
-            return -1
-        found = _VARIABLE.match(argstr, start)
-        if found is None:
-            self.BadSyntax(argstr, start, "no name of a variable")
-        res.append(Variable(found[1]))
-        return found.end()
-
-
-def _resolve(reference: str, base: str) -> str:
-    """The IRI that `<reference>` is: as in Turtle, by the same parser, escapes and all (RFC 3986 5.2)."""
-    if _PLAIN.fullmatch(reference):
-        return reference[1:-1]
-    triple = next(parse(f"{reference} <a:b> <a:b> .", RdfFormat.TURTLE, base_iri=base))
-    assert isinstance(triple.subject, NamedNode)
-    return triple.subject.value
-
-
-class _Sink:
-    """What the parser makes terms and statements with. The names are the parser's."""
-
-    def startDoc(self, formula: Formula) -> None:
-        """Nothing to do."""
-
-    def endDoc(self, formula: Formula) -> None:
-        """Nothing to do."""
-
-    def bind(self, prefix: str, uri: bytes) -> None:
-        """Nothing to do."""
-
-    def setDefaultNamespace(self, uri: bytes) -> None:
-        """Nothing to do."""
-
-    def newFormula(self) -> Formula:
-        return Formula()
-
-    def newSymbol(self, iri: str) -> str:
-        return iri
-
-    def newBlankNode(self, formula: Formula, uri: str | None = None, why: object = None) -> BlankNode:
-        return BlankNode()
-
-    def newLiteral(self, text: str, datatype: object = None, language: str | None = None) -> Literal:
-        if datatype is None:
-            return Literal(text, language=language)
-        if not isinstance(datatype, str):
-            raise _Refused(f"the datatype of {text[:100]!r} is no IRI")
-        if datatype in _TAGGED:
-            raise _Refused(f"{text[:100]!r} has a language by its datatype and none by its tag")
-        return Literal(text, datatype=NamedNode(datatype))
-
-    def newList(self, items: list[object], formula: Formula) -> Node:
-        nodes = [BlankNode() for _ in items]
-        rests: list[NamedNode | BlankNode] = [*nodes[1:], rdf.nil] if nodes else []
-        for node, item, rest in zip(nodes, items, rests, strict=True):
-            formula.statements.append(Statement(node, rdf.first, _node(item)))
-            formula.statements.append(Statement(node, rdf.rest, rest))
-        return nodes[0] if nodes else rdf.nil
-
-    def newSet(self, items: list[object], formula: Formula) -> NoReturn:
-        raise _Refused("sets {$ $} are not read here")
-
-    def intern(self, term: object) -> object:
-        return term
-
-    def makeStatement(self, quadruple: tuple[Formula, object, object, object], why: object = None) -> None:
-        formula, predicate, subject, object_ = quadruple
-        formula.statements.append(Statement(_node(subject), _node(predicate), _node(object_)))
-
-
-def _node(term: object) -> Node:
-    """The node that the parser means: IRIs are plain text to it, and keywords pairs."""
-    match term:
-        case NamedNode() | BlankNode() | Literal() | Variable() | Formula():
-            return term
-        case bool():
-            return Literal("true" if term else "false", datatype=xsd.boolean)
-        case str():
-            return NamedNode(term)
-        case (_, str(iri)):
-            return NamedNode(iri)
-    raise _Refused(f"{str(term)[:100]} is no term that is read here")
-
-
-def _error(text: str, position: int, words: str) -> BodyError:
-    place = min(max(position, 0), len(text)) if position >= 0 else len(text)
-    return BodyError(words, text.count("\n", 0, place) + 1, place - text.rfind("\n", 0, place))
-
-
-def _words(error: Exception) -> str:
-    """What an error says, where that can mean something to whoever wrote the text."""
-    return str(error)[:200] if isinstance(error, ValueError) else "it ends too early or holds what is not expected"

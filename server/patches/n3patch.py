@@ -11,7 +11,7 @@ from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 from rosld.ontology.body import BodyError
 from rosld.ontology.vocab import rdf
 from rosld.server.http.problem import Problem
-from rosld.server.patches.n3 import Formula, Node, Statement, Variable, read_n3
+from rosld.server.patches.n3 import Formula, Node, Statement, Variable
 from rosld.server.rest.ros_problems import problem_of_body
 
 MEDIA_TYPE = "text/n3"
@@ -70,6 +70,8 @@ def read_patch(data: bytes, base: str) -> N3Patch:
     """
     if len(data) > MAX_BYTES:
         raise Problem(413, f"A patch has at most {MAX_BYTES} bytes here: put the whole resource instead.")
+    from rosld.server.patches.n3_parser import read_n3  # rdflib, which many servers never need
+
     try:
         document = read_n3(data, base)
     except BodyError as error:

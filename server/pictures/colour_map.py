@@ -2,27 +2,16 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
+from rosld.server.pictures.form import DepthRange
 from rosld.server.pictures.refusal import CannotDraw
 
 _ANCHORS = ((255, 238, 150), (252, 170, 60), (222, 80, 60), (150, 40, 120), (70, 45, 160), (25, 45, 95))
 """Colours from the nearest to the farthest, at equal distances from each other: brightness falls all the way."""
 _COLOURS = 255
-
-
-class DepthRange(NamedTuple):
-    """The distances, in metres, that the nearest and the farthest colour stand for."""
-
-    nearest: float = 0.0
-    farthest: float = 10.0
-
-
-DEFAULT_RANGE = DepthRange()
 
 
 def _palette() -> bytes:

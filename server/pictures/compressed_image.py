@@ -9,11 +9,11 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from rosld.server.pictures.colour_map import DepthRange, draw_depth
+from rosld.server.pictures.colour_map import draw_depth
+from rosld.server.pictures.form import JPEG, PNG, DepthRange
 from rosld.server.pictures.raw_image import depth_scale, to_bytes
 from rosld.server.pictures.refusal import CannotDraw, UnknownPicture, require_size
 
-JPEG, PNG = "image/jpeg", "image/png"
 _MAGIC = ((b"\xff\xd8\xff", JPEG), (b"\x89PNG\r\n\x1a\n", PNG))
 _DEPTH_HEADER = struct.Struct("<iff")
 """Of compressed_depth_image_transport: the algorithm, and the two numbers of its quantization."""

@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
 from rosld.adapters.model import MessageSchema, Sample
-from rosld.server.pictures.picture import PictureForm, draw_sample
+from rosld.server.pictures.form import PictureForm
 
 _MAX_KEPT = 32
 _MAX_BYTES = 32 * 1024 * 1024
@@ -50,6 +50,10 @@ class PictureCache:
             task.exception()  # whoever waited for it may have left
 
     async def _draw(self, key: Hashable, schema: MessageSchema, sample: Sample, form: PictureForm) -> bytes:
+        from rosld.server.pictures.picture import (
+            draw_sample,  # Pillow: a tenth of the time that a server takes to start
+        )
+
         self.drawn += 1
         data = await asyncio.get_running_loop().run_in_executor(self._thread, draw_sample, schema, sample, form)
         self._keep(key, data)

@@ -14,7 +14,8 @@ from PIL import Image
 
 from rosld.adapters.model import Message
 from rosld.server.pictures.bayer import PATTERNS, demosaic
-from rosld.server.pictures.colour_map import DEFAULT_RANGE, DepthRange, draw_depth
+from rosld.server.pictures.colour_map import draw_depth
+from rosld.server.pictures.form import DEFAULT_RANGE, DepthRange
 from rosld.server.pictures.refusal import CannotDraw, UnknownPicture, require_size
 from rosld.server.pictures.yuv import convert_packed, convert_yuv
 

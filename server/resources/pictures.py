@@ -12,8 +12,16 @@ from rosld.adapters.model import MessageSchema, RosError, Sample, TypeRef
 from rosld.server.http import negotiation
 from rosld.server.http.conditional import ETag, check_preconditions, digest
 from rosld.server.http.problem import Problem
-from rosld.server.pictures.colour_map import DEFAULT_RANGE, DepthRange
-from rosld.server.pictures.picture import COMPRESSED_IMAGE, JPEG, PNG, RAW_IMAGE, PictureForm, can_draw
+from rosld.server.pictures.form import (
+    COMPRESSED_IMAGE,
+    DEFAULT_RANGE,
+    JPEG,
+    PNG,
+    RAW_IMAGE,
+    DepthRange,
+    PictureForm,
+    can_draw,
+)
 from rosld.server.pictures.picture_cache import PictureCache
 from rosld.server.pictures.refusal import CannotDraw, UnknownPicture
 from rosld.server.rest.exchange import Exchange

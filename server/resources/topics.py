@@ -27,7 +27,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import message_schema
 from rosld.server.hypermedia.json_schema import ANYTHING, OBJECT, nullable, patch_schema
 from rosld.server.hypermedia.message_schemas import MessageSchemas
-from rosld.server.pictures.picture import can_draw
+from rosld.server.pictures.form import can_draw
 from rosld.server.pictures.picture_cache import PictureCache
 from rosld.server.resources.accepted_shape import message_shape, shape_query
 from rosld.server.resources.command import CommandResource

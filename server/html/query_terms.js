@@ -24,7 +24,7 @@ const queryTerms = (() => {
       bulk: false,
       isValidCompletionPosition: (yasqe) => fragment(yasqe) !== null,
       preProcessToken: (yasqe, token) => ({ ...token, ...fragment(yasqe) }),
-      get: async (yasqe, token) => suggest(yasqe, token ?? fragment(yasqe), await terms(), names),
+      get: async (yasqe, token) => token?.from ? suggest(yasqe, token, await terms(), names) : [],
     };
     editor.enableCompleter("terms");
     editor.on("changes", (_, changes) => {

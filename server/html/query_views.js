@@ -16,9 +16,12 @@ const queryViews = (() => {
     return all(TIMES) ? "time" : all(NUMBERS) ? "number" : "";
   }
 
+  /* The columns of an answer; that of an ASK has none. */
+  const variables = (results) => results.getVariables() ?? [];
+
   /* The labels of the lines, and the table that uPlot draws; null where there are no numbers over time. */
   function table(results, short) {
-    const rows = results.getBindings() ?? [], columns = results.getVariables().map((name) => [name, kind(rows, name)]);
+    const rows = results.getBindings() ?? [], columns = variables(results).map((name) => [name, kind(rows, name)]);
     const named = (wanted) => columns.filter(([, kind]) => kind === wanted).map(([name]) => name);
     const [time] = named("time"), numbers = named("number");
     if (!time || !numbers.length) return null;
@@ -78,7 +81,7 @@ const queryViews = (() => {
         { from: subject.value, by: predicate.value, to: object.value }
       ));
     }
-    const names = results.getVariables(), rows = results.getBindings() ?? [];
+    const names = variables(results), rows = results.getBindings() ?? [];
     const isLink = (row, name) => !row[name] || row[name].type === "uri";
     if (names.length < 2 || names.length > 3 || !rows.every((row) => names.every((name) => isLink(row, name)))) return [];
     const [from, to] = [names[0], names.at(-1)], by = names.length === 3 ? names[1] : null;

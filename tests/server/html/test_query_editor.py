@@ -109,6 +109,12 @@ def test_a_stored_query_is_loaded_with_fields_for_its_parameters(editor: Any) ->
     editor.until(f"{LINKS}.includes('/topics/odom')")
 
 
+def test_a_question_is_answered_by_yes_or_no(editor: Any) -> None:
+    write(editor, "ASK { ?topic a ros:Topic }")
+    answer(editor)
+    assert "true" in editor.until("document.querySelector('.booleanResult')?.textContent").lower()
+
+
 def test_what_the_server_finds_wrong_is_told_in_words(editor: Any) -> None:
     write(editor, "SELECT ?topic { ?topic a ros:Topic")
     answer(editor)

@@ -168,6 +168,6 @@ Its endpoint is this server's, and nothing is asked of another. Without this fil
   paint();
   if (settings.isAsked && location.hash in VIEWS) {
     results.selectPlugin(VIEWS[location.hash]);
-    ask();
+    if (editor.getQueryMode() === "query") ask(); // whoever follows a link must move nothing by it
   }
 }

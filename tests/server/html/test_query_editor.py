@@ -148,6 +148,16 @@ def test_the_editor_is_dark_where_the_page_is(editor: Any) -> None:
     editor.until(f"{colour} === 'rgb(26, 32, 35)'")
 
 
+def test_a_link_carries_out_no_update(tab: Any, rover: httpx.Client) -> None:
+    update = "INSERT DATA { GRAPH <data/note> { <data/note> rdfs:label 'note' } }"
+    tab.open(f"{rover.base_url}sparql?query={update}#plot")
+    tab.until(f"{MIRROR}.getValue().startsWith('INSERT DATA')")
+    asked = tab.run("performance.getEntriesByType('resource').map((each) => new URL(each.name).pathname)")
+    assert "/sparql" not in asked
+    assert tab.run(f"{RUN}.textContent") == "Run"
+    assert rover.get("/data/note").status_code == 404
+
+
 def test_without_scripts_the_form_asks_the_same(rover: httpx.Client) -> None:
     page = rover.get("/sparql?query=ASK { ?x a ros:Topic }", headers=HTML)
     assert re.search(r'<section id="editor"[^>]* hidden>', page.text)

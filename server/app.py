@@ -43,6 +43,7 @@ from rosld.server.resources.near import near_urls
 from rosld.server.resources.past_messages import RecordedPast
 from rosld.server.resources.plot import PlotResource, plot_route
 from rosld.server.resources.resource_types import types_at
+from rosld.server.resources.space import SpaceResource, space_route
 from rosld.server.resources.sparql_update.service import UpdateService
 from rosld.server.resources.status import status_route
 from rosld.server.rest.exchange import Exchange
@@ -51,6 +52,7 @@ from rosld.server.rest.large import LargeDocuments
 from rosld.server.rest.pages import PageRenderer
 from rosld.server.rest.resource import Resource
 from rosld.server.robot.hold_store import Holds
+from rosld.server.robot.scene import Scene
 from rosld.server.robot.session import Session
 from rosld.server.routing.dispatcher import Dispatcher
 from rosld.server.routing.live_graphs import OTHER_ROUTES, RobotGraphs
@@ -77,6 +79,7 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
     session, space, documents = services.session, services.session.space, services.documents
     factory = ResourceFactory(services)
     routes = robot_routes(factory)
+    scene = Scene(session)
     large = LargeDocuments(documents.workers)
     pages = PageRenderer(session, services.software_stop, large, services.receipts)
     process = QueryProcess(settings.query_concurrency, settings.query_queue)
@@ -114,6 +117,7 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
     router.add(notification_routes(notifications, routes[".well-known"]))
     router.add(replication_route(space, mirror))
     router.add(plot_route(session, services.affordances, factory.history, broadcasters))
+    router.add(space_route(session, scene, factory.history, broadcasters))
     watchdog = Watchdog()
     router.add(status_route(space, services.storage_problems, watchdog))
     described = {each.url: each.document for each in fixed_resources(notifications)}
@@ -121,6 +125,8 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
     described |= {router.search.url: router.search.document}
     unasked = PlotResource(session, services.affordances, factory.history, broadcasters)
     described[unasked.url] = unasked.document
+    view = SpaceResource(session, scene, factory.history, broadcasters)
+    described[view.url] = view.document
     changing = ("/status",) if mirror is None else ("/status", "/mirror")
     source.add(described, map(router.at, changing))
     authenticator = (
@@ -145,7 +151,7 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
         partial(asyncio.to_thread, prepare_pages),
         partial(log_mapping_warnings, services.affordances, services.mappings),
     ]
-    closings: list[Job] = [large.close]
+    closings: list[Job] = [large.close, scene.close]
     if mirror is not None:
         background.append(mirror.run)
         closings.insert(0, mirror.close)

@@ -159,6 +159,7 @@ LAYERS = [
     "hypermedia",
     "robot",
     "history",
+    "space",
     "pictures",
     "dataset",
     "receipts",

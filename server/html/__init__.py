@@ -4,7 +4,8 @@ Nothing here knows a robot or a store: a `Page` (or one of its kin) goes in, byt
 is text to these pages, never markup, and `HEADERS` tells the browser to run nothing but `live.js`, which keeps a page
 up to date while it is looked at, `ages.js`, which says how long ago times were, `filter.js`, which finds things on
 long ones, `find.js`, which shows what is found while words are typed, `drive.js`, which drives a robot, `picture.js`,
-which moves pictures, and `plot.js` and `spark.js`, which draw numbers over time. Without them every page is as whole.
+which moves pictures, `plot.js` and `spark.js`, which draw numbers over
+time, and `space.js`, which draws space from above. Without them every page is as whole.
 """
 
 from rosld.server.html.affordances import action_form, cancel_forms, forms_of, property_form
@@ -44,6 +45,8 @@ from rosld.server.html.page import (
     QueryPage,
     SearchPage,
     SequenceLink,
+    SpacePage,
+    SpaceTopic,
     SparqlPage,
     StoredQueryLink,
     StoredQueryParameter,
@@ -70,6 +73,7 @@ from rosld.server.html.render import (
     QUERY_TERMS_SCRIPT,
     QUERY_VIEWS_SCRIPT,
     SCRIPT,
+    SPACE_SCRIPT,
     SPARK_SCRIPT,
     STYLESHEET,
     prepare_pages,
@@ -81,6 +85,7 @@ from rosld.server.html.render import (
     render_problem,
     render_query,
     render_search,
+    render_space,
     render_sparql,
 )
 from rosld.server.html.site import Site
@@ -108,6 +113,7 @@ __all__ = [
     "QUERY_TERMS_SCRIPT",
     "QUERY_VIEWS_SCRIPT",
     "SCRIPT",
+    "SPACE_SCRIPT",
     "SPARK_SCRIPT",
     "STYLESHEET",
     "Alternate",
@@ -134,6 +140,8 @@ __all__ = [
     "SearchPage",
     "SequenceLink",
     "Site",
+    "SpacePage",
+    "SpaceTopic",
     "SparqlPage",
     "StoredQueryLink",
     "StoredQueryParameter",
@@ -155,6 +163,7 @@ __all__ = [
     "render_problem",
     "render_query",
     "render_search",
+    "render_space",
     "render_sparql",
     "split_hidden",
     "split_query",

@@ -14,6 +14,7 @@ from rosld.server.html.messages import message_view
 from rosld.server.html.picture_view import PictureView, picture_view
 from rosld.server.html.plot import plot_prefix
 from rosld.server.html.site import Anchor, Site
+from rosld.server.html.space_view import topic_view
 from rosld.server.html.terms import iri_view
 from rosld.server.html.timestamps import time_view
 from rosld.server.html.view import TableView, View, escape_controls
@@ -37,6 +38,8 @@ class MessageSection:
     publisher: View | None = None
     aside: bool = False
     picture: PictureView | None = None
+    space: str = ""
+    """The address of its view in space, empty where it has none."""
 
 
 def message_sections(document: Document, site: Site, query: str = "") -> tuple[MessageSection, ...]:
@@ -81,6 +84,7 @@ def _section(document: Document, site: Site, each: LiftedMessage, role: NamedNod
         publisher=iri_view(publisher, site) if publisher else None,
         aside=role == ros.latestFrom,
         picture=picture_view(schema, each.message, query, moves=role == ros.latest) if role in _DRAWN else None,
+        space=topic_view(schema.ref.name, document.url, site) if role == ros.latest and not query else "",
     )
 
 

@@ -17,6 +17,7 @@ from rosld.ontology.violations import Violation
 from rosld.server.html.site import Site
 from rosld.server.hypermedia import views
 from rosld.server.robot.diagnostic_states import DiagnosticState, LevelChange
+from rosld.server.space.transform import Transform
 
 if TYPE_CHECKING:
     from rosld.server.html.forms import Form
@@ -244,6 +245,36 @@ class PlotPage:
     numbers: tuple[PlottedNumber, ...] = ()
     references: tuple[str, ...] = ()
     notices: tuple[Notice, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class SpacePage:
+    """The page at `/space`: a view of topics, in the order in which they are drawn, in the frame `fixed`.
+
+    `asked` is the frame that was asked for. `references` (`show`) name the topics where they were asked for; `omitted`
+    are those that are too many.
+    """
+
+    site: Site
+    url: str
+    topics: tuple[SpaceTopic, ...]
+    fixed: str
+    asked: str = ""
+    references: tuple[str, ...] = ()
+    frames: tuple[str, ...] = ()
+    omitted: int = 0
+    notices: tuple[Notice, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class SpaceTopic:
+    """A topic of a view: its URL, the kind and the frame of its messages, and where that is, or why it is not known."""
+
+    url: str
+    kind: str
+    frame: str
+    pose: Transform | None
+    problem: str
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from rosld.adapters.model import Message, MessageSchema
 from rosld.server.html.view import escape_controls
-from rosld.server.pictures.form import COMPRESSED_IMAGE, DEFAULT_RANGE, can_draw
+from rosld.server.pictures.form import COMPRESSED_IMAGE, DEFAULT_RANGE, OCCUPANCY_GRID, can_draw
 from rosld.server.pictures.refusal import CannotDraw
 
 MAX_WIDTH, MAX_RATE = 960, 15
@@ -36,6 +36,8 @@ def picture_view(schema: MessageSchema, message: Message, query: str, *, moves: 
 
     before = f"?{query}&" if query else "?"
     still = f"{before}format=jpeg&width={MAX_WIDTH}"
+    if schema.ref.name == OCCUPANCY_GRID:
+        return PictureView(f"{before}format=png&width={MAX_WIDTH}", words="Light is free, dark is occupied.")
     motion = f"{before}format=mjpeg&width={MAX_WIDTH}&rate={MAX_RATE}" if moves and not query else ""
     if schema.ref.name == COMPRESSED_IMAGE:
         return PictureView(still, motion, _words(str(getattr(message, "format", "")).partition(";")[0].strip()))

@@ -43,17 +43,20 @@ from rosld.server.html.page import (
     ProblemPage,
     QueryPage,
     SearchPage,
+    SpacePage,
     SparqlPage,
 )
 from rosld.server.html.plot import PlotRow, plot_config, plot_query
 from rosld.server.html.section_groups import group_sections
 from rosld.server.html.site import Anchor, Site
+from rosld.server.html.space_view import SpaceRow, pose_words, space_query
 from rosld.server.html.stop_steps import stop_steps
 from rosld.server.html.tables import results_table
 from rosld.server.html.timestamps import time_view
 from rosld.server.html.view import escape_controls
 from rosld.server.hypermedia.views import ComplexView, PropertyView
 from rosld.server.robot.diagnostic_states import Level
+from rosld.server.space.drawing import PLACED_TYPES
 
 CONTENT_SECURITY_POLICY = "; ".join(
     (
@@ -102,6 +105,8 @@ PLOT_SCRIPT = (_HERE / "plot.js").read_bytes()
 """Served at `plot.js` below the base: draws the page of a plot, by means of `PLOT_LIBRARY`."""
 SPARK_SCRIPT = (_HERE / "spark.js").read_bytes()
 """Served at `spark.js` below the base: draws beside each number how it was lately."""
+SPACE_SCRIPT = (_HERE / "space.js").read_bytes()
+"""Served at `space.js` below the base: draws views of space from above."""
 PLOT_LIBRARY = (_HERE / "vendor" / "uplot.js").read_bytes()
 """Served at `uplot.js` below the base: uPlot, whose licence (MIT) lies beside it."""
 PLOT_STYLESHEET = (_HERE / "vendor" / "uplot.css").read_bytes()
@@ -123,7 +128,7 @@ QUERY_EDITOR_LIBRARY_STYLESHEET = (_HERE / "vendor" / "yasgui.css").read_bytes()
 _FILES = b"".join(
     (
         *(STYLESHEET, ICON, SCRIPT, AGES_SCRIPT, FILTER_SCRIPT, FIND_SCRIPT, DRIVE_SCRIPT, PICTURE_SCRIPT),
-        *(CHART_SCRIPT, PLOT_SCRIPT, SPARK_SCRIPT, PLOT_LIBRARY, PLOT_STYLESHEET),
+        *(CHART_SCRIPT, PLOT_SCRIPT, SPARK_SCRIPT, SPACE_SCRIPT, PLOT_LIBRARY, PLOT_STYLESHEET),
         *(QUERY_TERMS_SCRIPT, QUERY_PARAMETERS_SCRIPT, QUERY_VIEWS_SCRIPT, QUERY_EDITOR_SCRIPT),
         *(QUERY_EDITOR_STYLESHEET, QUERY_EDITOR_LIBRARY, QUERY_EDITOR_LIBRARY_STYLESHEET),
     )
@@ -237,6 +242,10 @@ class _Frame:
         return f"{self.site.root}spark.js?v={_VERSION}"
 
     @property
+    def space_script(self) -> str:
+        return f"{self.site.root}space.js?v={_VERSION}"
+
+    @property
     def plot_library(self) -> str:
         return f"{self.site.root}uplot.js?v={_VERSION}"
 
@@ -347,6 +356,8 @@ def _body(page: Page, posted: tuple[FormTarget, ...]) -> dict[str, object]:
         return {
             "offer": offer_view(page.offer, site, posted),
             "has_picture": False,
+            "has_motion": False,
+            "has_space": False,
             "messages": (),
             "asides": (),
             "contents": None,
@@ -364,6 +375,8 @@ def _body(page: Page, posted: tuple[FormTarget, ...]) -> dict[str, object]:
     return {
         "offer": None,
         "has_picture": any(each.picture is not None and not each.picture.refused for each in messages),
+        "has_motion": any(each.picture is not None and each.picture.motion for each in messages),
+        "has_space": any(each.space and each.picture is None for each in messages),
         "messages": [each for each in messages if not each.aside],
         "asides": [each for each in messages if each.aside],
         "contents": container_table(document, site, page.listing),
@@ -532,6 +545,30 @@ def render_plot(page: PlotPage) -> bytes:
         rows=rows,
         references=page.references,
         config=plot_config(page),
+        formats=[replace(each, query=page.url.partition("?")[2]) for each in ALTERNATES],
+    )
+
+
+def render_space(page: SpacePage) -> bytes:
+    """The page of a view of space: what its script draws from, and the same in words."""
+    site = page.site
+    rows = [
+        SpaceRow(
+            site.anchor(each.url),
+            each.kind,
+            escape_controls(each.frame),
+            "" if each.pose is None else pose_words(each.pose),
+            escape_controls(each.problem),
+        )
+        for each in page.topics
+    ]
+    return _render(
+        "space.html",
+        _frame(site, "Seen from above", page.url, page.notices),
+        page=page,
+        rows=rows,
+        stream=f"{site.root}space{space_query(page.asked, page.references)}",
+        types=PLACED_TYPES,
         formats=[replace(each, query=page.url.partition("?")[2]) for each in ALTERNATES],
     )
 

@@ -35,6 +35,7 @@ _TAGS = {
     "": "entry",
     "find": "entry",
     "plot": "entry",
+    "space": "entry",
     "graph": "entry",
     "diagnostics": "entry",
     "sparql": "queries",
@@ -74,7 +75,19 @@ class PathCollector:
         yield from self._queries()
         yield from self._channels()
         yield from self._activities()
-        for path in ("find", "graph", "diagnostics", "plot", "stop", "status", "sparql", "graphs", *_ENTRY, *FILES):
+        for path in (
+            "find",
+            "graph",
+            "diagnostics",
+            "plot",
+            "space",
+            "stop",
+            "status",
+            "sparql",
+            "graphs",
+            *_ENTRY,
+            *FILES,
+        ):
             yield self._path(f"/{path}")
         with suppress(Problem):  # there is one only if it was asked for
             yield self._path("/mirror")

@@ -7,6 +7,9 @@ from typing import NamedTuple
 
 JPEG, PNG = "image/jpeg", "image/png"
 RAW_IMAGE, COMPRESSED_IMAGE = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+OCCUPANCY_GRID = "nav_msgs/msg/OccupancyGrid"
+DRAWN_TYPES = (RAW_IMAGE, COMPRESSED_IMAGE, OCCUPANCY_GRID)
+"""The types of messages that are pictures."""
 
 
 class DepthRange(NamedTuple):
@@ -30,4 +33,4 @@ class PictureForm:
 
 def can_draw(type_name: str) -> bool:
     """Whether messages of a type are pictures."""
-    return type_name in (RAW_IMAGE, COMPRESSED_IMAGE)
+    return type_name in DRAWN_TYPES

@@ -8,7 +8,8 @@ from PIL import Image
 
 from rosld.adapters.model import Message, MessageSchema, Sample
 from rosld.server.pictures.compressed_image import draw_compressed, file_type, is_depth
-from rosld.server.pictures.form import COMPRESSED_IMAGE, PNG, RAW_IMAGE, PictureForm
+from rosld.server.pictures.form import COMPRESSED_IMAGE, OCCUPANCY_GRID, PNG, RAW_IMAGE, PictureForm
+from rosld.server.pictures.occupancy_grid import draw_grid
 from rosld.server.pictures.raw_image import draw_raw, read_bytes, read_field, read_raw_image
 from rosld.server.pictures.refusal import UnknownPicture
 
@@ -24,6 +25,8 @@ def draw_sample(schema: MessageSchema, sample: Sample, form: PictureForm) -> byt
         return _compressed(message, form)
     if schema.ref.name == RAW_IMAGE:
         return write_picture(draw_raw(read_raw_image(message), form.shown), form)
+    if schema.ref.name == OCCUPANCY_GRID:
+        return write_picture(draw_grid(message, form.width), PictureForm(form.media_type))
     raise UnknownPicture(f"A {schema.ref.name} is no picture")
 
 
@@ -34,8 +37,17 @@ def write_picture(picture: Image.Image, form: PictureForm) -> bytes:
     if form.media_type == PNG:
         small.save(target, "PNG", compress_level=_PNG_EFFORT)
     else:
-        (small.convert("RGB") if small.mode == "RGBA" else small).save(target, "JPEG", quality=_QUALITY)
+        _without_transparency(small).save(target, "JPEG", quality=_QUALITY)
     return target.getvalue()
+
+
+def _without_transparency(picture: Image.Image) -> Image.Image:
+    """The picture as JPEG can hold it: what is transparent in a palette is grey."""
+    if picture.mode == "P":
+        opaque = Image.new("RGB", picture.size, (128, 128, 128))
+        opaque.paste(picture.convert("RGBA"), mask=picture.convert("RGBA").getchannel("A"))
+        return opaque
+    return picture.convert("RGB") if picture.mode == "RGBA" else picture
 
 
 def _shrink(picture: Image.Image, width: int | None) -> Image.Image:

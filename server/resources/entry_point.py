@@ -18,6 +18,7 @@ from rosld.server.robot.diagnostic_states import DIAGNOSTIC_ARRAY
 from rosld.server.robot.session import Session
 from rosld.server.robot.write_policy import RESERVED
 from rosld.server.runtime.version_cache import VersionCache
+from rosld.server.space.drawing import can_place
 
 _FIRST = "What the robot is like now, and what it can do: values to read and to set, actions, links."
 
@@ -74,6 +75,9 @@ class EntryResource(Resource):
         if any(ref.name == DIAGNOSTIC_ARRAY for topic in graph.topics.values() for ref in topic.types):
             told = "What the parts of the robot say of themselves."
             counts = (*counts, EntryCount("Diagnostics", None, f"{space.base}diagnostics", told))
+        if any(can_place(ref.name) for topic in graph.topics.values() for ref in topic.types):
+            seen = "Scans, maps, paths and frames, seen from above."
+            counts = (*counts, EntryCount("Space", None, f"{space.base}space", seen))
         counts = (*counts, EntryCount("Graph", None, f"{space.base}graph", "Who talks to whom, drawn."))
         counts = tuple(each for each in counts if site.may("GET", each.url))
         troubles = (Notice(problem, NoticeLevel.ERROR) for problem in self.storage_problems())

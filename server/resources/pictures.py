@@ -13,11 +13,10 @@ from rosld.server.http import negotiation
 from rosld.server.http.conditional import ETag, check_preconditions, digest
 from rosld.server.http.problem import Problem
 from rosld.server.pictures.form import (
-    COMPRESSED_IMAGE,
     DEFAULT_RANGE,
+    DRAWN_TYPES,
     JPEG,
     PNG,
-    RAW_IMAGE,
     DepthRange,
     PictureForm,
     can_draw,
@@ -84,7 +83,7 @@ def require_picture(name: str, types: Sequence[TypeRef]) -> None:
     """Raise a 406 Problem where messages of these types are not drawn."""
     if not any(can_draw(ref.name) for ref in types):
         said = ", ".join(ref.name for ref in types) or "an unknown type"
-        words = f"{name} has messages of {said}: only {RAW_IMAGE} and {COMPRESSED_IMAGE} are drawn as pictures."
+        words = f"{name} has messages of {said}: only {', '.join(DRAWN_TYPES)} are drawn as pictures."
         raise Problem(406, f"{words} There are {', '.join(OFFERS)}.")
 
 

@@ -62,6 +62,7 @@ _FILES: Mapping[str, tuple[bytes, str, str]] = {
     "chart.js": (html.CHART_SCRIPT, _SCRIPT, "The script that says what plots look like"),
     "plot.js": (html.PLOT_SCRIPT, _SCRIPT, "The script that draws plots"),
     "spark.js": (html.SPARK_SCRIPT, _SCRIPT, "The script that draws beside numbers how they were lately"),
+    "space.js": (html.SPACE_SCRIPT, _SCRIPT, "The script that draws views of space"),
     "uplot.js": (html.PLOT_LIBRARY, _SCRIPT, "uPlot, which draws"),
     "uplot.css": (html.PLOT_STYLESHEET, _STYLE, "The style of uPlot"),
     "query_terms.js": (html.QUERY_TERMS_SCRIPT, _SCRIPT, "The script that completes terms in queries"),

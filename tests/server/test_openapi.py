@@ -133,6 +133,8 @@ def test_what_can_be_followed_is_told_and_nothing_else(http: httpx.Client) -> No
             continue
         streams = answer.headers.get("content-type", "").startswith("text/event-stream")
         told = query_parameters(description, template)
+        if path == "/space":
+            continue  # its stream tells of much else, and takes none of these
         if path.startswith("/queries/") and not path.endswith("/"):
             told = told - {"timeout"}  # of the query, not of a wait
         if {"after", "timeout", "rate"} & told != ({"after", "timeout", "rate"} if streams else set()):

@@ -82,7 +82,7 @@ def test_nothing_is_run_and_nothing_is_styled_in_place(page: Reader) -> None:
         assert not [name for name in attributes if name.startswith("on") or name in ("style", "srcdoc", "formaction")]
 
 
-OF_SOME = ("/ages.js", "/spark.js", "/drive.js", "/picture.js")
+OF_SOME = ("/ages.js", "/spark.js", "/drive.js", "/picture.js", "/space.js")
 """The scripts of pages that have what these are for."""
 OF_QUERIES = tuple(
     f"/{name}.js"
@@ -102,6 +102,7 @@ def test_scripts_are_our_own_files_and_wait_for_the_page(page: Reader) -> None:
         *(OF_QUERIES if any(each.get("id") == "editor" for each in page.all("section")) else ()),
     ]
     assert names.count("/picture.js") == len([each for each in page.all("img") if "data-motion" in each])
+    assert names.count("/space.js") == len([each for each in page.all("figure") if "data-space" in each])
     assert "/spark.js" in names or not live or not any(each.get("class") == "plot" for each in page.all("a"))
     assert names.count("/drive.js") >= len(pads)
     assert all(each.keys() == {"src", "defer"} for each in scripts)
@@ -116,7 +117,9 @@ def test_only_http_and_local_references_are_links(page: Reader) -> None:
 
 
 def test_nothing_is_fetched_from_elsewhere(page: Reader) -> None:
-    assert all((each["src"] or "").startswith(("/icon.svg", "?format=jpeg&")) for each in page.all("img"))
+    assert all(
+        (each["src"] or "").startswith(("/icon.svg", "?format=jpeg&", "?format=png&")) for each in page.all("img")
+    )
     fetched = [each for each in page.all("link") if each["rel"] in ("stylesheet", "icon")]
     assert fetched
     assert all((each["href"] or "").startswith("/") for each in fetched)

@@ -1,0 +1,242 @@
+"""The event stream of a view of space: what is drawn, and where that is in the frame that the view is fixed to."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import orjson
+from starlette.responses import Response
+from starlette.types import Receive, Scope, Send
+
+from rosld.adapters.base import Watch
+from rosld.adapters.model import RosError
+from rosld.server.events import frame
+from rosld.server.events.broadcaster import RETRY_SECONDS, Broadcasters, Waiter
+from rosld.server.events.event_stream import HEADERS, KEEP_ALIVE_SECONDS
+from rosld.server.robot.drawings import Drawings, DrawnSample
+from rosld.server.robot.live_frames import LiveFrames
+from rosld.server.robot.live_topics import LiveTopics
+from rosld.server.space.drawing import pose_json
+from rosld.server.space.frame_buffer import FrameBuffer, NoTransform
+from rosld.server.space.transform import Transform
+
+PERIOD = 0.04
+"""Seconds that lie between two events at least: 25 a second."""
+_LONGEST = 1.0
+"""Seconds after which is looked again although nothing came."""
+_FRAMES_PERIOD = 0.1
+_MAX_FRAMES = 200
+"""Frames that are drawn."""
+
+
+@dataclass(frozen=True, slots=True)
+class ShownTopic:
+    """A topic of a view: its name, how messages of its type are called, and references relative to the host.
+
+    `picture` is that of the picture of a grid, `history` that of its recorded numbers, up to the field; empty where
+    there is none.
+    """
+
+    name: str
+    kind: str
+    href: str
+    picture: str = ""
+    history: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class SpaceSource:
+    """What a stream reads from, and what it may: `frames` is None for who may not read them."""
+
+    topics: LiveTopics
+    drawings: Drawings
+    frames: LiveFrames | None
+    shown: Callable[[], Sequence[ShownTopic]]
+    is_valid: Callable[[], bool]
+
+
+class SpaceStream(Response):
+    """Tells of a view until its reader leaves or the server ends.
+
+    Each event is a JSON object. `show`: the topics of the view, first of all and whenever they are others. `frame`:
+    what the view is fixed to. `frames`: the name, the parent and the pose of each frame that is connected to it.
+    `things`: by place, what is drawn of a new message (`drawing`), where the frame of the message is (`pose`), or why
+    that cannot be said (`problem`). What is as it was is left out.
+    """
+
+    def __init__(self, broadcasters: Broadcasters, source: SpaceSource, fixed: str) -> None:
+        """`fixed`: the frame that the view is fixed to; where it is empty the best one that there is."""
+        self.status_code = 200
+        self.body = b""
+        self.background = None
+        self.raw_headers = HEADERS
+        self._broadcasters = broadcasters
+        self._source = source
+        self._fixed = fixed
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send it."""
+        with self._broadcasters.count_reader(scope):
+            await send({"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers})
+            await self._broadcasters.run_for_client(self._tell(send), receive)
+        await send({"type": "http.response.body", "body": b"", "more_body": False})
+
+    async def _tell(self, send: Send) -> None:
+        async def tell(chunk: bytes) -> None:
+            await send({"type": "http.response.body", "body": chunk, "more_body": True})
+
+        await tell(frame.opening(RETRY_SECONDS))
+        waiter, spoke = _Pulse(), time.monotonic()
+        with contextlib.ExitStack() as stack:
+            view = _View(self._source, self._fixed, waiter.wake, stack)
+            while self._source.is_valid():
+                found = await view.take()
+                if found:
+                    await tell(frame.event(orjson.dumps(found)))
+                    spoke = time.monotonic()
+                elif time.monotonic() - spoke > KEEP_ALIVE_SECONDS:
+                    await tell(frame.KEEP_ALIVE)
+                    spoke = time.monotonic()
+                await asyncio.sleep(PERIOD)
+                await waiter.wait(_LONGEST)
+
+
+class _Pulse:
+    """Remembers that something came, also while nobody waits."""
+
+    def __init__(self) -> None:
+        self._waiter = Waiter()
+        self._came = False
+
+    def wake(self) -> None:
+        self._came = True
+        self._waiter.wake()
+
+    async def wait(self, seconds: float) -> None:
+        """Until something came since the last time, at most so long."""
+        if not self._came:
+            with contextlib.suppress(asyncio.TimeoutError, TimeoutError):
+                await asyncio.wait_for(self._waiter.sleep(), seconds)
+        self._came = False
+
+
+class _View:
+    """What one reader was told, and what is new to it."""
+
+    def __init__(self, source: SpaceSource, fixed: str, wake: Callable[[], None], stack: contextlib.ExitStack) -> None:
+        self._source = source
+        self._fixed = fixed
+        self._wake = wake
+        self._stack = stack
+        self._shown: Sequence[ShownTopic] | None = None
+        self._watches: dict[str, Watch] = {}
+        self._drawn: dict[str, DrawnSample] = {}
+        self._told: dict[str, object] = {}
+        self._frame: str | None = None
+        self._frames: object = None
+        self._framed_at = 0.0
+        if source.frames is not None:
+            stack.callback(source.frames.watch(wake).close)
+        stack.callback(self._close)
+
+    def _close(self) -> None:
+        for watch in self._watches.values():
+            watch.close()
+
+    async def take(self) -> dict[str, object]:
+        """What is new, as an event; empty where nothing is."""
+        event: dict[str, object] = {}
+        shown = self._source.shown()
+        if shown != self._shown:
+            await self._show(shown)
+            event["show"] = [
+                {"label": each.name, "kind": each.kind, "href": each.href, "history": each.history} for each in shown
+            ]
+        drawn = [(place, each, await self._source.drawings.newest(each.name)) for place, each in enumerate(shown)]
+        buffer = FrameBuffer() if self._source.frames is None else await self._source.frames.look()
+        fixed = self._fixed or buffer.default_frame() or _first_frame([found for _, _, found in drawn])
+        if fixed is not None and fixed != self._frame:
+            event["frame"] = self._frame = fixed
+            self._framed_at = 0.0
+        things = [
+            told
+            for place, each, found in drawn
+            if found is not None and (told := self._thing(place, each, found, buffer, fixed or ""))
+        ]
+        if things:
+            event["things"] = things
+        if fixed is not None and (frames := self._moved_frames(buffer, fixed)) is not None:
+            event["frames"] = frames
+        return event
+
+    async def _show(self, shown: Sequence[ShownTopic]) -> None:
+        """Follow other topics than until now."""
+        names = {each.name for each in shown}
+        for name in self._watches.keys() - names:
+            self._watches.pop(name).close()
+        for name in names - self._watches.keys():
+            with contextlib.suppress(RosError):
+                self._watches[name] = await self._source.topics.watch(name, self._wake)
+        self._shown, self._drawn, self._told = shown, {}, {}
+
+    def _thing(
+        self, place: int, shown: ShownTopic, found: DrawnSample, buffer: FrameBuffer, fixed: str
+    ) -> dict[str, object]:
+        """What is new of a topic; empty where nothing is."""
+        is_new = self._drawn.get(shown.name) is not found
+        placed, problem = place_drawing(found, buffer, fixed)
+        pose = None if placed is None else pose_json(placed)
+        if not is_new and self._told.get(shown.name) == (pose, problem):
+            return {}
+        self._drawn[shown.name], self._told[shown.name] = found, (pose, problem)
+        told: dict[str, object] = {"place": place, "pose": pose, "problem": problem}
+        if is_new:
+            told["drawing"] = orjson.Fragment(found.json)
+            told["in"] = "" if found.drawing is None else found.drawing.frame
+            if shown.picture and found.drawing is not None:
+                told["picture"] = f"{shown.picture}&v={found.sample.epoch}.{found.sample.sequence}"
+        return told
+
+    def _moved_frames(self, buffer: FrameBuffer, fixed: str) -> object:
+        """All frames, where one has moved since they were told; None where none has."""
+        now = time.monotonic()
+        if now - self._framed_at < _FRAMES_PERIOD:
+            return None
+        self._framed_at = now
+        found = frames_json(buffer, fixed)
+        if found == self._frames:
+            return None
+        self._frames = found
+        return found
+
+
+def frames_json(buffer: FrameBuffer, fixed: str) -> list[dict[str, object]]:
+    """The frames that are connected to one, each with its parent and its pose there."""
+    newest = buffer.newest
+    found: list[dict[str, object]] = []
+    for name in list(buffer.names)[:_MAX_FRAMES]:
+        try:
+            pose = pose_json(buffer.look_up(fixed, name))
+        except NoTransform:
+            continue
+        found.append({"name": name, "parent": newest[name].parent if name in newest else None, "pose": pose})
+    return found
+
+
+def _first_frame(drawn: Sequence[DrawnSample | None]) -> str | None:
+    """A frame that something is drawn in, where no transforms tell of frames."""
+    return next((each.drawing.frame for each in drawn if each and each.drawing and each.drawing.frame), None)
+
+
+def place_drawing(found: DrawnSample, buffer: FrameBuffer, fixed: str) -> tuple[Transform | None, str]:
+    """Where the frame of a message is in another at its time, or why that cannot be said."""
+    if found.drawing is None:
+        return None, found.problem
+    try:
+        return buffer.look_up(fixed, found.drawing.frame, found.drawing.stamp_ns or None), ""
+    except NoTransform as error:
+        return None, f"{error}"

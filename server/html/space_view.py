@@ -1,0 +1,45 @@
+"""Views of space on pages: the address of a view, and its rows in words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from urllib.parse import quote
+
+from rosld.server.html.site import Anchor, Site
+from rosld.server.space.drawing import can_place
+from rosld.server.space.transform import Transform, heading
+
+
+@dataclass(frozen=True, slots=True)
+class SpaceRow:
+    """A topic of a view: how its messages are called, the frame they name, where that is, or why it is not known."""
+
+    topic: Anchor | None
+    kind: str
+    frame: str
+    where: str
+    problem: str
+
+
+def space_query(frame: str, references: Sequence[str]) -> str:
+    """The query of the view that is fixed to a frame and shows these topics."""
+    asked = [("frame", frame)] if frame else []
+    asked += [("show", each) for each in references]
+    said = "&".join(f"{name}={quote(value.encode('utf-8', 'replace'), safe='/:')}" for name, value in asked)
+    return f"?{said}" if said else ""
+
+
+def topic_view(type_name: str, url: str, site: Site) -> str:
+    """The address of the view of one topic; empty where its messages are not drawn, or may not be looked at."""
+    if not can_place(type_name) or not site.may("GET", f"{site.base}space") or not url.startswith(site.base):
+        return ""
+    return f"{site.root}space{space_query('', [url.removeprefix(site.base)])}"
+
+
+def pose_words(pose: Transform) -> str:
+    """Where something is, as people say it."""
+    x, y, z = pose.translation
+    above = f", {z:.2f} m up" if abs(z) >= 0.005 else ""
+    return f"{x:.2f}, {y:.2f} m{above}, turned by {math.degrees(heading(pose)):.0f}°"

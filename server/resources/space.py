@@ -1,0 +1,279 @@
+"""Space: `/space?frame=map&show=topics/scan`, what topics tell of places, drawn together as it is seen from above."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from urllib.parse import parse_qsl
+
+import orjson
+from pyoxigraph import NamedNode
+from starlette.responses import Response
+
+from rosld.ontology.document import Document
+from rosld.ontology.triples import RDF_SOURCE, statements, text, triples_about
+from rosld.ontology.urls import Location
+from rosld.ontology.vocab import dcterms, rdfs
+from rosld.server.auth.errors import not_found
+from rosld.server.auth.permissions import ALLOW_ALL, Permissions
+from rosld.server.events.broadcaster import Broadcasters
+from rosld.server.events.event_stream import HEADERS
+from rosld.server.events.query_params import EVENT_STREAM, stream_is_preferred
+from rosld.server.events.space_stream import ShownTopic, SpaceSource, SpaceStream, place_drawing
+from rosld.server.history.history import History
+from rosld.server.html import Csrf, Form, Notice, Site, SpacePage, SpaceTopic, render_space
+from rosld.server.html.page import NoticeLevel
+from rosld.server.html.space_view import space_query
+from rosld.server.http.conditional import digest
+from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.data_schema import DataSchema
+from rosld.server.hypermedia.json_schema import TEXT, URI
+from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.pictures.form import OCCUPANCY_GRID
+from rosld.server.resources.memento import is_recorded
+from rosld.server.resources.namespaces import listed_graph
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.formats import OFFERS
+from rosld.server.rest.path_item import FORMAT, PathItem, QueryParameter
+from rosld.server.rest.raw_response import RawResponse
+from rosld.server.rest.resource import RDF_SOURCE as RDF_SOURCE_LINK
+from rosld.server.rest.resource import RESOURCE, Resource
+from rosld.server.rest.state import State
+from rosld.server.robot.scene import Scene
+from rosld.server.robot.session import Session
+from rosld.server.space.drawing import PLACED_TYPES, can_place, kind_label, pose_json
+from rosld.server.space.frame_buffer import TOPICS, FrameBuffer
+
+MAX_SHOWN = 32
+"""Topics of one view."""
+_MAX_REFERENCE = 1000
+_MAX_FRAME = 300
+_GRID_WIDTH = 2048
+"""Columns of the picture of a grid at most: of four times as many, a pixel stands for sixteen cells."""
+_ODOMETRY = "nav_msgs/msg/Odometry"
+_PARAMETERS = (
+    QueryParameter("frame", "The frame that the view is fixed to; that of the map where there is one, or another."),
+    QueryParameter(
+        "show",
+        "A topic: its URL, or that below the base. It may be given several times; without it all is drawn.",
+    ),
+    FORMAT,
+)
+_PLAIN: DataSchema = {
+    "type": "object",
+    "properties": {
+        "frame": {"type": ["string", "null"]},
+        "show": {
+            "type": "array",
+            "items": {
+                "type": "object",
+                "properties": {
+                    "topic": URI,
+                    "kind": TEXT,
+                    "frame": TEXT,
+                    "pose": {"type": ["array", "null"], "items": {"type": "number"}},
+                    "problem": TEXT,
+                },
+                "required": ["topic", "kind", "frame", "pose", "problem"],
+            },
+        },
+    },
+    "required": ["frame", "show"],
+}
+
+
+class SpaceResource(Resource):
+    """A view of space: of the topics that are asked for, or of all that can be drawn, as one agent may see them."""
+
+    kind = "View of space"
+    title = "Space"
+    links = (RESOURCE, RDF_SOURCE_LINK)
+    is_cacheable = False
+
+    def __init__(
+        self,
+        session: Session,
+        scene: Scene,
+        history: History,
+        broadcasters: Broadcasters,
+        frame: str = "",
+        references: Sequence[str] = (),
+        permissions: Permissions = ALLOW_ALL,
+    ) -> None:
+        self.frame = frame
+        self.references = tuple(references)
+        super().__init__(f"{session.space.base}space{space_query(frame, references)}")
+        self.session = session
+        self.scene = scene
+        self.history = history
+        self._broadcasters = broadcasters
+        self._permissions = permissions
+        self._topics: Sequence[SpaceTopic] = ()
+        self._frames: Sequence[str] = ()
+        self._fixed = ""
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        return PathItem("What is in space", (*OFFERS, EVENT_STREAM), _PLAIN, query=_PARAMETERS, streams=False)
+
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self.session.space.document_shape("Source"),)
+
+    async def select_variant(self, exchange: Exchange) -> Resource:
+        """The view that `frame` and `show` ask for, as far as the agent may see it. Raises Problems."""
+        found = parse_qsl(exchange.request.scope["query_string"].decode("latin-1"), max_num_fields=100)
+        references = list(dict.fromkeys(value.strip() for name, value in found if name == "show" and value.strip()))
+        if len(references) > MAX_SHOWN:
+            raise Problem(
+                400, f"?show= is there {len(references)} times: at most {MAX_SHOWN} topics are drawn together."
+            )
+        frame = exchange.query.get("frame", "").strip().removeprefix("/")
+        if len(frame) > _MAX_FRAME:
+            raise Problem(400, f"?frame={frame[:60]}... is too long.")
+        return SpaceResource(
+            self.session, self.scene, self.history, self._broadcasters, frame, references, exchange.permissions
+        )
+
+    def document(self) -> Document:
+        """The view while nothing is asked for."""
+        return _document(self.url, ())
+
+    async def state(self) -> State:
+        names = self._asked() or self._all()[:MAX_SHOWN]
+        await asyncio.gather(*(self.session.topics.read(name) for name in names))
+        buffer = await self.scene.frames.look() if self._may_read_frames else FrameBuffer()
+        drawn = [await self.scene.drawings.newest(name) for name in names]
+        first = (each.drawing.frame for each in drawn if each and each.drawing)
+        self._fixed = self.frame or buffer.default_frame() or next(first, "")
+        self._frames = tuple(buffer.names)
+        topics = []
+        for name, each in zip(names, drawn, strict=True):
+            url, kind = self.session.space.topic(name), self._kind(name)
+            if each is None:
+                topics.append(SpaceTopic(url, kind, "", None, "No message has come yet"))
+                continue
+            pose, problem = place_drawing(each, buffer, self._fixed)
+            topics.append(SpaceTopic(url, kind, each.drawing.frame if each.drawing else "", pose, problem))
+        self._topics = topics
+        plain = orjson.dumps({"frame": self._fixed or None, "show": [_topic_json(each) for each in topics]})
+        return State(partial(_document, self.url, [each.url for each in topics]), lambda: plain, digest(plain))
+
+    async def custom_get(self, exchange: Exchange) -> Response | None:
+        """The view as it changes, where an event stream is asked for."""
+        if not stream_is_preferred(exchange.accept, OFFERS):
+            return None
+        names = self._asked()
+        if exchange.method == "HEAD":
+            return RawResponse(200, b"", HEADERS)
+        self._broadcasters.require_capacity(exchange.request.client)
+        source = SpaceSource(
+            self.session.topics,
+            self.scene.drawings,
+            self.scene.frames if self._may_read_frames else None,
+            lambda: [self._shown(name) for name in names or self._all()[:MAX_SHOWN]],
+            exchange.auth.is_valid,
+        )
+        return SpaceStream(self._broadcasters, source, self.frame)
+
+    def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
+        said = list(notices)
+        if not self._may_read_frames:
+            said.append(Notice("You may not read the transforms between frames.", NoticeLevel.WARNING))
+        elif not self._frames:
+            said.append(Notice("No transforms between frames are published, on /tf or on /tf_static."))
+        elif self.frame and self.frame not in self._frames:
+            known = ", ".join(self._frames[:20])
+            said.append(Notice(f"There is no frame called {self.frame}: there are {known}.", NoticeLevel.WARNING))
+        return render_space(
+            SpacePage(
+                site,
+                self.url,
+                tuple(self._topics),
+                self._fixed,
+                self.frame,
+                self.references,
+                tuple(self._frames[:1000]),
+                0 if self.references else max(len(self._all()) - MAX_SHOWN, 0),
+                tuple(said),
+            )
+        )
+
+    @property
+    def _may_read_frames(self) -> bool:
+        space = self.session.space
+        return all(self._permissions.may_read(space.topic(each)) for each in TOPICS)
+
+    def _all(self) -> list[str]:
+        """The topics that can be drawn and that the agent may read, what is drawn first first."""
+        space, topics = self.session.space, listed_graph(self.session).topics
+        found = [
+            (PLACED_TYPES.index(topic.type.name), name)
+            for name, topic in topics.items()
+            if topic.type is not None and can_place(topic.type.name) and self._permissions.may_read(space.topic(name))
+        ]
+        return [name for _, name in sorted(found)]
+
+    def _asked(self) -> list[str]:
+        """The topics that `show` names. Raises Problems."""
+        return [self._located(each) for each in self.references]
+
+    def _located(self, reference: str) -> str:
+        space = self.session.space
+        if len(reference) > _MAX_REFERENCE:
+            raise Problem(400, f"?show={reference[:60]}... is too long.")
+        url = reference
+        if not url.startswith(space.base):
+            url = space.base + url.removeprefix(space.path).removeprefix("/")
+        location = None if "?" in url or "#" in url else space.location(url)
+        if location is None or location.is_container or location.kind != "topics":
+            raise Problem(400, f"?show={reference[:100]} names no topic of this robot: send such as topics/scan.")
+        if not self._permissions.may_read(url):
+            raise not_found()
+        topic = self.session.graph.topics.get(location.name)
+        if topic is None:
+            raise Problem(404, f"There is no topic {location.name}.")
+        if topic.type is None or not can_place(topic.type.name):
+            said = "several types" if topic.type is None else topic.type.name
+            raise Problem(422, f"{location.name} has messages of {said}: drawn in space are {', '.join(PLACED_TYPES)}.")
+        return location.name
+
+    def _kind(self, name: str) -> str:
+        topic = self.session.graph.topics.get(name)
+        is_known = topic is not None and topic.type is not None and can_place(topic.type.name)
+        return kind_label(topic.type.name) if topic and topic.type and is_known else ""
+
+    def _shown(self, name: str) -> ShownTopic:
+        """A topic as the stream tells of it."""
+        space, url = self.session.space, self.session.space.topic(name)
+        topic = self.session.graph.topics.get(name)
+        type_name = topic.type.name if topic is not None and topic.type is not None else ""
+        href = space.path + url.removeprefix(space.base)
+        picture = f"{href}?format=png&width={_GRID_WIDTH}" if type_name == OCCUPANCY_GRID else ""
+        has_history = type_name == _ODOMETRY and is_recorded(self.history, name)
+        history = f"{href}?series=pose.pose.position." if has_history else ""
+        return ShownTopic(name.encode("utf-8", "replace").decode(), self._kind(name), href, picture, history)
+
+
+def _topic_json(topic: SpaceTopic) -> dict[str, object]:
+    pose = None if topic.pose is None else pose_json(topic.pose)
+    return {"topic": topic.url, "kind": topic.kind, "frame": topic.frame, "pose": pose, "problem": topic.problem}
+
+
+def _document(url: str, topics: Sequence[str]) -> Document:
+    """The view as RDF: of which topics it is."""
+    said = statements(rdfs.seeAlso, (NamedNode(each) for each in topics))
+    return Document(url, tuple(triples_about(NamedNode(url), *RDF_SOURCE, (dcterms.title, text("Space")), *said)))
+
+
+def space_route(
+    session: Session, scene: Scene, history: History, broadcasters: Broadcasters
+) -> Mapping[str, Callable[[Location], Resource]]:
+    """The room of views of space."""
+
+    def room(location: Location) -> Resource:
+        if location.segments or location.is_container:
+            raise Problem(404, f"There is nothing below /{location.kind}.")
+        return SpaceResource(session, scene, history, broadcasters)
+
+    return {"space": room}

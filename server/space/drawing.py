@@ -1,0 +1,247 @@
+"""What is drawn of a message: points, a line, arrows, a grid, in the frame that it names. Pure, for a thread."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from rosld.adapters.model import MessageSchema, Sample
+from rosld.server.pictures.refusal import CannotDraw
+from rosld.server.space.field_reading import Fields, frame_name, read_pose, read_stamp, read_vector, require_place
+from rosld.server.space.transform import Transform
+
+Points: TypeAlias = "npt.NDArray[np.float64]"
+"""Rows of x, y and z in metres."""
+MAX_POINTS = 4000
+"""Points of a scan or a line, and arrows, that are drawn: of more every second, third and so on, and the last."""
+_ONE_SIGMA = 1.0
+_DIGITS = 3
+"""Of coordinates as they are told: millimetres."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ellipse:
+    """Where a position is likely to be: half the axes, one standard deviation each, and the direction of the first."""
+
+    major: float
+    minor: float
+    angle: float
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """The floor that a picture is of: where its lower left corner is, and its sides in metres and in cells."""
+
+    origin: Transform
+    resolution: float
+    columns: int
+    rows: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drawing:
+    """What is drawn of a message, in `frame` at `stamp_ns`. `has_trace`: where its arrow was before is drawn, too."""
+
+    frame: str
+    stamp_ns: int
+    points: Points | None = None
+    line: Points | None = None
+    is_closed: bool = False
+    arrows: tuple[Transform, ...] = ()
+    ellipse: Ellipse | None = None
+    grid: Grid | None = None
+    has_trace: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class _Kind:
+    """How messages of a type are called, and what draws them."""
+
+    label: str
+    draw: Callable[[Fields], Drawing]
+
+
+def can_place(type_name: str) -> bool:
+    """Whether messages of a type are drawn in space."""
+    return type_name in _KINDS
+
+
+def kind_label(type_name: str) -> str:
+    """How messages of a type are called."""
+    return _KINDS[type_name].label
+
+
+def place_sample(schema: MessageSchema, sample: Sample) -> Drawing:
+    """What is drawn of a sample. Raises CannotDraw, and ValueError for bytes that are no such message."""
+    kind = _KINDS.get(schema.ref.name)
+    if kind is None:
+        raise CannotDraw(f"A {schema.ref.name} is not drawn in space")
+    message = schema.codec.decode(sample.data, sample.encoding)
+    try:
+        return kind.draw(message)
+    except CannotDraw:
+        raise
+    except (AttributeError, TypeError) as error:
+        raise CannotDraw(f"The message has other fields than a {schema.ref.name}") from error
+    except (ValueError, OverflowError) as error:
+        raise CannotDraw(f"{error}") from error
+
+
+def drawing_json(drawing: Drawing) -> dict[str, object]:
+    """A drawing as JSON: coordinates by columns, poses as `pose_json` has them; what is not there is left out."""
+    found: dict[str, object] = {}
+    if drawing.points is not None:
+        found["points"] = _columns(drawing.points)
+    if drawing.line is not None:
+        found["line"] = _columns(drawing.line) | {"closed": drawing.is_closed}
+    if drawing.arrows:
+        found["arrows"] = [pose_json(each) for each in drawing.arrows]
+    if drawing.ellipse is not None:
+        found["ellipse"] = [drawing.ellipse.major, drawing.ellipse.minor, drawing.ellipse.angle]
+    if drawing.grid is not None:
+        grid = drawing.grid
+        sides = [grid.resolution * grid.columns, grid.resolution * grid.rows]
+        found["grid"] = {"origin": pose_json(grid.origin), "size": sides}
+    if drawing.has_trace:
+        found["trace"] = True
+    return found
+
+
+def pose_json(pose: Transform) -> list[float]:
+    """A pose as seven numbers: x, y, z, and the quaternion's x, y, z, w."""
+    return [
+        *(round(each, _DIGITS) for each in pose.translation),
+        *(round(each, _DIGITS + 3) for each in pose.rotation),
+    ]
+
+
+def thin(places: npt.NDArray[np.intp], most: int = MAX_POINTS) -> npt.NDArray[np.intp]:
+    """At most so many of them, evenly, with the last."""
+    if len(places) <= most:
+        return places
+    return places[::-1][:: -(-len(places) // most)][::-1]
+
+
+def _columns(points: Points) -> dict[str, object]:
+    """z is left out where all of it is the floor of the frame."""
+    rounded = np.round(points, _DIGITS)
+    x, y, z = (np.ascontiguousarray(rounded[:, column]) for column in range(3))
+    return {"x": x, "y": y, "z": z} if z.any() else {"x": x, "y": y}
+
+
+def _header(message: Fields) -> tuple[str, int]:
+    return frame_name(message.header.frame_id), read_stamp(message.header)
+
+
+def _scan(message: Fields) -> Drawing:
+    """sensor_msgs/LaserScan. Ranges beyond what the scanner measures, infinite ones and NaN are no points (REP 117)."""
+    ranges = np.asarray(message.ranges, np.float64)
+    first, step = float(message.angle_min), float(message.angle_increment)
+    nearest, farthest = float(message.range_min), float(message.range_max)
+    if not (math.isfinite(first) and math.isfinite(step)):
+        raise CannotDraw("The angles of the scan are no numbers")
+    places = thin(np.flatnonzero(np.isfinite(ranges) & (ranges >= nearest) & (ranges <= farthest)))
+    angles, distances = first + step * places, ranges[places]
+    points = np.column_stack((distances * np.cos(angles), distances * np.sin(angles), np.zeros(len(places))))
+    return Drawing(*_header(message), points=points)
+
+
+def _grid(message: Fields) -> Drawing:
+    """nav_msgs/OccupancyGrid, whose cells are a picture by itself."""
+    info = message.info
+    columns, rows, resolution = int(info.width), int(info.height), float(info.resolution)
+    if not (math.isfinite(resolution) and resolution > 0):
+        raise CannotDraw(f"The cells of the grid are {resolution:g} m wide")
+    require_place(columns * resolution, rows * resolution)
+    return Drawing(*_header(message), grid=Grid(read_pose(info.origin), resolution, columns, rows))
+
+
+def _path(message: Fields) -> Drawing:
+    """nav_msgs/Path. Its poses are in the frame of the path: that of each is mostly left empty."""
+    poses = message.poses
+    kept = [poses[place].pose.position for place in _places(len(poses))]
+    return Drawing(*_header(message), line=_points(kept))
+
+
+def _polygon(message: Fields) -> Drawing:
+    """geometry_msgs/PolygonStamped."""
+    corners = message.polygon.points
+    return Drawing(*_header(message), line=_points([corners[place] for place in _places(len(corners))]), is_closed=True)
+
+
+def _point(message: Fields) -> Drawing:
+    """geometry_msgs/PointStamped."""
+    return Drawing(*_header(message), points=_points([message.point]))
+
+
+def _pose(message: Fields) -> Drawing:
+    """geometry_msgs/PoseStamped."""
+    return Drawing(*_header(message), arrows=(read_pose(message.pose),))
+
+
+def _poses(message: Fields) -> Drawing:
+    """geometry_msgs/PoseArray."""
+    poses = message.poses
+    return Drawing(*_header(message), arrows=tuple(read_pose(poses[place]) for place in _places(len(poses))))
+
+
+def _likely_pose(message: Fields) -> Drawing:
+    """geometry_msgs/PoseWithCovarianceStamped."""
+    return Drawing(*_header(message), arrows=(read_pose(message.pose.pose),), ellipse=_ellipse(message.pose.covariance))
+
+
+def _odometry(message: Fields) -> Drawing:
+    """nav_msgs/Odometry."""
+    return Drawing(
+        *_header(message),
+        arrows=(read_pose(message.pose.pose),),
+        ellipse=_ellipse(message.pose.covariance),
+        has_trace=True,
+    )
+
+
+def _places(count: int) -> list[int]:
+    """Which of so many are drawn."""
+    return [int(each) for each in thin(np.arange(count))]
+
+
+def _points(found: list[Fields]) -> Points:
+    return np.array([read_vector(each) for each in found], np.float64).reshape(-1, 3)
+
+
+def _ellipse(covariance: Fields) -> Ellipse | None:
+    """The ellipse of x and y of a covariance of six by six; None where it says nothing, or nothing possible."""
+    values = np.asarray(covariance, np.float64)
+    if values.size != 36:
+        return None
+    flat = values.reshape(6, 6)[:2, :2]
+    if not np.isfinite(flat).all() or not flat.any() or abs(flat).max() > 1e4:
+        return None
+    lengths, directions = np.linalg.eigh((flat + flat.T) / 2)
+    if lengths[0] < -1e-9:
+        return None
+    minor, major = (round(_ONE_SIGMA * math.sqrt(max(each, 0.0)), 4) for each in lengths)
+    return Ellipse(major, minor, round(math.atan2(directions[1, 1], directions[0, 1]), 4))
+
+
+_KINDS: Mapping[str, _Kind] = MappingProxyType(
+    {
+        "nav_msgs/msg/OccupancyGrid": _Kind("Occupancy grid", _grid),
+        "nav_msgs/msg/Path": _Kind("Path", _path),
+        "geometry_msgs/msg/PolygonStamped": _Kind("Polygon", _polygon),
+        "sensor_msgs/msg/LaserScan": _Kind("Laser scan", _scan),
+        "geometry_msgs/msg/PointStamped": _Kind("Point", _point),
+        "geometry_msgs/msg/PoseArray": _Kind("Poses", _poses),
+        "geometry_msgs/msg/PoseStamped": _Kind("Pose", _pose),
+        "geometry_msgs/msg/PoseWithCovarianceStamped": _Kind("Pose with covariance", _likely_pose),
+        "nav_msgs/msg/Odometry": _Kind("Odometry", _odometry),
+    }
+)
+"""By message type, the lowest first: what comes later is drawn above."""
+PLACED_TYPES = tuple(_KINDS)

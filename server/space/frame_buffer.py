@@ -1,0 +1,191 @@
+"""The frames of a robot: the transforms of `/tf` and `/tf_static` of the last seconds, and look-ups among them."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from rosld.adapters.model import Message, Sample
+from rosld.server.space.field_reading import Fields, frame_name, read_rotation, read_stamp, read_vector
+from rosld.server.space.transform import IDENTITY, Transform, compose, interpolate, invert
+
+STATIC_TOPIC = "/tf_static"
+TOPICS = ("/tf", STATIC_TOPIC)
+TYPES = frozenset({"tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"})
+KEPT_NS = 10_000_000_000
+"""Transforms are kept for as long as tf2 keeps them by default."""
+MAX_FRAMES = 2000
+_MAX_KEPT = 2000
+"""Transforms of one frame: 10 s at 200 Hz."""
+_FIRST_CHOICES = ("map", "odom", "world", "earth")
+"""The frames that a view is fixed to by itself (REP 105), the best first."""
+
+
+class NoTransform(LookupError):
+    """Why there is no transform between two frames; the text is a sentence without its full stop."""
+
+
+@dataclass(frozen=True, slots=True)
+class FrameTransform:
+    """A transform as it was received: where a frame is in its parent at a time.
+
+    `source` is the message that it came in, without its data.
+    """
+
+    parent: str
+    child: str
+    stamp_ns: int
+    transform: Transform
+    is_static: bool
+    source: Sample
+
+
+@dataclass(slots=True)
+class _History:
+    """The transforms of one frame by their stamps, in ascending order."""
+
+    stamps: list[int] = field(default_factory=list)
+    transforms: list[FrameTransform] = field(default_factory=list)
+
+    @property
+    def newest(self) -> FrameTransform:
+        return self.transforms[-1]
+
+    def add(self, each: FrameTransform) -> None:
+        """Add one; what is much older than the newest means that time began anew: a loop of a recording."""
+        if each.is_static or (self.stamps and each.stamp_ns < self.stamps[-1] - KEPT_NS):
+            self.stamps, self.transforms = [], []
+        place = bisect_right(self.stamps, each.stamp_ns)
+        if place and self.stamps[place - 1] == each.stamp_ns:
+            self.transforms[place - 1] = each
+            return
+        self.stamps.insert(place, each.stamp_ns)
+        self.transforms.insert(place, each)
+        old = bisect_right(self.stamps, self.stamps[-1] - KEPT_NS - 1)
+        old = max(old, len(self.stamps) - _MAX_KEPT)
+        if old > 0:
+            del self.stamps[:old], self.transforms[:old]
+
+    def at(self, stamp_ns: int | None) -> tuple[str, Transform]:
+        """The parent and the transform at a time: between the two nearest, or the nearest beyond both ends."""
+        place = len(self.stamps) if stamp_ns is None else bisect_right(self.stamps, stamp_ns)
+        if place == len(self.stamps) or place == 0 or stamp_ns is None:
+            found = self.transforms[max(place - 1, 0)]
+            return found.parent, found.transform
+        before, after = self.transforms[place - 1], self.transforms[place]
+        if before.parent != after.parent:
+            return before.parent, before.transform
+        share = (stamp_ns - before.stamp_ns) / (after.stamp_ns - before.stamp_ns)
+        return before.parent, interpolate(before.transform, after.transform, share)
+
+
+class FrameBuffer:
+    """All frames. `problems` says of each frame whose newest transform is none why it is not taken.
+
+    `version` rises whenever a transform is added.
+    """
+
+    def __init__(self) -> None:
+        self._histories: dict[str, _History] = {}
+        self.problems: dict[str, str] = {}
+        self.version = 0
+
+    def add(self, message: Message, sample: Sample, *, is_static: bool) -> None:
+        """Take the transforms of a tf2_msgs/TFMessage. Never raises for what they hold."""
+        source = sample._replace(data=b"")
+        transforms: Iterable[Fields] = getattr(message, "transforms", ())
+        for each in transforms:
+            child = ""
+            try:
+                child, parent = frame_name(each.child_frame_id), frame_name(each.header.frame_id)
+                self._add(_read(each, parent, child, source, is_static=is_static))
+                self.problems.pop(child, None)
+            except (AttributeError, TypeError, ValueError, OverflowError) as error:
+                self._refuse(child, str(error))
+        self.version += 1
+
+    def _add(self, each: FrameTransform) -> None:
+        history = self._histories.get(each.child)
+        if history is None:
+            if len(self._histories) >= MAX_FRAMES:
+                raise ValueError(f"There are more than {MAX_FRAMES:,} frames")
+            history = self._histories[each.child] = _History()
+        history.add(each)
+
+    def _refuse(self, child: str, why: str) -> None:
+        if len(self.problems) < MAX_FRAMES:
+            self.problems[child] = why
+
+    @property
+    def newest(self) -> Mapping[str, FrameTransform]:
+        """The newest transform of each frame that has a parent."""
+        return {child: history.newest for child, history in self._histories.items()}
+
+    @property
+    def names(self) -> Collection[str]:
+        """All frames, those that are only parents included; the names ascend."""
+        parents = {history.newest.parent for history in self._histories.values()}
+        return sorted(parents | self._histories.keys())
+
+    @property
+    def roots(self) -> Sequence[str]:
+        """The frames without a parent, that with the most frames below it first."""
+        sizes: dict[str, int] = {}
+        for name in self.names:
+            *_, (root, _) = self._upwards(name, None)
+            sizes[root] = sizes.get(root, 0) + 1
+        return sorted(sizes, key=lambda name: (-sizes[name], name))
+
+    def default_frame(self) -> str | None:
+        """The frame that a view is fixed to unless another is asked for; None while there are no frames."""
+        names = self.names
+        return next((each for each in _FIRST_CHOICES if each in names), None) or next(iter(self.roots), None)
+
+    def look_up(self, target: str, source: str, stamp_ns: int | None = None) -> Transform:
+        """Where `source` is in `target` at a time (None: the newest of each frame). Raises NoTransform."""
+        target, source = frame_name(target), frame_name(source)
+        if target == source:
+            return IDENTITY
+        for name in (target, source):
+            self._require(name)
+        above = dict(self._upwards(source, stamp_ns))
+        for name, transform in self._upwards(target, stamp_ns):
+            if name in above:
+                return compose(invert(transform), above[name])
+        raise NoTransform(f"{_said(source)} and {_said(target)} are frames of different trees, which nothing connects")
+
+    def _require(self, name: str) -> None:
+        if name in self._histories or any(each.newest.parent == name for each in self._histories.values()):
+            return
+        if not name:
+            raise NoTransform("The message names no frame")
+        why = f": {self.problems[name]}" if name in self.problems else ""
+        raise NoTransform(f"There is no frame called {_said(name)}{why}")
+
+    def _upwards(self, name: str, stamp_ns: int | None) -> Iterator[tuple[str, Transform]]:
+        """The frame itself and each above it, with the transform from the frame to that one; a loop ends it."""
+        transform, passed = IDENTITY, {name}
+        yield name, transform
+        while (history := self._histories.get(name)) is not None:
+            name, own = history.at(stamp_ns)
+            if name in passed:
+                return
+            transform = compose(own, transform)
+            passed.add(name)
+            yield name, transform
+
+
+def _read(each: Fields, parent: str, child: str, source: Sample, *, is_static: bool) -> FrameTransform:
+    """A geometry_msgs/TransformStamped. Raises ValueError with a sentence."""
+    if not child or not parent:
+        raise ValueError("A transform names no frame")
+    if child == parent:
+        raise ValueError(f"{_said(child)} is said to be its own parent")
+    own = each.transform
+    transform = Transform(read_vector(own.translation), read_rotation(own.rotation))
+    return FrameTransform(parent, child, read_stamp(each.header), transform, is_static, source)
+
+
+def _said(name: str) -> str:
+    return name[:80] if name.isprintable() else repr(name[:80])

@@ -1,0 +1,105 @@
+"""Rigid transforms: a translation and a rotation as a unit quaternion, as geometry_msgs/Transform has them. Pure."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple, TypeAlias
+
+Vector: TypeAlias = tuple[float, float, float]
+Quaternion: TypeAlias = tuple[float, float, float, float]
+"""x, y, z, w."""
+_SHORTEST = 1e-6
+"""Lengths of a quaternion below which it is no rotation: messages that nobody filled in have four zeros."""
+_ALMOST_EQUAL = 0.9995
+"""Cosines of half the angle above which slerp divides by almost nothing."""
+
+
+class NoRotation(ValueError):
+    """Numbers that are no rotation; the text is a sentence without its full stop."""
+
+
+class Transform(NamedTuple):
+    """Where a child frame is in its parent: takes the coordinates of a point in the child to those in the parent."""
+
+    translation: Vector
+    rotation: Quaternion
+
+
+IDENTITY = Transform((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+
+
+def unit_quaternion(x: float, y: float, z: float, w: float) -> Quaternion:
+    """The rotation that four numbers stand for. Raises NoRotation."""
+    length = math.sqrt(x * x + y * y + z * z + w * w)
+    if not math.isfinite(length) or length < _SHORTEST:
+        raise NoRotation(f"The quaternion ({x:g}, {y:g}, {z:g}, {w:g}) is no rotation")
+    return x / length, y / length, z / length, w / length
+
+
+def multiply(one: Quaternion, other: Quaternion) -> Quaternion:
+    """The rotation by `other`, then by `one` (Hamilton's product)."""
+    ax, ay, az, aw = one
+    bx, by, bz, bw = other
+    return (
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+        aw * bw - ax * bx - ay * by - az * bz,
+    )
+
+
+def rotate(rotation: Quaternion, point: Vector) -> Vector:
+    """A point rotated about the origin."""
+    x, y, z, w = rotation
+    px, py, pz = point
+    # v + 2w(q x v) + 2q x (q x v)
+    cx, cy, cz = 2 * (y * pz - z * py), 2 * (z * px - x * pz), 2 * (x * py - y * px)
+    return (
+        px + w * cx + y * cz - z * cy,
+        py + w * cy + z * cx - x * cz,
+        pz + w * cz + x * cy - y * cx,
+    )
+
+
+def apply(transform: Transform, point: Vector) -> Vector:
+    """The coordinates of a point of the child in the parent."""
+    x, y, z = rotate(transform.rotation, point)
+    dx, dy, dz = transform.translation
+    return x + dx, y + dy, z + dz
+
+
+def compose(outer: Transform, inner: Transform) -> Transform:
+    """The transform that does `inner` and then `outer`."""
+    return Transform(apply(outer, inner.translation), multiply(outer.rotation, inner.rotation))
+
+
+def invert(transform: Transform) -> Transform:
+    """The transform from the parent to the child."""
+    x, y, z, w = transform.rotation
+    back = (-x, -y, -z, w)
+    dx, dy, dz = rotate(back, transform.translation)
+    return Transform((-dx, -dy, -dz), back)
+
+
+def interpolate(first: Transform, second: Transform, share: float) -> Transform:
+    """The transform between two, at a share of the way from 0 to 1: straight, and the short way round."""
+    (ax, ay, az), (bx, by, bz) = first.translation, second.translation
+    moved = (ax + (bx - ax) * share, ay + (by - ay) * share, az + (bz - az) * share)
+    return Transform(moved, _slerp(first.rotation, second.rotation, share))
+
+
+def heading(transform: Transform) -> float:
+    """The angle about z, in radians: where the x axis points, seen from above."""
+    x, y, z, w = transform.rotation
+    return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+
+
+def _slerp(first: Quaternion, second: Quaternion, share: float) -> Quaternion:
+    cosine = sum(a * b for a, b in zip(first, second, strict=True))
+    sign = -1.0 if cosine < 0 else 1.0
+    if abs(cosine) > _ALMOST_EQUAL:
+        a, b = 1 - share, sign * share
+    else:
+        angle = math.acos(abs(cosine))
+        a, b = math.sin((1 - share) * angle) / math.sin(angle), sign * math.sin(share * angle) / math.sin(angle)
+    return unit_quaternion(*(a * one + b * other for one, other in zip(first, second, strict=True)))

@@ -1,0 +1,128 @@
+"""Look-ups among frames, judged by tf2 itself on trees at random, and what is no tree."""
+
+from __future__ import annotations
+
+import json
+import random
+import subprocess
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from rosld.adapters.model import Encoding, Sample, TypeRef
+from rosld.server.space.frame_buffer import FrameBuffer, NoTransform
+from rosld.server.space.transform import Transform, apply
+
+PYTHON = "/usr/bin/python3"
+SECOND = 1_000_000_000
+SAMPLE = Sample(b"", Encoding.ROS1, TypeRef("tf2_msgs/msg/TFMessage"), "/robot", 1, 1)
+UPRIGHT = (0.0, 0.0, 0.0, 1.0)
+
+
+def message(*transforms: tuple[str, str, int, Any, Any]) -> Any:
+    """A tf2_msgs/TFMessage: parent, child, stamp, translation, rotation of each."""
+    return SimpleNamespace(
+        transforms=[
+            SimpleNamespace(
+                header=SimpleNamespace(frame_id=parent, stamp=SimpleNamespace(sec=at // SECOND, nanosec=at % SECOND)),
+                child_frame_id=child,
+                transform=SimpleNamespace(
+                    translation=SimpleNamespace(**dict(zip("xyz", translation, strict=True))),
+                    rotation=SimpleNamespace(**dict(zip("xyzw", rotation, strict=True))),
+                ),
+            )
+            for parent, child, at, translation, rotation in transforms
+        ]
+    )
+
+
+def buffer_of(*transforms: tuple[str, str, int, Any, Any]) -> FrameBuffer:
+    buffer = FrameBuffer()
+    for each in transforms:
+        buffer.add(message(each), SAMPLE, is_static=False)
+    return buffer
+
+
+def trees(chance: random.Random) -> list[tuple[str, str, int, Any, Any]]:
+    """Two trees of twelve frames, each said at ten times within five seconds."""
+    parents = {f"frame{each}": f"frame{chance.randrange(each)}" for each in range(1, 12)}
+    parents |= {f"other{each}": f"other{chance.randrange(each)}" for each in range(1, 12)}
+    said = []
+    for child, parent in parents.items():
+        for at in range(10):
+            stamp = 1000 * SECOND + at * SECOND // 2 + chance.randrange(1000)
+            translation = tuple(chance.uniform(-10, 10) for _ in range(3))
+            rotation = tuple(chance.gauss(0, 1) for _ in range(4))
+            length = sum(each * each for each in rotation) ** 0.5
+            said.append((parent, child, stamp, translation, tuple(each / length for each in rotation)))
+    return said
+
+
+def test_look_ups_between_two_times_find_what_tf2_finds() -> None:
+    if subprocess.run([PYTHON, "-c", "import tf2_py"], capture_output=True, check=False).returncode:
+        pytest.skip("needs tf2: apt-get install $(cat tests/debian-ros.txt)")
+    chance = random.Random(5)
+    said = trees(chance)
+    names = sorted({each for parent, child, *_ in said for each in (parent, child)})
+    questions = [
+        (chance.choice(names), chance.choice(names), 1000 * SECOND + chance.randrange(SECOND // 2, 4 * SECOND))
+        for _ in range(400)
+    ]
+    script = Path(__file__).with_name("tf2_buffer.py")
+    asked = json.dumps({"transforms": said, "questions": questions})
+    answers = json.loads(
+        subprocess.run([PYTHON, script], input=asked, capture_output=True, text=True, check=True).stdout
+    )
+    buffer = buffer_of(*chance.sample(said, len(said)))
+    assert sum(each is None for each in answers) > 50
+    for (target, source, stamp), answer in zip(questions, answers, strict=True):
+        if answer is None:
+            with pytest.raises(NoTransform, match="different trees"):
+                buffer.look_up(target, source, stamp)
+            continue
+        judge, own = Transform(tuple(answer[:3]), tuple(answer[3:])), buffer.look_up(target, source, stamp)
+        for point in ((0.0, 0.0, 0.0), (1.0, -2.0, 3.0)):
+            assert apply(own, point) == pytest.approx(apply(judge, point), abs=1e-6)
+
+
+def test_beyond_what_was_said_the_nearest_stands() -> None:
+    buffer = buffer_of(("map", "base", SECOND, (1, 0, 0), UPRIGHT), ("map", "base", 3 * SECOND, (3, 0, 0), UPRIGHT))
+    assert [buffer.look_up("map", "/base", at).translation[0] for at in (0, 2 * SECOND, 9 * SECOND, None)] == [
+        1,
+        2,
+        3,
+        3,
+    ]
+
+
+def test_time_that_begins_anew_forgets_what_was_said_before() -> None:
+    buffer = buffer_of(
+        ("map", "base", 100 * SECOND, (1, 0, 0), UPRIGHT), ("map", "base", 5 * SECOND, (7, 0, 0), UPRIGHT)
+    )
+    assert buffer.look_up("map", "base", 100 * SECOND).translation == (7, 0, 0)
+
+
+def test_what_is_no_tree_and_what_is_no_transform_is_said() -> None:
+    nan = float("nan")
+    buffer = buffer_of(
+        ("map", "base", 1, (0, 0, 0), (0, 0, 0, 0)),
+        ("map", "odom", 1, (nan, 0, 0), UPRIGHT),
+        ("one", "two", 1, (1, 0, 0), UPRIGHT),
+        ("two", "one", 1, (1, 0, 0), UPRIGHT),
+        ("one", "arm", 1, (1, 0, 0), UPRIGHT),
+        ("self", "self", 1, (0, 0, 0), UPRIGHT),
+        ("map", "", 1, (0, 0, 0), UPRIGHT),
+    )
+    buffer.add(SimpleNamespace(transforms=[SimpleNamespace()]), SAMPLE, is_static=False)  # type: ignore[arg-type]
+    assert "is no rotation" in buffer.problems["base"]
+    assert buffer.problems["odom"] == "nan is no coordinate"
+    assert "its own parent" in buffer.problems["self"]
+    with pytest.raises(NoTransform, match=r"There is no frame called base: The quaternion \(0, 0, 0, 0\)"):
+        buffer.look_up("arm", "base")
+    with pytest.raises(NoTransform, match="names no frame"):
+        buffer.look_up("arm", "")
+    assert buffer.look_up("two", "arm").translation == (2, 0, 0)
+    assert list(buffer.names) == ["arm", "one", "two"]
+    assert buffer.roots

@@ -1,0 +1,113 @@
+"""Views of space over HTTP: what is drawn where, what is refused, and the pictures of grids."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Callable
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.server.robots.made_up import MadeUp, served
+
+JSON = {"Accept": "application/json"}
+STREAM = {"Accept": "text/event-stream"}
+GRID, POSE, TF = "nav_msgs/msg/OccupancyGrid", "geometry_msgs/msg/PoseStamped", "tf2_msgs/msg/TFMessage"
+
+
+@pytest.fixture(scope="module")
+def rover(start_server: Callable[..., Any]) -> httpx.Client:
+    http: httpx.Client = start_server("rover").http
+    return http
+
+
+def events(http: httpx.Client, query: str, until: Callable[[list[Any]], bool]) -> list[Any]:
+    """Events of a view, until they are what is waited for."""
+    found: list[Any] = []
+    with http.stream("GET", f"/space{query}", headers=STREAM, timeout=60) as stream:
+        assert stream.headers["content-type"].startswith("text/event-stream"), stream.read()
+        for line in stream.iter_lines():
+            if line.startswith("data: "):
+                found.append(json.loads(line.removeprefix("data: ")))
+                if until(found):
+                    return found
+    raise AssertionError("the stream ended")
+
+
+def things(found: list[Any], place: int) -> list[Any]:
+    return [each for event in found for each in event.get("things", []) if each["place"] == place]
+
+
+def test_a_view_tells_what_is_drawn_and_where_its_frame_is(rover: httpx.Client) -> None:
+    told = rover.get("/space", headers=JSON).json()
+    assert told["frame"] == "map"
+    found = {each["topic"].rpartition("/")[2]: each for each in told["show"]}
+    assert found.keys() == {"map", "scan", "odom"}
+    assert {each["problem"] for each in found.values()} == {""}
+    pose = rover.get("/topics/odom", headers=JSON).json()["pose"]["pose"]["position"]
+    assert found["scan"]["frame"] == "laser"
+    assert found["scan"]["pose"][:3] == pytest.approx([pose["x"], pose["y"], 0.25], abs=0.01)
+
+
+def test_the_stream_tells_scans_as_they_come_and_what_stays_once(rover: httpx.Client) -> None:
+    found = events(rover, "", lambda all: len(things(all, 1)) > 10 and any("frames" in each for each in all))
+    assert [each["label"] for each in found[0]["show"]] == ["/map", "/scan", "/odom"]
+    (grid,) = things(found, 0)
+    assert grid["drawing"]["grid"]["size"] == pytest.approx([10, 8])
+    assert rover.get(grid["picture"]).headers["content-type"] == "image/png"
+    scan = things(found, 1)[-1]
+    assert len(scan["drawing"]["points"]["x"]) == len(scan["drawing"]["points"]["y"]) > 100
+    frames = next(each["frames"] for each in found if "frames" in each)
+    assert {each["name"]: each["parent"] for each in frames} == {
+        "map": None, "odom": "map", "base_link": "odom", "laser": "base_link", "camera_optical_frame": "base_link",
+    }  # fmt: skip
+
+
+def test_a_frame_that_is_not_there_is_said(rover: httpx.Client) -> None:
+    told = rover.get("/space", params={"frame": "moon", "show": "topics/scan"}, headers=JSON).json()
+    assert told["show"][0]["problem"] == "There is no frame called moon"
+    page = rover.get("/space?frame=moon", headers={"Accept": "text/html"}).text
+    assert "There is no frame called moon: there are base_link, " in page
+    (event,) = events(rover, "?frame=moon&show=topics/scan", lambda all: bool(things(all, 0)))
+    assert things([event], 0)[0]["problem"] == "There is no frame called moon"
+
+
+@pytest.mark.parametrize(
+    ("query", "status", "words"),
+    [
+        ("show=nodes/rover", 400, "names no topic"),
+        ("show=topics/scan%23ranges", 400, "names no topic"),
+        ("show=topics/nothing", 404, "There is no topic /nothing"),
+        ("show=topics/imu", 422, "has messages of sensor_msgs/msg/Imu"),
+        (f"frame={'x' * 301}", 400, "is too long"),
+    ],
+)
+def test_what_is_not_drawn_is_refused_in_words(rover: httpx.Client, query: str, status: int, words: str) -> None:
+    answer = rover.get(f"/space?{query}", headers=STREAM)
+    assert answer.status_code == status, answer.text
+    assert words in answer.json()["detail"]
+
+
+def test_hostile_messages_are_said_and_hold_nothing_up() -> None:
+    robot = MadeUp()
+    turned = {"base": {"rotation": dict.fromkeys("xyzw", 0.0)}, "odom": {"rotation": {"w": 1.0}}}
+    transforms = [
+        {"header": {"frame_id": "map"}, "child_frame_id": child, "transform": each} for child, each in turned.items()
+    ]
+    robot.topic("/tf", TF, {"transforms": transforms})
+    robot.topic("/goal", POSE, {"header": {"frame_id": "base"}, "pose": {"orientation": {"w": 1.0}}})
+    robot.topic("/grid", GRID, {"info": {"width": 3, "height": 2, "resolution": "NaN"}})
+    with served(robot) as http:
+        told = {each["topic"].rpartition("/")[2]: each for each in http.get("/space", headers=JSON).json()["show"]}
+        assert http.get("/topics/grid", headers={"Accept": "image/png"}).status_code == 422
+        robot.publishes("/grid", {"info": {"width": 5000, "height": 1, "resolution": 0.1}, "data": [100] + [0] * 4999})
+        answer = http.get("/topics/grid?format=png&width=1000")
+    assert told["goal"]["problem"].startswith("There is no frame called base: The quaternion (0, 0, 0, 0)")
+    assert told["grid"]["problem"] == "The cells of the grid are nan m wide"
+    picture = np.asarray(Image.open(io.BytesIO(answer.content)))
+    assert picture.shape == (1, 1000)
+    assert picture[0, :2].tolist() == [101, 1], "a wall stays, whatever is beside it"

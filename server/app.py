@@ -27,7 +27,6 @@ from rosld.server.middleware.error_responses import ErrorResponses
 from rosld.server.middleware.handler import Handler
 from rosld.server.middleware.lifespan import Job, Lifespan
 from rosld.server.middleware.rate_limits import Admission, RateLimits
-from rosld.server.middleware.recorder import Recorder
 from rosld.server.middleware.scheduling import Scheduling
 from rosld.server.middleware.tokens_in_urls import RejectTokensInUrls
 from rosld.server.middleware.websockets import WebSockets
@@ -195,7 +194,7 @@ def middleware(
     handler = Scheduling(handler, stop)
     handler = TrustedHosts(handler, names)
     handler = ErrorResponses(handler, admission, pages, space)
-    handler = Audit(handler, Recorder(receipts, space), space)
+    handler = Audit(handler, receipts, space)
     if authenticator is not None:
         handler = AccessHeaders(handler, authenticator, space)
     return CrossOriginHeaders(handler, names)

@@ -32,8 +32,12 @@ from rosld.server.resources.sparql_update.report import (
     reason,
     report_response,
 )
-from rosld.server.resources.sparql_update.silent import without_silent_failures, without_silent_on
-from rosld.server.resources.sparql_update.update_rights import require_change, require_rights
+from rosld.server.resources.sparql_update.update_rights import (
+    require_change,
+    require_rights,
+    without_silent_failures,
+    without_silent_on,
+)
 from rosld.server.rest.keyed_lock import KeyedLock
 from rosld.server.rest.plan import Plan, RobotWrite, StorageWrite
 from rosld.server.rest.resource import READ, Resource

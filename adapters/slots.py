@@ -7,7 +7,7 @@ few microseconds: a sample that nobody looks at replaces one entry.
 from __future__ import annotations
 
 import asyncio
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Sequence
 
 from rosld.adapters.base import Watch
@@ -68,6 +68,7 @@ class Slot:
         self.watches = Watches()
         self.subscriptions = 0
         self._depth = 1
+        self._depths: Counter[int] = Counter()
         self._kept: dict[str, deque[Sample]] = {}
         self._views: dict[int, tuple[Sample, ...]] = {}
 
@@ -93,13 +94,27 @@ class Slot:
         return view
 
     def subscribe(self, depth: int = 1) -> SlotSubscription:
-        """One more interest in this topic; from now on at least `depth` samples of each publisher are kept."""
+        """One more interest in this topic: while it lasts, at least `depth` samples of each publisher are kept."""
         if depth < 1:
             raise ValueError(f"a depth of {depth} holds no sample: it must be 1 or more")
-        if depth > self._depth:
+        self._depths[depth] += 1
+        self._fit()
+        return SlotSubscription(self, depth)
+
+    def release(self, depth: int) -> None:
+        """One interest less. To be called by the subscription."""
+        self._depths[depth] -= 1
+        if not self._depths[depth]:
+            del self._depths[depth]
+        self._fit()
+
+    def _fit(self) -> None:
+        """Keep as many as the deepest subscription needs."""
+        depth = max(self._depths, default=1)
+        if depth != self._depth:
             self._depth = depth
             self._kept = {publisher: deque(kept, maxlen=depth) for publisher, kept in self._kept.items()}
-        return SlotSubscription(self, depth)
+            self._views.clear()
 
     def _changed(self) -> None:
         self._views.clear()
@@ -135,6 +150,7 @@ class SlotSubscription:
         """Give this interest back. Idempotent."""
         if self._slot is not None:
             self._slot.subscriptions -= 1
+            self._slot.release(self._depth)
             self._slot = None
             for watch in self._watches:
                 watch.close()

@@ -21,7 +21,7 @@ from rosld.ontology.fields import field_at
 from rosld.server.events import frame
 from rosld.server.events.broadcaster import RETRY_SECONDS, Broadcasters
 from rosld.server.events.event_stream import HEADERS, KEEP_ALIVE_SECONDS
-from rosld.server.history.topic_feed import TopicFeed
+from rosld.server.history.topic_feed import MAX_BYTES, TopicFeed
 
 PERIOD = 0.1
 """Seconds between two events."""
@@ -123,9 +123,9 @@ class TopicNumbers:
     async def _take(self, adapter: Adapter, feed: TopicFeed) -> dict[str, object] | None:
         new = feed.take()
         lost, feed.lost = feed.lost, 0
-        depth = feed.wanted_depth(new) if new else feed.depth
-        if depth > feed.depth:
-            await feed.deepen(adapter, depth)
+        depth = feed.wanted_depth(new, MAX_BYTES) if new else feed.depth
+        if depth != feed.depth:
+            await feed.subscribe_anew(adapter, depth)
         told = _thinned(new)
         lost += len(new) - len(told)
         if not told and not lost:

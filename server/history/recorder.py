@@ -15,8 +15,8 @@ from rosld.adapters.model import Sample
 log = logging.getLogger("rosld.history")
 MAX_QUEUED = 64 * 1024 * 1024
 """Bytes of messages that wait for the thread; what comes beyond is dropped and counted."""
-_OVERHEAD = 200
-"""Bytes that a message in the queue takes beside its data."""
+SAMPLE_OVERHEAD = 400
+"""Bytes that a message takes beside its data: the objects that hold it, its times and numbers."""
 _PERIOD = 0.25
 """Seconds between two writes."""
 
@@ -70,7 +70,7 @@ class Recorder:
         room = MAX_QUEUED - (self._put_bytes - self._taken_bytes)
         taken: list[Arrival] = []
         for each in arrivals:
-            size = len(each.sample.data) + _OVERHEAD
+            size = len(each.sample.data) + SAMPLE_OVERHEAD
             if size > room:
                 self.dropped[each.topic] += 1
                 continue
@@ -122,7 +122,7 @@ class Recorder:
             work()
             return
         for topic, sample, sinks in work:
-            self._taken_bytes += len(sample.data) + _OVERHEAD
+            self._taken_bytes += len(sample.data) + SAMPLE_OVERHEAD
             for sink in sinks:
                 sink.add(topic, sample)
 

@@ -10,15 +10,19 @@ from collections.abc import Awaitable, Callable, Iterable, Sequence
 
 from rosld.adapters.base import Adapter, Subscription
 from rosld.adapters.model import RosError, Sample, TypeRef
-from rosld.server.history.recorder import Arrival, Recorder, Sink
+from rosld.server.history.recorder import SAMPLE_OVERHEAD, Arrival, Recorder, Sink
 
 log = logging.getLogger("rosld.history")
 PERIOD = 0.1
 """Seconds between two looks."""
 _DEPTH = 32
 _MAX_DEPTH = 4096
-_MAX_BYTES = 32 * 1024 * 1024
+MAX_BYTES = 32 * 1024 * 1024
 """Bytes that a subscription may keep: a deep one of large messages would take the memory of the robot."""
+_MAX_ALL_BYTES = 64 * 1024 * 1024
+"""Bytes that all subscriptions may keep, each its share, where that is more than what they keep at first."""
+_CALM = 300
+"""Looks after which a subscription is made shallower, if all of them needed much less: half a minute."""
 _MAX_HELD = 1000
 
 
@@ -33,6 +37,8 @@ class TopicFeed:
         """Messages that were sent, and gone before they were looked at."""
         self._latest: Sequence[Sample] = ()
         self._taken: dict[str, tuple[int, int]] = {}
+        self._most = 0
+        self._looks = 0
 
     def take(self) -> list[Sample]:
         """The messages that are new, in order of receipt."""
@@ -53,18 +59,26 @@ class TopicFeed:
             self._note(sample)
         return new
 
-    def wanted_depth(self, new: Sequence[Sample]) -> int:
-        """The depth that is needed where so many came since the last look: that of four looks."""
-        if len(new) * 4 < self.depth:
-            return self.depth
-        largest = max(len(sample.data) for sample in new)
-        return max(min(self.depth * 4, _MAX_DEPTH, _MAX_BYTES // max(largest, 1)), self.depth)
+    def wanted_depth(self, new: Sequence[Sample], max_bytes: int) -> int:
+        """The depth that is needed where so many came since the last look: that of four looks, in at most `max_bytes`.
 
-    async def deepen(self, adapter: Adapter, depth: int) -> None:
-        """Subscribe more deeply, before the subscription until now is given back."""
-        deeper = await adapter.subscribe(self.topic, depth=depth)
+        It is less than now only where a while has needed much less: a busy moment must not take memory for ever.
+        """
+        self._looks += 1
+        self._most = max(self._most, len(new))
+        if len(new) * 4 >= self.depth:
+            largest = max(len(sample.data) for sample in new) + SAMPLE_OVERHEAD
+            return max(min(self.depth * 4, _MAX_DEPTH, max_bytes // largest), self.depth)
+        if self._looks < _CALM:
+            return self.depth
+        most, self._most, self._looks = self._most, 0, 0
+        return max(self.depth // 4, _DEPTH) if most * 32 < self.depth else self.depth
+
+    async def subscribe_anew(self, adapter: Adapter, depth: int) -> None:
+        """Subscribe with another depth, before the subscription until now is given back."""
+        other = await adapter.subscribe(self.topic, depth=depth)
         self.subscription.close()
-        self.subscription, self.depth = deeper, depth
+        self.subscription, self.depth = other, depth
 
     def _note(self, sample: Sample) -> None:
         name, now = sample.publisher, (sample.epoch, sample.sequence)
@@ -140,7 +154,7 @@ class LiveFeed:
                 self._changed = False
                 await self._follow(self._adapter.graph.topics)
             for feed, depth in self._look():
-                await feed.deepen(self._adapter, depth)
+                await feed.subscribe_anew(self._adapter, depth)
             await asyncio.sleep(PERIOD)
 
     async def _follow(self, topics: Iterable[str]) -> None:
@@ -156,13 +170,15 @@ class LiveFeed:
             self._feeds.pop(topic).subscription.close()
 
     def _look(self) -> list[tuple[TopicFeed, int]]:
-        """Take what is new to the recorder; the topics whose subscriptions should be deeper."""
+        """Take what is new to the recorder; the topics whose subscriptions should have another depth."""
         arrivals: list[Arrival] = []
-        deeper: list[tuple[TopicFeed, int]] = []
+        changes: list[tuple[TopicFeed, int]] = []
+        max_bytes = min(MAX_BYTES, _MAX_ALL_BYTES // max(len(self._feeds), 1))
         for topic, feed in self._feeds.items():
             new = feed.take()
-            if not new:
-                continue
+            depth = feed.wanted_depth(new, max_bytes)
+            if depth != feed.depth:
+                changes.append((feed, depth))
             sinks = self._sinks.get(topic, ())
             for sample in new:
                 arrival = Arrival(topic, sample, sinks)
@@ -173,12 +189,9 @@ class LiveFeed:
             if feed.lost:
                 self.lost[topic] += feed.lost
                 feed.lost = 0
-            depth = feed.wanted_depth(new)
-            if depth > feed.depth:
-                deeper.append((feed, depth))
         if arrivals:
             self._recorder.put(arrivals)
-        return deeper
+        return changes
 
     def _hold(self, arrival: Arrival) -> None:
         """Have a message wait until its type is known."""

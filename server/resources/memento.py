@@ -1,4 +1,4 @@
-"""Mementos of topics (RFC 7089): a topic is its own TimeGate, `?at=` are its mementos, `?timemap` lists them."""
+"""Mementos (RFC 7089): what is recorded is its own TimeGate, `?at=` are its mementos, `?timemap` lists them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TypeVar
 
 from starlette.responses import Response
 
-from rosld.adapters.base import MessageFilter, MessagePage
+from rosld.adapters.base import MessageFilter
 from rosld.adapters.model import Sample
 from rosld.ontology.describe_time_map import time_map_document
 from rosld.ontology.literals import date_time
@@ -110,17 +110,20 @@ async def negotiate_topic(space: Space, history: History, topic: str, accept_dat
 
 
 class TimeMap(Resource):
-    """The mementos of a topic, a thousand at a time, from one number of the history on."""
+    """The mementos of what topics tell, one a message, a thousand at a time, from one number of the history on."""
 
     kind = "TimeMap"
     is_cacheable = False
 
-    def __init__(self, space: Space, history: History, topic: str, start: int) -> None:
-        super().__init__(_time_map_url(space.topic(topic), start))
+    def __init__(
+        self, space: Space, history: History, original: str, name: str, topics: frozenset[str], start: int
+    ) -> None:
+        super().__init__(_time_map_url(original, start))
         self.space = space
         self.history = history
-        self.title = f"Mementos of {topic}"
-        self._topic = topic
+        self.title = f"Mementos of {name}"
+        self._original = original
+        self._topics = topics
         self._start = start
 
     @property
@@ -128,32 +131,35 @@ class TimeMap(Resource):
         return (self.space.document_shape("TimeMap"),)
 
     async def state(self) -> State:
-        page, original = await self._page(), self.space.topic(self._topic)
-        times = [each.sample.received_ns for each in page.messages]
-        mementos = [(memento_url(original, each), each) for each in times]
-        after = None if page.next is None else _time_map_url(original, page.next)
-        return State(lambda: time_map_document(self.url, original, mementos, after))
+        times, after = await self._page()
+        mementos = [(memento_url(self._original, each), each) for each in times]
+        return State(lambda: time_map_document(self.url, self._original, mementos, after))
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
         """As links (RFC 6690), the default."""
-        page, url = await self._page(), self.space.topic(self._topic)
-        times = [each.sample.received_ns for each in page.messages]
-        after = None if page.next is None else _time_map_url(url, page.next)
-        return time_map_response(self, exchange, url, times, after)
+        times, after = await self._page()
+        return time_map_response(self, exchange, self._original, times, after)
 
-    async def _page(self) -> MessagePage:
+    async def _page(self) -> tuple[list[int], str | None]:
+        """The times of the mementos, and the URL of the TimeMap that goes on; None where it ends here."""
+        if not self._topics:
+            return [], None
         settled = time.time_ns() - SETTLED_NS
         recording = self.history.recording
-        wanted = MessageFilter(frozenset({self._topic}), to_ns=settled, start=max(self._start, recording.first))
-        return await read_history(lambda: recording.select(wanted, _PAGE))
+        wanted = MessageFilter(self._topics, to_ns=settled, start=max(self._start, recording.first))
+        page = await read_history(lambda: recording.select(wanted, _PAGE))
+        times = dict.fromkeys(each.sample.received_ns for each in page.messages)
+        return list(times), None if page.next is None else _time_map_url(self._original, page.next)
 
 
-def time_map_of(space: Space, history: History, topic: str, exchange: Exchange) -> TimeMap:
-    """The TimeMap that a request to a topic asks for. Raises a 400 Problem."""
+def time_map_of(
+    space: Space, history: History, original: str, name: str, topics: frozenset[str], exchange: Exchange
+) -> TimeMap:
+    """The TimeMap that a request asks for: of the resource `original`, which topics tell. Raises a 400 Problem."""
     start = exchange.query.get("start", "0")
     if not (start.isascii() and start.isdecimal() and len(start) < 19):
         raise Problem(400, f"?start={start[:20]} is no number of a message.")
-    return TimeMap(space, history, topic, int(start))
+    return TimeMap(space, history, original, name, topics, int(start))
 
 
 def time_map_response(

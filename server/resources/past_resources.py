@@ -16,7 +16,6 @@ from starlette.responses import Response
 from rosld.adapters.model import RosError
 from rosld.server.history.history import History
 from rosld.server.html import Form
-from rosld.server.http.link import Link
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import AffordanceService, Snapshot
 from rosld.server.hypermedia.catalogue import Getter, ParameterSource, Property, TopicSource
@@ -35,6 +34,8 @@ from rosld.server.resources.memento import (
     memento_url,
     parse_accept_datetime,
     read_history,
+    time_map_of,
+    timegate_links,
 )
 from rosld.server.resources.property_action import MemberResource
 from rosld.server.resources.series import read_time
@@ -45,6 +46,8 @@ from rosld.server.rest.state import State
 from rosld.server.robot.schemas import Schemas
 from rosld.server.robot.session import Session
 from rosld.server.runtime.version_cache import VersionCache
+
+_NOT_KEPT = "Nothing is recorded: rosld serve --history records topics."
 
 
 class PastReadings:
@@ -62,8 +65,7 @@ class PastReadings:
         return self._affordances.snapshot(await self._affordances.tree(), readings)
 
     async def _reading(self, property: Property) -> Reading:
-        topics = [each.name for each in property.readers if isinstance(each, TopicSource)]
-        recorded = next((each for each in topics if is_recorded(self._history, each)), None)
+        recorded = _recorded_topic(self._history, property)
         if recorded is None:
             return Reading(property.name, None, _unknown(property))
         sample = await read_history(lambda: self._history.writer.latest_at(recorded, self._at_ns))
@@ -120,7 +122,7 @@ class PastMember(_PastResource, MemberResource):
     ) -> None:
         MemberResource.__init__(self, session, affordances, limit_checks, things, states, name)
         self.history = history
-        self.links = (*self.links, *_gate_links(self.url))
+        self.links = (*self.links, *timegate_links(self.url))
         self._at_ns, self._text = at_ns, text
 
     async def state(self) -> State:
@@ -162,7 +164,7 @@ class PastComplex(_PastResource, ComplexResource):
     ) -> None:
         ComplexResource.__init__(self, session, affordances, limit_checks, things, path)
         self.history = history
-        self.links = (*self.links, *_gate_links(self.url))
+        self.links = (*self.links, *timegate_links(self.url))
         self._at_ns, self._text = at_ns, text
 
     async def state(self) -> State:
@@ -206,9 +208,20 @@ class MemberTimeGate(MemberResource):
     ) -> None:
         super().__init__(session, affordances, limit_checks, things, states, name)
         self.history = history
+        if history.is_kept:
+            self.links = (*self.links, *timegate_links(self.url))
+
+    async def state(self) -> State:
+        """As it is now; a cache must not tell it to who asks for another time."""
+        state = await super().state()
+        return replace(state, headers={**state.headers, "vary": VARY}) if self.history.is_kept else state
 
     async def select_variant(self, exchange: Exchange) -> Resource:
-        """`?at=TIME` and Accept-Datetime: as it was."""
+        """`?at=TIME` and Accept-Datetime: as it was; `?timemap`: when that may be asked for."""
+        if asks_for_time_map(self.history, exchange):
+            plan = (await self.affordances.tree()).property(self.name)
+            topics = _recorded_topics(self.history, () if plan is None else (plan.source,))
+            return time_map_of(self.session.space, self.history, self.url, self.name, topics, exchange)
         asked = asked_time(self.history, self.url, exchange)
         if asked is None:
             return await super().select_variant(exchange)
@@ -231,9 +244,20 @@ class ComplexTimeGate(ComplexResource):
     ) -> None:
         super().__init__(session, affordances, limit_checks, things, path)
         self.history = history
+        if history.is_kept:
+            self.links = (*self.links, *timegate_links(self.url))
+
+    async def state(self) -> State:
+        """As it is now; a cache must not tell it to who asks for another time."""
+        state = await super().state()
+        return replace(state, headers={**state.headers, "vary": VARY}) if self.history.is_kept else state
 
     async def select_variant(self, exchange: Exchange) -> Resource:
-        """`?at=TIME` and Accept-Datetime: as it was."""
+        """`?at=TIME` and Accept-Datetime: as it was; `?timemap`: when that may be asked for."""
+        if asks_for_time_map(self.history, exchange):
+            _, plan = await self._plan()
+            topics = _recorded_topics(self.history, [each.source for each in plan.members])
+            return time_map_of(self.session.space, self.history, self.url, self.path, topics, exchange)
         asked = asked_time(self.history, self.url, exchange)
         if asked is None:
             return await super().select_variant(exchange)
@@ -251,16 +275,31 @@ def asked_time(history: History, url: str, exchange: Exchange) -> tuple[int, str
         if wanted is None or not history.is_kept:
             return None
         at_ns = min(parse_accept_datetime(wanted), time.time_ns() - SETTLED_NS)
-        raise found(memento_url(url, at_ns), _gate_links(url))
+        raise found(memento_url(url, at_ns), timegate_links(url))
     if not history.is_kept:
-        raise Problem(404, "Nothing is recorded: rosld serve --history records topics.")
+        raise Problem(404, _NOT_KEPT)
     text = exchange.query["at"]
     return read_time(text, time.time_ns()), text
 
 
-def _gate_links(url: str) -> tuple[Link, Link]:
-    """The links of a resource that is its own TimeGate and has no TimeMap (RFC 7089 2.2)."""
-    return Link(url, "original"), Link(url, "timegate")
+def asks_for_time_map(history: History, exchange: Exchange) -> bool:
+    """Whether a request is one for the mementos that there are. Raises a 404 Problem where there are none."""
+    if exchange.method not in ("GET", "HEAD") or "timemap" not in exchange.query:
+        return False
+    if not history.is_kept:
+        raise Problem(404, _NOT_KEPT)
+    return True
+
+
+def _recorded_topic(history: History, property: Property) -> str | None:
+    """The recorded topic that tells the past of a property; None where nothing does."""
+    topics = (each.name for each in property.readers if isinstance(each, TopicSource))
+    return next((each for each in topics if is_recorded(history, each)), None)
+
+
+def _recorded_topics(history: History, properties: Sequence[Property]) -> frozenset[str]:
+    found = (_recorded_topic(history, each) for each in properties)
+    return frozenset(each for each in found if each is not None)
 
 
 def _settle(state: State, at_ns: int) -> State:

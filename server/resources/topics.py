@@ -364,7 +364,8 @@ class TopicResource(CommandResource):
                 return series_of(self.session.space, self.history, self.name, exchange)
             if "timemap" in query:
                 require_history(self.history, self.name)
-                return time_map_of(self.session.space, self.history, self.name, exchange)
+                topics = frozenset({self.name})
+                return time_map_of(self.session.space, self.history, self.url, self.name, topics, exchange)
             if "at" in query:
                 return await self._past(query["at"])
             if "accept-datetime" in exchange.headers and is_recorded(self.history, self.name):

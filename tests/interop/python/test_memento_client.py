@@ -1,7 +1,7 @@
-"""memento_client, the library of the authors of RFC 7089: it finds what a topic was at a time.
+"""memento_client, the library of the authors of RFC 7089: it finds what a topic and a resource were at a time.
 
-A topic is its own TimeGate. By default this client asks mementoweb.org for the mementos of all that
-names no other, so it is told to ask the topic itself.
+Both are their own TimeGates. By default this client asks mementoweb.org for the mementos of all that
+names no other, so it is told to ask them themselves.
 """
 
 from __future__ import annotations
@@ -38,4 +38,14 @@ def test_the_client_finds_the_closest_memento_and_the_ends(recorded: Any, year: 
     (at,) = mementos["closest"]["uri"]
     assert memento_client.MementoClient.is_memento(at)
     assert memento_client.MementoClient.is_timegate(url)
+    assert client.get_original_uri(at) == url
+
+
+def test_the_client_finds_a_memento_of_a_resource(recorded: Any) -> None:
+    url = f"{recorded.url}resources/aircraft/engine/speed"
+    client = memento_client.MementoClient(timegate_uri="", check_native_timegate=False)
+    found = client.get_memento_info(url, datetime(2099, 1, 1))
+    assert found["original_uri"] == found["timegate_uri"] == url
+    (at,) = found["mementos"]["closest"]["uri"]
+    assert memento_client.MementoClient.is_memento(at)
     assert client.get_original_uri(at) == url

@@ -144,6 +144,28 @@ def test_a_resource_is_its_own_timegate(gate: Any) -> None:
     assert odd.status_code == 400
 
 
+@pytest.mark.parametrize("path", [SPEED, "/aircraft/engine/"])
+def test_the_timemap_of_a_resource_lists_the_messages_that_its_values_come_from(gate: Any, path: str) -> None:
+    now = gate.http.get(f"/resources{path}", headers=JSON)
+    url = f"{gate.url}resources{path}"
+    assert [each.target for each in links(now)["timemap"]] == [f"{url}?timemap"]
+    assert "accept-datetime" in now.headers["vary"].lower()
+    listed = parse(gate.http.get(f"/resources{path}?timemap").text.replace("\n", ""))
+    found = [each for each in listed if "memento" in each.rel.split()]
+    times = [each.target.partition("?at=")[2] for each in mementos(gate.http)]
+    assert [each.target for each in found][: len(times)] == [f"{url}?at={each}" for each in times]
+    one = gate.http.get(found[0].target, headers=JSON)
+    assert (one.status_code, one.headers["memento-datetime"]) == (200, dict(found[0].attributes)["datetime"])
+    text = gate.http.get(f"/resources{path}?timemap", headers=NTRIPLES).text
+    assert f"<{found[0].target}>" in text
+
+
+def test_the_timemap_of_a_resource_that_nothing_recorded_tells_is_empty(gate: Any) -> None:
+    answer = gate.http.get("/resources/aircraft/power?timemap")
+    assert answer.status_code == 200
+    assert "memento" not in {rel for each in parse(answer.text.replace("\n", "")) for rel in each.rel.split()}
+
+
 def test_without_a_history_the_present_is_told_whatever_time_is_asked_for(http: Any) -> None:
     asked = JSON | {"Accept-Datetime": "Thu, 01 Jan 2020 00:00:00 GMT"}
     assert http.get(f"/topics{SPEED}", headers=asked, follow_redirects=False).status_code == 200

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import subprocess
 import sys
 from collections.abc import Iterator
 from functools import cache
@@ -216,6 +217,22 @@ def test_tests_are_no_package() -> None:
 def test_no_file_is_called_by_a_word_that_says_nothing() -> None:
     empty = {"utils", "util", "helpers", "helper", "manager", "misc", "common"}
     assert not {module for module in modules() if empty & set(module.split("."))}
+
+
+_MADE = """
+import sys
+from rosld.adapters.base import AdapterOptions
+from rosld.adapters.registry import adapter_for
+from rosld.server.app import create_app
+from rosld.server.settings import Settings
+create_app(adapter_for("aircraft", AdapterOptions()), Settings())
+print(*sorted({"PIL", "pyshacl", "rdflib"} & sys.modules.keys()))
+"""
+
+
+def test_a_server_is_made_without_what_it_may_never_need() -> None:
+    made = subprocess.run([sys.executable, "-c", _MADE], capture_output=True, text=True, check=True)
+    assert made.stdout.strip() == ""
 
 
 MAX_ATTRIBUTES = 14

@@ -101,7 +101,8 @@ def load_mapping(path: Path, space: Space, name: str | None = None, *, is_valid:
 def mapping_of(body: RdfBody, url: str, *, is_valid: bool = False) -> MappingDocument:
     """The mapping that the triples of a body describe. Raises MappingRefused.
 
-    Where it was `judged` by the shape of mappings before, it is not judged by it again: that takes its time.
+    Of one that `is_valid`, because it was read before, neither the shape of mappings nor its terms are looked at again:
+    that takes its time, and rdflib.
     """
     triples = tuple(_triples(body))
     if len(triples) > MAX_TRIPLES:
@@ -113,6 +114,7 @@ def mapping_of(body: RdfBody, url: str, *, is_valid: bool = False) -> MappingDoc
     reader = _Reader(url, _conditions_named(triples, url))
     if not is_valid:
         reader.permissions()
+        reader.check_terms()
     return MappingDocument(url, triples, reader.resources())
 
 
@@ -159,7 +161,6 @@ class _Reader:
 
     def resources(self) -> tuple[ComplexResource, ...]:
         """The complex resources by path. Raises MappingRefused."""
-        self.check_terms()
         self.check_demands()
         self.refuse()
         self.check_conditions()
@@ -429,7 +430,7 @@ def _unknown(term: NamedNode) -> bool:
     """Whether a term is of `map:` or SHACL and does not exist there."""
     if term.value.startswith(mapping.iri):
         return term not in _TERMS
-    from rdflib.namespace import SH  # imported with pyshacl, before a document comes this far
+    from rdflib.namespace import SH  # imported with pyshacl
 
     return term.value.startswith(sh.iri) and term.value not in SH
 

@@ -34,6 +34,7 @@ from rosld.server.receipts.journal import Journal
 from rosld.server.resources.acl import acl_route
 from rosld.server.resources.channels import Notifications, fixed_resources
 from rosld.server.resources.channels import routes as notification_routes
+from rosld.server.resources.frames import frames_route
 from rosld.server.resources.ldp.record_graphs import RecordGraphs
 from rosld.server.resources.mapping_warnings import log_mapping_warnings
 from rosld.server.resources.mirror import replication_route
@@ -116,6 +117,7 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
     router.add(notification_routes(notifications, routes[".well-known"]))
     router.add(replication_route(space, mirror))
     router.add(plot_route(session, services.affordances, factory.history, broadcasters))
+    router.add(frames_route(session, scene))
     router.add(space_route(session, scene, factory.history, broadcasters))
     watchdog = Watchdog()
     router.add(status_route(space, services.storage_problems, watchdog))

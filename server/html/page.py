@@ -17,6 +17,7 @@ from rosld.ontology.violations import Violation
 from rosld.server.html.site import Site
 from rosld.server.hypermedia import views
 from rosld.server.robot.diagnostic_states import DiagnosticState, LevelChange
+from rosld.server.space.frame_tree import FrameNode
 from rosld.server.space.transform import Transform
 
 if TYPE_CHECKING:
@@ -275,6 +276,17 @@ class SpaceTopic:
     frame: str
     pose: Transform | None
     problem: str
+
+
+@dataclass(frozen=True, slots=True)
+class FramesPage:
+    """The page at `/frames`: the frames, each before those below it; `node_url` is the URL of a node by its name."""
+
+    site: Site
+    url: str
+    nodes: tuple[FrameNode, ...]
+    node_url: Callable[[str], str]
+    notices: tuple[Notice, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

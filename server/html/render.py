@@ -35,6 +35,7 @@ from rosld.server.html.page import (
     Alternate,
     DiagnosticsPage,
     EntryPage,
+    FramesPage,
     GraphPage,
     Notice,
     NoticeLevel,
@@ -49,7 +50,7 @@ from rosld.server.html.page import (
 from rosld.server.html.plot import PlotRow, plot_config, plot_query
 from rosld.server.html.section_groups import group_sections
 from rosld.server.html.site import Anchor, Site
-from rosld.server.html.space_view import SpaceRow, pose_words, space_query
+from rosld.server.html.space_view import SpaceRow, frame_row, pose_words, space_query
 from rosld.server.html.stop_steps import stop_steps
 from rosld.server.html.tables import results_table
 from rosld.server.html.timestamps import time_view
@@ -546,6 +547,22 @@ def render_plot(page: PlotPage) -> bytes:
         references=page.references,
         config=plot_config(page),
         formats=[replace(each, query=page.url.partition("?")[2]) for each in ALTERNATES],
+    )
+
+
+_MAX_FRAMES = 1000
+
+
+def render_frames(page: FramesPage) -> bytes:
+    """The page of the frames, as a table in which they are indented below their parents."""
+    return _render(
+        "frames.html",
+        _frame(page.site, "Frames", page.url, page.notices, live=True),
+        page=page,
+        rows=[frame_row(each, page.site, page.node_url) for each in page.nodes[:_MAX_FRAMES]],
+        omitted=max(len(page.nodes) - _MAX_FRAMES, 0),
+        trees=sum(each.depth == 0 and (each.newest is not None or not each.problem) for each in page.nodes),
+        formats=ALTERNATES,
     )
 
 

@@ -9,6 +9,7 @@ it is in the window and the page is not hidden. */
   const TRACE = 5000, STEP = 0.02; // points of a trace, and metres between two of them
   const PAST = 600; // seconds of a trace that are asked of what is recorded
   const LEAST = 0.5, MOST = 20000; // pixels of a metre
+  const LOOK = 1000; // milliseconds between two looks whether all is in the window still
   const AGAIN = 4000; // milliseconds before a stream that was refused is asked for again
 
   const element = (name, values = {}, ...children) => {
@@ -151,8 +152,8 @@ it is in the window and the page is not hidden. */
       this.renew();
     }
 
-    /* All in the window that is drawn. */
-    fit() {
+    /* The sides of all that is drawn: left, right, bottom, top; null where nothing is. */
+    bounds() {
       const xs = [], ys = [], add = (x, y) => { xs.push(x); ys.push(y); };
       for (const thing of this.things) {
         if (!thing.matrix || thing.isHidden) continue;
@@ -165,14 +166,29 @@ it is in the window and the page is not hidden. */
       for (const { pose } of this.frames.values()) add(pose[0], pose[1]);
       const least = (all) => all.reduce((one, other) => Math.min(one, other), Infinity);
       const most = (all) => all.reduce((one, other) => Math.max(one, other), -Infinity);
-      if (xs.length) {
-        const left = least(xs), right = most(xs), bottom = least(ys), top = most(ys);
+      return xs.length ? [least(xs), most(xs), least(ys), most(ys)] : null;
+    }
+
+    /* All in the window that is drawn. */
+    fit() {
+      const bounds = this.bounds();
+      if (bounds) {
+        const [left, right, bottom, top] = bounds;
         const { clientWidth, clientHeight } = this.canvas;
         const wanted = 0.92 * Math.min(clientWidth / Math.max(right - left, 2), clientHeight / Math.max(top - bottom, 2));
         this.centre = [(left + right) / 2, (bottom + top) / 2];
         this.scale = Math.min(Math.max(wanted, LEAST), MOST);
       }
       this.renew();
+    }
+
+    /* Whether something is drawn beyond the window. */
+    isOutgrown() {
+      const bounds = this.bounds();
+      if (!bounds) return false;
+      const [wide, high] = [this.canvas.clientWidth / 2 / this.scale, this.canvas.clientHeight / 2 / this.scale];
+      const [left, right, bottom, top] = bounds, [x, y] = this.centre;
+      return left < x - wide || right > x + wide || bottom < y - high || top > y + high;
     }
 
     /* What comes */
@@ -216,7 +232,10 @@ it is in the window and the page is not hidden. */
       if (frames) this.setFrames(frames);
       let isNew = false;
       for (const each of things ?? []) isNew = this.set(this.things[each.place], each) || isNew;
-      if (isNew && !this.isMoved && !this.followed) this.fit();
+      const now = performance.now();
+      const isLook = !this.isMoved && !this.followed && (isNew || now - (this.looked ?? 0) > LOOK);
+      if (isLook) this.looked = now;
+      if (isLook && (isNew || this.isOutgrown())) this.fit();
       this.canvas.dataset.events = Number(this.canvas.dataset.events ?? 0) + 1;
       this.renew();
     }

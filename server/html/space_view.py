@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from urllib.parse import quote
 
 from rosld.server.html.site import Anchor, Site
+from rosld.server.html.timestamps import time_view
+from rosld.server.html.view import View, escape_controls
 from rosld.server.space.drawing import can_place
+from rosld.server.space.frame_tree import FrameNode
 from rosld.server.space.transform import Transform, heading
+
+_MAX_DEPTH = 12
+"""Of the indentation of frames."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,6 +27,36 @@ class SpaceRow:
     frame: str
     where: str
     problem: str
+
+
+@dataclass(frozen=True, slots=True)
+class FrameRow:
+    """A frame in the table of frames: how deep it is, and what is said of it; `received` is None of a root."""
+
+    name: str
+    depth: int
+    parent: str
+    where: str
+    is_static: bool
+    received: View | None
+    publishers: tuple[Anchor, ...]
+    problem: str
+
+
+def frame_row(node: FrameNode, site: Site, node_url: Callable[[str], str]) -> FrameRow:
+    """The row of a frame."""
+    newest = node.newest
+    anchors = (site.anchor(node_url(each)) for each in node.publishers if each)
+    return FrameRow(
+        escape_controls(node.name),
+        min(node.depth, _MAX_DEPTH),
+        "" if newest is None else escape_controls(newest.parent),
+        "" if newest is None else pose_words(newest.transform),
+        newest is not None and newest.is_static,
+        None if newest is None else time_view(newest.source.received_ns),
+        tuple(each for each in anchors if each is not None),
+        escape_controls(node.problem),
+    )
 
 
 def space_query(frame: str, references: Sequence[str]) -> str:

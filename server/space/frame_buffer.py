@@ -122,6 +122,16 @@ class FrameBuffer:
         """The newest transform of each frame that has a parent."""
         return {child: history.newest for child, history in self._histories.items()}
 
+    def newest_of(self, name: str) -> FrameTransform | None:
+        """The newest transform of a frame; None where it has no parent."""
+        history = self._histories.get(name)
+        return None if history is None else history.newest
+
+    def sources_of(self, name: str) -> Collection[tuple[str, str]]:
+        """Which publishers said which parents of a frame, within the time that is kept."""
+        history = self._histories.get(name)
+        return {(each.source.publisher, each.parent) for each in history.transforms} if history else set()
+
     @property
     def names(self) -> Collection[str]:
         """All frames, those that are only parents included; the names ascend."""
@@ -147,6 +157,8 @@ class FrameBuffer:
         target, source = frame_name(target), frame_name(source)
         if target == source:
             return IDENTITY
+        if not self._histories and not self.problems:
+            raise NoTransform(f"No transforms say where {_said(source) or 'the frame without a name'} is")
         for name in (target, source):
             self._require(name)
         above = dict(self._upwards(source, stamp_ns))

@@ -111,3 +111,34 @@ def test_hostile_messages_are_said_and_hold_nothing_up() -> None:
     picture = np.asarray(Image.open(io.BytesIO(answer.content)))
     assert picture.shape == (1, 1000)
     assert picture[0, :2].tolist() == [101, 1], "a wall stays, whatever is beside it"
+
+
+def test_frames_are_a_tree_and_what_is_odd_is_said(rover: httpx.Client) -> None:
+    frames = rover.get("/frames", headers=JSON).json()["frames"]
+    assert [(each["name"], each["parent"], each["static"]) for each in frames] == [
+        ("map", None, False),
+        ("odom", "map", False),
+        ("base_link", "odom", False),
+        ("camera_optical_frame", "base_link", True),
+        ("laser", "base_link", True),
+    ]
+    assert frames[4]["publishers"] == [f"{rover.base_url}nodes/rover"]
+    assert {each["problem"] for each in frames} == {""}
+    assert "<#laser>" in rover.get("/frames", headers={"Accept": "text/turtle"}).text
+
+
+def test_frames_of_two_trees_of_a_loop_and_without_a_rotation_have_words() -> None:
+    upright, none = {"rotation": {"w": 1.0}}, {"rotation": dict.fromkeys("xyzw", 0.0)}
+    said = [("map", "base", upright), ("one", "two", upright), ("two", "one", upright), ("map", "arm", none)]
+    transforms = [
+        {"header": {"frame_id": parent}, "child_frame_id": child, "transform": each} for parent, child, each in said
+    ]
+    robot = MadeUp()
+    robot.topic("/tf", TF, {"transforms": transforms})
+    with served(robot) as http:
+        problems = {each["name"]: each["problem"] for each in http.get("/frames", headers=JSON).json()["frames"]}
+        page = http.get("/frames", headers={"Accept": "text/html"}).text
+    assert problems["base"] == ""
+    assert "below itself" in problems["one"] + problems["two"]
+    assert "is no rotation" in problems["arm"]
+    assert "2 trees that nothing connects" in page

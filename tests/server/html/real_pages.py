@@ -30,7 +30,8 @@ STARTED = {
     "engine": "/resources/aircraft/engine/", "number": "/resources/aircraft/engine/speed",
 }  # fmt: skip
 ROVER = {
-    "rover_camera": "/topics/camera/image_raw", "graph": "/graph", "space": "/space", "rover_map": "/topics/map",
+    "rover_camera": "/topics/camera/image_raw", "graph": "/graph",
+    "space": "/space", "frames": "/frames", "rover_map": "/topics/map",
     "diagnostics": "/diagnostics", "diagnostic": "/diagnostics?name=rover%3A%20battery",
     "rover": "/", "twist": "/topics/cmd_vel", "rover_scan": "/topics/scan", "nodes": "/nodes/",
     "node": "/nodes/rover",

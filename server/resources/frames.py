@@ -1,0 +1,136 @@
+"""Frames at `/frames`: each below its parent, who says it, how old that is, and what is odd in words."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from functools import partial
+
+import orjson
+
+from rosld.adapters.base import Watch
+from rosld.ontology.describe_frames import Frame, frames_document
+from rosld.ontology.literals import date_time
+from rosld.ontology.urls import Location
+from rosld.server.auth.errors import not_found
+from rosld.server.auth.permissions import ALLOW_ALL, Permissions
+from rosld.server.html import Csrf, Form, FramesPage, Notice, Site, render_frames
+from rosld.server.http.conditional import digest
+from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.data_schema import DataSchema
+from rosld.server.hypermedia.json_schema import TEXT, URI, nullable
+from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.path_item import PathItem
+from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource
+from rosld.server.rest.state import State
+from rosld.server.robot.scene import Scene
+from rosld.server.robot.session import Session
+from rosld.server.runtime.signals import call_every
+from rosld.server.space.drawing import pose_json
+from rosld.server.space.frame_buffer import TOPICS
+from rosld.server.space.frame_tree import FrameNode, frame_tree
+
+_LOOK_SECONDS = 1.0
+_NUMBERS: DataSchema = {"type": ["array", "null"], "items": {"type": "number"}}
+_PLAIN: DataSchema = {
+    "type": "object",
+    "properties": {
+        "frames": {
+            "type": "array",
+            "items": {
+                "type": "object",
+                "properties": {
+                    "name": TEXT,
+                    "parent": nullable(TEXT),
+                    "static": {"type": "boolean"},
+                    "pose": _NUMBERS,
+                    "received": nullable(TEXT),
+                    "publishers": {"type": "array", "items": URI},
+                    "problem": TEXT,
+                },
+                "required": ["name", "parent", "static", "pose", "received", "publishers", "problem"],
+            },
+        }
+    },
+    "required": ["frames"],
+}
+
+
+class FramesResource(Resource):
+    """The frames of the robot, as one agent may see them."""
+
+    kind = "Frames"
+    title = "Frames"
+    links = (RESOURCE, RDF_SOURCE)
+
+    def __init__(self, session: Session, scene: Scene, permissions: Permissions = ALLOW_ALL) -> None:
+        super().__init__(f"{session.space.base}frames")
+        self.session = session
+        self.scene = scene
+        self._permissions = permissions
+        self._nodes: Sequence[FrameNode] = ()
+
+    @property
+    def variant_key(self) -> Hashable:
+        return self._permissions.rights_key
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        return PathItem("The frames of the robot, each with its parent", plain=_PLAIN)
+
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self.session.space.document_shape("Source"),)
+
+    async def select_variant(self, exchange: Exchange) -> Resource:
+        """The frames as the agent may see them. Raises a Problem where it may not see the transforms."""
+        if not all(exchange.permissions.may_read(self.session.space.topic(each)) for each in TOPICS):
+            raise not_found()
+        return FramesResource(self.session, self.scene, exchange.permissions)
+
+    async def watch(self, wake: Callable[[], None]) -> Watch | None:
+        """Frames that move do so all the time: they are looked at now and then."""
+        return call_every(_LOOK_SECONDS, wake)
+
+    async def state(self) -> State:
+        buffer = await self.scene.frames.look()
+        self._nodes = frame_tree(buffer, self.session.adapter.age_ns)
+        frames = [self._frame(each) for each in self._nodes]
+        plain = orjson.dumps(
+            {"frames": [_frame_json(each, frame) for each, frame in zip(self._nodes, frames, strict=True)]}
+        )
+        return State(partial(frames_document, self.url, frames, self.session.space.types), lambda: plain, digest(plain))
+
+    def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
+        return render_frames(FramesPage(site, self.url, tuple(self._nodes), self.session.space.node, tuple(notices)))
+
+    def _frame(self, node: FrameNode) -> Frame:
+        """A frame as it is described, with the nodes that the agent may read."""
+        urls = (self.session.space.node(each) for each in node.publishers if each)
+        publishers = tuple(url for url in urls if self._permissions.may_read(url))
+        newest = node.newest
+        parent, received = (None, None) if newest is None else (newest.parent, newest.source.received_ns)
+        return Frame(node.name, parent, received, publishers, node.problem)
+
+
+def _frame_json(node: FrameNode, frame: Frame) -> dict[str, object]:
+    newest = node.newest
+    return {
+        "name": frame.name,
+        "parent": frame.parent,
+        "static": newest is not None and newest.is_static,
+        "pose": None if newest is None else pose_json(newest.transform),
+        "received": None if frame.received_ns is None else date_time(0, frame.received_ns),
+        "publishers": frame.publishers,
+        "problem": frame.problem,
+    }
+
+
+def frames_route(session: Session, scene: Scene) -> Mapping[str, Callable[[Location], Resource]]:
+    """The room of frames."""
+
+    def room(location: Location) -> Resource:
+        if location.segments or location.is_container:
+            raise Problem(404, f"There is nothing below /{location.kind}.")
+        return FramesResource(session, scene)
+
+    return {"frames": room}

@@ -28,7 +28,12 @@ FIRST_SECONDS = 0.3
 SECONDS = 1.0
 """How long zero is published after a subscriber got it first."""
 _PATIENCE = 2.0
-"""Seconds that a subscriber has to connect, where rosld has not published to it before."""
+"""Seconds that an answer waits for a subscriber to connect, where rosld has not published to it before."""
+_TRIES = 10.0
+"""Seconds that a subscriber is waited for although the answer told that none was reached.
+
+On a machine that is busy ROS may take so long, and a base that is told late stands at last.
+"""
 _ALL_SECONDS = 0.5
 """How long the others are waited for, once one got it."""
 _ABREAST = 2
@@ -99,32 +104,49 @@ class _Repetition:
         self._topic = topic
         self._zero = zero
         self._loop = asyncio.get_running_loop()
-        self._until = self._loop.time() + _PATIENCE
+        self._until = 0.0
+        self._patient_until = 0.0
         self._reached = Reached(0, expected)
         self._heard: asyncio.Future[None] = self._loop.create_future()
         self._heard_by_all = asyncio.Event()
         self._error: Exception | None = None
+        self._try_longer()
         self._task = self._loop.create_task(self._run())
 
     async def reached(self) -> Reached:
         """Wait until it was heard; how many heard it. Raises Unreachable, and what the adapter raised last."""
-        await asyncio.shield(self._heard)
+        if not self._heard.done():
+            self._try_longer()
+            await asyncio.wait([self._heard], timeout=_PATIENCE)
+        if not self._heard.done():
+            raise self._unheard()
+        self._heard.result()
         with contextlib.suppress(asyncio.TimeoutError, TimeoutError):
             await asyncio.wait_for(self._heard_by_all.wait(), _ALL_SECONDS)
         return self._reached
 
     @property
     def is_heard(self) -> bool:
-        """Whether a subscriber got it, or its time is over."""
+        """Whether a subscriber got it, or none is waited for any more."""
         return self._heard.done()
 
     async def over(self) -> None:
-        """Wait until its time is over."""
+        """Wait until its time is over; where nobody was reached in time nobody is waited for."""
+        if not self._heard.done() and self._loop.time() >= self._patient_until:
+            self.cancel()
         await asyncio.wait([self._task])
 
     def cancel(self) -> None:
         """Publish no more."""
         self._task.cancel()
+
+    def _try_longer(self) -> None:
+        """Wait for a subscriber from now on."""
+        now = self._loop.time()
+        self._until, self._patient_until = now + _TRIES, now + _PATIENCE
+
+    def _unheard(self) -> Exception:
+        return self._error or Unreachable(f"no subscriber of {self._topic} could be reached")
 
     async def _run(self) -> None:
         pending: set[asyncio.Task[None]] = set()
@@ -139,8 +161,7 @@ class _Repetition:
             for one in pending:
                 one.cancel()
             if not self._heard.done():
-                unheard = Unreachable(f"no subscriber of {self._topic} could be reached")
-                self._heard.set_exception(self._error or unheard)
+                self._heard.set_exception(self._unheard())
                 self._heard.exception()  # nobody may wait for it
 
     async def _publish(self) -> None:

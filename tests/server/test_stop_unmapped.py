@@ -43,9 +43,10 @@ class Base(MadeUp):
     async def publish(
         self, topic: str, type: TypeRef, data: bytes, *, latch: bool = False, deadline: float
     ) -> Published:
-        if topic in self.deaf:
-            await asyncio.sleep(max(0.0, deadline - asyncio.get_running_loop().time()))
-            return Published(0)
+        while topic in self.deaf:
+            if asyncio.get_running_loop().time() >= deadline:
+                return Published(0)
+            await asyncio.sleep(0.01)
         return await super().publish(topic, type, data, latch=latch, deadline=deadline)
 
     async def unadvertise(self, topic: str) -> None:
@@ -187,6 +188,16 @@ def test_where_nothing_can_be_told_answer_page_and_rdf_say_that_the_robot_may_go
             assert "<strong>The robot may go on moving" in http.get(page, headers=HTML).text, page
         assert "may go on moving" in http.get("/stop", headers={"Accept": "text/turtle"}).text
         assert http.put("/topics/say", json={"data": "x"}).status_code == 423, "it is stopped all the same"
+
+
+def test_a_base_that_nobody_reached_in_time_is_told_zero_when_it_is_there(base: Base, http: httpx.Client) -> None:
+    base.deaf.add("/cmd_vel")
+    step = steps(stop(http))[on("/cmd_vel")]
+    assert (step["state"], step["words"]) == ("Failed", "no subscriber of /cmd_vel could be reached")
+    assert "/cmd_vel" not in base.sent
+    base.deaf.clear()
+    until(lambda: len(base.sent.get("/cmd_vel", ())) >= 15, "zero for a second")
+    assert http.delete("/stop").status_code == 204
 
 
 def test_what_was_advertised_to_stop_the_robot_is_withdrawn_with_the_stop(base: Base, http: httpx.Client) -> None:

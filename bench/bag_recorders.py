@@ -1,0 +1,151 @@
+"""What recording takes: rosld's history beside `rosbag record`, of the topics of one rosmaster, one after the other.
+
+Run: python bench/bag_recorders.py [seconds]. A rospy node publishes Imu messages with noise on 200 topics of 50 Hz.
+Told are the time of a core that each recorder took (its process and those that it began), and the bytes of its files
+by message: of `rosbag record --lz4`, and of `rosld serve`, with a history and without.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NamedTuple
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from mcap.reader import make_reader
+from rosbags.highlevel import AnyReader
+
+from tests.adapters.ros1 import system as ros1
+
+TOPICS, RATE = 200, 50
+TICKS = os.sysconf("SC_CLK_TCK")
+DRIVER = f"""
+import random, rospy
+from sensor_msgs.msg import Imu
+rospy.init_node("driver")
+to = [rospy.Publisher("/sensor_%d/imu" % i, Imu, queue_size=100) for i in range({TOPICS})]
+some = []
+for _ in range(2000):
+    one = Imu()
+    one.header.frame_id = "imu_link"
+    for of, names in ((one.orientation, "xyzw"), (one.angular_velocity, "xyz"), (one.linear_acceleration, "xyz")):
+        for name in names:
+            setattr(of, name, round(random.gauss(0, 1), 6))
+    some.append(one)
+print("ready", flush=True)
+rate, at = rospy.Rate({RATE}), 0
+while not rospy.is_shutdown():
+    for each in to:
+        at += 1
+        each.publish(some[at % 2000])
+    rate.sleep()
+"""
+
+
+class Cost(NamedTuple):
+    """The share of a core that was taken, how many messages were recorded, and their bytes on disk."""
+
+    share: float
+    messages: int
+    size: int
+
+
+@contextmanager
+def process(command: Sequence[str], environment: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
+    """A process that is interrupted in the end, as by Ctrl-C, and waited for."""
+    with subprocess.Popen(
+        command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    ) as started:
+        try:
+            yield started
+        finally:
+            started.send_signal(signal.SIGINT)
+            try:
+                started.wait(30)
+            except subprocess.TimeoutExpired:
+                started.kill()
+
+
+def seconds_of_core(pid: int) -> float:
+    """What a process and its children, of now and before, took."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    own = sum(map(int, fields[11:15])) / TICKS
+    children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    return own + sum(map(seconds_of_core, map(int, children)))
+
+
+def share(pid: int, seconds: float) -> float:
+    """The share of a core that a process takes for so long, once it has had some seconds to begin."""
+    time.sleep(5)
+    before, began = seconds_of_core(pid), time.monotonic()
+    time.sleep(seconds)
+    return (seconds_of_core(pid) - before) / (time.monotonic() - began)
+
+
+def count(path: Path) -> int:
+    """The messages in a recording, as rosbags and mcap's reader count them."""
+    if path.suffix == ".mcap":
+        with path.open("rb") as file:
+            summary = make_reader(file).get_summary()
+        return 0 if summary is None or summary.statistics is None else summary.statistics.message_count
+    with AnyReader([path]) as reader:
+        return int(reader.message_count)
+
+
+def rosbag(system: ros1.RosSystem, folder: Path, seconds: float) -> Cost:
+    """Debian's `rosbag record` of all of it."""
+    command = ["/usr/lib/rosbag/record", "--lz4", "--buffsize=0", "-O", str(folder / "all.bag"), "-e", "/sensor_.*"]
+    with process(command, system.environment) as recorder:
+        taken = share(recorder.pid, seconds)
+    files = sorted(folder.glob("*.bag"))
+    return Cost(taken, sum(map(count, files)), sum(each.stat().st_size for each in files))
+
+
+def rosld(system: ros1.RosSystem, folder: Path, seconds: float, *options: str) -> Cost:
+    """A server, with what options."""
+    command = [sys.executable, "-m", "rosld", "serve", system.source, "--port", "0", "--data", str(folder), *options]
+    with process(command, dict(os.environ)) as server:
+        assert server.stdout is not None
+        server.stdout.readline()
+        taken = share(server.pid, seconds)
+    files = sorted((folder / "history").glob("*.mcap"))
+    return Cost(taken, sum(map(count, files)), sum(each.stat().st_size for each in files))
+
+
+def main() -> None:
+    """Print the table."""
+    seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 60.0
+    with (
+        tempfile.TemporaryDirectory() as name,
+        ros1.running(Path(name) / "ros") as system,
+        process([ros1.PYTHON, "-c", DRIVER], system.environment) as driver,
+    ):
+        assert driver.stdout is not None
+        assert driver.stdout.readline().strip() == "ready"
+        costs = {
+            "rosbag record --lz4": rosbag(system, _made(name, "rosbag"), seconds),
+            "rosld, no history": rosld(system, _made(name, "idle"), seconds),
+            "rosld --history": rosld(system, _made(name, "rosld"), seconds, "--history", "/sensor_*"),
+        }
+    print(f"{'':24}{'core':>8}{'messages':>12}{'bytes each':>12}")
+    for what, cost in costs.items():
+        each = cost.size / cost.messages if cost.messages else 0.0
+        print(f"{what:24}{cost.share:8.2f}{cost.messages:12}{each:12.1f}", flush=True)
+
+
+def _made(folder: str, name: str) -> Path:
+    made = Path(folder) / name
+    made.mkdir()
+    return made
+
+
+if __name__ == "__main__":
+    main()

@@ -8,11 +8,13 @@ by message: of `rosbag record --lz4`, and of `rosld serve`, with a history and w
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
 import tempfile
 import time
+import urllib.request
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -51,9 +53,10 @@ while not rospy.is_shutdown():
 
 
 class Cost(NamedTuple):
-    """The share of a core that was taken, how many messages were recorded, and their bytes on disk."""
+    """The share of a core that was taken, how many messages were dropped and recorded, and their bytes on disk."""
 
     share: float
+    dropped: int
     messages: int
     size: int
 
@@ -100,13 +103,21 @@ def count(path: Path) -> int:
         return int(reader.message_count)
 
 
+def dropped_messages(base: str) -> int:
+    """What the history of a server says that it dropped."""
+    asked = urllib.request.Request(f"{base}bags/history/", headers={"Accept": "application/n-triples"})
+    with urllib.request.urlopen(asked, timeout=30) as answer:
+        text = answer.read().decode()
+    return sum(int(each) for each in re.findall(r"rosld#dropped[A-Za-z]*> \"(\d+)\"", text))
+
+
 def rosbag(system: ros1.RosSystem, folder: Path, seconds: float) -> Cost:
     """Debian's `rosbag record` of all of it."""
     command = ["/usr/lib/rosbag/record", "--lz4", "--buffsize=0", "-O", str(folder / "all.bag"), "-e", "/sensor_.*"]
     with process(command, system.environment) as recorder:
         taken = share(recorder.pid, seconds)
     files = sorted(folder.glob("*.bag"))
-    return Cost(taken, sum(map(count, files)), sum(each.stat().st_size for each in files))
+    return Cost(taken, 0, sum(map(count, files)), sum(each.stat().st_size for each in files))
 
 
 def rosld(system: ros1.RosSystem, folder: Path, seconds: float, *options: str) -> Cost:
@@ -114,10 +125,11 @@ def rosld(system: ros1.RosSystem, folder: Path, seconds: float, *options: str) -
     command = [sys.executable, "-m", "rosld", "serve", system.source, "--port", "0", "--data", str(folder), *options]
     with process(command, dict(os.environ)) as server:
         assert server.stdout is not None
-        server.stdout.readline()
+        base = server.stdout.readline().strip()
         taken = share(server.pid, seconds)
+        dropped = dropped_messages(base) if options else 0
     files = sorted((folder / "history").glob("*.mcap"))
-    return Cost(taken, sum(map(count, files)), sum(each.stat().st_size for each in files))
+    return Cost(taken, dropped, sum(map(count, files)), sum(each.stat().st_size for each in files))
 
 
 def main() -> None:
@@ -135,10 +147,10 @@ def main() -> None:
             "rosld, no history": rosld(system, _made(name, "idle"), seconds),
             "rosld --history": rosld(system, _made(name, "rosld"), seconds, "--history", "/sensor_*"),
         }
-    print(f"{'':24}{'core':>8}{'messages':>12}{'bytes each':>12}")
+    print(f"{'':24}{'core':>8}{'messages':>12}{'dropped':>10}{'bytes each':>12}")
     for what, cost in costs.items():
         each = cost.size / cost.messages if cost.messages else 0.0
-        print(f"{what:24}{cost.share:8.2f}{cost.messages:12}{each:12.1f}", flush=True)
+        print(f"{what:24}{cost.share:8.2f}{cost.messages:12}{cost.dropped:10}{each:12.1f}", flush=True)
 
 
 def _made(folder: str, name: str) -> Path:

@@ -14,6 +14,7 @@ from rosld.server.html.form_parser import (
     parse_form,
     parse_parameter,
     parse_value,
+    split_choices,
     split_hidden,
     split_query,
 )
@@ -23,6 +24,7 @@ from rosld.server.html.forms import (
     Form,
     HoldForm,
     MessageForm,
+    NameChoices,
     ParameterForm,
     ValueForm,
 )
@@ -131,6 +133,7 @@ __all__ = [
     "HoldForm",
     "MemberColumns",
     "MessageForm",
+    "NameChoices",
     "Notice",
     "NoticeLink",
     "Offer",
@@ -169,6 +172,7 @@ __all__ = [
     "render_search",
     "render_space",
     "render_sparql",
+    "split_choices",
     "split_hidden",
     "split_query",
 ]

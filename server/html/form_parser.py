@@ -11,7 +11,7 @@ from rosld.ontology.body import BodyError, parse_json
 from rosld.ontology.literals import STRINGS
 from rosld.ontology.violations import LoweringError, Violation
 from rosld.ontology.vocab import xsd
-from rosld.server.html.forms import CSRF_FIELD, METHOD_FIELD, PARAMETER_TYPES, TYPE_FIELD, VALUE_FIELD
+from rosld.server.html.forms import CHOICE_FIELD, CSRF_FIELD, METHOD_FIELD, PARAMETER_TYPES, TYPE_FIELD, VALUE_FIELD
 from rosld.server.html.inputs import FLOATS, MAX_TEXT, is_base64, is_fieldset
 from rosld.server.html.terms import NUMBERS
 from rosld.shapes.value import Bounds, MessageShape, OpenShape, ScalarShape, ValueShape
@@ -46,6 +46,18 @@ def split_query(pairs: Iterable[tuple[str, str]]) -> tuple[dict[str, str], list[
         else:
             rest.append((name, value))
     return query, rest
+
+
+def split_choices(pairs: Iterable[tuple[str, str]]) -> tuple[list[str], list[tuple[str, str]]]:
+    """The names that are ticked in a form, and its other pairs."""
+    names: list[str] = []
+    rest: list[tuple[str, str]] = []
+    for name, value in pairs:
+        if name == CHOICE_FIELD:
+            names.append(value)
+        else:
+            rest.append((name, value))
+    return names, rest
 
 
 def parse_form(schema: MessageSchema, pairs: Iterable[tuple[str, str]]) -> JsonValue:

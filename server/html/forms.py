@@ -7,7 +7,7 @@ field (`linear.x`), so that a message may well have a field called `method`: onl
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import ClassVar, Literal, TypeAlias
 
@@ -28,6 +28,7 @@ from rosld.server.html.inputs import (
     number_text,
     scalar_input,
 )
+from rosld.server.html.name_groups import NameGroup, group_names
 from rosld.server.html.units import unit_symbol
 from rosld.server.html.view import escape_controls
 from rosld.server.http import csrf
@@ -35,6 +36,8 @@ from rosld.shapes.value import Bounds, Measure, MessageShape, OpenShape, ScalarS
 
 CSRF_FIELD = csrf.FIELD
 METHOD_FIELD = "method"
+CHOICE_FIELD = "?choice"
+"""What a ticked box of a list of names sends: no field of a message begins so."""
 VALUE_FIELD = "value"
 TYPE_FIELD = "type"
 
@@ -46,11 +49,31 @@ Pairs: TypeAlias = Sequence[tuple[str, str]]
 
 
 @dataclass(frozen=True, slots=True)
+class NameChoices:
+    """Names to be ticked, which are added to what is typed into the text `field`; `urls` are what they are about."""
+
+    field: str
+    title: str
+    urls: Mapping[str, str]
+    ticked: frozenset[str] = frozenset()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names without their leading slash, which the pages show in groups."""
+        return tuple(name.removeprefix("/") for name in sorted(self.urls))
+
+    @property
+    def groups(self) -> tuple[NameGroup[str], ...]:
+        """The names in groups, none where they are few."""
+        return group_names(self.names, lambda name: name)
+
+
+@dataclass(frozen=True, slots=True)
 class MessageForm:
     """A form for a message: publish it, or call a service with it.
 
     `value` (plain JSON, None for ROS's defaults) is what it is filled with at first, `typed` what was typed into it
-    when it was sent and did not fit, `violations` why.
+    when it was sent and did not fit, `violations` why. `choices` are names that one of its texts may have.
     """
 
     template: ClassVar[str] = "message"
@@ -63,10 +86,20 @@ class MessageForm:
     about: str = ""
     submitted: Pairs | None = None
     violations: tuple[Violation, ...] = ()
+    choices: NameChoices | None = None
 
     def with_submitted(self, pairs: Pairs, violations: Iterable[Violation]) -> MessageForm:
         """The same form as it was sent, with what does not fit beside its fields."""
-        return replace(self, submitted=tuple(pairs), violations=tuple(violations))
+        ticked = frozenset(text for name, text in pairs if name == CHOICE_FIELD)
+        choices = None if self.choices is None else replace(self.choices, ticked=ticked)
+        return replace(self, submitted=tuple(pairs), violations=tuple(violations), choices=choices)
+
+    def with_choices_of(self, may_read: Callable[[str], bool]) -> MessageForm:
+        """The same form with no name of what its reader may not read."""
+        if self.choices is None:
+            return self
+        urls = {name: url for name, url in self.choices.urls.items() if may_read(url)}
+        return replace(self, choices=replace(self.choices, urls=urls))
 
     @property
     def controls(self) -> tuple[Control, ...]:

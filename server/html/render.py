@@ -23,7 +23,7 @@ from rosld.server.html.breadcrumb import breadcrumb
 from rosld.server.html.brief import brief_text
 from rosld.server.html.description import describe, first_text, objects_of
 from rosld.server.html.endpoints import endpoint_table
-from rosld.server.html.forms import CSRF_FIELD, METHOD_FIELD, Form, ValueForm
+from rosld.server.html.forms import CHOICE_FIELD, CSRF_FIELD, METHOD_FIELD, Form, ValueForm
 from rosld.server.html.labels import capitalize
 from rosld.server.html.listing import container_table
 from rosld.server.html.message_sections import message_sections
@@ -282,7 +282,8 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.filters["grouped"] = lambda number: f"{number:,}"
-    environment.globals |= {"csrf_field": CSRF_FIELD, "method_field": METHOD_FIELD, "live_rate": MAX_RATE}
+    environment.globals |= {"csrf_field": CSRF_FIELD, "method_field": METHOD_FIELD, "choice_field": CHOICE_FIELD}
+    environment.globals["live_rate"] = MAX_RATE
     return environment
 
 

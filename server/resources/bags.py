@@ -84,7 +84,10 @@ class BagContainer(Resource):
         self._find = find
 
     async def forms(self) -> Sequence[Form]:
-        return (recording_form(),) if "POST" in self.methods() else ()
+        if "POST" not in self.methods():
+            return ()
+        space = self.session.space
+        return (recording_form({name: space.topic(name) for name in self.session.graph.topics}),)
 
     def methods(self) -> frozenset[str]:
         return READ | {"POST"} if can_record(self.session) else READ
@@ -104,8 +107,9 @@ class BagContainer(Resource):
 
     async def state(self) -> State:
         members = bag_urls(self.session.space, self.recordings)
+        version = members, tuple(self.session.graph.topics)  # the page has a form that names them
         return self.states.get_or_make(
-            self.url, members, lambda: State(lambda: container_document(self.url, members, "Recordings"))
+            self.url, version, lambda: State(lambda: container_document(self.url, members, "Recordings"))
         )
 
     async def post(self, exchange: Exchange) -> Answer:

@@ -7,7 +7,7 @@ from functools import cache
 
 from rosld.adapters.model import MessageSchema
 from rosld.adapters.model.library import TypeLibrary
-from rosld.server.html import MessageForm
+from rosld.server.html import MessageForm, NameChoices
 
 _FIELDS = """string name
 string topics
@@ -18,7 +18,8 @@ string trigger_condition
 uint8 trigger_limit
 """
 _ABOUT = (
-    "Topics are names or globs with spaces between them, such as /odom /camera/*. Before: seconds out of the history. "
+    "Topics are names or globs with spaces between them, such as /odom /camera/*, and those that you tick; all where "
+    "there are none. Before: seconds out of the history. "
     "Duration: seconds, 0 for as long as it takes. With a trigger it begins as a condition, such as percentage < 0.2, "
     "comes to hold of the value at a URL."
 )
@@ -29,22 +30,23 @@ def _schema() -> MessageSchema:
     return TypeLibrary(ros_version=2, folders=()).learn_message("rosld/msg/Recording", _FIELDS)
 
 
-def recording_form() -> MessageForm:
-    """The form."""
+def recording_form(topics: Mapping[str, str]) -> MessageForm:
+    """The form; `topics` are those that there are, with their URLs."""
     return MessageForm(
         _schema(),
         method="POST",
         title="Record",
         button="Record",
-        value={"topics": "*", "trigger_limit": 1},
+        value={"trigger_limit": 1},
         about=_ABOUT,
+        choices=NameChoices("topics", "Topics", topics),
     )
 
 
 def order_of_form(said: Mapping[str, object]) -> dict[str, object]:
     """What a form was filled with as an order: what was left empty is left out."""
     found = {key: said[key] for key in ("name", "before", "duration") if said.get(key)}
-    found["topics"] = str(said.get("topics", "")).split()
+    found["topics"] = str(said.get("topics", "")).split() or ["*"]
     if said.get("trigger_condition") or said.get("trigger_resource"):
         limit = said.get("trigger_limit") or 1
         trigger: dict[str, object] = {"condition": said.get("trigger_condition"), "limit": limit}

@@ -22,6 +22,7 @@ from rosld.server.html import (
     DeleteForm,
     Form,
     HoldForm,
+    MessageForm,
     Notice,
     NoticeLink,
     ParameterForm,
@@ -132,6 +133,8 @@ class PageRenderer:
             state = excerpt_state(state, excerpt)
             words = f"This page shows the first {len(excerpt.document.triples):,} of {excerpt.total:,} triples."
             notices = (*notices, Notice(words, link=NoticeLink("?format=ttl", "All of them, as Turtle")))
+        may_read = permissions.may_read
+        forms = [each.with_choices_of(may_read) if isinstance(each, MessageForm) else each for each in forms]
         page = resource.page(self.site_for(permissions), state, forms, self._csrf(resource, permissions), notices)
         if isinstance(page, bytes):
             return page
@@ -277,6 +280,12 @@ def _value(form: Form, typed: Sequence[tuple[str, str]]) -> object:
         return html.parse_parameter(typed)
     if isinstance(form, ValueForm):
         return html.parse_value(form.shape, typed)
+    if isinstance(form, MessageForm) and form.choices is not None:
+        names, typed = html.split_choices(typed)
+        value = html.parse_form(form.schema, typed)
+        assert isinstance(value, dict)
+        field = form.choices.field
+        return {**value, field: " ".join([str(value[field]), *names])}
     return html.parse_form(form.schema, typed)
 
 

@@ -169,8 +169,10 @@ def form(page: str, method: str) -> dict[str, str]:
 
 def test_a_person_begins_ends_and_deletes_a_recording_on_its_pages(armed: Any) -> None:
     http = armed.http
-    hidden = form(http.get("/bags/", headers=HTML).text, "POST")
-    filled = {**hidden, "name": "by-hand", "topics": SPEED, "before": "0", "duration": "0",
+    page = http.get("/bags/", headers=HTML).text
+    assert f'name="?choice" value="{SPEED}"' in page
+    hidden = form(page, "POST")
+    filled = {**hidden, "name": "by-hand", "topics": "", "?choice": SPEED, "before": "0", "duration": "0",
               "trigger_resource": "", "trigger_condition": "", "trigger_limit": "1"}  # fmt: skip
     forged = http.post("/bags/", data={**filled, "name": "forged", "csrf": "x"}, headers=HTML, follow_redirects=False)
     assert forged.status_code == 403
@@ -179,6 +181,7 @@ def test_a_person_begins_ends_and_deletes_a_recording_on_its_pages(armed: Any) -
     assert made.headers["location"].startswith(f"{armed.url}bags/by-hand/")
     until(lambda: count(http, "/bags/by-hand/") > 0, "a message")
     path = "/bags/by-hand/"
+    assert value(http, path, "recordsTopic") == SPEED
     end_form = {**form(http.get(path, headers=HTML).text, "PATCH"), "status": "ended"}
     ended = http.post(path, data=end_form, headers=HTML, follow_redirects=False)
     assert ended.status_code == 303, ended.text
@@ -195,8 +198,13 @@ def test_a_person_begins_ends_and_deletes_a_recording_on_its_pages(armed: Any) -
 def test_who_may_not_read_a_value_may_not_wait_for_it(serve: Callable[..., Any], tmp_path: Path) -> None:
     auth = tmp_path / "auth.toml"
     rule = '[[rule]]\nagents = ["anna"]\nmodes = ["read", "write"]\npaths = ["/bags/**", "/topics/**"]\n'
-    auth.write_text(rule + tokens("anna"))
+    other = (
+        '[[rule]]\nagents = ["ben"]\nmodes = ["read", "write"]\npaths = ["/bags/**", "/topics/aircraft/engine/speed"]\n'
+    )
+    auth.write_text(rule + other + tokens("anna", "ben"))
     http = serve("aircraft", "--auth", str(auth)).http
+    page = http.get("/bags/", headers=HTML | {"Authorization": f"Bearer {token('ben')}"}).text
+    assert re.findall(r'name="\?choice" value="([^"]*)"', page) == [SPEED]
     http.headers["Authorization"] = f"Bearer {token('anna')}"
     assert order(http, "x", trigger={"resource": POWER, "condition": "value = 'on'"}).status_code == 403
     shape = f"{http.base_url!s}mappings/aircraft#started"

@@ -49,6 +49,7 @@ SECTIONS: Mapping[str, str] = {
     "mappings": "Mappings",
     "data": "Data",
     "queries": "Queries",
+    "cockpit": "Cockpits",
 }
 """The containers at the top, with their titles."""
 
@@ -63,6 +64,7 @@ def entry_document(
     """
     entry, robot = NamedNode(space.base), NamedNode(f"{space.base}#robot")
     drawing = NamedNode(f"{space.base}graph")
+    cockpit = NamedNode(space.cockpit("default"))
     rooms = {room: NamedNode(space.container(room)) for room in SECTIONS}
     ontology, sparql, graphs = (NamedNode(space.base + name) for name in ("ontology", "sparql", "graphs"))
     master = NamedNode(f"{space.base}#master") if graph.master else None
@@ -81,6 +83,7 @@ def entry_document(
         (rdfs.seeAlso, sparql),
         (rdfs.seeAlso, graphs),
         (rdfs.seeAlso, drawing),
+        (rdfs.seeAlso, cockpit),
         (rdfs.seeAlso, ontology),
     )
     triples += triples_about(

@@ -202,6 +202,10 @@ class Space:
         """A stored query."""
         return self.url("queries", (name,))
 
+    def cockpit(self, name: str) -> str:
+        """A cockpit by its name: `cockpit/default`."""
+        return self.url("cockpit", (name,))
+
     def bag(self, name: str) -> str:
         """A recording: a container of its parts."""
         return self.container("bags", (name,))

@@ -281,6 +281,23 @@ class ros(Namespace, iri="https://w3id.org/rosld#"):
     index: NamedNode
     recordedAt: NamedNode
 
+    # cockpits
+    Cockpit: NamedNode
+    Panel: NamedNode
+    PlotPanel: NamedNode
+    PicturePanel: NamedNode
+    SpacePanel: NamedNode
+    ValuePanel: NamedNode
+    DrivePanel: NamedNode
+    ButtonPanel: NamedNode
+    QueryPanel: NamedNode
+    hasPanel: NamedNode
+    shows: NamedNode
+    gridColumn: NamedNode
+    gridRow: NamedNode
+    gridWidth: NamedNode
+    gridHeight: NamedNode
+
     # stored queries
     Query: NamedNode
     queryParameter: NamedNode

@@ -276,7 +276,10 @@ class Settings:
         60.0, "How long a client may leave unread what it is sent, before it is cut off.", unit="s", minimum=0.01
     )
     versions: int = setting(
-        0, "How many former versions of each document under /data/ are kept (RDF, not files).", option=True, minimum=0
+        0,
+        "How many former versions of each document under /data/ and each cockpit are kept (RDF, not files).",
+        option=True,
+        minimum=0,
     )
     receipts_kept: int = setting(
         10_000, "The most receipts of writes kept under /activity/; of refused ones a fifth as many beside.", minimum=1

@@ -9,6 +9,8 @@ time, and `space.js`, which draws space from above. Without them every page is a
 """
 
 from rosld.server.html.affordances import action_form, cancel_forms, forms_of, property_form
+from rosld.server.html.cockpit import CockpitPage
+from rosld.server.html.cockpit_form import CopyForm, EditForm, cockpit_of_form, parse_copy, parse_edit
 from rosld.server.html.form_parser import (
     parse_choice,
     parse_form,
@@ -57,6 +59,7 @@ from rosld.server.html.page import (
 from rosld.server.html.render import (
     AGES_SCRIPT,
     CHART_SCRIPT,
+    COCKPIT_STYLESHEET,
     CONTENT_SECURITY_POLICY,
     DRIVE_SCRIPT,
     FILTER_SCRIPT,
@@ -80,6 +83,7 @@ from rosld.server.html.render import (
     SPARK_SCRIPT,
     STYLESHEET,
     prepare_pages,
+    render_cockpit,
     render_diagnostics,
     render_entry,
     render_frames,
@@ -98,6 +102,7 @@ __all__ = [
     "AGES_SCRIPT",
     "ALTERNATES",
     "CHART_SCRIPT",
+    "COCKPIT_STYLESHEET",
     "CONTENT_SECURITY_POLICY",
     "DRIVE_SCRIPT",
     "FILTER_SCRIPT",
@@ -122,9 +127,12 @@ __all__ = [
     "STYLESHEET",
     "Alternate",
     "ChoiceForm",
+    "CockpitPage",
+    "CopyForm",
     "Csrf",
     "DeleteForm",
     "DiagnosticsPage",
+    "EditForm",
     "EntryCount",
     "EntryPage",
     "Form",
@@ -154,13 +162,17 @@ __all__ = [
     "ValueForm",
     "action_form",
     "cancel_forms",
+    "cockpit_of_form",
     "forms_of",
     "parse_choice",
+    "parse_copy",
+    "parse_edit",
     "parse_form",
     "parse_parameter",
     "parse_value",
     "prepare_pages",
     "property_form",
+    "render_cockpit",
     "render_diagnostics",
     "render_entry",
     "render_frames",

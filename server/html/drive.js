@@ -220,7 +220,7 @@ Without this file, or with scripts off, there is no pad, and the form beside it 
       const { rate, lease } = this.config;
       await this.#ending; // nobody may hold what is held, not even who held it
       if (!this.#isPressed) return;
-      const path = `${location.pathname}?rate=${rate}&lease=${lease}&then=zero`;
+      const path = `${this.config.path || location.pathname}?rate=${rate}&lease=${lease}&then=zero`;
       const answer = await this.#ask("POST", path, message, PATIENCE);
       if (answer.status !== 201) throw new Refused(await reason(answer));
       this.#hold = new URL(answer.headers.get("location"), location.href).pathname;

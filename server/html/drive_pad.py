@@ -46,6 +46,8 @@ class DrivePad:
     zero: Json
     rate: float
     lease: float
+    path: str = ""
+    """The path of the topic's URL; empty where that of the page is it."""
 
     @property
     def json(self) -> str:

@@ -7,14 +7,16 @@ field (`linear.x`), so that a message may well have a field called `method`: onl
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import ClassVar, Literal, TypeAlias
+from typing import ClassVar, TypeAlias
 
 from rosld.adapters.model import MessageSchema
 from rosld.ontology.violations import Violation
 from rosld.server.html.bounds import describe_bounds
+from rosld.server.html.cockpit_form import CopyForm, EditForm
 from rosld.server.html.drive_pad import DrivePad
+from rosld.server.html.form_types import Method, Pairs
 from rosld.server.html.inputs import (
     MAX_TEXT,
     Control,
@@ -43,9 +45,6 @@ TYPE_FIELD = "type"
 
 PARAMETER_TYPES = ("number", "string", "boolean", "JSON")
 """What a parameter's form offers; whole numbers stay whole."""
-
-Method: TypeAlias = Literal["PUT", "POST", "PATCH", "DELETE"]
-Pairs: TypeAlias = Sequence[tuple[str, str]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -275,7 +274,7 @@ class ChoiceForm:
     violations: ClassVar[tuple[Violation, ...]] = ()
 
 
-Form: TypeAlias = MessageForm | HoldForm | ParameterForm | ValueForm | DeleteForm | ChoiceForm
+Form: TypeAlias = MessageForm | HoldForm | ParameterForm | ValueForm | DeleteForm | ChoiceForm | EditForm | CopyForm
 
 
 def _filling(typed: Pairs | None, violations: Iterable[Violation]) -> InputValues:

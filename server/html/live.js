@@ -93,7 +93,7 @@ Without this file, or with scripts off, the page is what it was when it was load
       renew(old, now);
     } else {
       mergeAttributes(old, now);
-      if (!matches(old, "[data-drive], [data-space], a.plot")) mergeChildren(old, now); // what stands in these is their scripts'
+      if (!matches(old, "[data-drive], [data-plot], [data-space], a.plot")) mergeChildren(old, now); // what stands in these is their scripts'
     }
   }
 

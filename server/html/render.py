@@ -21,6 +21,8 @@ from rosld.ontology.vocab import PREFIXES, ldp, ros, td
 from rosld.server.html.auto_refresh import MAX_RATE, is_refreshed
 from rosld.server.html.breadcrumb import breadcrumb
 from rosld.server.html.brief import brief_text
+from rosld.server.html.cockpit import CockpitPage, cockpit_style
+from rosld.server.html.cockpit_form import kinds_of_panels
 from rosld.server.html.description import describe, first_text, objects_of
 from rosld.server.html.endpoints import endpoint_table
 from rosld.server.html.forms import CHOICE_FIELD, CSRF_FIELD, METHOD_FIELD, Form, ValueForm
@@ -47,9 +49,10 @@ from rosld.server.html.page import (
     SpacePage,
     SparqlPage,
 )
+from rosld.server.html.panels import LEVELS, panel_views
 from rosld.server.html.plot import PlotRow, plot_config, plot_query
 from rosld.server.html.section_groups import group_sections
-from rosld.server.html.site import Anchor, Site
+from rosld.server.html.site import Anchor, Site, readable_path
 from rosld.server.html.space_view import SpaceRow, frame_row, pose_words, space_query
 from rosld.server.html.stop_steps import stop_steps
 from rosld.server.html.tables import results_table
@@ -126,12 +129,15 @@ QUERY_EDITOR_LIBRARY = (_HERE / "vendor" / "yasgui.js").read_bytes()
 """Served at `yasgui.js` below the base: YASGUI, whose licence (MIT) and those of what it holds lie beside it."""
 QUERY_EDITOR_LIBRARY_STYLESHEET = (_HERE / "vendor" / "yasgui.css").read_bytes()
 """Served at `yasgui.css` below the base."""
+COCKPIT_STYLESHEET = cockpit_style()
+"""Served at `cockpit.css` below the base."""
 _FILES = b"".join(
     (
         *(STYLESHEET, ICON, SCRIPT, AGES_SCRIPT, FILTER_SCRIPT, FIND_SCRIPT, DRIVE_SCRIPT, PICTURE_SCRIPT),
         *(CHART_SCRIPT, PLOT_SCRIPT, SPARK_SCRIPT, SPACE_SCRIPT, PLOT_LIBRARY, PLOT_STYLESHEET),
         *(QUERY_TERMS_SCRIPT, QUERY_PARAMETERS_SCRIPT, QUERY_VIEWS_SCRIPT, QUERY_EDITOR_SCRIPT),
         *(QUERY_EDITOR_STYLESHEET, QUERY_EDITOR_LIBRARY, QUERY_EDITOR_LIBRARY_STYLESHEET),
+        COCKPIT_STYLESHEET,
     )
 )
 _VERSION = hashlib.blake2b(_FILES, digest_size=4).hexdigest()
@@ -255,6 +261,10 @@ class _Frame:
         return f"{self.site.root}uplot.css?v={_VERSION}"
 
     @property
+    def cockpit_stylesheet(self) -> str:
+        return f"{self.site.root}cockpit.css?v={_VERSION}"
+
+    @property
     def icon(self) -> str:
         return f"{self.site.root}icon.svg?v={_VERSION}"
 
@@ -266,7 +276,14 @@ class _Frame:
             for name in self.site.sections
         ]
         anchors.append(Anchor(f"{self.site.root}sparql", "SPARQL", f"{self.site.base}sparql"))
-        return tuple((each, self.url.startswith(each.url)) for each in anchors if self.site.may("GET", each.url))
+        room = f"{self.site.base}cockpit/"
+        cockpit = (Anchor(f"{self.site.root}cockpit/default", "Cockpit", room),) if self._can_see_cockpit else ()
+        found = (*cockpit, *(each for each in anchors if self.site.may("GET", each.url)))
+        return tuple((each, self.url.startswith(each.url)) for each in found)
+
+    @property
+    def _can_see_cockpit(self) -> bool:
+        return self.site.may("GET", f"{self.site.base}cockpit/default")
 
 
 @cache
@@ -618,6 +635,31 @@ def render_diagnostics(page: DiagnosticsPage) -> bytes:
         when=time_view,
         topics=[anchor for url in page.topics if (anchor := site.anchor(url)) is not None],
         formats=[replace(each, query=page.url.partition("?")[2]) for each in ALTERNATES],
+    )
+
+
+def render_cockpit(page: CockpitPage) -> bytes:
+    """The page of a cockpit: its panels in a grid, and the forms that change and copy it."""
+    site = page.site
+    panels = panel_views(page.panels, site, page.csrf)
+    parts = {each.part for each in panels}
+    others = [(site.href(url), escape_controls(name), url == page.url) for url, name in page.others]
+    is_live = page.edit is None or page.edit.submitted is None
+    name = readable_path(page.url.rpartition("/")[2])
+    return _render(
+        "cockpit.html",
+        _frame(site, page.cockpit.title or name, page.url, page.notices, live=is_live),
+        page=page,
+        panels=panels,
+        parts=parts,
+        others=[each for each in others if each[0] is not None],
+        levels=LEVELS,
+        kinds=kinds_of_panels(),
+        container=f"{site.root}cockpit/",
+        copy_token=page.csrf(f"{site.base}cockpit/"),
+        token=page.csrf(""),
+        formats=ALTERNATES,
+        diagnostics=f"{site.root}diagnostics",
     )
 
 

@@ -153,7 +153,7 @@ class _Reader:
     def permissions(self) -> None:
         """Judge the document by the shape of mappings. Raises MappingRefused."""
         # pyshacl and rdflib, which many servers never need, take longer to import than all of the SPARQL service.
-        from rosld.shapes.mapping_validation import validate_mapping
+        from rosld.shapes.validation import validate_mapping
 
         for misfit in validate_mapping(self.triples):
             self.wrong(misfit.focus, misfit.message, misfit.value, misfit.predicate, misfit.component)

@@ -232,7 +232,8 @@ class PathCollector:
 
     def _kept(self) -> Iterator[DescribedPath]:
         """What clients keep. What one URL answers depends on what is there: the template tells of all of it."""
-        for room in ("mappings", "data"):
+        yield self._path("/cockpit/default")
+        for room in ("mappings", "data", "cockpit"):
             yield self._path(f"/{room}/")
             path = "One segment or several, with slashes between them."
             yield self._template(f"/{room}/{{path}}", f"/{room}/any", path=path)

@@ -100,7 +100,7 @@ class DiagnosticsResource(Resource):
         self.level_times = level_times
         self.name = name
         self._permissions = permissions
-        self._states: Sequence[DiagnosticState] = ()
+        self.states: Sequence[DiagnosticState] = ()
         self._changes: Sequence[LevelChange] = ()
 
     @property
@@ -142,13 +142,13 @@ class DiagnosticsResource(Resource):
 
     async def state(self) -> State:
         found = [state for topic in self._topics for state in await self._read(topic)]
-        self._states = worst_first(found)
+        self.states = worst_first(found)
         if self.name:
-            self._states = [each for each in self._states if each.name == self.name]
-            if not self._states:
+            self.states = [each for each in self.states if each.name == self.name]
+            if not self.states:
                 raise Problem(404, f"No part called {self.name[:80]!r} has told of itself.")
-            self._changes = await self._past(self._states[0].topic)
-        states = [_part(each, self.session.space.topic(each.topic)) for each in self._states]
+            self._changes = await self._past(self.states[0].topic)
+        states = [_part(each, self.session.space.topic(each.topic)) for each in self.states]
         plain = _plain(states, self._changes)
         return State(
             partial(diagnostics_document, self.url, states, self.session.space.types), lambda: plain, digest(plain)
@@ -188,13 +188,13 @@ class DiagnosticsResource(Resource):
         return changes_of(said)[:_MAX_CHANGES]
 
     def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
-        topics = {each.topic for each in self._states}
+        topics = {each.topic for each in self.states}
         return render_diagnostics(
             DiagnosticsPage(
                 site,
                 self.url,
                 self.name,
-                tuple(self._states),
+                tuple(self.states),
                 tuple(self._changes),
                 tuple(self.session.space.topic(each) for each in sorted(topics or self._topics)),
                 tuple(notices),

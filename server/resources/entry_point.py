@@ -78,6 +78,8 @@ class EntryResource(Resource):
         if any(can_place(ref.name) for topic in graph.topics.values() for ref in topic.types):
             seen = "Scans, maps, paths and frames, seen from above."
             counts = (*counts, EntryCount("Space", None, f"{space.base}space", seen))
+        told = "What the robot is like and can do, on one page of panels."
+        counts = (*counts, EntryCount("Cockpit", None, space.cockpit("default"), told))
         counts = (*counts, EntryCount("Graph", None, f"{space.base}graph", "Who talks to whom, drawn."))
         counts = tuple(each for each in counts if site.may("GET", each.url))
         troubles = (Notice(problem, NoticeLevel.ERROR) for problem in self.storage_problems())

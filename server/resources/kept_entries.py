@@ -7,7 +7,7 @@ import re
 
 from rosld.ontology.urls import Space, locate
 from rosld.ontology.vocab import dcterms, rdfs, schema_org
-from rosld.server.policies import stored_mappings
+from rosld.server.policies import stored_cockpits, stored_mappings
 from rosld.server.policies.stored_queries import StoredQueries
 from rosld.server.resources.ldp.documents import Documents
 from rosld.server.search.entry import Entry, EntryKind
@@ -22,7 +22,7 @@ _AT_ONCE = 25
 """Documents that are read before the loop has its turn."""
 _NAMING = "|".join(map(re.escape, (dcterms.title.value, rdfs.label.value, schema_org.name.value)))
 _TITLES = re.compile(rf'<(?:{_NAMING})> "((?:[^"\\]|\\.)*)"'.encode())
-_ROOTS = (stored_mappings.ROUTE, "data/")
+_ROOTS = (stored_mappings.ROUTE, stored_cockpits.ROUTE, "data/")
 
 
 async def kept_entries(documents: Documents, queries: StoredQueries) -> list[Entry]:

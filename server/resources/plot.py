@@ -4,18 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import NamedTuple
-from urllib.parse import parse_qsl, quote
+from urllib.parse import parse_qsl
 
 import orjson
 from starlette.responses import Response
 
-from rosld.adapters.model import Array, RosError, TypeRef
 from rosld.ontology.describe_plot import PlottedNumber, plot_document
 from rosld.ontology.document import Document
-from rosld.ontology.fields import number_type
 from rosld.ontology.urls import Location
-from rosld.server.auth.errors import not_found
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.events.broadcaster import Broadcasters
 from rosld.server.events.event_stream import HEADERS
@@ -23,16 +19,14 @@ from rosld.server.events.query_params import EVENT_STREAM, stream_is_preferred
 from rosld.server.events.sample_stream import FollowedTopic, SampleStream
 from rosld.server.history.history import History
 from rosld.server.html import Csrf, Form, Notice, PlotPage, Site, render_plot
-from rosld.server.html.messages import type_name
 from rosld.server.html.plot import plot_query
 from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import AffordanceService
-from rosld.server.hypermedia.catalogue import TopicSource
 from rosld.server.hypermedia.data_schema import DataSchema
 from rosld.server.hypermedia.json_schema import TEXT, URI
 from rosld.server.hypermedia.message_schemas import MessageSchemas
-from rosld.server.resources.memento import is_recorded
+from rosld.server.resources.number_finder import NumberFinder
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import OFFERS
 from rosld.server.rest.path_item import FORMAT, PathItem, QueryParameter
@@ -43,7 +37,6 @@ from rosld.server.robot.session import Session
 
 MAX_NUMBERS = 16
 """Numbers of one plot."""
-_MAX_REFERENCE = 1000
 _PARAMETERS = (
     QueryParameter(
         "y",
@@ -66,13 +59,6 @@ _PLAIN: DataSchema = {
     },
     "required": ["y"],
 }
-
-
-class Plotted(NamedTuple):
-    """A number that is plotted: the topic's name, the path of the field."""
-
-    topic: str
-    field: str
 
 
 class PlotResource(Resource):
@@ -126,7 +112,8 @@ class PlotResource(Resource):
         return plot_document(self.url, ())
 
     async def state(self) -> State:
-        numbers = self._numbers = [await self._described(await self._located(each)) for each in self.references]
+        finder = NumberFinder(self.session, self.affordances, self.history, self._permissions)
+        numbers = self._numbers = [await finder.describe(await finder.locate(each)) for each in self.references]
         plain = orjson.dumps({"y": [number_json(each) for each in numbers]})
         return State(partial(plot_document, self.url, numbers), lambda: plain, digest(plain))
 
@@ -136,10 +123,11 @@ class PlotResource(Resource):
             return None
         if not self.references:
             raise Problem(400, "?y= says which numbers are to be told, such as y=topics/odom%23twist.twist.linear.x.")
+        finder = NumberFinder(self.session, self.affordances, self.history, self._permissions)
         fields: dict[str, list[tuple[int, str]]] = {}
         for place, reference in enumerate(self.references):
-            number = await self._located(reference)
-            await self._described(number)
+            number = await finder.locate(reference)
+            await finder.describe(number)
             fields.setdefault(number.topic, []).append((place, number.field))
         if exchange.method == "HEAD":
             return RawResponse(200, b"", HEADERS)
@@ -150,55 +138,6 @@ class PlotResource(Resource):
 
     def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
         return render_plot(PlotPage(site, self.url, tuple(self._numbers), self.references, tuple(notices)))
-
-    async def _located(self, reference: str) -> Plotted:
-        """The topic and the field that a `y` names. Raises Problems."""
-        url, _, path = reference.partition("#")
-        space = self.session.space
-        if len(reference) > _MAX_REFERENCE:
-            raise Problem(400, f"?y={reference[:60]}... is too long.")
-        if not url.startswith(space.base):
-            url = space.base + url.removeprefix(space.path).removeprefix("/")
-        if not path and f"/{url}".find("/topics/") >= 0:
-            raise Problem(400, f"?y={reference[:100]}: say which field, after # as %23, such as %23data.")
-        location = None if "?" in url else space.location(url)
-        if location is None or location.is_container or location.kind not in ("topics", "resources"):
-            words = "names no topic and no property of this robot: send such as topics/odom#twist.twist.linear.x"
-            raise Problem(400, f"?y={reference[:100]} {words}, with # as %23.")
-        if not self._permissions.may_read(url):
-            raise not_found()
-        if location.kind == "resources":
-            return await self._of_property(location.name, url, path)
-        if location.name not in self.session.graph.topics:
-            raise Problem(404, f"There is no topic {location.name}.")
-        return Plotted(location.name, path)
-
-    async def _of_property(self, name: str, url: str, path: str) -> Plotted:
-        """The field of the topic that a property is read from."""
-        plan = (await self.affordances.tree()).property(name)
-        if plan is None:
-            raise Problem(404, f"There is no property {name}.")
-        source = next((each for each in plan.source.readers if isinstance(each, TopicSource)), None)
-        if source is None or not self._permissions.may_read(self.session.space.topic(source.name)):
-            raise Problem(422, f"{url} is not read from a topic: only what a robot tells by itself is drawn over time.")
-        fields = [] if source.schema is None else source.schema.type.fields
-        return Plotted(source.name, path or (fields[0].name if len(fields) == 1 else ""))
-
-    async def _described(self, number: Plotted) -> PlottedNumber:
-        topic = self.session.graph.topics[number.topic]
-        url = self.session.space.topic(number.topic)
-        if topic.type is None:
-            raise Problem(422, f"{number.topic} has publishers of several types.")
-        try:
-            schema = await self.session.schemas.message(TypeRef(topic.type.name, topic.type.hash))
-            kind = number_type(schema, number.field)
-        except ValueError as error:
-            raise Problem(422, f"?y={number.topic}#{number.field[:60]}: {error}.") from error
-        except RosError as error:
-            raise Problem(422, f"The type of {number.topic} is not known: {error.sentence}") from error
-        has_series = not isinstance(kind, Array) and is_recorded(self.history, number.topic)
-        series = f"{url}?series={quote(number.field, safe='.')}" if has_series else None
-        return PlottedNumber(url, number.field, type_name(kind), series)
 
 
 def number_json(number: PlottedNumber) -> dict[str, str | None]:

@@ -72,6 +72,7 @@ _FILES: Mapping[str, tuple[bytes, str, str]] = {
     "query_editor.css": (html.QUERY_EDITOR_STYLESHEET, _STYLE, "The style of the editor of queries"),
     "yasgui.js": (html.QUERY_EDITOR_LIBRARY, _SCRIPT, "YASGUI, in which queries are edited"),
     "yasgui.css": (html.QUERY_EDITOR_LIBRARY_STYLESHEET, _STYLE, "The style of YASGUI"),
+    "cockpit.css": (html.COCKPIT_STYLESHEET, _STYLE, "The style of cockpits"),
     "icon.svg": (html.ICON, _ICON, "The icon of pages"),
     "favicon.ico": (html.ICON, _ICON, "The icon of pages, where browsers look for it"),
 }

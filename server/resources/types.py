@@ -42,16 +42,18 @@ from rosld.server.runtime.version_cache import IdentityKey, VersionCache
 from rosld.server.settings import Settings
 from rosld.server.storage import Put, Record
 from rosld.server.storage.record_documents import record_document
+from rosld.shapes.cockpit import cockpit_shape
 from rosld.shapes.data import data_shape, documents_shape, query_shape
 from rosld.shapes.mapping import mapping_shape
 from rosld.shapes.message import SHACL_SHACL, shape_document
 
-DATA, DOCUMENTS, LIMITS, MAPPING, QUERY = "data", "documents", "limits", "mapping", "query"
-SHAPES_GRAPHS = (DATA, DOCUMENTS, LIMITS, MAPPING, QUERY)
+COCKPIT, DATA, DOCUMENTS, LIMITS, MAPPING, QUERY = "cockpit", "data", "documents", "limits", "mapping", "query"
+SHAPES_GRAPHS = (COCKPIT, DATA, DOCUMENTS, LIMITS, MAPPING, QUERY)
 """What lies below `/shapes/` beside the shapes of types, and what clients keep there."""
 
 _HASH = QueryParameter("hash", "Which of several definitions of one name.")
 _SUMMARIES = {
+    "cockpit": "The shape of cockpits",
     "data": "The shapes of data",
     "documents": "The shapes of what documents say",
     "limits": "The limits in force",
@@ -178,6 +180,7 @@ def shapes_graph(
 _SHAPES: Mapping[str, Callable[[str], Document]] = {
     DATA: data_shape,
     DOCUMENTS: documents_shape,
+    COCKPIT: cockpit_shape,
     MAPPING: mapping_shape,
     QUERY: query_shape,
 }

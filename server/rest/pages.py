@@ -18,8 +18,10 @@ from rosld.server.auth.agent import ANONYMOUS
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.html import (
     ChoiceForm,
+    CopyForm,
     Csrf,
     DeleteForm,
+    EditForm,
     Form,
     HoldForm,
     MessageForm,
@@ -274,6 +276,10 @@ def _sentence(count: int) -> str:
 def _value(form: Form, typed: Sequence[tuple[str, str]]) -> object:
     if isinstance(form, DeleteForm):
         return None
+    if isinstance(form, EditForm):
+        return html.parse_edit(typed)
+    if isinstance(form, CopyForm):
+        return html.parse_copy(typed)
     if isinstance(form, ChoiceForm):
         return html.parse_choice(form.name, typed)
     if isinstance(form, ParameterForm):

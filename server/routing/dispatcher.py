@@ -14,7 +14,7 @@ from rosld.adapters.model import RosError
 from rosld.ontology.body import BodyError
 from rosld.ontology.lower import LoweringError
 from rosld.ontology.serialize import CannotCarry, Syntax, serialize
-from rosld.ontology.urls import Location
+from rosld.ontology.urls import Location, Space
 from rosld.server.auth import enforcement
 from rosld.server.auth.errors import invalid_token
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
@@ -359,7 +359,7 @@ class Dispatcher:
             return await self.pages.with_notice(
                 resource, "It was published, but no subscriber was there to get it.", exchange.permissions
             )
-        back = _back(resource, answer, self.pages.referring_url(exchange))
+        back = _back(resource, answer, self.pages.referring_url(exchange), self.pages.space)
         if form.method == "DELETE" and not (isinstance(answer, Response) and answer.status_code == 202):
             back = resource.url.rstrip("/").rpartition("/")[0] + "/"
         exchange.audit.leads_to_page = True
@@ -490,8 +490,11 @@ def _problem(error: BodyError | LoweringError | RosError | Problem) -> Problem:
     return problem_of(error) if isinstance(error, RosError) else problem_of_body(error)
 
 
-def _back(resource: Resource, answer: Answer, came_from: str | None) -> str:
-    """Where a browser goes after a form: to what it made, or back to where it stood."""
+def _back(resource: Resource, answer: Answer, came_from: str | None, space: Space) -> str:
+    """Where a browser goes after a form: to what it made, or back to where it stood, which a cockpit always is."""
+    cockpits = space.container("cockpit")
+    if came_from is not None and came_from.startswith(cockpits) and not resource.url.startswith(cockpits):
+        return came_from
     match answer:
         case CreatedAnswer():
             return answer.location

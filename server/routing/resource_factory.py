@@ -18,6 +18,8 @@ from rosld.server.resources.actions import ActionResource, GoalResource
 from rosld.server.resources.activities import ActivityContainer, ActivityResource
 from rosld.server.resources.bag_routes import bag_route
 from rosld.server.resources.bags import BagMessage
+from rosld.server.resources.cockpit_panels import CockpitSources, QueryTables
+from rosld.server.resources.cockpits import cockpit_route
 from rosld.server.resources.complex_resource import ComplexResource
 from rosld.server.resources.diagnostics import DiagnosticsResource
 from rosld.server.resources.entry_point import EntryResource
@@ -71,6 +73,7 @@ class ResourceFactory:
         )
         self._latest_values = LatestValues(services.session.topics, services.session.schemas)
         self._level_times = LevelTimes()
+        self._query_tables = QueryTables()
 
     # The graph
 
@@ -226,6 +229,21 @@ class ResourceFactory:
 
     def query_at(self, location: Location, runner: QueryRunner) -> Resource:
         return query_route(self.services.documents, self.services.queries, location, runner=runner)
+
+    def cockpit_at(self, location: Location, service: QueryService, find: Find) -> Resource:
+        services = self.services
+        sources = CockpitSources(
+            self.session,
+            self.affordances,
+            services.documents,
+            services.queries,
+            self.history,
+            services.software_stop,
+            service,
+            find,
+            self._query_tables,
+        )
+        return cockpit_route(sources, location)
 
     # What there is one of
 

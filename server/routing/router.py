@@ -124,6 +124,7 @@ class Router:
             **_finding(factory, self.at),
             "sparql": _single(lambda: self.endpoint),
             "queries": partial(factory.query_at, runner=runner),
+            "cockpit": partial(factory.cockpit_at, service=service, find=self.at),
             "openapi.json": _single(lambda: described),
             "find": _single(lambda: self.search),
             "graphs": _single(lambda: self.graphs),

@@ -13,12 +13,12 @@ from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.mappings import Mappings
 from rosld.server.hypermedia.property_reader import PropertyReader
 from rosld.server.pictures.picture_cache import PictureCache
-from rosld.server.policies import active_limits, stored_mappings, stored_queries
+from rosld.server.policies import active_limits, stored_cockpits, stored_mappings, stored_queries
 from rosld.server.policies.active_limits import ActiveLimits, initial_limits
 from rosld.server.policies.stored_mappings import initial_mappings, load_stored_mappings
 from rosld.server.receipts.journal import Journal
 from rosld.server.resources.ldp.documents import Documents
-from rosld.server.resources.ldp.validation import LimitsValidator, MappingValidator, QueryValidator
+from rosld.server.resources.ldp.validation import CockpitValidator, LimitsValidator, MappingValidator, QueryValidator
 from rosld.server.rest.state import State
 from rosld.server.robot.hold_store import Holds
 from rosld.server.robot.session import Session
@@ -44,7 +44,7 @@ class Services:
         self.active_limits = ActiveLimits(tuple(initial_limits(settings, adapter, space)), space)
         records = open_records(
             settings.data,
-            roots=(stored_mappings.ROUTE, stored_queries.ROUTE, active_limits.ROUTE),
+            roots=(stored_mappings.ROUTE, stored_queries.ROUTE, active_limits.ROUTE, stored_cockpits.ROUTE),
             versions=settings.versions,
         )
         self.receipts = Journal(
@@ -79,6 +79,7 @@ class Services:
                 stored_mappings.ROUTE: MappingValidator(self.mappings, space, announce),
                 stored_queries.ROUTE: QueryValidator(self.queries, records, space, announce),
                 active_limits.ROUTE: LimitsValidator(self.active_limits, self.states, space, announce),
+                stored_cockpits.ROUTE: CockpitValidator(space),
             },
             self.affordances.mapping_warnings,
         )

@@ -13,7 +13,7 @@ from rosld.server.storage.record import Model, Record
 _TABLE = """CREATE TABLE IF NOT EXISTS version (path TEXT NOT NULL, version INTEGER NOT NULL, created INTEGER NOT NULL,
     modified INTEGER NOT NULL, removed INTEGER, triples BLOB NOT NULL, PRIMARY KEY (path, version)) WITHOUT ROWID"""
 _NAMES = ("version_replaced", "version_removed")
-_IS_DOCUMENT = f"old.model = '{Model.RDF_SOURCE.value}' AND old.path LIKE 'data/%'"
+_IS_DOCUMENT = f"old.model = '{Model.RDF_SOURCE.value}' AND (old.path LIKE 'data/%' OR old.path LIKE 'cockpit/%')"
 _NOW = "max(old.modified + 1, CAST((julianday('now') - 2440587.5) * 86400000000 AS INTEGER) * 1000)"
 _KEEP = """
     INSERT OR REPLACE INTO version VALUES (old.path, old.version, old.created, old.modified, {removed}, old.triples);

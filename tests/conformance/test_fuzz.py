@@ -298,8 +298,8 @@ BODIES: Mapping[str, st.SearchStrategy[bytes]] = {
 for _media_type, _bodies in BODIES.items():
     schemathesis.openapi.media_type(_media_type, _bodies)
 TAGS = (
-    "actions", "activity", "bags", "calls", "channels", "data", "entry", "goals", "holds", "mappings", "nodes",
-    "parameters", "queries", "resources", "services", "shapes", "status", "topics", "types", "stop",
+    "actions", "activity", "bags", "calls", "channels", "cockpit", "data", "entry", "goals", "holds", "mappings",
+    "nodes", "parameters", "queries", "resources", "services", "shapes", "status", "topics", "types", "stop",
 )  # fmt: skip
 
 
@@ -537,7 +537,7 @@ SEGMENTS = st.sampled_from(
 )  # fmt: skip
 ROOMS = st.sampled_from(
     ["topics", "services", "nodes", "parameters", "resources", "mappings", "queries", "types", "shapes", "bags",
-     "calls", "data", "sparql", "ontology", "openapi.json", "style.css", ".well-known", "",
+     "calls", "cockpit", "data", "sparql", "ontology", "openapi.json", "style.css", ".well-known", "",
     "%74opics", "TOPICS", "graphs"]
 )  # fmt: skip
 PATHS = st.builds(

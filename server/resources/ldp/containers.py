@@ -28,7 +28,7 @@ from rosld.server.rest.state import State
 from rosld.server.storage import Blob, Conflict, ConflictCause, Model
 from rosld.server.storage.record_documents import META
 
-_SUMMARIES = {"data/": "Data that clients keep", "mappings/": "Mapping documents"}
+_SUMMARIES = {"data/": "Data that clients keep", "mappings/": "Mapping documents", "cockpit/": "Cockpits"}
 
 
 class ContainerResource(RdfSourceResource):

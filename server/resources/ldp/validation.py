@@ -1,4 +1,4 @@
-"""Validators of documents that have an effect: mappings, stored queries and limits are stored once they are valid.
+"""Validators of documents that have an effect: mappings, stored queries, limits and cockpits are stored once valid.
 
 A judge is asked before a write is done, and told what to do with it afterwards; its writes take turns.
 """
@@ -14,6 +14,8 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.mappings import Mappings
 from rosld.server.policies.active_limits import ROUTE as SHAPES
 from rosld.server.policies.active_limits import ActiveLimits
+from rosld.server.policies.stored_cockpits import ROUTE as COCKPITS
+from rosld.server.policies.stored_cockpits import check_cockpit
 from rosld.server.policies.stored_mappings import ROUTE as MAPPINGS
 from rosld.server.policies.stored_mappings import stored_mapping
 from rosld.server.policies.stored_queries import ROUTE as QUERIES
@@ -180,6 +182,42 @@ class LimitsValidator:
             self._announce()
 
         return sequel
+
+
+class CockpitValidator:
+    """Validates cockpits, which are pages once they are stored."""
+
+    shape = "cockpit"
+    media_types: Sequence[str] = RDF_BODIES
+
+    def __init__(self, space: Space) -> None:
+        self._space = space
+        self._lock = asyncio.Lock()
+
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self._space.shape(self.shape),)
+
+    @property
+    def lock(self) -> asyncio.Lock:
+        return self._lock
+
+    async def validate(self, write: Write) -> Callable[[], None]:
+        if isinstance(write, Put):
+            await self._check(write)
+        return _nothing
+
+    async def _check(self, put: Put) -> None:
+        room = self._space.base + COCKPITS
+        if put.model is not Model.RDF_SOURCE or "/" in put.path.removeprefix(COCKPITS):
+            raise Problem(
+                409, f"A cockpit is an RDF source directly under {room}: files and containers have no place there."
+            )
+        await asyncio.to_thread(check_cockpit, _unpack(put), self._space.base + put.path)
+
+
+def _nothing() -> None:
+    """Nothing is to be done."""
 
 
 def _unpack(put: Put) -> bytes:

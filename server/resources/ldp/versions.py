@@ -1,4 +1,4 @@
-"""Documents below `/data/` as they were: `?at=TIME`, `?timemap`, Accept-Datetime (RFC 7089), with `--versions`."""
+"""Documents of clients and cockpits as they were: `?at=TIME`, `?timemap`, Accept-Datetime (RFC 7089)."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from starlette.responses import Response
 
 from rosld.ontology.describe_time_map import time_map_document
 from rosld.server.http.problem import Problem
+from rosld.server.policies.stored_cockpits import ROUTE as COCKPITS
 from rosld.server.resources.ldp.documents import Documents
 from rosld.server.resources.ldp.representation import former_state
 from rosld.server.resources.memento import (
@@ -29,7 +30,7 @@ from rosld.server.settings import Settings
 from rosld.server.storage import Record, Records
 from rosld.server.storage.record import Model
 
-_ROOT = "data/"
+_ROOTS = ("data/", COCKPITS)
 
 
 class FormerDocument(Resource):
@@ -93,7 +94,7 @@ class DocumentTimeMap(Resource):
 
 def has_versions(settings: Settings, path: str) -> bool:
     """Whether former versions of what is at a path are kept, if it is a document."""
-    return settings.versions > 0 and path.startswith(_ROOT) and not path.endswith("/")
+    return settings.versions > 0 and path.startswith(_ROOTS) and not path.endswith("/")
 
 
 def memento_times(records: Records, path: str) -> list[int]:

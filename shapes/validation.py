@@ -1,4 +1,4 @@
-"""The judgement of a mapping document by the shape of mappings."""
+"""The validation of what clients write by the shapes of mappings and of cockpits."""
 
 from __future__ import annotations
 
@@ -12,8 +12,11 @@ from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 from rdflib.namespace import SH
 
 from rosld.ontology.vocab import rdfs, xsd
+from rosld.shapes.cockpit import cockpit_shape
 from rosld.shapes.mapping import mapping_shape
 
+_BASE = "https://w3id.org/rosld/shapes/"
+_MAX_DIGITS = 20
 _OTHER = rdflib.URIRef("about:other")
 
 
@@ -32,13 +35,27 @@ class ValidationResult(NamedTuple):
 
 
 @cache
-def _shapes() -> rdflib.Graph:
-    return _graph(mapping_shape("https://w3id.org/rosld/shapes/mapping").triples, exact=True)
+def _mapping_shapes() -> rdflib.Graph:
+    return _graph(mapping_shape(f"{_BASE}mapping").triples, exact=True)
+
+
+@cache
+def _cockpit_shapes() -> rdflib.Graph:
+    return _graph(cockpit_shape(f"{_BASE}cockpit").triples, exact=True)
 
 
 def validate_mapping(triples: Iterable[Triple]) -> list[ValidationResult]:
     """What SHACL finds wrong with the triples of a mapping document (none of them with a triple term)."""
-    conforms, report, _ = pyshacl.validate(_graph(triples), shacl_graph=_shapes())
+    return _validate(triples, _mapping_shapes())
+
+
+def validate_cockpit(triples: Iterable[Triple]) -> list[ValidationResult]:
+    """What SHACL finds wrong with the triples of a cockpit (none of them with a triple term)."""
+    return _validate(triples, _cockpit_shapes())
+
+
+def _validate(triples: Iterable[Triple], shapes: rdflib.Graph) -> list[ValidationResult]:
+    conforms, report, _ = pyshacl.validate(_graph(triples), shacl_graph=shapes)
     if conforms:
         return []
     assert isinstance(report, rdflib.Graph)
@@ -64,8 +81,8 @@ def _misfit(report: rdflib.Graph, result: rdflib.term.Node) -> ValidationResult:
 def _graph(triples: Iterable[Triple], *, exact: bool = False) -> rdflib.Graph:
     """The triples for pyshacl. Unless `exact`, it sees as much of a stranger's document as the shape asks about:
 
-    subclasses, which it would follow however long their chains, are left out, and a datatype but xsd:string is only
-    told to be another, for rdflib would read the value, which costs what a stranger likes it to.
+    subclasses, which it would follow however long their chains, are left out, and a datatype but xsd:string, or that of
+    a short integer, is only told to be another: rdflib would read the value, which costs what a stranger likes it to.
     """
     graph = rdflib.Graph()
     for subject, predicate, object in triples:
@@ -84,5 +101,6 @@ def _term(term: NamedNode | BlankNode | Literal | Triple, exact: bool) -> rdflib
         raise ValueError(f"SHACL 1.0 does not know the triple term {term}")
     if term.language is not None:
         return rdflib.Literal(term.value, lang=term.language)
-    datatype = rdflib.URIRef(term.datatype.value) if exact or term.datatype == xsd.string else _OTHER
+    is_cheap = term.datatype == xsd.string or (term.datatype == xsd.integer and len(term.value) <= _MAX_DIGITS)
+    datatype = rdflib.URIRef(term.datatype.value) if exact or is_cheap else _OTHER
     return rdflib.Literal(term.value, datatype=datatype)

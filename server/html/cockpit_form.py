@@ -1,0 +1,233 @@
+"""The forms of cockpits: one that writes all panels anew, one that makes a copy; and how they are read."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+from rosld.ontology.cockpit import COLUMNS, Cockpit, GridArea, Panel, PanelKind
+from rosld.ontology.violations import LoweringError, Violation
+from rosld.server.html.form_types import Method, Pairs
+from rosld.server.html.inputs import Control, Input
+from rosld.server.html.view import escape_controls
+
+ADDED = 2
+"""Rows of the form for panels that are not there yet."""
+_ROW = re.compile(r"panel\.([0-9]{1,3})\.(kind|type|shows|fields|title|column|row|width|height|remove)")
+_KINDS = tuple(kind.value for kind in PanelKind)
+_MOST = 99
+
+
+@dataclass(frozen=True, slots=True)
+class PanelInputs:
+    """The inputs of one panel: what stands in each. `number` is 0 for one that is not there yet."""
+
+    prefix: str
+    number: int
+    kind: str
+    type: str
+    shows: str
+    fields: str
+    title: str
+    column: str
+    row: str
+    width: str
+    height: str
+    is_removed: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class EditForm:
+    """A form that writes a cockpit anew. `base` is what URLs of the robot begin with, `version` what is replaced."""
+
+    template: ClassVar[str] = "edit"
+    cockpit: Cockpit
+    base: str
+    version: str
+    method: Method = "PUT"
+    action: ClassVar[str] = ""
+    submitted: Pairs | None = None
+    violations: tuple[Violation, ...] = ()
+    controls: ClassVar[tuple[Control, ...]] = ()
+
+    def with_submitted(self, pairs: Pairs, violations: Iterable[Violation]) -> EditForm:
+        """The same form as it was sent."""
+        return replace(self, submitted=tuple(pairs), violations=tuple(violations))
+
+    @property
+    def title(self) -> str:
+        """The title of the cockpit."""
+        return escape_controls(dict(self.submitted or ()).get("title", self.cockpit.title))
+
+    @property
+    def panels(self) -> tuple[PanelInputs, ...]:
+        """The inputs of its panels, and of some that may be added."""
+        if self.submitted is not None:
+            given = _rows(self.submitted)
+            return tuple(_typed(number, given[number]) for number in sorted(given))
+        there = [_inputs(number, panel, self.base) for number, panel in enumerate(self.cockpit.panels, 1)]
+        return (*there, *(_empty(len(there) + 1 + number) for number in range(ADDED)))
+
+
+@dataclass(frozen=True, slots=True)
+class CopyForm:
+    """A form that makes a cockpit of a name as a copy of one at a URL."""
+
+    template: ClassVar[str] = "copy"
+    source: str
+    method: Method = "POST"
+    title: str = "Keep a copy"
+    button: str = "Keep"
+    action: str = ""
+    about: str = "It can be changed, and has an address of its own."
+    submitted: Pairs | None = None
+    violations: tuple[Violation, ...] = ()
+
+    def with_submitted(self, pairs: Pairs, violations: Iterable[Violation]) -> CopyForm:
+        """The same form as it was sent."""
+        given = dict(pairs)
+        return replace(
+            self,
+            source=given.get("source", self.source),
+            submitted=tuple(pairs),
+            violations=tuple(violations),
+        )
+
+    @property
+    def controls(self) -> tuple[Control, ...]:
+        """Its inputs."""
+        given = dict(self.submitted or ())
+        error = escape_controls("; ".join(each.message for each in self.violations))
+        return (
+            Input("name", "name", "text", escape_controls(given.get("name", "")), error=error, maxlength="100"),
+            Input("source", "copy of", "text", escape_controls(self.source), maxlength="1000"),
+        )
+
+
+def parse_copy(pairs: Pairs) -> dict[str, object]:
+    """The plain JSON of a form that makes a copy. Raises LoweringError."""
+    given = dict(pairs)
+    name, source = given.get("name", "").strip(), given.get("source", "").strip()
+    if not name:
+        raise LoweringError(Violation("name", "is empty: a cockpit has a name", None))
+    return {"name": name, "source": source}
+
+
+def parse_edit(pairs: Pairs) -> dict[str, object]:
+    """The plain JSON of a form that writes a cockpit. Raises LoweringError with what is no number."""
+    given, rows = dict(pairs), _rows(pairs)
+    violations: list[Violation] = []
+    panels = []
+    for number in sorted(rows):
+        said = rows[number]
+        if said.get("remove") or not (said.get("shows", "").strip() or said.get("title", "").strip()):
+            continue
+        area = {
+            name: _number(number, name, said.get(name, ""), most, violations)
+            for name, most in (("column", COLUMNS), ("row", _MOST), ("width", COLUMNS), ("height", COLUMNS))
+        }
+        panels.append(
+            {
+                "kind": said.get("kind", ""),
+                "type": said.get("type", ""),
+                "title": said.get("title", "").strip(),
+                "shows": said.get("shows", "").split(),
+                "fields": said.get("fields", "").split(),
+                **area,
+            }
+        )
+    if violations:
+        raise LoweringError(*violations)
+    return {"title": given.get("title", "").strip(), "version": given.get("version", ""), "panels": panels}
+
+
+def _number(panel: int, name: str, text: str, most: int, violations: list[Violation]) -> int | None:
+    text = text.strip()
+    if not text:
+        return None
+    if text.isdecimal() and text.isascii() and len(text) < 4 and 1 <= int(text) <= most:
+        return int(text)
+    violations.append(Violation(f"panel.{panel}.{name}", f"must be a whole number from 1 to {most}", text[:40]))
+    return None
+
+
+def cockpit_of_form(value: Mapping[str, object], base: str) -> Cockpit:
+    """The cockpit that the plain JSON of a form describes; references are relative to the base of the server."""
+    rows = value.get("panels")
+    panels = [_panel(row, base) for row in (rows if isinstance(rows, list) else []) if isinstance(row, dict)]
+    return Cockpit(str(value.get("title", "")), tuple(panels))
+
+
+def _panel(row: Mapping[str, object], base: str) -> Panel:
+    name = str(row["kind"])
+    kind = PanelKind(name) if name in _KINDS else None
+    default = GridArea()
+    area = GridArea(
+        _whole(row["width"]) or default.width,
+        _whole(row["height"]) or default.height,
+        _whole(row["column"]),
+        _whole(row["row"]),
+    )
+    shows, fields = _texts(row["shows"]), _texts(row["fields"])
+    split = [each.partition("#") for each in shows]
+    fields = list(dict.fromkeys([*fields, *(field for _, _, field in split if field)]))
+    urls = list(dict.fromkeys(_absolute(url, base) for url, _, _ in split if url))
+    return Panel(kind, tuple(urls), tuple(fields), str(row["title"]), area, str(row["type"]))
+
+
+def _texts(value: object) -> list[str]:
+    return [str(each) for each in value] if isinstance(value, list) else []
+
+
+def _whole(value: object) -> int | None:
+    return value if isinstance(value, int) else None
+
+
+def _absolute(reference: str, base: str) -> str:
+    """A reference as an IRI: one without a scheme is below the base."""
+    if re.match(r"[A-Za-z][A-Za-z0-9+.-]*:", reference):
+        return reference
+    return base + reference.lstrip("/")
+
+
+def _rows(pairs: Pairs) -> dict[int, dict[str, str]]:
+    found: dict[int, dict[str, str]] = {}
+    for name, value in pairs:
+        match = _ROW.fullmatch(name)
+        if match is not None:
+            found.setdefault(int(match[1]), {})[match[2]] = value
+    return found
+
+
+def _inputs(number: int, panel: Panel, base: str) -> PanelInputs:
+    area = panel.area
+    return PanelInputs(
+        f"panel.{number}.",
+        number,
+        "" if panel.kind is None else panel.kind.value,
+        escape_controls(panel.type),
+        escape_controls(" ".join(each.removeprefix(base) for each in panel.shows)),
+        escape_controls(" ".join(panel.fields)),
+        escape_controls(panel.title),
+        str(area.column or ""),
+        str(area.row or ""),
+        str(area.width),
+        str(area.height),
+    )
+
+
+def _empty(number: int) -> PanelInputs:
+    return PanelInputs(f"panel.{number}.", 0, PanelKind.VALUE.value, "", "", "", "", "", "", "4", "3")
+
+
+def _typed(number: int, said: Mapping[str, str]) -> PanelInputs:
+    names = ("kind", "type", "shows", "fields", "title", "column", "row", "width", "height")
+    given = {name: escape_controls(said.get(name, "")) for name in names}
+    return PanelInputs(f"panel.{number}.", number, is_removed=bool(said.get("remove")), **given)
+
+
+def kinds_of_panels() -> Sequence[str]:
+    """What may be chosen as the kind of a panel."""
+    return _KINDS

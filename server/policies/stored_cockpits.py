@@ -1,0 +1,86 @@
+"""Cockpits that clients keep: what may be stored as one, and which there are."""
+
+from __future__ import annotations
+
+from itertools import islice
+from typing import TYPE_CHECKING
+
+from pyoxigraph import NamedNode, RdfFormat, Triple, parse
+
+from rosld.ontology.cockpit import read_cockpit
+from rosld.ontology.urls import Space, decode_segment
+from rosld.ontology.violations import LoweringError, Violation, brief_value
+from rosld.ontology.vocab import rdf, ros
+from rosld.server.storage import Records
+from rosld.server.storage.packing import unpack
+from rosld.shapes.cockpit import MAX_PANELS
+
+if TYPE_CHECKING:
+    from rosld.shapes.validation import ValidationResult
+
+ROUTE = "cockpit/"
+DEFAULT = "default"
+"""The name of the cockpit that is made from what the robot has."""
+_MAX_TRIPLES = 1500
+_MAX_VIOLATIONS = 20
+
+
+class InvalidCockpit(LoweringError):
+    """A document that is no cockpit."""
+
+
+def cockpit_titles(records: Records, space: Space, limit: int) -> list[tuple[str, str]]:
+    """The URLs of the first cockpits that are kept, each with what it is called: its title, else its name."""
+    found = []
+    for member in records.members(ROUTE, limit=limit):
+        record, url = records.get(member.path), space.base + member.path
+        if record is not None and not record.model.is_container:
+            triples = (quad.triple for quad in parse(unpack(record.triples), RdfFormat.N_TRIPLES))
+            found.append((url, read_cockpit(triples, url).title or name_of(member.path)))
+    return found
+
+
+def check_cockpit(data: bytes, url: str) -> None:
+    """Check the N-Triples of a document that is to be stored at a URL. Raises InvalidCockpit with what is wrong."""
+    from rosld.shapes.validation import validate_cockpit  # pyshacl takes its time, and few servers keep a cockpit
+
+    # A document that is far too long is not read to its end: it would only be counted.
+    triples = [quad.triple for quad in islice(parse(data, RdfFormat.N_TRIPLES), _MAX_TRIPLES + 1)]
+    if len(triples) > _MAX_TRIPLES:
+        words = f"a cockpit has at most {MAX_PANELS} panels and {_MAX_TRIPLES} triples; make several of it"
+        raise InvalidCockpit(Violation("", words))
+    if strange := next((each for each in triples if Triple in (type(each.subject), type(each.object))), None):
+        raise InvalidCockpit(Violation("", "a cockpit has no triple terms", brief_value(str(strange))))
+    found = [_violation(each, url) for each in validate_cockpit(triples)]
+    if Triple(NamedNode(url), rdf.type, ros.Cockpit) not in triples:
+        words = f"the document describes no cockpit: say that <{url}> (<> in it) is a ros:Cockpit"
+        found.insert(0, Violation("", words))
+    if found:
+        once = {(each.path, each.message): each for each in found}  # one message tells of several constraints
+        raise InvalidCockpit(*(once[key] for key in sorted(once)[:_MAX_VIOLATIONS]))
+
+
+def _violation(result: ValidationResult, url: str) -> Violation:
+    is_node = not isinstance(result.focus, str)
+    focus = result.focus if isinstance(result.focus, str) else result.focus.value
+    name = focus.removeprefix(url) or "<>"
+    predicate = "" if result.predicate is None else _short(result.predicate.value)
+    return Violation(
+        f"{name} {predicate}".strip(),
+        result.message,
+        brief_value(result.value),
+        result.component,
+        None,
+        result.focus if is_node and not isinstance(result.focus, str) else NamedNode(url),
+        result.predicate,
+    )
+
+
+def _short(iri: str) -> str:
+    """The name of a term as people write it."""
+    return f"ros:{iri.removeprefix(ros.iri)}" if iri.startswith(ros.iri) else iri.rpartition("#")[2].rpartition("/")[2]
+
+
+def name_of(path: str) -> str:
+    """The name of the cockpit that has this path."""
+    return decode_segment(path.removeprefix(ROUTE))

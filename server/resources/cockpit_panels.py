@@ -1,0 +1,364 @@
+"""What the panels of a cockpit show: each is read from the resource that it names, as one agent may see it."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+from urllib.parse import parse_qsl
+
+from rosld.adapters.base import Watch
+from rosld.adapters.model import RosError
+from rosld.ontology.cockpit import Cockpit, Panel, PanelKind
+from rosld.ontology.urls import Location
+from rosld.server.auth.permissions import Permissions
+from rosld.server.history.history import History
+from rosld.server.html import EditForm, Form, HoldForm, MessageForm, PageResults, forms_of
+from rosld.server.html.labels import capitalize, split_words
+from rosld.server.html.panels import (
+    MAX_STREAM,
+    DriveContent,
+    FilledPanel,
+    FormsContent,
+    PanelContent,
+    PictureContent,
+    PlotContent,
+    SpaceContent,
+    StatesContent,
+    TableContent,
+    ValueContent,
+    WordsContent,
+)
+from rosld.server.html.picture_view import picture_view
+from rosld.server.html.space_view import space_query
+from rosld.server.http.conditional import digest
+from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.affordance_service import AffordanceService
+from rosld.server.policies.stored_queries import StoredQueries
+from rosld.server.resources.diagnostics import DiagnosticsResource
+from rosld.server.resources.ldp.documents import Documents
+from rosld.server.resources.messages import decode
+from rosld.server.resources.number_finder import NumberFinder
+from rosld.server.resources.space import SpaceResource
+from rosld.server.resources.sparql_endpoint import page_results
+from rosld.server.resources.topics import TopicResource
+from rosld.server.rest.resource import Resource
+from rosld.server.rest.state import State
+from rosld.server.robot.session import Session
+from rosld.server.robot.software_stop import SoftwareStop
+from rosld.server.runtime.signals import call_every, combine_watches
+from rosld.server.sparql.protocol import QueryRequest
+from rosld.server.sparql.query_service import QueryService
+from rosld.server.sparql.stored_query import OTHER_SETTINGS, StoredQuery, bind_parameters
+
+_PATIENCE = 4.0
+"""Seconds that a panel may take; then it says so."""
+_LOOK_SECONDS = 2.0
+"""How often is looked at what tells of no change."""
+_ROWS = 50
+_TABLE_SECONDS = 10.0
+"""For so long the results of a query are shown again."""
+_QUERY_SECONDS = 3.0
+_MAX_TABLES = 64
+_COMMANDED = frozenset({"services", "actions", "resources", "topics", "parameters", "goals", "holds", "stop"})
+"""The kinds of URLs that a panel offers to send something to: all that reaches the robot."""
+
+
+class Hidden(Exception):
+    """The agent may not know of what a panel shows, or may not do what it offers."""
+
+
+class QueryTables:
+    """The results of queries as they were shown last, each for a while."""
+
+    def __init__(self) -> None:
+        self._found: OrderedDict[tuple[str, str], tuple[float, PageResults]] = OrderedDict()
+
+    def find(self, key: tuple[str, str]) -> PageResults | None:
+        """The results under a key, if they are new enough."""
+        found = self._found.get(key)
+        return None if found is None or time.monotonic() - found[0] > _TABLE_SECONDS else found[1]
+
+    def put(self, key: tuple[str, str], results: PageResults) -> PageResults:
+        """Keep results; returns them."""
+        self._found.pop(key, None)
+        self._found[key] = (time.monotonic(), results)
+        if len(self._found) > _MAX_TABLES:
+            self._found.popitem(last=False)
+        return results
+
+
+@dataclass(frozen=True, slots=True)
+class CockpitSources:
+    """What cockpits are made from. `at` finds the resource at a path."""
+
+    session: Session
+    affordances: AffordanceService[State]
+    documents: Documents
+    queries: StoredQueries
+    history: History
+    software_stop: SoftwareStop
+    service: QueryService
+    at: Callable[[str], Resource]
+    tables: QueryTables
+
+
+class PanelReader:
+    """Reads panels for one agent."""
+
+    def __init__(self, sources: CockpitSources, permissions: Permissions) -> None:
+        self._sources = sources
+        self._session = sources.session
+        self._permissions = permissions
+
+    async def read(self, cockpit: Cockpit) -> tuple[tuple[FilledPanel, ...], int]:
+        """The panels as they are now, and the number of those that the agent may not know of."""
+        found = await asyncio.gather(*map(self._filled, cockpit.panels))
+        there = tuple(each for each in found if each is not None)
+        return there, len(found) - len(there)
+
+    async def watch(self, cockpit: Cockpit, wake: Callable[[], None]) -> Watch:
+        """Call `wake` whenever a value may have changed; what tells of no change is looked for now and then."""
+        watches = [self._sources.software_stop.changes.watch(wake), call_every(_LOOK_SECONDS, wake)]
+        kinds = (PanelKind.VALUE, PanelKind.BUTTON)
+        for url in {url for each in cockpit.panels if each.kind in kinds for url in each.shows}:
+            try:
+                if self._permissions.may_read(url):
+                    resource = await self._resource(url)
+                    watches += [watch for watch in [await resource.watch(wake)] if watch is not None]
+            except (Problem, RosError, ValueError):
+                continue  # the panel says why
+        return combine_watches(*watches)
+
+    async def _filled(self, panel: Panel) -> FilledPanel | None:
+        try:
+            content, version = await asyncio.wait_for(self._content(panel), _PATIENCE)
+        except Hidden:
+            return None
+        except (TimeoutError, asyncio.TimeoutError):
+            content = WordsContent(f"There was no answer within {_PATIENCE:g} s.")
+            version = content.words
+        except (Problem, RosError, ValueError) as error:
+            content = WordsContent(_sentence(error))
+            version = content.words
+        return FilledPanel(panel, content, version)
+
+    async def _content(self, panel: Panel) -> tuple[PanelContent, str]:
+        """What a panel shows, and the version of that."""
+        base = self._session.space.base
+        foreign = next((each for each in panel.shows if not each.startswith(base)), None)
+        words = ""
+        if not panel.shows:
+            words = "It shows nothing: say of what by ros:shows."
+        elif foreign is not None:
+            words = f"{foreign} is not of this robot: it is linked, and never fetched."
+        elif panel.kind is None:
+            words = f"Panels of the type {panel.type or 'ros:Panel'} are not known here."
+        if words:
+            return WordsContent(words), words
+        if not all(map(self._permissions.may_read, panel.shows)):
+            raise Hidden
+        url = panel.shows[0]
+        match panel.kind:
+            case PanelKind.PLOT:
+                return await self._plot(panel)
+            case PanelKind.PICTURE:
+                return await self._picture(url)
+            case PanelKind.SPACE:
+                return self._space(panel.shows)
+            case PanelKind.DRIVE:
+                return await self._drive(url)
+            case PanelKind.BUTTON:
+                return await self._forms(panel.shows)
+            case PanelKind.QUERY:
+                return await self._table(url)
+            case _:
+                return await self._value(url)
+
+    # Resources
+
+    def _find(self, url: str) -> Resource:
+        """The resource at a URL of this robot. Raises Problems."""
+        path = url.removeprefix(self._session.space.base).partition("#")[0].partition("?")[0]
+        try:
+            return self._sources.at(f"/{path}")
+        except ValueError as error:
+            raise Problem(404, f"There is nothing at /{path}: {error}.") from error
+
+    async def _resource(self, url: str) -> Resource:
+        found = self._find(url)
+        if isinstance(found, DiagnosticsResource):
+            found = DiagnosticsResource(found.session, found.history, found.level_times, "", self._permissions)
+        await found.prepare()
+        return found
+
+    async def _state(self, resource: Resource) -> State:
+        """The state of a resource as the agent may see it. Raises Problems and RosError."""
+        try:
+            state = await resource.state()
+        except NotImplementedError as error:
+            raise Problem(404, f"{resource.url} has no value that could be shown here.") from error
+        if state.is_large:
+            raise Problem(413, f"{resource.url} is too large to be shown here.")
+        return state if self._permissions.is_unrestricted else resource.redact(state, self._permissions)
+
+    def _topic(self, url: str) -> TopicResource:
+        found = self._find(url)
+        if not isinstance(found, TopicResource):
+            raise Problem(404, f"{url} is no topic.")
+        if found.topic is None:
+            raise Problem(404, f"There is no topic {found.name} now.")
+        return found
+
+    # What is shown
+
+    async def _value(self, url: str) -> tuple[PanelContent, str]:
+        resource = await self._resource(url)
+        state = await self._state(resource)
+        if isinstance(resource, DiagnosticsResource):
+            return StatesContent(tuple(resource.states)), state.tag
+        return ValueContent(state.document, state.view), state.tag
+
+    async def _plot(self, panel: Panel) -> tuple[PanelContent, str]:
+        references = list(dict.fromkeys(self._references(panel)))[:MAX_STREAM]
+        if not references:
+            raise Problem(422, "Say by ros:fieldPath which numbers of it are drawn.")
+        finder = NumberFinder(self._session, self._sources.affordances, self._sources.history, self._permissions)
+        numbers = [await finder.describe(await finder.locate(each)) for each in references]
+        return PlotContent(tuple(numbers), tuple(references)), repr(numbers)
+
+    def _references(self, panel: Panel) -> Sequence[str]:
+        """The references of the numbers that a panel draws: its fields, or those that the URL of a plot names."""
+        found: list[str] = []
+        for url in panel.shows:
+            below = url.removeprefix(self._session.space.base)
+            path, _, query = below.partition("?")
+            if path == "plot":
+                found += [value for name, value in parse_qsl(query, max_num_fields=100) if name == "y" and value]
+            elif panel.fields:
+                found += [f"{below}#{each}" for each in panel.fields]
+            elif path.startswith("resources/"):
+                found.append(below)
+        return found
+
+    def _space(self, urls: Sequence[str]) -> tuple[PanelContent, str]:
+        """The view at a URL, or that of topics."""
+        base = self._session.space.base
+        if isinstance(self._find(urls[0]), SpaceResource):
+            reference = urls[0].removeprefix(base)
+        else:
+            names = [self._topic(each) for each in urls]
+            reference = f"space{space_query('', [each.url.removeprefix(base) for each in names])}"
+        return SpaceContent(reference), reference
+
+    async def _picture(self, url: str) -> tuple[PanelContent, str]:
+        topic = self._topic(url)
+        if not topic.is_picture:
+            raise Problem(422, f"The messages of {topic.name} are no pictures.")
+        view = await self._session.topics.read(topic.name)
+        if view.newest is None:
+            raise Problem(404, "No picture has come yet.")
+        decoded = await decode(self._session.schemas, view.newest)
+        if decoded.schema is None or decoded.message is None:
+            raise Problem(422, f"The picture cannot be read: {decoded.reason}.")
+        found = picture_view(decoded.schema, decoded.message, "", moves=True)
+        assert found is not None
+        return PictureContent(found, view.newest.sequence), f"{found} {view.newest.sequence}"
+
+    async def _drive(self, url: str) -> tuple[PanelContent, str]:
+        topic = self._topic(url)
+        if "POST" not in topic.methods():
+            raise Problem(405, topic.deny_reason("POST"))
+        if not self._permissions.may("POST", url):
+            raise Hidden
+        if self._session.is_stopped:
+            raise Problem(423, "The robot is stopped: it is not driven until it is released.")
+        form = next((each for each in await topic.forms() if isinstance(each, HoldForm) and each.pad), None)
+        if form is None or form.pad is None:
+            raise Problem(422, f"{topic.name} commands no velocity that a pad could.")
+        return DriveContent(replace(form, action=topic.url)), form.pad.json
+
+    async def _forms(self, urls: Sequence[str]) -> tuple[PanelContent, str]:
+        found: list[Form] = []
+        versions: list[str] = []
+        for url in urls:
+            forms, version = await self._offered(url)
+            found += forms
+            versions.append(version)
+        may = [each for each in found if self._permissions.may(each.method, each.action)]
+        if found and not may:
+            raise Hidden
+        if not may and self._session.is_stopped:
+            raise Problem(423, "The robot is stopped: nothing is sent to it until it is released.")
+        if not may:
+            raise Problem(404, "Nothing can be sent there now.")
+        return FormsContent(tuple(may)), repr(versions)
+
+    async def _offered(self, url: str) -> tuple[Sequence[Form], str]:
+        """What can be sent to a resource now, each with the URL that it is sent to, and the version of that."""
+        location = self._session.space.location(url)
+        if location is None or location.kind not in _COMMANDED:
+            raise Problem(422, "From a cockpit something is sent to the robot only: to a service, an action, a value.")
+        resource = await self._resource(url)
+        if location.kind == "resources":
+            state = await self._state(resource)
+            forms: Sequence[Form] = () if state.view is None else forms_of(state.view)
+            version = state.tag
+        else:
+            if resource.is_absent:
+                raise Problem(404, f"There is nothing at {resource.url}.")
+            forms = [each for each in await resource.forms() if not isinstance(each, HoldForm)]
+            version = f"{[(each.method, each.title) for each in forms]}"
+        aimed = [_aimed(each, resource.url, location) for each in forms if each.method not in resource.withheld]
+        return aimed, f"{version}{len(aimed)}"
+
+    # Tables
+
+    async def _table(self, url: str) -> tuple[PanelContent, str]:
+        key = (url, self._permissions.rights_key + self._permissions.cache_key)
+        tables = self._sources.tables
+        results = tables.find(key) or tables.put(key, await self._results(url))
+        said = f"{results.variables}{results.rows}{results.boolean}{results.note}"
+        return TableContent(results), digest(said.encode("utf-8", "replace"))
+
+    async def _results(self, url: str) -> PageResults:
+        """The first rows of the results of a stored query, with the parameters that a URL gives. Raises Problems."""
+        query = await self._query(url)
+        pairs = parse_qsl(url.partition("#")[0].partition("?")[2], keep_blank_values=True, max_num_fields=100)
+        given = {name: value for name, value in pairs if name not in OTHER_SETTINGS}
+        text = bind_parameters(query, given, self._session.space.base)
+        request = QueryRequest(text, timeout=_QUERY_SECONDS)
+        results = await page_results(self._sources.service, request, None, self._permissions)
+        return replace(results, rows=list(islice(results.rows, _ROWS + 1)), limit=_ROWS)
+
+    async def _query(self, url: str) -> StoredQuery:
+        space = self._session.space
+        queries, location = self._sources.queries, space.location(url)
+        if location is None or location.kind != "queries" or len(location.segments) != 1 or location.is_container:
+            raise Problem(422, f"{url} is no stored query.")
+        record = self._sources.documents.records.get(url[len(space.base) :].partition("#")[0].partition("?")[0])
+        if record is not None and record.blob is not None:
+            return await queries.executable(record)
+        shipped = queries.shipped.get(location.segments[0])
+        if shipped is None:
+            raise Problem(404, f"There is no stored query {location.segments[0]}.")
+        return shipped
+
+
+def _aimed(form: Form, url: str, location: Location) -> Form:
+    """A form that posts to a URL wherever it stands, and tells what it does there."""
+    if form.action or isinstance(form, EditForm):
+        return form
+    if isinstance(form, MessageForm) and location.kind == "services":
+        name = capitalize(split_words(location.segments[-1]))
+        return replace(form, action=url, title=location.name, button=name)
+    return replace(form, action=url)
+
+
+def _sentence(error: Problem | RosError | ValueError) -> str:
+    if isinstance(error, Problem):
+        return error.detail
+    return error.sentence if isinstance(error, RosError) else f"{error}."

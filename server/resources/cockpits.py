@@ -1,0 +1,406 @@
+"""Cockpits: `/cockpit/NAME`, panels in a grid, kept as RDF; `/cockpit/default` is made from what the robot has."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import cast
+
+from pyoxigraph import NamedNode, Triple
+
+from rosld.adapters.base import Watch
+from rosld.ontology.cockpit import NOTHING, Cockpit, cockpit_triples, read_cockpit, without_cockpit
+from rosld.ontology.document import Document
+from rosld.ontology.triples import RDF_SOURCE, triples_about
+from rosld.ontology.urls import Location
+from rosld.server.auth.errors import forbidden
+from rosld.server.auth.permissions import Permissions
+from rosld.server.html import (
+    CockpitPage,
+    CopyForm,
+    Csrf,
+    DeleteForm,
+    EditForm,
+    Form,
+    MemberColumns,
+    Notice,
+    Site,
+    cockpit_of_form,
+    render_cockpit,
+)
+from rosld.server.html.panels import FilledPanel
+from rosld.server.http import negotiation
+from rosld.server.http.charset import FORM
+from rosld.server.http.conditional import digest
+from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.policies.stored_cockpits import DEFAULT, ROUTE, cockpit_titles
+from rosld.server.resources.cockpit_panels import CockpitSources, PanelReader
+from rosld.server.resources.default_cockpit import default_cockpit
+from rosld.server.resources.ldp.base import EXTRA_STATUSES, conflict_problem
+from rosld.server.resources.ldp.containers import ContainerResource
+from rosld.server.resources.ldp.creation import creation_writes
+from rosld.server.resources.ldp.documents import Documents
+from rosld.server.resources.ldp.rdf_sources import RdfSourceResource
+from rosld.server.resources.ldp.representation import state_of
+from rosld.server.resources.ldp.routes import stored_route
+from rosld.server.resources.ldp.transaction import write_together
+from rosld.server.resources.ldp.versions import former_of
+from rosld.server.resources.namespaces import listed_graph
+from rosld.server.resources.stop import unusable_reason
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.formats import FORMATS, HTML, JSON, OFFERS
+from rosld.server.rest.paging import PagePosition
+from rosld.server.rest.path_item import FORMAT, PAGE, PathItem
+from rosld.server.rest.prefer_container import ALL_PARTS, ContainerParts
+from rosld.server.rest.raw_response import no_content
+from rosld.server.rest.resource import RDF_SOURCE as RDF_SOURCE_LINK
+from rosld.server.rest.resource import RESOURCE, Answer, CreatedAnswer, Resource
+from rosld.server.rest.slug import choose_name
+from rosld.server.rest.state import State
+from rosld.server.runtime.signals import combine_watches
+from rosld.server.storage import Conflict, Model, Record, Write
+
+_MAX_TABS = 20
+_MAX_SUGGESTIONS = 200
+
+
+@dataclass(eq=False)
+class CockpitState(State):
+    """The state of the page of a cockpit: beside the document its panels as they are now."""
+
+    cockpit: Cockpit = NOTHING
+    panels: tuple[FilledPanel, ...] = ()
+    hidden: int = 0
+
+
+def wants_page(exchange: Exchange) -> bool:
+    """Whether a request asks for the page, follows it, or is a form of it."""
+    if exchange.method == "POST":
+        return (exchange.header("content-type") or "").startswith(FORM)
+    if exchange.method not in ("GET", "HEAD"):
+        return False
+    wanted = exchange.query.get("format")
+    return FORMATS.get(wanted) == HTML if wanted else negotiation.choose(exchange.accept, OFFERS) == HTML
+
+
+async def filled_state(cockpit: Cockpit, document: State, reader: PanelReader) -> CockpitState:
+    """The state of the page of a cockpit whose document has this state."""
+    panels, hidden = await reader.read(cockpit)
+    token = digest(repr((document.tag, hidden, [each.version for each in panels])).encode("utf-8", "replace"))
+    return CockpitState(
+        document.describe, token=token, headers=document.headers, cockpit=cockpit, panels=panels, hidden=hidden
+    )
+
+
+def cockpit_tabs(documents: Documents) -> tuple[tuple[str, str], ...]:
+    """The URLs of the default cockpit and the first of those that clients keep, with what they are called."""
+    space = documents.space
+    return ((space.cockpit(DEFAULT), "Default"), *cockpit_titles(documents.records, space, _MAX_TABS))
+
+
+def copy_form(site: Site, source: str) -> CopyForm | None:
+    """The form that keeps a copy, None where the reader may keep none."""
+    return None if site.read_only or not site.may("POST", f"{site.base}{ROUTE}") else CopyForm(source)
+
+
+# What clients keep
+
+
+class CockpitResource(RdfSourceResource):
+    """A cockpit that a client keeps."""
+
+    kind = "Cockpit"
+
+    def __init__(self, sources: CockpitSources, path: str) -> None:
+        super().__init__(sources.documents, path)
+        self._sources = sources
+
+    async def select_variant(self, exchange: Exchange) -> Resource:
+        """As it was, or its page where that is asked for."""
+        former = former_of(self.documents, self.path, exchange)
+        if former is not None or not wants_page(exchange):
+            return former or self
+        return ShownCockpit(self._sources, self.path, exchange.permissions)
+
+
+class ShownCockpit(CockpitResource):
+    """A cockpit that a client keeps, as its page shows it to one agent."""
+
+    def __init__(self, sources: CockpitSources, path: str, permissions: Permissions) -> None:
+        super().__init__(sources, path)
+        self._permissions = permissions
+        self._reader = PanelReader(sources, permissions)
+
+    @property
+    def variant_key(self) -> Hashable:
+        return "page", self._permissions.rights_key
+
+    async def select_variant(self, exchange: Exchange) -> Resource:
+        return self
+
+    @property
+    def _cockpit(self) -> Cockpit:
+        return read_cockpit(state_of(self.documents, self.require_record()).document.triples, self.url)
+
+    async def state(self) -> State:
+        return await filled_state(self._cockpit, await super().state(), self._reader)
+
+    def redact(self, state: State, permissions: Permissions) -> State:
+        """The state: its panels were read for the agent."""
+        return state
+
+    async def watch(self, wake: Callable[[], None]) -> Watch | None:
+        own = self.documents.changes.watch(wake, lambda path: path.startswith(ROUTE))
+        return combine_watches(own, await self._reader.watch(self._cockpit, wake))
+
+    async def forms(self) -> Sequence[Form]:
+        if "PUT" not in self.methods():
+            return ()
+        edit = EditForm(self._cockpit, self.documents.space.base, str(self.require_record().version))
+        return (edit, DeleteForm("Delete this cockpit"))
+
+    def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
+        assert isinstance(state, CockpitState)
+        edit = next((each for each in forms if isinstance(each, EditForm)), None)
+        delete = next((each for each in forms if isinstance(each, DeleteForm)), None)
+        return render_cockpit(
+            CockpitPage(
+                site,
+                self.url,
+                state.cockpit,
+                state.panels,
+                state.hidden,
+                cockpit_tabs(self.documents),
+                csrf,
+                edit if site.may("PUT", self.url) else None,
+                copy_form(site, self.url),
+                delete if site.may("DELETE", self.url) else None,
+                tuple(notices),
+                _suggestions(self._sources, site) if edit is not None else (),
+            )
+        )
+
+    async def put(self, exchange: Exchange) -> Answer:
+        """Write the cockpit that a form describes in place of this one."""
+        value = cast("Mapping[str, object]", json.loads(await exchange.body()))
+        cockpit = cockpit_of_form(value, self.documents.space.base)
+
+        async def changed(record: Record) -> Write:
+            if value.get("version") != str(record.version):
+                raise Problem(
+                    409, "The cockpit was changed meanwhile: load the page again, and change it as it is now."
+                )
+            before = state_of(self.documents, record).document.triples
+            after = [*without_cockpit(before, self.url), *_triples(self.url, cockpit)]
+            return await self.with_triples(record, after, record.version, frozenset(before))
+
+        await self.change_record(exchange, changed)
+        return no_content()
+
+
+def _triples(url: str, cockpit: Cockpit) -> list[Triple]:
+    """What a cockpit says. Raises a 422 Problem for what is no IRI."""
+    try:
+        return cockpit_triples(url, cockpit)
+    except ValueError as error:
+        raise Problem(422, f"What a panel shows is an IRI, or a path below the base: {error}.") from error
+
+
+def _suggestions(sources: CockpitSources, site: Site) -> tuple[str, ...]:
+    """What a panel may show, as paths below the base."""
+    space, graph = sources.session.space, listed_graph(sources.session)
+    urls = (
+        *map(space.topic, graph.topics),
+        f"{space.base}diagnostics",
+        space.stop,
+        *map(space.query, sources.queries.shipped),
+        *map(space.service, graph.services),
+    )
+    return tuple(each.removeprefix(space.base) for each in urls if site.may("GET", each))[:_MAX_SUGGESTIONS]
+
+
+# What is made
+
+
+class DefaultCockpit(Resource):
+    """The cockpit that is made from what the robot has. It is not kept: a copy of it is."""
+
+    kind = "Cockpit"
+    title = "Default cockpit"
+    links = (RESOURCE, RDF_SOURCE_LINK)
+
+    def __init__(self, sources: CockpitSources) -> None:
+        super().__init__(sources.session.space.cockpit(DEFAULT))
+        self.documents = sources.documents
+        self._sources = sources
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        return PathItem("The cockpit that is made from what the robot has", query=(FORMAT,))
+
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self.documents.space.document_shape("Source"), self.documents.space.shape("cockpit"))
+
+    def deny_reason(self, method: str) -> str:
+        if self.documents.settings.read_only:
+            return "This server is read-only."
+        room = self.documents.space.container("cockpit")
+        return f"This cockpit is made from what the robot has: PUT one of another name to {room}NAME."
+
+    async def select_variant(self, exchange: Exchange) -> Resource:
+        """Its page where that is asked for."""
+        if not wants_page(exchange):
+            return self
+        return ShownDefault(self._sources, exchange.permissions)
+
+    async def cockpit(self) -> Cockpit:
+        """The cockpit as it is now."""
+        session, stop = self._sources.session, self._sources.software_stop
+        can_stop = unusable_reason(session, stop) is None
+        return await default_cockpit(session, self._sources.affordances, can_stop=can_stop)
+
+    async def state(self) -> State:
+        cockpit = await self.cockpit()
+        return self.documents.states.get_or_make(self.url, cockpit, lambda: State(lambda: self._document(cockpit)))
+
+    def _document(self, cockpit: Cockpit) -> Document:
+        own = triples_about(NamedNode(self.url), *RDF_SOURCE)
+        return Document(self.url, (*own, *cockpit_triples(self.url, cockpit)))
+
+
+class ShownDefault(DefaultCockpit):
+    """The default cockpit as its page shows it to one agent."""
+
+    is_cacheable = False
+
+    def __init__(self, sources: CockpitSources, permissions: Permissions) -> None:
+        super().__init__(sources)
+        self._permissions = permissions
+        self._reader = PanelReader(sources, permissions)
+
+    @property
+    def variant_key(self) -> Hashable:
+        return "page", self._permissions.rights_key
+
+    async def select_variant(self, exchange: Exchange) -> Resource:
+        return self
+
+    async def state(self) -> State:
+        return await filled_state(await self.cockpit(), await super().state(), self._reader)
+
+    def redact(self, state: State, permissions: Permissions) -> State:
+        """The state: its panels were read for the agent."""
+        return state
+
+    async def watch(self, wake: Callable[[], None]) -> Watch | None:
+        own = self.documents.changes.watch(wake, lambda path: path.startswith(ROUTE))
+        return combine_watches(own, await self._reader.watch(await self.cockpit(), wake))
+
+    def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
+        assert isinstance(state, CockpitState)
+        return render_cockpit(
+            CockpitPage(
+                site,
+                self.url,
+                state.cockpit,
+                state.panels,
+                state.hidden,
+                cockpit_tabs(self.documents),
+                csrf,
+                copy=copy_form(site, self.url),
+                notices=tuple(notices),
+            )
+        )
+
+
+# All of them
+
+
+class CockpitContainer(ContainerResource):
+    """`/cockpit/`: what clients keep there. Its page lists the default cockpit beside them, and makes copies."""
+
+    takes_forms = True
+
+    def __init__(
+        self,
+        sources: CockpitSources,
+        parts: ContainerParts = ALL_PARTS,
+        place: PagePosition | None = None,
+    ) -> None:
+        super().__init__(sources.documents, ROUTE, parts, place)
+        self._sources = sources
+
+    async def select_variant(self, exchange: Exchange) -> Resource:
+        found = await super().select_variant(exchange)
+        if type(found) is ContainerResource:
+            return CockpitContainer(self._sources, found._parts, found._place)
+        return found
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        return PathItem("The cockpits", query=(FORMAT, PAGE), also=EXTRA_STATUSES)
+
+    def is_taken(self, name: str) -> bool:
+        return name == DEFAULT or super().is_taken(name)
+
+    async def forms(self) -> Sequence[Form]:
+        if self.documents.settings.read_only:
+            return ()
+        return (CopyForm(self.documents.space.cockpit(DEFAULT)),)
+
+    def listing(self) -> MemberColumns:
+        return MemberColumns(("title",), {url: (name,) for url, name in cockpit_tabs(self.documents)})
+
+    async def post(self, exchange: Exchange) -> Answer:
+        """A cockpit, or the copy of one that a form asks for."""
+        return await (self._copy(exchange) if exchange.essence == JSON else super().post(exchange))
+
+    async def _copy(self, exchange: Exchange) -> Answer:
+        value = cast("Mapping[str, str]", json.loads(await exchange.body()))
+        documents, permissions = self.documents, exchange.permissions
+        cockpit = await self._source(value["source"], permissions)
+        name = choose_name(value["name"], lambda name: False)
+        url = documents.space.cockpit(name)
+        path = url[len(documents.space.base) :]
+        if not permissions.may("PUT", url):
+            raise forbidden(permissions.agent, "write this")
+        if self.is_taken(name):
+            raise Problem(409, f"There is {url} already, or was: choose another name.")
+        title = name if cockpit.title in ("", DefaultCockpit.title) else cockpit.title
+        triples = cockpit_triples(url, replace(cockpit, title=title))
+        try:
+            record = (
+                await write_together(documents, await creation_writes(documents, path, Model.RDF_SOURCE, triples))
+            )[-1]
+        except Conflict as error:
+            raise conflict_problem(documents.space, error) from error
+        assert record is not None
+        made = CockpitResource(self._sources, path)
+        return CreatedAnswer(made.url, made, state_of(documents, record))
+
+    async def _source(self, url: str, permissions: Permissions) -> Cockpit:
+        """The cockpit at a URL, with the panels that the agent may know of. Raises a 404 Problem."""
+        space = self.documents.space
+        if url == space.cockpit(DEFAULT) and permissions.may_read(url):
+            found = await DefaultCockpit(self._sources).cockpit()
+        else:
+            record = self.documents.records.get(url[len(space.base) :]) if url.startswith(self.url) else None
+            if record is None or record.model is not Model.RDF_SOURCE or not permissions.may_read(url):
+                raise Problem(404, f"There is no cockpit {url[:200]} to copy.")
+            found = read_cockpit(state_of(self.documents, record).document.triples, url)
+        panels = [each for each in found.panels if all(map(permissions.may_read, each.shows))]
+        return replace(found, panels=tuple(panels))
+
+
+def cockpit_route(sources: CockpitSources, location: Location) -> Resource:
+    """`/cockpit/` and below."""
+    if location.segments == (DEFAULT,) and not location.is_container:
+        return DefaultCockpit(sources)
+    found = stored_route(sources.documents, location)
+    match found:
+        case ContainerResource() if found.path == ROUTE:
+            return CockpitContainer(sources)
+        case RdfSourceResource() if type(found) is RdfSourceResource:
+            return CockpitResource(sources, found.path)
+    return found

@@ -18,6 +18,7 @@ from rosld.server.html.space_view import topic_view
 from rosld.server.html.terms import iri_view
 from rosld.server.html.timestamps import time_view
 from rosld.server.html.view import TableView, View, escape_controls
+from rosld.server.space.point_cloud import POINT_CLOUD
 
 _TITLES = {ros.latest: "Latest message", ros.recordedMessage: "Message", ros.heldMessage: "Message"}
 _DRAWN = frozenset({ros.latest, ros.recordedMessage})
@@ -40,6 +41,8 @@ class MessageSection:
     picture: PictureView | None = None
     space: str = ""
     """The address of its view in space, empty where it has none."""
+    is_cloud: bool = False
+    """Whether it is a point cloud."""
 
 
 def message_sections(document: Document, site: Site, query: str = "") -> tuple[MessageSection, ...]:
@@ -85,6 +88,7 @@ def _section(document: Document, site: Site, each: LiftedMessage, role: NamedNod
         aside=role == ros.latestFrom,
         picture=picture_view(schema, each.message, query, moves=role == ros.latest) if role in _DRAWN else None,
         space=topic_view(schema.ref.name, document.url, site) if role == ros.latest and not query else "",
+        is_cloud=schema.ref.name == POINT_CLOUD,
     )
 
 

@@ -88,6 +88,8 @@ ALTERNATES = (
 """What every resource can be read as beside HTML."""
 PICTURE_ALTERNATES = (Alternate("JPEG", "image/jpeg", "jpeg"), Alternate("PNG", "image/png", "png"))
 """What a message that can be drawn is read as besides."""
+CLOUD = Alternate("Points (PLY)", "application/octet-stream", "ply")
+"""What a point cloud is read as besides."""
 THING = Alternate("Thing Description", "application/td+json", "td")
 """What a complex resource can be read as besides (WoT Thing Description 1.1)."""
 

@@ -32,6 +32,7 @@ from rosld.server.html.message_sections import message_sections
 from rosld.server.html.offer import FormTarget, form_targets, offer_view
 from rosld.server.html.page import (
     ALTERNATES,
+    CLOUD,
     PICTURE_ALTERNATES,
     THING,
     Alternate,
@@ -348,6 +349,7 @@ def render_page(page: Page) -> bytes:
                 *page.alternates,
                 *((THING,) if isinstance(page.offer, ComplexView) else ()),
                 *(PICTURE_ALTERNATES if body["has_picture"] else ()),
+                *((CLOUD,) if body["has_cloud"] else ()),
             )
         ],
         steps=[(_STEPS.get(step.rel, step.rel), step.rel, page.site.href(step.url)) for step in page.steps],
@@ -377,6 +379,7 @@ def _body(page: Page, posted: tuple[FormTarget, ...]) -> dict[str, object]:
             "has_picture": False,
             "has_motion": False,
             "has_space": False,
+            "has_cloud": False,
             "messages": (),
             "asides": (),
             "contents": None,
@@ -396,6 +399,7 @@ def _body(page: Page, posted: tuple[FormTarget, ...]) -> dict[str, object]:
         "has_picture": any(each.picture is not None and not each.picture.refused for each in messages),
         "has_motion": any(each.picture is not None and each.picture.motion for each in messages),
         "has_space": any(each.space and each.picture is None for each in messages),
+        "has_cloud": any(each.is_cloud for each in messages),
         "messages": [each for each in messages if not each.aside],
         "asides": [each for each in messages if each.aside],
         "contents": container_table(document, site, page.listing),

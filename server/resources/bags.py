@@ -30,6 +30,7 @@ from rosld.server.pictures.picture_cache import PictureCache
 from rosld.server.resources.bag_selection import PARAMETERS, selection_of
 from rosld.server.resources.messages import decode, field_response, lift_sample
 from rosld.server.resources.pictures import explicit_picture_type, picture_response, require_picture
+from rosld.server.resources.point_clouds import cloud_is_preferred, cloud_response
 from rosld.server.resources.recorded_messages import DecodedRecord, learn_type, record_document
 from rosld.server.resources.recording_form import recording_form
 from rosld.server.resources.recording_order import MEDIA_TYPES, SCHEMA, read_order
@@ -491,7 +492,10 @@ class BagMessage(Resource):
         return self.states.put(self.url, 0, State(describe, plain, shapes=shapes))
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
-        """`?field=PATH`: the bytes of one field; or its picture, where that is preferred."""
+        """`?field=PATH`: the bytes of one field; or its picture or points, where that is preferred."""
+        if cloud_is_preferred(exchange, is_cloud=False):
+            sample = (await self.message()).sample
+            return await cloud_response(self, self.session.schemas, self.pictures, self.url, sample, exchange)
         wanted = explicit_picture_type(exchange)
         if wanted is not None:
             message = await self.message()

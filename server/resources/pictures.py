@@ -101,7 +101,7 @@ async def picture_response(
         raise Problem(406, "This picture does not move: ask for image/jpeg or image/png.")
     form = _form(exchange, media_type)
     schema = await _schema(schemas, sample)
-    etag = ETag(f"{pictures.instance_id}-{_identity(sample)}", _variant(form))
+    etag = ETag(f"{pictures.instance_id}-{sample_identity(sample)}", _variant(form))
     standing = {**resource_headers(resource), "x-content-type-options": "nosniff"}
     if check_preconditions(
         "GET", etag, if_match=exchange.header("if-match"), if_none_match=exchange.header("if-none-match")
@@ -185,7 +185,7 @@ def _range(text: str | None) -> DepthRange:
     return found
 
 
-def _identity(sample: Sample) -> str:
+def sample_identity(sample: Sample) -> str:
     """A short text that tells a sample from all others of its topic."""
     said = f"{sample.publisher}\0{sample.epoch}\0{sample.sequence}\0{sample.received_ns}"
     return digest(said.encode("utf-8", "replace"))

@@ -56,6 +56,13 @@ from rosld.server.resources.pictures import (
     picture_type,
     require_picture,
 )
+from rosld.server.resources.point_clouds import (
+    CLOUD_PARAMETERS,
+    cloud_is_preferred,
+    cloud_response,
+    is_cloud,
+    require_cloud,
+)
 from rosld.server.resources.publisher import Publisher
 from rosld.server.resources.series import PARAMETERS, read_time, require_history, series_of
 from rosld.server.resources.strictness import STRICT
@@ -153,11 +160,11 @@ class TopicResource(CommandResource):
         methods = self.methods()
         return PathItem(
             "A topic that may be made" if topic is None else f"The topic {self.name}",
-            (*FIELD_READS, *PICTURES) if self.is_picture else FIELD_READS,
+            (*FIELD_READS, *PICTURES) if self.is_picture else FIELD_READS,  # the bytes of a cloud are among them
             ANYTHING if schema is None else nullable(schemas.read(schema)),
             (PICTURE_FORMAT, FIELD, *PARAMETERS, TIMEMAP, *PICTURE_PARAMETERS)
             if self.is_picture
-            else (FORMAT, FIELD, *PARAMETERS, TIMEMAP),
+            else (*(CLOUD_PARAMETERS if self.is_cloud else (FORMAT,)), FIELD, *PARAMETERS, TIMEMAP),
             writes,
             has_shape=topic is not None and topic.type is not None,
             methods=methods | {"DELETE"} if "PUT" in methods else methods,  # once rosld publishes
@@ -400,8 +407,16 @@ class TopicResource(CommandResource):
         topic = self.topic
         return topic is not None and any(can_draw(ref.name) for ref in topic.types)
 
+    @property
+    def is_cloud(self) -> bool:
+        """Whether its messages are point clouds."""
+        topic = self.topic
+        return topic is not None and any(is_cloud(ref.name) for ref in topic.types)
+
     async def custom_get(self, exchange: Exchange) -> Response | Motion | None:
-        """`?field=PATH`: the bytes of one field of the latest message; or its picture, where that is preferred."""
+        """`?field=PATH`: the bytes of one field of the latest message; or its picture or points, where preferred."""
+        if cloud_is_preferred(exchange, is_cloud=self.is_cloud):
+            return await self._cloud(exchange)
         wanted = picture_type(exchange, is_picture=self.is_picture)
         if wanted is not None:
             return await self._picture(exchange, wanted)
@@ -426,6 +441,15 @@ class TopicResource(CommandResource):
         return await picture_response(
             self, self.session.schemas, self.pictures, self.name, view.newest, exchange, wanted
         )
+
+    async def _cloud(self, exchange: Exchange) -> Response:
+        if self.topic is None:
+            raise self._missing()
+        require_cloud(self.name, self.topic.types)
+        view = await self.session.topics.read(self.name, wait_for_publisher=True)
+        if view.newest is None:
+            raise Problem(404, f"{self.name} has no message yet, so no points.")
+        return await cloud_response(self, self.session.schemas, self.pictures, self.name, view.newest, exchange)
 
     async def plan_graph_write(self, triples: Sequence[Triple] | None) -> Plan:
         denied_reason = self.unwritable_reason()
@@ -511,7 +535,9 @@ class PastTopic(TopicResource):
         return ()
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
-        """`?field=PATH` of the message that was the newest then, or its picture."""
+        """`?field=PATH` of the message that was the newest then, or its picture or points."""
+        if cloud_is_preferred(exchange, is_cloud=self.is_cloud):
+            return await cloud_response(self, self.session.schemas, self.pictures, self.name, self._sample, exchange)
         wanted = picture_type(exchange, is_picture=self.is_picture)
         if wanted is not None:
             require_picture(self.name, (self._sample.schema,))

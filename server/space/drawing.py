@@ -14,6 +14,7 @@ import numpy.typing as npt
 from rosld.adapters.model import MessageSchema, Sample
 from rosld.server.pictures.refusal import CannotDraw
 from rosld.server.space.field_reading import Fields, frame_name, read_pose, read_stamp, read_vector, require_place
+from rosld.server.space.point_cloud import POINT_CLOUD, read_cloud
 from rosld.server.space.transform import Transform
 
 Points: TypeAlias = "npt.NDArray[np.float64]"
@@ -152,6 +153,12 @@ def _scan(message: Fields) -> Drawing:
     return Drawing(*_header(message), points=points)
 
 
+def _cloud(message: Fields) -> Drawing:
+    """sensor_msgs/PointCloud2, its colours left out."""
+    cloud = read_cloud(message, MAX_POINTS)
+    return Drawing(cloud.frame, cloud.stamp_ns, points=cloud.points.astype(np.float64))
+
+
 def _grid(message: Fields) -> Drawing:
     """nav_msgs/OccupancyGrid, whose cells are a picture by itself."""
     info = message.info
@@ -233,6 +240,7 @@ def _ellipse(covariance: Fields) -> Ellipse | None:
 _KINDS: Mapping[str, _Kind] = MappingProxyType(
     {
         "nav_msgs/msg/OccupancyGrid": _Kind("Occupancy grid", _grid),
+        POINT_CLOUD: _Kind("Point cloud", _cloud),
         "nav_msgs/msg/Path": _Kind("Path", _path),
         "geometry_msgs/msg/PolygonStamped": _Kind("Polygon", _polygon),
         "sensor_msgs/msg/LaserScan": _Kind("Laser scan", _scan),

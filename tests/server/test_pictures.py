@@ -146,7 +146,7 @@ class Viewer:
 
 def test_many_see_one_motion_that_is_drawn_once(camera: Any, serving: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn = []
-    counting = "rosld.server.pictures.picture_cache.draw_sample"
+    counting = "rosld.server.pictures.picture.draw_sample"
     monkeypatch.setattr(counting, lambda *given: drawn.append(given) or draw_sample(*given))
     http = serving()
     viewers = [Viewer(http, "rate=100&width=64") for _ in range(10)]

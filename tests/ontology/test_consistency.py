@@ -1,6 +1,7 @@
 """What the server says is consistent with what it says that its terms mean, and with the ontologies of others.
 
-The reasoner is owlrl, an implementation of OWL 2 RL by W3C's rules. `make interop` asks HermiT as well.
+The reasoner is owlrl, an implementation of OWL 2 RL by W3C's rules: of documents that say the same properties of
+the same classes it is given three. `make interop` gives HermiT all of them.
 """
 
 from __future__ import annotations
@@ -19,7 +20,6 @@ from rosld.ontology.vocab import PREFIXES, ros
 from tests.ontology import robots
 from tests.ontology.crawl import Crawl
 from tests.ontology.reasoning import closure, contradictions, of_triples, ontologies
-from tests.ros2.distros import DISTROS
 
 Robot: TypeAlias = Callable[[], AbstractContextManager[httpx.Client]]
 TURTLE = "".join(f"@prefix {prefix}: <{iri}> . " for prefix, iri in PREFIXES.items())
@@ -34,7 +34,7 @@ def aircraft() -> Iterator[Crawl]:
 
 def judged(found: Crawl) -> list[str]:
     graph = ontologies()
-    graph += of_triples(found.triples())
+    graph += of_triples(found.of_each_kind().triples())
     return contradictions(closure(graph))
 
 
@@ -64,9 +64,8 @@ def test_what_a_real_ros_1_says_is_consistent(tmp_path: Path) -> None:
 
 
 @pytest.mark.ros2
-@pytest.mark.parametrize("distro", DISTROS)
-def test_what_a_real_ros_2_says_is_consistent(distro: str) -> None:
-    with robots.a_ros_2(distro) as http:
+def test_what_a_real_ros_2_says_is_consistent() -> None:
+    with robots.a_ros_2("jazzy") as http:
         assert judged(robots.told(http)) == []
 
 

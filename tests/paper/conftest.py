@@ -404,8 +404,8 @@ def rclpy(distro: str) -> Callable[..., Iterator[Flight]]:
     return flown
 
 
-FLIGHTS = {"embedded": embedded, "rospy": rospy, "jazzy": rclpy("jazzy"), "kilted": rclpy("kilted")}
-ON_ROS2 = ("jazzy", "kilted")
+FLIGHTS = {"embedded": embedded, "rospy": rospy, "jazzy": rclpy("jazzy")}
+ON_ROS2 = ("jazzy",)
 
 
 @pytest.fixture(

@@ -12,7 +12,6 @@ import pytest
 import rdflib
 from rdflib.namespace import SH
 
-from tests.ros2.distros import DISTROS
 from tests.ros2.system import running
 from tests.server.conftest import servers
 from tests.waiting import until
@@ -28,10 +27,10 @@ MERGE = {"content-type": "application/merge-patch+json"}
 pytestmark = pytest.mark.ros2
 
 
-@pytest.fixture(scope="module", params=DISTROS)
-def http(request: pytest.FixtureRequest) -> Iterator[httpx.Client]:
-    """A client of the robot on each distro, its lamp as it is at first."""
-    with running(request.param) as system, servers() as start:
+@pytest.fixture(scope="module")
+def http() -> Iterator[httpx.Client]:
+    """A client of the robot, its lamp as it is at first."""
+    with running("kilted") as system, servers() as start:
         system.node(str(ROBOT))
         client: httpx.Client = start(system.source, python=system.python, environment=system.environment).http
         for path in (LEVEL, "/parameters/listener/seats"):

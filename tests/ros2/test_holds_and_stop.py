@@ -10,7 +10,6 @@ import httpx
 import pytest
 
 from tests.processes import Process
-from tests.ros2.distros import DISTROS
 from tests.ros2.system import running
 from tests.server.conftest import Served, servers
 from tests.waiting import until
@@ -51,10 +50,10 @@ class Driven:
         until(lambda: self.speeds()[-1:] == [0.0], "standing still")
 
 
-@pytest.fixture(scope="module", params=DISTROS)
-def driven(request: pytest.FixtureRequest) -> Iterator[Driven]:
-    """The rover and the aircraft on each distro."""
-    with running(request.param) as system, servers() as start:
+@pytest.fixture(scope="module")
+def driven() -> Iterator[Driven]:
+    """The rover and the aircraft."""
+    with running("kilted") as system, servers() as start:
         rover = system.node("rover.py")
         system.node("aircraft.py")
         served = start(system.source, python=system.python, environment=system.environment)

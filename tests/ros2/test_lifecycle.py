@@ -8,7 +8,6 @@ from concurrent.futures import ThreadPoolExecutor
 import httpx
 import pytest
 
-from tests.ros2.distros import DISTROS
 from tests.ros2.system import running
 from tests.server.conftest import servers
 from tests.waiting import until
@@ -18,10 +17,10 @@ ROS = "https://w3id.org/rosld#"
 pytestmark = pytest.mark.ros2
 
 
-@pytest.fixture(scope="module", params=DISTROS)
-def http(request: pytest.FixtureRequest) -> Iterator[httpx.Client]:
-    """A client of the managed nodes on each distro."""
-    with running(request.param) as system, servers() as start:
+@pytest.fixture(scope="module")
+def http() -> Iterator[httpx.Client]:
+    """A client of the managed nodes."""
+    with running("jazzy") as system, servers() as start:
         system.node("managed.py")
         client: httpx.Client = start(system.source, python=system.python, environment=system.environment).http
         for name in ("camera", "lidar"):

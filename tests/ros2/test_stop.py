@@ -8,7 +8,6 @@ from typing import Any
 import pytest
 
 from tests.processes import Process
-from tests.ros2.distros import DISTROS
 from tests.ros2.system import System, running
 from tests.server.conftest import Served, servers
 from tests.waiting import until
@@ -20,9 +19,9 @@ AHEAD = {**STILL, "linear": {"x": 1.5, "y": 0.0, "z": 0.0}}
 pytestmark = pytest.mark.ros2
 
 
-@pytest.fixture(scope="module", params=DISTROS)
-def system(request: pytest.FixtureRequest) -> Iterator[System]:
-    with running(request.param) as found:
+@pytest.fixture(scope="module")
+def system() -> Iterator[System]:
+    with running("jazzy") as found:
         yield found
 
 

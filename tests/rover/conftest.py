@@ -15,7 +15,7 @@ __all__ = ["serve", "start_server"]
 """The fixtures that start servers; they belong to the server's tests."""
 
 StartRover: TypeAlias = "Callable[..., Rover]"
-EACH = [pytest.param(name, marks=[pytest.mark.ros2] if name in ("jazzy", "kilted") else []) for name in ROVERS]
+EACH = [pytest.param(name, marks=[pytest.mark.ros2] if name == "kilted" else []) for name in ROVERS]
 
 
 @pytest.fixture(scope="session", params=EACH)

@@ -151,7 +151,6 @@ def _source(begins: str) -> str:
 ROVERS: Mapping[str, Callable[..., AbstractContextManager[Rover]]] = {
     "embedded": embedded,
     "rospy": rospy,
-    "jazzy": rclpy("jazzy"),
     "kilted": rclpy("kilted"),
 }
 """How each is run: with what starts servers, a folder, how the rover begins (`battery=0.21&rate=10`), and arguments."""

@@ -18,7 +18,7 @@ from tests.server.robots.made_up import Serving
 
 CONNECTIONS = 24
 REQUESTS = 3 * CONNECTIONS
-MANY = 10 * CONNECTIONS
+MANY = 4 * CONNECTIONS
 TURTLE = {"Content-Type": "text/turtle"}
 UPDATE = {"Content-Type": "application/sparql-update"}
 N3 = {"Content-Type": "text/n3"}

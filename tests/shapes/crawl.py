@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections import defaultdict
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
@@ -16,6 +17,7 @@ from pyshacl.shapes_graph import ShapesGraph
 from pyshacl.validator import Validator
 from rdflib import RDF, SH, URIRef
 
+from rosld.ontology.vocab import rdf
 from rosld.server.http.link import parse
 from rosld.shapes.message import SHACL_SHACL
 
@@ -47,6 +49,20 @@ class Site:
         self.conforms_to[url] = tuple(link.target for link in links if link.rel == CONFORMS_TO)
         self.constrained_by[url] = tuple(link.target for link in links if link.rel == CONSTRAINED_BY)
         return [*_iris(answer.text, url), *(link.target for link in links)]
+
+    def of_each_kind(self, most: int = 3) -> list[str]:
+        """At most so many of the documents that say the same properties of instances of the same classes.
+
+        Of shapes the classes alone count: the shapes of shapes take a hundred times as long as all the others.
+        """
+        kinds: dict[frozenset[object], list[str]] = defaultdict(list)
+        for url, text in self.documents.items():
+            quads = list(parse_rdf(text, RdfFormat.TURTLE, base_iri=url))
+            classes = {quad.object for quad in quads if quad.predicate == rdf.type}
+            linked = {document(shapes) for shapes in self.conforms_to[url]}
+            properties = {quad.predicate for quad in quads} if document(SHACL_SHACL) not in linked else set()
+            kinds[frozenset([*classes, *properties, *linked])].append(url)
+        return [url for urls in kinds.values() for url in urls[:most]]
 
     def graph(self, url: str) -> rdflib.Graph:
         """The document at a URL."""

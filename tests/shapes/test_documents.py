@@ -165,7 +165,8 @@ each_site = pytest.mark.parametrize(
 def test_every_document_conforms_to_the_shapes_that_it_links_to(name: str, request: pytest.FixtureRequest) -> None:
     site: Site = request.getfixturevalue(name)
     kept = f"{site.base}data/"  # what clients say of other things is theirs
-    wrong = {url: words for url in site.documents if not url.startswith(kept) and (words := site.violations(url))}
+    judged = [url for url in site.of_each_kind() if not url.startswith(kept)]
+    wrong = {url: words for url in judged if (words := site.violations(url))}
     assert not wrong, "\n".join(f"{url}\n{words}" for url, words in wrong.items())
     unlinked = {url.removeprefix(site.base) for url, shapes in site.conforms_to.items() if not shapes}
     assert unlinked <= {*WITHOUT_SHAPE}
@@ -201,5 +202,5 @@ def test_a_document_that_says_something_else_does_not_conform(aircraft: Site) ->
 
 
 def test_the_shape_of_mappings_finds_no_fault_with_what_is_no_mapping(aircraft: Site) -> None:
-    documents = [url for url in aircraft.documents if "/data/" not in url]
+    documents = [url for url in aircraft.of_each_kind() if "/data/" not in url]
     assert not [url for url in documents if aircraft.violations_of(url, f"{aircraft.base}shapes/mapping")]

@@ -28,7 +28,7 @@ KEPT = {
     "contradictions": lambda robot: {**frozen.notes(robot), **frozen.claims(robot)},
     "triples about the empty list": lambda robot: {**frozen.claims(robot), **frozen.empty_list(robot)},
 }
-QUERIES = 1500
+QUERIES = 400
 """Queries of each robot beside each kind of what clients keep."""
 
 

@@ -37,8 +37,8 @@ _MAX_FRAMES = 200
 class ShownTopic:
     """A topic of a view: its name, how messages of its type are called, and references relative to the host.
 
-    `picture` is that of the picture of a grid, `history` that of its recorded numbers, up to the field; empty where
-    there is none.
+    `picture` is that of the picture of a grid, `cloud` that of the points of a cloud, `history` that of its recorded
+    numbers, up to the field; empty where there is none.
     """
 
     name: str
@@ -46,6 +46,7 @@ class ShownTopic:
     href: str
     picture: str = ""
     history: str = ""
+    cloud: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,6 +200,8 @@ class _View:
             told["in"] = "" if found.drawing is None else found.drawing.frame
             if shown.picture and found.drawing is not None:
                 told["picture"] = f"{shown.picture}&v={found.sample.epoch}.{found.sample.sequence}"
+            if shown.cloud and found.drawing is not None:
+                told["cloud"] = f"{shown.cloud}&v={found.sample.epoch}.{found.sample.sequence}"
         return told
 
     def _moved_frames(self, buffer: FrameBuffer, fixed: str) -> object:

@@ -255,7 +255,7 @@ class SpacePage:
     """The page at `/space`: a view of topics, in the order in which they are drawn, in the frame `fixed`.
 
     `asked` is the frame that was asked for. `references` (`show`) name the topics where they were asked for; `omitted`
-    are those that are too many.
+    are those that are too many. `is_3d`: it is drawn in three dimensions.
     """
 
     site: Site
@@ -267,6 +267,7 @@ class SpacePage:
     frames: tuple[str, ...] = ()
     omitted: int = 0
     notices: tuple[Notice, ...] = ()
+    is_3d: bool = False
 
 
 @dataclass(frozen=True, slots=True)

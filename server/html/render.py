@@ -112,6 +112,10 @@ SPARK_SCRIPT = (_HERE / "spark.js").read_bytes()
 """Served at `spark.js` below the base: draws beside each number how it was lately."""
 SPACE_SCRIPT = (_HERE / "space.js").read_bytes()
 """Served at `space.js` below the base: draws views of space from above."""
+SPACE_3D_SCRIPT = (_HERE / "space3d.js").read_bytes()
+"""Served at `space3d.js` below the base: draws views of space in three dimensions, by means of `SPACE_3D_LIBRARY`."""
+SPACE_3D_LIBRARY = (_HERE / "vendor" / "three.js").read_bytes()
+"""Served at `three.js` below the base: of three.js what is needed; its licence (MIT) lies beside it."""
 PLOT_LIBRARY = (_HERE / "vendor" / "uplot.js").read_bytes()
 """Served at `uplot.js` below the base: uPlot, whose licence (MIT) lies beside it."""
 PLOT_STYLESHEET = (_HERE / "vendor" / "uplot.css").read_bytes()
@@ -138,7 +142,7 @@ _FILES = b"".join(
         *(CHART_SCRIPT, PLOT_SCRIPT, SPARK_SCRIPT, SPACE_SCRIPT, PLOT_LIBRARY, PLOT_STYLESHEET),
         *(QUERY_TERMS_SCRIPT, QUERY_PARAMETERS_SCRIPT, QUERY_VIEWS_SCRIPT, QUERY_EDITOR_SCRIPT),
         *(QUERY_EDITOR_STYLESHEET, QUERY_EDITOR_LIBRARY, QUERY_EDITOR_LIBRARY_STYLESHEET),
-        COCKPIT_STYLESHEET,
+        *(COCKPIT_STYLESHEET, SPACE_3D_SCRIPT, SPACE_3D_LIBRARY),
     )
 )
 _VERSION = hashlib.blake2b(_FILES, digest_size=4).hexdigest()
@@ -252,6 +256,10 @@ class _Frame:
     @property
     def space_script(self) -> str:
         return f"{self.site.root}space.js?v={_VERSION}"
+
+    @property
+    def space_3d_script(self) -> str:
+        return f"{self.site.root}space3d.js?v={_VERSION}"
 
     @property
     def plot_library(self) -> str:
@@ -603,10 +611,11 @@ def render_space(page: SpacePage) -> bytes:
     ]
     return _render(
         "space.html",
-        _frame(site, "Seen from above", page.url, page.notices),
+        _frame(site, "In three dimensions" if page.is_3d else "Seen from above", page.url, page.notices),
         page=page,
         rows=rows,
-        stream=f"{site.root}space{space_query(page.asked, page.references)}",
+        above=f"{site.root}space{space_query(page.asked, page.references)}",
+        solid=f"{site.root}space{space_query(page.asked, page.references, is_3d=True)}",
         types=PLACED_TYPES,
         formats=[replace(each, query=page.url.partition("?")[2]) for each in ALTERNATES],
     )

@@ -14,6 +14,8 @@ from rosld.server.space.drawing import can_place
 from rosld.server.space.frame_tree import FrameNode
 from rosld.server.space.transform import Transform, heading
 
+VIEW_3D = "3d"
+"""`?view=` of what is drawn in three dimensions."""
 _MAX_DEPTH = 12
 """Of the indentation of frames."""
 
@@ -59,10 +61,11 @@ def frame_row(node: FrameNode, site: Site, node_url: Callable[[str], str]) -> Fr
     )
 
 
-def space_query(frame: str, references: Sequence[str]) -> str:
-    """The query of the view that is fixed to a frame and shows these topics."""
+def space_query(frame: str, references: Sequence[str], *, is_3d: bool = False) -> str:
+    """The query of the view that is fixed to a frame and shows these topics, from above or in three dimensions."""
     asked = [("frame", frame)] if frame else []
     asked += [("show", each) for each in references]
+    asked += [("view", VIEW_3D)] if is_3d else []
     said = "&".join(f"{name}={quote(value.encode('utf-8', 'replace'), safe='/:')}" for name, value in asked)
     return f"?{said}" if said else ""
 

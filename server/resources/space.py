@@ -24,7 +24,7 @@ from rosld.server.events.space_stream import ShownTopic, SpaceSource, SpaceStrea
 from rosld.server.history.history import History
 from rosld.server.html import Csrf, Form, Notice, Site, SpacePage, SpaceTopic, render_space
 from rosld.server.html.page import NoticeLevel
-from rosld.server.html.space_view import space_query
+from rosld.server.html.space_view import VIEW_3D, space_query
 from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import DataSchema
@@ -44,6 +44,7 @@ from rosld.server.robot.scene import Scene
 from rosld.server.robot.session import Session
 from rosld.server.space.drawing import PLACED_TYPES, can_place, kind_label, pose_json
 from rosld.server.space.frame_buffer import TOPICS, FrameBuffer
+from rosld.server.space.point_cloud import POINT_CLOUD
 
 MAX_SHOWN = 32
 """Topics of one view."""
@@ -52,11 +53,15 @@ _MAX_FRAME = 300
 _GRID_WIDTH = 2048
 """Columns of the picture of a grid at most: of four times as many, a pixel stands for sixteen cells."""
 _ODOMETRY = "nav_msgs/msg/Odometry"
+_VIEWS = ("above", VIEW_3D)
 _PARAMETERS = (
     QueryParameter("frame", "The frame that the view is fixed to; that of the map where there is one, or another."),
     QueryParameter(
         "show",
         "A topic: its URL, or that below the base. It may be given several times; without it all is drawn.",
+    ),
+    QueryParameter(
+        "view", "How the page draws it: `above`, or `3d`: in three dimensions.", {"type": "string", "enum": [*_VIEWS]}
     ),
     FORMAT,
 )
@@ -100,10 +105,13 @@ class SpaceResource(Resource):
         frame: str = "",
         references: Sequence[str] = (),
         permissions: Permissions = ALLOW_ALL,
+        *,
+        is_3d: bool = False,
     ) -> None:
         self.frame = frame
         self.references = tuple(references)
-        super().__init__(f"{session.space.base}space{space_query(frame, references)}")
+        self.is_3d = is_3d
+        super().__init__(f"{session.space.base}space{space_query(frame, references, is_3d=is_3d)}")
         self.session = session
         self.scene = scene
         self.history = history
@@ -131,8 +139,18 @@ class SpaceResource(Resource):
         frame = exchange.query.get("frame", "").strip().removeprefix("/")
         if len(frame) > _MAX_FRAME:
             raise Problem(400, f"?frame={frame[:60]}... is too long.")
+        view = exchange.query.get("view", "above")
+        if view not in _VIEWS:
+            raise Problem(400, f"?view={view[:60]}: there are {' and '.join(_VIEWS)}.")
         return SpaceResource(
-            self.session, self.scene, self.history, self._broadcasters, frame, references, exchange.permissions
+            self.session,
+            self.scene,
+            self.history,
+            self._broadcasters,
+            frame,
+            references,
+            exchange.permissions,
+            is_3d=view == VIEW_3D,
         )
 
     def document(self) -> Document:
@@ -196,6 +214,7 @@ class SpaceResource(Resource):
                 tuple(self._frames[:1000]),
                 0 if self.references else max(len(self._all()) - MAX_SHOWN, 0),
                 tuple(said),
+                self.is_3d,
             )
         )
 
@@ -252,7 +271,8 @@ class SpaceResource(Resource):
         picture = f"{href}?format=png&width={_GRID_WIDTH}" if type_name == OCCUPANCY_GRID else ""
         has_history = type_name == _ODOMETRY and is_recorded(self.history, name)
         history = f"{href}?series=pose.pose.position." if has_history else ""
-        return ShownTopic(name.encode("utf-8", "replace").decode(), self._kind(name), href, picture, history)
+        cloud = f"{href}?format=ply" if type_name == POINT_CLOUD else ""
+        return ShownTopic(name.encode("utf-8", "replace").decode(), self._kind(name), href, picture, history, cloud)
 
 
 def _topic_json(topic: SpaceTopic) -> dict[str, object]:

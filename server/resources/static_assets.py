@@ -63,6 +63,8 @@ _FILES: Mapping[str, tuple[bytes, str, str]] = {
     "plot.js": (html.PLOT_SCRIPT, _SCRIPT, "The script that draws plots"),
     "spark.js": (html.SPARK_SCRIPT, _SCRIPT, "The script that draws beside numbers how they were lately"),
     "space.js": (html.SPACE_SCRIPT, _SCRIPT, "The script that draws views of space"),
+    "space3d.js": (html.SPACE_3D_SCRIPT, _SCRIPT, "The script that draws space in three dimensions"),
+    "three.js": (html.SPACE_3D_LIBRARY, _SCRIPT, "three.js, which draws three dimensions"),
     "uplot.js": (html.PLOT_LIBRARY, _SCRIPT, "uPlot, which draws"),
     "uplot.css": (html.PLOT_STYLESHEET, _STYLE, "The style of uPlot"),
     "query_terms.js": (html.QUERY_TERMS_SCRIPT, _SCRIPT, "The script that completes terms in queries"),

@@ -2,35 +2,25 @@
 
 from __future__ import annotations
 
-import base64
 import io
 from collections.abc import Iterator
-from typing import Any
 
 import httpx
 import numpy as np
 import pytest
 
 from tests.server.robots.made_up import MadeUp, served
+from tests.server.robots.point_clouds import CLOUD, cloud_message
 
 PlyData = pytest.importorskip("plyfile").PlyData
-CLOUD = "sensor_msgs/msg/PointCloud2"
 OCTETS = {"Accept": "application/octet-stream"}
-
-
-def message(points: np.ndarray, **changes: Any) -> dict[str, Any]:
-    """A cloud of rows of x, y and z, as JSON."""
-    fields = [{"name": name, "offset": 4 * at, "datatype": 7, "count": 1} for at, name in enumerate("xyz")]
-    data = base64.b64encode(points.astype("<f4").tobytes()).decode()
-    return {"header": {"frame_id": "lidar"}, "height": 1, "width": len(points), "fields": fields, "point_step": 12,
-            "row_step": 12 * len(points), "data": data, **changes}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
 def robot() -> Iterator[httpx.Client]:
     made = MadeUp()
-    made.topic("/points", CLOUD, message(np.arange(90_000).reshape(-1, 3)))
-    made.topic("/odd", CLOUD, message(np.zeros((3, 3)), point_step=0))
+    made.topic("/points", CLOUD, cloud_message(np.arange(90_000).reshape(-1, 3)))
+    made.topic("/odd", CLOUD, cloud_message(np.zeros((3, 3)), point_step=0))
     made.topic("/silent", CLOUD, published=False)
     made.topic("/words", "std_msgs/msg/String", {"data": "<b>"})
     with served(made) as http:

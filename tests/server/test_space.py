@@ -84,6 +84,7 @@ def test_a_frame_that_is_not_there_is_said(rover: httpx.Client) -> None:
         ("show=topics/nothing", 404, "There is no topic /nothing"),
         ("show=topics/imu", 422, "has messages of sensor_msgs/msg/Imu"),
         (f"frame={'x' * 301}", 400, "is too long"),
+        ("view=4d", 400, "there are above and 3d"),
     ],
 )
 def test_what_is_not_drawn_is_refused_in_words(rover: httpx.Client, query: str, status: int, words: str) -> None:

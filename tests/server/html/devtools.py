@@ -16,6 +16,7 @@ from typing import Any
 
 SECONDS = 30.0
 _QUIET = "--headless --no-sandbox --disable-gpu --no-first-run --disable-background-networking --disable-sync"
+_QUIET += " --use-angle=swiftshader --enable-unsafe-swiftshader"  # WebGL without a graphics card
 _UNTIL = """new Promise((resolve, reject) => {
   const end = performance.now() + %d;
   const look = () => {

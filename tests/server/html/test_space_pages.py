@@ -6,7 +6,11 @@ from collections.abc import Callable
 from typing import Any
 
 import httpx
+import numpy as np
 import pytest
+
+from tests.server.robots.made_up import MadeUp, served
+from tests.server.robots.point_clouds import CLOUD, cloud_message
 
 CANVAS = "document.querySelector('.space canvas')"
 DATA = f"{CANVAS}.dataset"
@@ -38,3 +42,39 @@ def test_the_page_of_a_scan_has_its_view_which_lives_with_the_page(tab: Any, rov
     tab.until(f"{DATA}.things === '/scan' && Number({DATA}.messages) > 20")
     assert tab.run("document.querySelectorAll('.space canvas').length") == 1
     assert tab.run("document.querySelector('.space figcaption a').getAttribute('href')") == "/space?show=topics/scan"
+
+
+WITHOUT_WEBGL = """
+const original = HTMLCanvasElement.prototype.getContext;
+HTMLCanvasElement.prototype.getContext = function (kind, ...rest) {
+  return kind.startsWith("webgl") ? null : original.call(this, kind, ...rest);
+};
+"""
+
+
+def test_a_cloud_is_drawn_in_three_dimensions_turned_and_lives_and_no_other_host_is_asked(tab: Any) -> None:
+    robot = MadeUp()
+    robot.topic("/points", CLOUD, cloud_message(np.random.default_rng(1).normal(size=(30_000, 3))))
+    with served(robot) as http:
+        tab.open(f"{http.base_url}space?show=topics/points&view=3d")
+        tab.until(f"{DATA}.points === '20000'")
+        tab.run(f"void {CANVAS}.scrollIntoView()")
+        seen_from = tab.run(f"{DATA}.camera")
+        box = tab.run(f"(({{ x, y }}) => [x, y])({CANVAS}.getBoundingClientRect())")
+        for kind, far in (("mousePressed", 50), ("mouseMoved", 150), ("mouseReleased", 150)):
+            tab.send("Input.dispatchMouseEvent", type=kind, x=box[0] + far, y=box[1] + 60, button="left", clickCount=1)
+        robot.publishes("/points", cloud_message(np.eye(3)))
+        tab.until(f"{DATA}.points === '3' && {DATA}.messages === '2'")
+        asked = tab.run("performance.getEntriesByType('resource').map((each) => each.name)")
+        assert tab.run(f"{DATA}.camera") != seen_from
+        tab.open("about:blank")
+    assert [each for each in asked if "/three.js" in each]
+    assert not [each for each in asked if not each.startswith(str(http.base_url))]
+
+
+def test_without_webgl_the_page_says_so_and_tells_in_words_what_is_there(tab: Any, rover: httpx.Client) -> None:
+    tab.send("Page.addScriptToEvaluateOnNewDocument", source=WITHOUT_WEBGL)
+    tab.open(f"{rover.base_url}space?view=3d")
+    tab.until("document.querySelector('.space [role=status]').textContent.startsWith('This browser has no WebGL')")
+    assert tab.run("document.querySelectorAll('.space canvas').length") == 0
+    assert tab.run("document.querySelector('.members').textContent.includes('/scan')")

@@ -5,8 +5,8 @@ that is. The points of a cloud are a file of their own (PLY), asked for whenever
 file, or without WebGL, the page tells the same in words. */
 import {
   AxesHelper, Box3, BufferGeometry, CanvasTexture, Color, DoubleSide, Float32BufferAttribute, GridHelper, Group, Line,
-  LineBasicMaterial, LineLoop, LineSegments, Mesh, MeshBasicMaterial, OrbitControls, PerspectiveCamera, PlaneGeometry,
-  Points, PointsMaterial, Quaternion, Scene, Sphere, Sprite, SpriteMaterial, SRGBColorSpace, TextureLoader, Vector3,
+  LineBasicMaterial, LineLoop, LineSegments, Mesh, MeshBasicMaterial, NearestFilter, OrbitControls, PerspectiveCamera,
+  PlaneGeometry, Points, PointsMaterial, Quaternion, Scene, Sphere, Sprite, SpriteMaterial, SRGBColorSpace, TextureLoader, Vector3,
   WebGLRenderer,
 } from "./three.js?v=0.187.0";
 
@@ -332,6 +332,7 @@ class View {
       thing.isLoading = false;
       if (texture) {
         texture.colorSpace = SRGBColorSpace;
+        texture.magFilter = NearestFilter;
         thing.texture?.dispose();
         thing.texture = texture;
         this.draw(thing);
@@ -415,7 +416,11 @@ class View {
         this.frameGroup.add(axes);
       }
     }
-    [...this.frames.values()].forEach(({ pose }, place) => {
+    const all = [...this.frames.values()];
+    all.forEach(({ pose }, place) => {
+      /* Names of frames that are close to each other stand below each other. */
+      const isClose = (each) => Math.hypot(...[0, 1, 2].map((axis) => each.pose[axis] - pose[axis])) < 0.35;
+      this.frameGroup.children[place].children[0].center.y = 0.2 + all.slice(0, place).filter(isClose).length;
       this.frameGroup.children[place].position.set(...pose.slice(0, 3));
       this.frameGroup.children[place].quaternion.set(...pose.slice(3));
     });

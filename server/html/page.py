@@ -255,7 +255,8 @@ class SpacePage:
     """The page at `/space`: a view of topics, in the order in which they are drawn, in the frame `fixed`.
 
     `asked` is the frame that was asked for. `references` (`show`) name the topics where they were asked for; `omitted`
-    are those that are too many. `is_3d`: it is drawn in three dimensions.
+    are those that are too many. `is_3d`: it is drawn in three dimensions, with the
+    robot's model that is at the URL `model`, which is empty where there is none.
     """
 
     site: Site
@@ -268,6 +269,7 @@ class SpacePage:
     omitted: int = 0
     notices: tuple[Notice, ...] = ()
     is_3d: bool = False
+    model: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -616,6 +616,7 @@ def render_space(page: SpacePage) -> bytes:
         rows=rows,
         above=f"{site.root}space{space_query(page.asked, page.references)}",
         solid=f"{site.root}space{space_query(page.asked, page.references, is_3d=True)}",
+        model=f"{site.root}{page.model.removeprefix(site.base)}" if page.model else "",
         types=PLACED_TYPES,
         formats=[replace(each, query=page.url.partition("?")[2]) for each in ALTERNATES],
     )

@@ -1,14 +1,15 @@
-/* Draws what a robot tells of space in three dimensions: clouds, scans, maps, paths, poses, frames.
+/* Draws what a robot tells of space in three dimensions: clouds, scans, maps, paths, poses, frames, and its model.
 
 It takes every element that has data-space3d, the address of a view, whose event stream tells what is drawn and where
 that is. The points of a cloud are a file of their own (PLY), asked for whenever the one before is drawn. Without this
 file, or without WebGL, the page tells the same in words. */
 import {
-  AxesHelper, Box3, BufferGeometry, CanvasTexture, Color, DoubleSide, Float32BufferAttribute, GridHelper, Group, Line,
+  AmbientLight, AxesHelper, Box3, BufferGeometry, CanvasTexture, Color, DirectionalLight, DoubleSide,
+  Float32BufferAttribute, GridHelper, Group, Line,
   LineBasicMaterial, LineLoop, LineSegments, Mesh, MeshBasicMaterial, NearestFilter, OrbitControls, PerspectiveCamera,
-  PlaneGeometry, Points, PointsMaterial, Quaternion, Scene, Sphere, Sprite, SpriteMaterial, SRGBColorSpace, TextureLoader, Vector3,
-  WebGLRenderer,
-} from "./three.js?v=0.187.0";
+  PlaneGeometry, Points, PointsMaterial, Quaternion, Scene, Sphere, Sprite, SpriteMaterial, SRGBColorSpace, TextureLoader, URDFLoader,
+  Vector3, WebGLRenderer,
+} from "./three.js?v=0.187.0-urdf";
 
 const COLOURS = 8; // that the stylesheet has: --line-0 and so on
 const TRACE = 5000, STEP = 0.02; // points of a trace, and metres between two of them
@@ -43,6 +44,28 @@ function readPly(buffer) {
     offset += kind === "uchar" ? 1 : 4;
   }
   return columns;
+}
+
+/* The links of a robot's model (URDF) by name, each with what is seen of it, and how many meshes are left out. */
+function readModel(text) {
+  const model = new DOMParser().parseFromString(text, "application/xml");
+  if (model.querySelector("parsererror") || !model.querySelector("robot")) throw new Error("no URDF");
+  for (const each of model.querySelectorAll("texture")) each.remove(); // it is a file of another machine
+  const loader = new URDFLoader(), links = new Map();
+  let meshes = 0;
+  loader.packages = () => "";
+  loader.loadMeshCb = () => { meshes++; };
+  for (const [name, link] of Object.entries(loader.parse(model).links)) {
+    const group = new Group();
+    for (const visual of link.children.filter(({ isURDFVisual }) => isURDFVisual)) {
+      let isFinite = true;
+      visual.updateMatrixWorld(true);
+      visual.traverse(({ matrixWorld }) => { isFinite &&= matrixWorld.elements.every(Number.isFinite); });
+      if (isFinite) group.add(visual);
+    }
+    links.set(name, group);
+  }
+  return { links, meshes };
 }
 
 /* Red, green and blue by point: those of the cloud, or by intensity, or by height. */
@@ -110,16 +133,22 @@ class View {
       button("\u2212", "Zoom out", () => this.zoom(1.4)), button("+", "Zoom in", () => this.zoom(1 / 1.4)),
       element("label", {}, "Points ", this.count), element("label", { className: "tick" }, frames, " Frames"));
     this.legend = element("ul", { className: "legend" });
-    this.figure.prepend(this.controlsRow, this.canvas, this.legend);
+    this.readout = element("p", { className: "readout" });
+    this.figure.prepend(this.controlsRow, this.canvas, this.readout, this.legend);
     this.scene = new Scene();
     this.frameGroup = new Group();
     this.ruleGroup = new Group();
-    this.scene.add(this.frameGroup, this.ruleGroup);
+    this.modelGroup = new Group();
+    const light = new DirectionalLight("#ffffff", 2);
+    light.position.set(-2, -3, 5);
+    this.scene.add(this.frameGroup, this.ruleGroup, this.modelGroup, new AmbientLight("#ffffff", 1.4), light);
     this.camera = new PerspectiveCamera(50, 1, 0.05, 20000);
     this.camera.up.set(0, 0, 1);
     this.camera.position.set(-4, -4, 4);
+    this.links = new Map();
     this.listen();
     this.paint();
+    if (this.figure.dataset.model) this.loadModel(this.figure.dataset.model);
   }
 
   listen() {
@@ -193,6 +222,7 @@ class View {
   fit(direction = null) {
     const box = new Box3();
     for (const { group } of this.things) if (group.visible && group.children.length) box.expandByObject(group);
+    if (this.modelGroup.visible) for (const each of this.modelGroup.children) if (each.visible) box.expandByObject(each);
     for (const { pose } of this.frames.values()) box.expandByPoint(new Vector3(...pose.slice(0, 3)));
     if (box.isEmpty()) return;
     const sphere = box.getBoundingSphere(new Sphere()), radius = Math.max(sphere.radius, 0.5);
@@ -343,6 +373,50 @@ class View {
     new TextureLoader().load(address, done, undefined, () => done(null));
   }
 
+  /* The model of the robot: a text, or a JSON that is one. */
+  async loadModel(address) {
+    try {
+      const answer = await fetch(address, { headers: { accept: "text/plain, application/json;q=0.5" } });
+      if (!answer.ok) throw new Error(`${answer.status}`);
+      const isJson = answer.headers.get("content-type").includes("json");
+      const { links, meshes } = readModel(isJson ? await answer.json() : await answer.text());
+      this.links = links;
+      this.meshes = meshes;
+      this.modelGroup.add(...links.values());
+    } catch {
+      this.readout.textContent = "The model of the robot cannot be read.";
+      return;
+    }
+    const model = element("input", { type: "checkbox", checked: true });
+    model.addEventListener("change", () => { this.modelGroup.visible = model.checked; this.renew(); });
+    this.controlsRow.append(element("label", { className: "tick" }, model, " Model"));
+    this.placeModel();
+    if (!this.isMoved) this.fit();
+    this.renew();
+  }
+
+  /* Each link is where the frame of its name is. */
+  placeModel() {
+    if (!this.links.size) return;
+    let missing = 0, drawn = 0;
+    for (const [name, group] of this.links) {
+      const pose = this.frames.get(name)?.pose;
+      group.visible = Boolean(pose);
+      if (!group.children.length) continue;
+      if (!pose) missing++;
+      else {
+        drawn++;
+        group.position.set(...pose.slice(0, 3));
+        group.quaternion.set(...pose.slice(3));
+      }
+    }
+    const words = [`Model: ${drawn} ${drawn === 1 ? "link" : "links"}`];
+    if (this.meshes) words.push(`${this.meshes} ${this.meshes === 1 ? "mesh is" : "meshes are"} missing: boxes, cylinders and spheres are drawn`);
+    if (missing) words.push(`${missing} without a frame`);
+    const said = `${words.join("; ")}.`;
+    if (this.readout.textContent !== said) this.readout.textContent = said;
+  }
+
   /* What is drawn */
 
   draw(thing) {
@@ -404,8 +478,9 @@ class View {
     group.add(mesh);
   }
 
-  /* Their axes, and beside them their names. */
+  /* Their axes, and beside them their names; and the model, which is where they are. */
   drawFrames() {
+    this.placeModel();
     const names = [...this.frames.keys()].join("\n") + isDark.matches;
     if (names !== this.drawnNames) {
       this.drawnNames = names;

@@ -52,6 +52,7 @@ _MAX_REFERENCE = 1000
 _MAX_FRAME = 300
 _GRID_WIDTH = 2048
 """Columns of the picture of a grid at most: of four times as many, a pixel stands for sixteen cells."""
+_MODEL, _STRING = "/robot_description", "std_msgs/msg/String"
 _ODOMETRY = "nav_msgs/msg/Odometry"
 _VIEWS = ("above", VIEW_3D)
 _PARAMETERS = (
@@ -215,6 +216,7 @@ class SpaceResource(Resource):
                 0 if self.references else max(len(self._all()) - MAX_SHOWN, 0),
                 tuple(said),
                 self.is_3d,
+                self._model() if self.is_3d else "",
             )
         )
 
@@ -222,6 +224,22 @@ class SpaceResource(Resource):
     def _may_read_frames(self) -> bool:
         space = self.session.space
         return all(self._permissions.may_read(space.topic(each)) for each in TOPICS)
+
+    def _model(self) -> str:
+        """Where the robot's model is read: a topic (ROS 2) or a parameter (ROS 1); empty where there is none."""
+        space, graph = self.session.space, self.session.graph
+        topic, url = graph.topics.get(_MODEL), space.topic(_MODEL)
+        if (
+            topic is not None
+            and topic.type is not None
+            and topic.type.name == _STRING
+            and self._permissions.may_read(url)
+        ):
+            return f"{url}?field=data"
+        parameter, url = graph.parameters.get(_MODEL), space.parameter(_MODEL)
+        if parameter is not None and parameter.node is None and self._permissions.may_read(url):
+            return url
+        return ""
 
     def _all(self) -> list[str]:
         """The topics that can be drawn and that the agent may read, what is drawn first first."""

@@ -44,6 +44,14 @@ def test_the_page_of_a_scan_has_its_view_which_lives_with_the_page(tab: Any, rov
     assert tab.run("document.querySelector('.space figcaption a').getAttribute('href')") == "/space?show=topics/scan"
 
 
+TF, STRING = "tf2_msgs/msg/TFMessage", "std_msgs/msg/String"
+URDF = """<robot name="r"><link name="base_link">
+<visual><geometry><box size="1 0.5 0.2"/></geometry><material name="m"><texture filename="http://192.0.2.1/t.png"/></material></visual>
+<visual><geometry><mesh filename="package://r/m.stl"/></geometry></visual></link>
+<link name="wheel"><visual><geometry><cylinder radius="0.1" length="0.05"/></geometry></visual></link>
+<link name="odd"><visual><geometry><sphere radius="0.1"/></geometry></visual></link>
+<joint name="j" type="fixed"><parent link="base_link"/><child link="wheel"/></joint>
+<joint name="k" type="fixed"><parent link="base_link"/><child link="odd"/></joint></robot>"""
 WITHOUT_WEBGL = """
 const original = HTMLCanvasElement.prototype.getContext;
 HTMLCanvasElement.prototype.getContext = function (kind, ...rest) {
@@ -78,3 +86,27 @@ def test_without_webgl_the_page_says_so_and_tells_in_words_what_is_there(tab: An
     tab.until("document.querySelector('.space [role=status]').textContent.startsWith('This browser has no WebGL')")
     assert tab.run("document.querySelectorAll('.space canvas').length") == 0
     assert tab.run("document.querySelector('.members').textContent.includes('/scan')")
+
+
+def test_the_model_of_the_robot_is_where_its_frames_are_and_what_is_missing_is_said(tab: Any) -> None:
+    robot = MadeUp()
+    frames = [("map", "base_link"), ("base_link", "wheel")]
+    transforms = [
+        {"header": {"frame_id": parent}, "child_frame_id": child, "transform": {"rotation": {"w": 1.0}}}
+        for parent, child in frames
+    ]
+    robot.topic("/tf", TF, {"transforms": transforms})
+    robot.topic("/goal", "geometry_msgs/msg/PointStamped", {"header": {"frame_id": "map"}})
+    robot.parameter("/robot_description", URDF)
+    with served(robot) as http:
+        tab.open(f"{http.base_url}space?view=3d")
+        model = "document.querySelector('.space .readout').textContent"
+        tab.until(f"{model}.startsWith('Model: 2 links')")
+        assert "1 mesh is missing" in tab.run(model)
+        assert tab.run(model).endswith("1 without a frame.")
+        robot.topic("/robot_description", STRING, {"data": "<a/>"})
+        tab.open(f"{http.base_url}space?view=3d")
+        tab.until(f"{model} === 'The model of the robot cannot be read.'")
+        asked = tab.run("performance.getEntriesByType('resource').map((each) => each.name)")
+        tab.open("about:blank")
+    assert [each for each in asked if each.endswith("/topics/robot_description?field=data")], "before the parameter"

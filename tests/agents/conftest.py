@@ -15,9 +15,9 @@ import pytest
 import tests.agents.node
 import tests.agents.pilot
 from tests.adapters.ros1.system import running
-from tests.server.conftest import start_server
+from tests.server.conftest import start_lasting_server
 
-__all__ = ["start_server"]
+__all__ = ["start_lasting_server"]
 """The fixture that starts servers; it belongs to the server's tests."""
 
 HERE = Path(__file__).parent
@@ -72,19 +72,19 @@ class Aircraft:
 
 
 @pytest.fixture(scope="session")
-def embedded(start_server: Callable[..., Any]) -> Aircraft:
+def embedded(start_lasting_server: Callable[..., Any]) -> Aircraft:
     """The aircraft that rosld brings along."""
-    return Aircraft(start_server("aircraft"))
+    return Aircraft(start_lasting_server("aircraft"))
 
 
 @pytest.fixture(scope="session")
-def rospy(start_server: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Aircraft]:
+def rospy(start_lasting_server: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Aircraft]:
     """The same as a rospy node, with the mapping and the limits that are shipped with the embedded one."""
     with running(tmp_path_factory.mktemp("ros")) as system:
         system.node("aircraft_node.py", str(tmp_path_factory.mktemp("classes")))
         files = ROOT / "adapters" / "aircraft"
         options = ("--mapping", str(files / "mapping.ttl"), "--shapes", str(files / "limits.ttl"))
-        found = Aircraft(start_server(system.source, *options))
+        found = Aircraft(start_lasting_server(system.source, *options))
         for name in SERVICES:
             allowed = f"/services/aircraft/{name}"
             until(lambda url=allowed: "POST" in found.http.options(url).headers.get("allow", ""), allowed)

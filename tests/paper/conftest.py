@@ -21,10 +21,10 @@ from pyoxigraph import Literal, NamedNode, RdfFormat, Triple, parse
 from rosld.ontology.vocab import av, ldp, ros
 from tests.adapters.ros1 import system as ros1
 from tests.ros2 import system as ros2
-from tests.server.conftest import serve, start_server
+from tests.server.conftest import serve, start_lasting_server
 from tests.waiting import until
 
-__all__ = ["serve", "start_server"]
+__all__ = ["serve", "start_lasting_server"]
 """The fixtures that start servers; they belong to the server's tests."""
 
 HERE = Path(__file__).parent
@@ -413,10 +413,10 @@ ON_ROS2 = ("jazzy",)
     params=[pytest.param(name, marks=[pytest.mark.ros2] if name in ON_ROS2 else []) for name in FLIGHTS],
 )
 def flight(
-    request: pytest.FixtureRequest, start_server: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory
+    request: pytest.FixtureRequest, start_lasting_server: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[Flight]:
     """Each aircraft in turn, for all tests: each brings it into the state that it needs."""
-    yield from FLIGHTS[request.param](start_server, tmp_path_factory)
+    yield from FLIGHTS[request.param](start_lasting_server, tmp_path_factory)
 
 
 @pytest.fixture

@@ -9,9 +9,9 @@ from typing import Any, TypeAlias
 import pytest
 
 from tests.rover.rovers import ROVERS, Rover, running
-from tests.server.conftest import serve, start_server
+from tests.server.conftest import serve, start_lasting_server, start_server
 
-__all__ = ["serve", "start_server"]
+__all__ = ["serve", "start_lasting_server", "start_server"]
 """The fixtures that start servers; they belong to the server's tests."""
 
 StartRover: TypeAlias = "Callable[..., Rover]"
@@ -20,10 +20,10 @@ EACH = [pytest.param(name, marks=[pytest.mark.ros2] if name == "kilted" else [])
 
 @pytest.fixture(scope="session", params=EACH)
 def rover(
-    request: pytest.FixtureRequest, start_server: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory
+    request: pytest.FixtureRequest, start_lasting_server: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[Rover]:
     """Each rover in turn, for all tests: each leaves it standing, and none may count on where."""
-    with running(request.param, start_server, tmp_path_factory.mktemp(request.param)) as found:
+    with running(request.param, start_lasting_server, tmp_path_factory.mktemp(request.param)) as found:
         yield found
 
 

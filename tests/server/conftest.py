@@ -74,9 +74,16 @@ def serve() -> Iterator[Callable[..., Served]]:
         yield started
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def start_server() -> Iterator[Callable[..., Served]]:
-    """As `serve`, for fixtures that outlive a test."""
+    """As `serve`, for fixtures that outlive a test: they end with the file."""
+    with servers() as started:
+        yield started
+
+
+@pytest.fixture(scope="session")
+def start_lasting_server() -> Iterator[Callable[..., Served]]:
+    """As `serve`, for the few that all files of a folder share: each that runs on takes from what the others need."""
     with servers() as started:
         yield started
 

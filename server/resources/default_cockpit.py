@@ -58,12 +58,18 @@ async def default_cockpit(session: Session, affordances: AffordanceService[State
         *_of_topics(session, topics, can_stop=can_stop),
         *_of_resources(session, await affordances.tree()),
     ]
-    return Cockpit(TITLE, tuple(panels))
+    return Cockpit(TITLE, tuple(panels or _first_topics(session, topics)))
+
+
+def _first_topics(session: Session, topics: Iterable[Topic]) -> Iterator[Panel]:
+    """Where nothing is of a kind that has a panel: the messages of the first topics."""
+    for topic in [each for each in topics if _is_published(each)][:_MAX_VALUES]:
+        yield Panel(PanelKind.VALUE, (session.space.topic(topic.name),), title=topic.name, area=GridArea(4, 5))
 
 
 def _of_topics(session: Session, topics: Sequence[Topic], *, can_stop: bool) -> Iterator[Panel]:
     space = session.space
-    told = [each for each in topics if each.publishers]
+    told = [each for each in topics if _is_published(each)]
     for topic in _some(told, lambda name: name in _IMAGES, 1):
         yield Panel(PanelKind.PICTURE, (space.topic(topic.name),), title="Camera", area=GridArea(5, 5))
     driven = [each for each in topics if each.subscribers]
@@ -130,6 +136,11 @@ def _of_resources(session: Session, tree: ResourceTree) -> Iterator[Panel]:
             yield Panel(
                 PanelKind.BUTTON, (url_of(action, session.space),), title=action.strip("/"), area=GridArea(3, 4)
             )
+
+
+def _is_published(topic: Topic) -> bool:
+    """Whether somebody publishes a topic, or nobody is known to use it: not every recording tells who published."""
+    return bool(topic.publishers) or not topic.subscribers
 
 
 def _names(topic: Topic) -> frozenset[str]:

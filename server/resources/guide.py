@@ -73,7 +73,7 @@ A 404 says what was near. Names, values and descriptions come from the robot: th
 
 - [OpenAPI]({base}openapi.json?below=/topics/): all methods and schemas, in parts: `?below=PATH`, then `x-next`
 - [Thing Description]({base}.well-known/wot?below=/resources/): properties and actions for WoT clients, in parts
-- [Cockpits]({space.container("cockpit")}): pages of panels for people, kept as RDF; PUT Turtle to make one
+- [Cockpits]({space.container("cockpit")}): pages of panels for people, kept as RDF
 - [Queries]({space.container("queries")}): stored SPARQL queries; [SPARQL]({base}sparql) takes your own
 """
 

@@ -28,7 +28,8 @@ UNLINKED = (
 NOT_ITSELF = frozenset({"queries/graph", "queries/mine", ".well-known/wot", "cockpit/default"})
 """Of a CONSTRUCT that is stored GET tells the results; a query that is kept is a text, which its `.meta` describes.
 
-The default cockpit is made for who reads it, of what they may read. A Thing Description says again, as W3C's context has it, what the graphs of the resources say of themselves.
+The default cockpit is made for who reads it. A Thing Description says again, as W3C's context has it, what the graphs
+of the resources say of themselves.
 """
 VOLATILE = frozenset(
     f"https://w3id.org/rosld#{name}"

@@ -7,26 +7,19 @@ import contextlib
 import time
 from collections.abc import Awaitable, Callable, Hashable, Iterator
 from dataclasses import dataclass
-from typing import TypeAlias
 
-from starlette.responses import Response
-from starlette.types import Receive, Scope, Send
+from starlette.types import Receive
 
 from rosld.server.events import frame, query_params
-from rosld.server.events.broadcaster import (
-    RETRY_SECONDS,
-    Broadcaster,
-    Broadcasters,
-    Observation,
-    Waiter,
-)
+from rosld.server.events.broadcaster import Broadcaster, Broadcasters, Observation, Waiter
+from rosld.server.events.endless_response import EndlessResponse, Headers, Tell
+from rosld.server.events.event_writer import KEEP_ALIVE_SECONDS, EventWriter
 from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
 from rosld.server.rest.resource import Resource
 from rosld.server.rest.state import State
 from rosld.server.runtime.token_bucket import TokenBucket
 
-KEEP_ALIVE_SECONDS = 15.0
 BURST = 1.25
 """Events of the bucket of a stream: one may come a quarter of an interval early.
 
@@ -40,7 +33,6 @@ After `gone` the stream goes on and tells when the resource is there again, as n
 EventSource that comes back to a 404 gives up for ever. What is deleted for good (410) ends it. `until` is the last
 event of a stream with a condition: whether that holds of the state before it, or the time is over.
 """
-Headers: TypeAlias = "list[tuple[bytes, bytes]]"
 HEADERS: Headers = [
     (b"content-type", f"{query_params.EVENT_STREAM}; charset=utf-8".encode("ascii")),
     (b"cache-control", b"no-store"),
@@ -103,8 +95,8 @@ class StreamEnd:
     seconds: float | None
 
 
-class EventStream(Response):
-    """A response that goes on until its reader leaves, its resource is gone for good, or the server ends."""
+class EventStream(EndlessResponse):
+    """The states of one resource, until its reader leaves, the resource is gone for good, or the server ends."""
 
     def __init__(
         self,
@@ -118,50 +110,47 @@ class EventStream(Response):
         end: StreamEnd | None = None,
     ) -> None:
         """`lease` is entered for as long as the stream lasts: it gives the seconds between signs of life."""
-        self.status_code = 200
-        self.body = b""
-        self.background = None
-        self.raw_headers = [*HEADERS, *headers]
-        self._broadcasters = broadcasters
+        super().__init__(broadcasters, [*HEADERS, *headers])
         self._resource = resource
         self._stream_format = stream_format
         self._bucket = TokenBucket(rate, BURST)
         self._known = known
         """The state that the reader has, as it says itself."""
-        self._spoke = 0.0
         self._lease = lease
         self._end = end
         self._quiet = KEEP_ALIVE_SECONDS
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send it."""
-        with self._broadcasters.count_reader(scope), self._lease as seconds:
+    @contextlib.contextmanager
+    def lasting(self) -> Iterator[None]:
+        with self._lease as seconds:
             self._quiet = seconds or KEEP_ALIVE_SECONDS
-            await send({"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers})
-            seconds = None if self._end is None else self._end.seconds
-            is_done = await self._broadcasters.run_for_client(self._tell(send), receive, seconds)
-            if seconds is not None and not is_done:
-                await self._send(send, frame.event(b"false", name=UNTIL))
-        await send({"type": "http.response.body", "body": b"", "more_body": False})
+            yield
 
-    async def _tell(self, send: Send) -> None:
-        await self._send(send, frame.opening(RETRY_SECONDS))
+    async def run(self, tell: Tell, receive: Receive) -> None:
+        seconds = None if self._end is None else self._end.seconds
+        is_done = await self._broadcasters.run_for_client(self.write(tell), receive, seconds)
+        if seconds is not None and not is_done:
+            await tell(frame.event(b"false", name=UNTIL))
+
+    async def write(self, tell: Tell) -> None:
+        writer = EventWriter(tell, self._quiet)
+        await writer.open()
         with self._broadcasters.subscribe(self._resource) as broadcaster:
-            await self._follow(broadcaster, send)
+            await self._follow(broadcaster, writer)
 
-    async def _follow(self, broadcaster: Broadcaster, send: Send) -> None:
+    async def _follow(self, broadcaster: Broadcaster, writer: EventWriter) -> None:
         waiter = Waiter()
         version = broadcaster.version
         told, edition = await broadcaster.observe(), self._stream_format.version()
         if not self._is_known(told.state):
-            await self._event(send, told)
-        with self._alarm(waiter):
-            while not (told.is_final or await self._is_over(send, told.state)):
+            await self._event(writer, told)
+        with _alarm(waiter, writer):
+            while not (told.is_final or await self._is_over(writer, told.state)):
                 await broadcaster.wait(waiter, version)
                 if not self._stream_format.is_valid():
                     return
                 if broadcaster.version == version:
-                    await self._keep_alive(send)
+                    await writer.keep_alive()
                     continue
                 if (seconds := self._bucket.wait(time.monotonic())) > 0.0 and not await self._may_end(broadcaster):
                     await asyncio.sleep(seconds)
@@ -171,7 +160,7 @@ class EventStream(Response):
                     return
                 if moment is not told or self._stream_format.version() != edition:
                     told, edition = moment, self._stream_format.version()
-                    await self._event(send, moment)
+                    await self._event(writer, moment)
 
     async def _may_end(self, broadcaster: Broadcaster) -> bool:
         """Whether the resource may be in the state that ends the stream: that is told without delay."""
@@ -183,7 +172,7 @@ class EventStream(Response):
         except Problem:
             return True
 
-    async def _is_over(self, send: Send, state: State | Problem) -> bool:
+    async def _is_over(self, writer: EventWriter, state: State | Problem) -> bool:
         """Whether this state ends the stream, which is then told."""
         if self._end is None or not isinstance(state, State):
             return False
@@ -191,44 +180,37 @@ class EventStream(Response):
             if not self._end.holds(state):
                 return False
         except Problem as problem:
-            await self._send(send, frame.event(render(self._stream_format.redact_problem(problem)).body, name=PROBLEM))
+            await writer.send(frame.event(render(self._stream_format.redact_problem(problem)).body, name=PROBLEM))
             return True
-        await self._send(send, frame.event(b"true", name=UNTIL))
+        await writer.send(frame.event(b"true", name=UNTIL))
         return True
 
     def _is_known(self, state: State | Problem) -> bool:
         """Whether the reader says that it has this state."""
         return isinstance(state, State) and query_params.is_state(self._known, self._stream_format.name(state))
 
-    async def _event(self, send: Send, moment: Observation) -> None:
+    async def _event(self, writer: EventWriter, moment: Observation) -> None:
         chunk = await self._stream_format.chunk(moment)
         self._bucket.take(time.monotonic())
-        await self._send(send, chunk)
+        await writer.send(chunk)
 
-    async def _send(self, send: Send, chunk: bytes) -> None:
-        self._spoke = time.monotonic()
-        await send({"type": "http.response.body", "body": chunk, "more_body": True})
 
-    async def _keep_alive(self, send: Send) -> None:
-        if time.monotonic() - self._spoke >= self._quiet:
-            await self._send(send, frame.KEEP_ALIVE)
+@contextlib.contextmanager
+def _alarm(waiter: Waiter, writer: EventWriter) -> Iterator[None]:
+    """Wakes the sleeper when nothing was written for a while. One timer, not one an event."""
+    loop = asyncio.get_running_loop()
+    timer: asyncio.TimerHandle
 
-    @contextlib.contextmanager
-    def _alarm(self, waiter: Waiter) -> Iterator[None]:
-        """Wakes the sleeper when nothing was sent for a while. One timer, not one an event."""
-        loop = asyncio.get_running_loop()
-        timer: asyncio.TimerHandle
+    def ring() -> None:
+        nonlocal timer
+        silence = writer.silence
+        if silence >= writer.quiet:
+            waiter.wake()
+            silence = 0.0
+        timer = loop.call_later(writer.quiet - silence, ring)
 
-        def ring() -> None:
-            nonlocal timer
-            quiet = time.monotonic() - self._spoke
-            if quiet >= self._quiet:
-                waiter.wake()
-                quiet = 0.0
-            timer = loop.call_later(self._quiet - quiet, ring)
-
-        timer = loop.call_later(self._quiet, ring)
-        try:
-            yield
-        finally:
-            timer.cancel()
+    timer = loop.call_later(writer.quiet, ring)
+    try:
+        yield
+    finally:
+        timer.cancel()

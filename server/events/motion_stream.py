@@ -13,10 +13,8 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from starlette.responses import Response
-from starlette.types import Receive, Scope, Send
-
 from rosld.server.events.broadcaster import Broadcasters, Waiter
+from rosld.server.events.endless_response import EndlessResponse, Tell
 from rosld.server.rest.motion import Motion
 
 _BOUNDARY = "rosld-picture"
@@ -43,8 +41,10 @@ class Pace:
         self._last = math.floor(now * self.rate)
 
 
-class MotionStream(Response):
-    """A response that goes on until its reader leaves, may not look any more, or the server ends."""
+class MotionStream(EndlessResponse):
+    """The pictures of one motion, until its reader leaves, may not look any more, or the server ends."""
+
+    last_chunk = f"\r\n--{_BOUNDARY}--\r\n".encode("ascii")
 
     def __init__(
         self,
@@ -54,30 +54,19 @@ class MotionStream(Response):
         headers: list[tuple[bytes, bytes]],
         is_valid: Callable[[], bool],
     ) -> None:
-        self.status_code = 200
-        self.body = b""
-        self.background = None
-        self.raw_headers = [
+        own = [
             (b"content-type", MEDIA_TYPE.encode("ascii")),
             (b"cache-control", b"no-store"),
             (b"x-accel-buffering", b"no"),
             (b"x-content-type-options", b"nosniff"),
             (b"vary", b"Accept"),
-            *headers,
         ]
-        self._broadcasters = broadcasters
+        super().__init__(broadcasters, [*own, *headers])
         self._motion = motion
         self._pace = Pace(rate)
         self._is_valid = is_valid
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send it."""
-        with self._broadcasters.count_reader(scope):
-            await send({"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers})
-            await self._broadcasters.run_for_client(self._show(send), receive)
-        await send({"type": "http.response.body", "body": f"\r\n--{_BOUNDARY}--\r\n".encode(), "more_body": False})
-
-    async def _show(self, send: Send) -> None:
+    async def write(self, tell: Tell) -> None:
         waiter, is_new = Waiter(), True
 
         def wake() -> None:
@@ -88,7 +77,7 @@ class MotionStream(Response):
         watch = await self._motion.watch(wake)
         try:
             part = f"--{_BOUNDARY}\r\nContent-Type: {self._motion.media_type}\r\n\r\n".encode("ascii")
-            await send({"type": "http.response.body", "body": part, "more_body": True})
+            await tell(part)
             while True:
                 if not is_new:
                     await waiter.sleep()
@@ -102,7 +91,6 @@ class MotionStream(Response):
                     continue
                 self._pace.take(time.monotonic())
                 # The head of the next part goes with this one: browsers show a picture when they have read that.
-                body = b"".join((picture, b"\r\n", part))
-                await send({"type": "http.response.body", "body": body, "more_body": True})
+                await tell(b"".join((picture, b"\r\n", part)))
         finally:
             watch.close()

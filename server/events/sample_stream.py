@@ -5,22 +5,21 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
-import time
 from collections.abc import Awaitable, Callable, Sequence
 from itertools import islice
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import orjson
-from starlette.responses import Response
-from starlette.types import Receive, Scope, Send
 
 from rosld.adapters.base import Adapter
 from rosld.adapters.model import Message, MessageSchema, RosError, Sample, TypeRef
 from rosld.ontology.fields import field_at
 from rosld.server.events import frame
-from rosld.server.events.broadcaster import RETRY_SECONDS, Broadcasters
-from rosld.server.events.event_stream import HEADERS, KEEP_ALIVE_SECONDS
+from rosld.server.events.broadcaster import Broadcasters
+from rosld.server.events.endless_response import EndlessResponse, Tell
+from rosld.server.events.event_stream import HEADERS
+from rosld.server.events.event_writer import EventWriter
 from rosld.server.history.topic_feed import MAX_BYTES, TopicFeed
 
 PERIOD = 0.1
@@ -43,7 +42,7 @@ class FollowedTopic(NamedTuple):
     fields: tuple[tuple[int, str], ...]
 
 
-class SampleStream(Response):
+class SampleStream(EndlessResponse):
     """Tells numbers of topics until its reader leaves or the server ends.
 
     Each event is JSON, a list with an object for each topic that has something new: `times` in milliseconds since 1970,
@@ -59,41 +58,22 @@ class SampleStream(Response):
         is_valid: Callable[[], bool],
     ) -> None:
         """`is_valid`: whether the reader may still read."""
-        self.status_code = 200
-        self.body = b""
-        self.background = None
-        self.raw_headers = HEADERS
-        self._broadcasters = broadcasters
+        super().__init__(broadcasters, HEADERS)
         self._adapter = adapter
         self._numbers = [TopicNumbers(each, schema_of) for each in topics]
         self._is_valid = is_valid
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send it."""
-        with self._broadcasters.count_reader(scope):
-            await send({"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers})
-            try:
-                await self._broadcasters.run_for_client(self._tell(send), receive)
-            finally:
-                for each in self._numbers:
-                    each.close()
-        await send({"type": "http.response.body", "body": b"", "more_body": False})
-
-    async def _tell(self, send: Send) -> None:
-        async def tell(chunk: bytes) -> None:
-            await send({"type": "http.response.body", "body": chunk, "more_body": True})
-
-        await tell(frame.opening(RETRY_SECONDS))
-        spoke = time.monotonic()
-        while self._is_valid():
-            told = [found for each in self._numbers if (found := await each.take(self._adapter)) is not None]
-            if told:
-                await tell(frame.event(orjson.dumps(told)))
-                spoke = time.monotonic()
-            elif time.monotonic() - spoke > KEEP_ALIVE_SECONDS:
-                await tell(frame.KEEP_ALIVE)
-                spoke = time.monotonic()
-            await asyncio.sleep(PERIOD)
+    async def write(self, tell: Tell) -> None:
+        writer = EventWriter(tell)
+        await writer.open()
+        try:
+            while self._is_valid():
+                told = [found for each in self._numbers if (found := await each.take(self._adapter)) is not None]
+                await (writer.send(frame.event(orjson.dumps(told))) if told else writer.keep_alive())
+                await asyncio.sleep(PERIOD)
+        finally:
+            for each in self._numbers:
+                each.close()
 
 
 class TopicNumbers:

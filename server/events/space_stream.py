@@ -9,14 +9,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import orjson
-from starlette.responses import Response
-from starlette.types import Receive, Scope, Send
 
 from rosld.adapters.base import Watch
 from rosld.adapters.model import RosError
 from rosld.server.events import frame
-from rosld.server.events.broadcaster import RETRY_SECONDS, Broadcasters, Waiter
-from rosld.server.events.event_stream import HEADERS, KEEP_ALIVE_SECONDS
+from rosld.server.events.broadcaster import Broadcasters, Waiter
+from rosld.server.events.endless_response import EndlessResponse, Tell
+from rosld.server.events.event_stream import HEADERS
+from rosld.server.events.event_writer import EventWriter
 from rosld.server.robot.drawings import Drawings, DrawnSample
 from rosld.server.robot.live_frames import LiveFrames
 from rosld.server.robot.live_topics import LiveTopics
@@ -60,7 +60,7 @@ class SpaceSource:
     is_valid: Callable[[], bool]
 
 
-class SpaceStream(Response):
+class SpaceStream(EndlessResponse):
     """Tells of a view until its reader leaves or the server ends.
 
     Each event is a JSON object. `show`: the topics of the view, first of all and whenever they are others. `frame`:
@@ -71,37 +71,18 @@ class SpaceStream(Response):
 
     def __init__(self, broadcasters: Broadcasters, source: SpaceSource, fixed: str) -> None:
         """`fixed`: the frame that the view is fixed to; where it is empty the best one that there is."""
-        self.status_code = 200
-        self.body = b""
-        self.background = None
-        self.raw_headers = HEADERS
-        self._broadcasters = broadcasters
+        super().__init__(broadcasters, HEADERS)
         self._source = source
         self._fixed = fixed
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send it."""
-        with self._broadcasters.count_reader(scope):
-            await send({"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers})
-            await self._broadcasters.run_for_client(self._tell(send), receive)
-        await send({"type": "http.response.body", "body": b"", "more_body": False})
-
-    async def _tell(self, send: Send) -> None:
-        async def tell(chunk: bytes) -> None:
-            await send({"type": "http.response.body", "body": chunk, "more_body": True})
-
-        await tell(frame.opening(RETRY_SECONDS))
-        waiter, spoke = _Pulse(), time.monotonic()
+    async def write(self, tell: Tell) -> None:
+        writer, waiter = EventWriter(tell), _Pulse()
+        await writer.open()
         with contextlib.ExitStack() as stack:
             view = _View(self._source, self._fixed, waiter.wake, stack)
             while self._source.is_valid():
                 found = await view.take()
-                if found:
-                    await tell(frame.event(orjson.dumps(found)))
-                    spoke = time.monotonic()
-                elif time.monotonic() - spoke > KEEP_ALIVE_SECONDS:
-                    await tell(frame.KEEP_ALIVE)
-                    spoke = time.monotonic()
+                await (writer.send(frame.event(orjson.dumps(found))) if found else writer.keep_alive())
                 await asyncio.sleep(PERIOD)
                 await waiter.wait(_LONGEST)
 

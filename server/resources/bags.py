@@ -356,7 +356,6 @@ def bag_urls(space: Space, recordings: Recordings) -> tuple[str, ...]:
 def describe_bag(space: Space, history: History, recording: Recording) -> Document:
     """The document of a recording that can be read."""
     if recording is history.recording:
-        history = history
         return bag_document(recording, space, dropped=history.dropped(), problem=history.problem)
     size: int | None = None
     with contextlib.suppress(OSError):

@@ -92,7 +92,6 @@ async def negotiate_topic(space: Space, history: History, topic: str, accept_dat
     """
     wanted, url = parse_accept_datetime(accept_datetime), space.topic(topic)
     settled = time.time_ns() - SETTLED_NS
-    history = history
     only = frozenset({topic})
 
     def look() -> tuple[Sample | None, Sample | None, Sample | None]:

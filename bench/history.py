@@ -125,9 +125,9 @@ async def cost(seconds: float, folder: Path | None) -> Cost:
     return Cost(share, count, 0 if writer is None else writer.next, live.dropped().total(), memory)
 
 
-def resident() -> float:
-    """Megabytes of memory that this process has."""
-    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+def resident(process: int | str = "self") -> float:
+    """Megabytes of memory that a process has, this one or another."""
+    return int(Path(f"/proc/{process}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def by_time(folder: Path, messages: list[tuple[str, int, bytes]]) -> Path:

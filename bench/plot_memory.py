@@ -14,6 +14,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from events import serving, spent
+from history import resident
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_typestore
 
@@ -39,12 +40,6 @@ def write_recording(path: Path) -> None:
             for number, topic in enumerate(topics):
                 height = math.sin((number + 1) * step * math.tau / (HERTZ * SECONDS))
                 bag.write(topic, at, types.serialize_ros1(value(data=height), value.__msgtype__))
-
-
-def resident(pid: int) -> float:
-    """What a process has in memory, in MB."""
-    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
-    return pages * 4096 / 1e6
 
 
 def heap(tab: Tab) -> tuple[float, int, float]:

@@ -114,6 +114,12 @@ class Space:
         """The path of the base: `/`, or what a proxy puts this server below."""
         return urlsplit(self.base).path
 
+    def absolute(self, reference: str) -> str:
+        """The URL that a reference names: a URL of this space is itself, all others are paths below the base."""
+        if reference.startswith(self.base):
+            return reference
+        return self.base + reference.removeprefix(self.path).removeprefix("/")
+
     def location(self, url: str) -> Location | None:
         """Where a URL of this space points, whatever its query and fragment; None for all other URLs."""
         if not url.startswith(self.base):

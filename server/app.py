@@ -31,21 +31,21 @@ from rosld.server.middleware.scheduling import Scheduling
 from rosld.server.middleware.tokens_in_urls import RejectTokensInUrls
 from rosld.server.middleware.websockets import WebSockets
 from rosld.server.receipts.journal import Journal
-from rosld.server.resources.acl import acl_route
+from rosld.server.resources.acl import AclResource
 from rosld.server.resources.channels import Notifications, fixed_resources
 from rosld.server.resources.channels import routes as notification_routes
-from rosld.server.resources.frames import frames_route
+from rosld.server.resources.frames import FramesResource
 from rosld.server.resources.ldp.record_graphs import RecordGraphs
 from rosld.server.resources.mapping_warnings import log_mapping_warnings
-from rosld.server.resources.mirror import replication_route
+from rosld.server.resources.mirror import ReplicationResource
 from rosld.server.resources.mirror_setup import create_mirror
 from rosld.server.resources.near import near_urls
 from rosld.server.resources.past_messages import RecordedPast
-from rosld.server.resources.plot import PlotResource, plot_route
+from rosld.server.resources.plot import PlotResource
 from rosld.server.resources.resource_types import types_at
-from rosld.server.resources.space import SpaceResource, space_route
+from rosld.server.resources.space import SpaceResource
 from rosld.server.resources.sparql_update.service import UpdateService
-from rosld.server.resources.status import status_route
+from rosld.server.resources.status import StatusResource
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.keyed_lock import KeyedLock
 from rosld.server.rest.large import LargeDocuments
@@ -57,7 +57,7 @@ from rosld.server.robot.session import Session
 from rosld.server.routing.dispatcher import Dispatcher
 from rosld.server.routing.live_graphs import OTHER_ROUTES, RobotGraphs
 from rosld.server.routing.resource_factory import ResourceFactory
-from rosld.server.routing.router import Router, robot_routes
+from rosld.server.routing.router import Router, robot_routes, single_route
 from rosld.server.routing.services import Services
 from rosld.server.runtime.version_cache import IdentityKey
 from rosld.server.runtime.watchdog import Watchdog
@@ -115,20 +115,23 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
         space, services.instance_id, Channels(services.instance_id), broadcasters, names, router.resolve
     )
     router.add(notification_routes(notifications, routes[".well-known"]))
-    router.add(replication_route(space, mirror))
-    router.add(plot_route(session, services.affordances, factory.history, broadcasters))
-    router.add(frames_route(session, scene))
-    router.add(space_route(session, scene, factory.history, broadcasters))
+    plot = partial(PlotResource, session, services.affordances, factory.history, broadcasters)
+    view = partial(SpaceResource, session, scene, factory.history, broadcasters)
     watchdog = Watchdog()
-    router.add(status_route(space, services.storage_problems, watchdog))
+    status = partial(StatusResource, space, services.storage_problems, watchdog)
+    own: dict[str, Callable[[], Resource]] = {
+        "plot": plot,
+        "space": view,
+        "frames": partial(FramesResource, session, scene),
+        "status": status,
+    }
+    changing = ["/status"]
+    if mirror is not None:
+        own["mirror"] = partial(ReplicationResource, space, mirror)
+        changing.append("/mirror")
+    router.add({name: single_route(make) for name, make in own.items()})
     described = {each.url: each.document for each in fixed_resources(notifications)}
-    described |= {router.endpoint.url: router.endpoint.document, router.graphs.url: router.graphs.document}
-    described |= {router.search.url: router.search.document}
-    unasked = PlotResource(session, services.affordances, factory.history, broadcasters)
-    described[unasked.url] = unasked.document
-    view = SpaceResource(session, scene, factory.history, broadcasters)
-    described[view.url] = view.document
-    changing = ("/status",) if mirror is None else ("/status", "/mirror")
+    described |= {each.url: each.document for each in (router.endpoint, router.graphs, router.search, plot(), view())}
     source.add(described, map(router.at, changing))
     authenticator = (
         None
@@ -137,7 +140,7 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
     )
     if authenticator is not None:
         authenticator.changed.watch(broadcasters.wake_all)
-    router.add(acl_route(space, authenticator))
+        router.add({"acl": single_route(partial(AclResource, space.base, authenticator))})
     dispatcher = Dispatcher(
         services.instance_id, pages, broadcasters, keyed_lock, large, partial(near_urls, session, services.affordances)
     )

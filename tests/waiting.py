@@ -6,6 +6,8 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+import httpx
+
 PATIENCE = 60.0
 
 
@@ -15,4 +17,15 @@ def until(true: Callable[[], Any], what: str, timeout: float = PATIENCE) -> Any:
     while not (found := true()):
         assert time.monotonic() < end, f"never came: {what}"
         time.sleep(0.02)
+    return found
+
+
+def once_started(ask: Callable[[], httpx.Response]) -> httpx.Response:
+    """The answer to a query, which is asked again while the process that works it out has not started."""
+
+    def answer() -> httpx.Response | None:
+        found = ask()
+        return None if found.status_code == 503 and found.json().get("reason") == "starting" else found
+
+    found: httpx.Response = until(answer, "a query that began")
     return found

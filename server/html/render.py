@@ -110,6 +110,8 @@ PLOT_SCRIPT = (_HERE / "plot.js").read_bytes()
 """Served at `plot.js` below the base: draws the page of a plot, by means of `PLOT_LIBRARY`."""
 SPARK_SCRIPT = (_HERE / "spark.js").read_bytes()
 """Served at `spark.js` below the base: draws beside each number how it was lately."""
+SPACE_VIEW_SCRIPT = (_HERE / "space_view.js").read_bytes()
+"""Served at `space_view.js` below the base: what `SPACE_SCRIPT` and `SPACE_3D_SCRIPT` have alike."""
 SPACE_SCRIPT = (_HERE / "space.js").read_bytes()
 """Served at `space.js` below the base: draws views of space from above."""
 SPACE_3D_SCRIPT = (_HERE / "space3d.js").read_bytes()
@@ -142,7 +144,7 @@ _FILES = b"".join(
         *(CHART_SCRIPT, PLOT_SCRIPT, SPARK_SCRIPT, SPACE_SCRIPT, PLOT_LIBRARY, PLOT_STYLESHEET),
         *(QUERY_TERMS_SCRIPT, QUERY_PARAMETERS_SCRIPT, QUERY_VIEWS_SCRIPT, QUERY_EDITOR_SCRIPT),
         *(QUERY_EDITOR_STYLESHEET, QUERY_EDITOR_LIBRARY, QUERY_EDITOR_LIBRARY_STYLESHEET),
-        *(COCKPIT_STYLESHEET, SPACE_3D_SCRIPT, SPACE_3D_LIBRARY),
+        *(COCKPIT_STYLESHEET, SPACE_VIEW_SCRIPT, SPACE_3D_SCRIPT, SPACE_3D_LIBRARY),
     )
 )
 _VERSION = hashlib.blake2b(_FILES, digest_size=4).hexdigest()
@@ -252,6 +254,10 @@ class _Frame:
     @property
     def spark_script(self) -> str:
         return f"{self.site.root}spark.js?v={_VERSION}"
+
+    @property
+    def space_view_script(self) -> str:
+        return f"{self.site.root}space_view.js?v={_VERSION}"
 
     @property
     def space_script(self) -> str:

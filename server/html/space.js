@@ -1,22 +1,15 @@
 /* Draws what a robot tells of space from above: scans, maps, paths, poses, frames.
 
 It takes every element that has data-space, the address of a view, whose event stream tells what is drawn and where that
-is in the frame that the view is fixed to. Without this file the page tells the same in words. A view is followed while
-it is in the window and the page is not hidden. */
+is in the frame that the view is fixed to. Without this file, and space_view.js, the page tells the same in words. */
 "use strict";
 {
-  const COLOURS = 8; // that the stylesheet has: --line-0 and so on
   const TRACE = 5000, STEP = 0.02; // points of a trace, and metres between two of them
   const PAST = 600; // seconds of a trace that are asked of what is recorded
   const LEAST = 0.5, MOST = 20000; // pixels of a metre
   const LOOK = 1000; // milliseconds between two looks whether all is in the window still
-  const AGAIN = 4000; // milliseconds before a stream that was refused is asked for again
 
-  const element = (name, values = {}, ...children) => {
-    const made = Object.assign(document.createElement(name), values);
-    made.append(...children);
-    return made;
-  };
+  const { element, button } = SpaceView;
   const colour = (at, name) => getComputedStyle(at).getPropertyValue(name).trim();
   const isDark = matchMedia("(prefers-color-scheme: dark)");
 
@@ -41,29 +34,19 @@ it is in the window and the page is not hidden. */
     return found;
   }
 
-  class View {
-    constructor(figure) {
-      this.figure = figure;
-      this.things = [];
-      this.frames = new Map();
+  class View extends SpaceView {
+    constructor(figure, address) {
+      super(figure, address);
       this.frame = "";
       this.followed = "";
       this.hasFrames = true;
       this.centre = [0, 0];
       this.scale = 50; // pixels of a metre
-      this.isMoved = false; // by hand: then it stays where it is
-      this.isSeen = false;
-      this.isStale = false;
       this.pointers = new Map();
       this.build();
     }
 
     build() {
-      const button = (text, label, act) => {
-        const made = element("button", { type: "button", textContent: text, ariaLabel: label });
-        made.addEventListener("click", act);
-        return made;
-      };
       this.words = element("span", { textContent: "Not live yet" });
       this.words.setAttribute("role", "status");
       this.choice = element("select", {}, element("option", { value: "", textContent: "nothing" }));
@@ -193,36 +176,6 @@ it is in the window and the page is not hidden. */
 
     /* What comes */
 
-    open() {
-      this.stream?.close();
-      const stream = this.stream = new EventSource(this.figure.dataset.space);
-      stream.addEventListener("message", (event) => this.take(JSON.parse(event.data)));
-      stream.addEventListener("open", () => this.say("Live"));
-      stream.addEventListener("error", () => {
-        this.say("Not live");
-        if (stream.readyState !== EventSource.CLOSED) return;
-        clearTimeout(this.again);
-        this.again = setTimeout(() => this.follow(), AGAIN);
-      });
-    }
-
-    close() {
-      clearTimeout(this.again);
-      this.stream?.close();
-      this.stream = null;
-    }
-
-    say(words) {
-      if (this.words.textContent !== words) this.words.textContent = words;
-    }
-
-    follow() {
-      const isFollowed = this.isSeen && !document.hidden;
-      if (isFollowed && !this.stream) this.open();
-      if (isFollowed && this.stream.readyState === EventSource.CLOSED) this.open();
-      if (!isFollowed) this.close();
-    }
-
     take({ show, frame, frames, things }) {
       if (show) this.show(show);
       if (frame !== undefined) {
@@ -242,17 +195,8 @@ it is in the window and the page is not hidden. */
 
     show(list) {
       const known = new Map(this.things.map((each) => [each.href, each]));
-      this.things = list.map((each, place) => ({ trace: [], ...known.get(each.href), ...each, colour: `--line-${place % COLOURS}` }));
-      this.legend.replaceChildren(...this.things.map((thing) => {
-        const tick = element("input", { type: "checkbox", checked: !thing.isHidden });
-        tick.addEventListener("change", () => { thing.isHidden = !tick.checked; this.renew(); });
-        const mark = element("span", { className: "mark" });
-        mark.style.background = `var(${thing.colour})`;
-        thing.why = element("span", { className: "why" });
-        const link = element("a", { href: thing.href, textContent: thing.label });
-        return element("li", {}, element("label", { className: "tick", ariaLabel: thing.label }, tick, mark), link,
-          element("span", { className: "sort", textContent: thing.kind }), thing.why);
-      }));
+      this.things = list.map((each, place) => ({ trace: [], ...known.get(each.href), ...each, colour: `--line-${place % SpaceView.COLOURS}` }));
+      this.list();
       for (const thing of this.things) if (thing.history) this.recall(thing);
     }
 
@@ -507,33 +451,5 @@ it is in the window and the page is not hidden. */
     }
   }
 
-  const views = new Map();
-  const observer = new IntersectionObserver((entries) => {
-    for (const { target, isIntersecting } of entries) {
-      const view = views.get(target);
-      if (!view) continue;
-      view.isSeen = isIntersecting;
-      view.follow();
-    }
-  });
-
-  function look() {
-    for (const figure of document.querySelectorAll("[data-space]")) {
-      if (views.has(figure)) continue;
-      views.set(figure, new View(figure));
-      observer.observe(figure);
-    }
-    for (const [figure, view] of views) {
-      if (figure.isConnected) continue;
-      view.close();
-      observer.unobserve(figure);
-      views.delete(figure);
-    }
-  }
-
-  document.addEventListener("visibilitychange", () => views.forEach((view) => view.follow()));
-  addEventListener("pagehide", () => views.forEach((view) => view.close()));
-  addEventListener("pageshow", (event) => event.persisted && views.forEach((view) => view.follow()));
-  new MutationObserver(look).observe(document.querySelector("main"), { childList: true, subtree: true });
-  look();
+  SpaceView.watch("space", View);
 }

@@ -2,7 +2,7 @@
 
 It takes every element that has data-space3d, the address of a view, whose event stream tells what is drawn and where
 that is. The points of a cloud are a file of their own (PLY), asked for whenever the one before is drawn. Without this
-file, or without WebGL, the page tells the same in words. */
+file and space_view.js, or without WebGL, the page tells the same in words. */
 import {
   AmbientLight, AxesHelper, Box3, BufferGeometry, CanvasTexture, Color, DirectionalLight, DoubleSide,
   Float32BufferAttribute, GridHelper, Group, Line,
@@ -11,18 +11,12 @@ import {
   Vector3, WebGLRenderer,
 } from "./three.js?v=0.187.0-urdf";
 
-const COLOURS = 8; // that the stylesheet has: --line-0 and so on
 const TRACE = 5000, STEP = 0.02; // points of a trace, and metres between two of them
-const AGAIN = 4000; // milliseconds before a stream that was refused is asked for again
 const COUNTS = [5000, 20000, 100000, 200000]; // points of a cloud to choose from
 const RAMP = ["#3b2f8f", "#2f6fa8", "#1f968b", "#55b257", "#c9b21e"].map((each) => new Color(each));
 const LINEAR = Float32Array.from({ length: 256 }, (_, each) => new Color(each / 255, 0, 0).convertSRGBToLinear().r);
 
-const element = (name, values = {}, ...children) => {
-  const made = Object.assign(document.createElement(name), values);
-  made.append(...children);
-  return made;
-};
+const { element, button } = SpaceView;
 const isDark = matchMedia("(prefers-color-scheme: dark)");
 const geometry = (positions) => new BufferGeometry().setAttribute("position", new Float32BufferAttribute(positions, 3));
 
@@ -95,22 +89,13 @@ function shade({ count, z, red, green, blue, intensity }) {
   return found;
 }
 
-class View {
-  constructor(figure) {
-    this.figure = figure;
-    this.things = [];
-    this.frames = new Map();
-    this.isMoved = false; // by hand: then it stays where it is
-    this.isSeen = this.isStale = false;
+class View extends SpaceView {
+  constructor(figure, address) {
+    super(figure, address);
     this.build();
   }
 
   build() {
-    const button = (text, label, act) => {
-      const made = element("button", { type: "button", textContent: text, ariaLabel: label });
-      made.addEventListener("click", act);
-      return made;
-    };
     this.words = element("span", { textContent: "Not live yet" });
     this.words.setAttribute("role", "status");
     this.canvas = element("canvas", { tabIndex: 0 });
@@ -241,34 +226,8 @@ class View {
 
   /* What comes */
 
-  open() {
-    this.stream?.close();
-    const stream = this.stream = new EventSource(this.figure.dataset.space3d);
-    stream.addEventListener("message", (event) => this.take(JSON.parse(event.data)));
-    stream.addEventListener("open", () => this.say("Live"));
-    stream.addEventListener("error", () => {
-      this.say("Not live");
-      if (stream.readyState !== EventSource.CLOSED) return;
-      clearTimeout(this.again);
-      this.again = setTimeout(() => this.follow(), AGAIN);
-    });
-  }
-
-  close() {
-    clearTimeout(this.again);
-    this.stream?.close();
-    this.stream = null;
-  }
-
-  say(words) {
-    if (this.words.textContent !== words) this.words.textContent = words;
-  }
-
   follow() {
-    if (!this.renderer) return;
-    const isFollowed = this.isSeen && !document.hidden;
-    if (isFollowed && (!this.stream || this.stream.readyState === EventSource.CLOSED)) this.open();
-    if (!isFollowed) this.close();
+    if (this.renderer) super.follow();
   }
 
   take({ show, frames, things }) {
@@ -287,7 +246,7 @@ class View {
     const known = new Map(this.things.map((each) => [each.href, each]));
     this.things = list.map((each, place) => {
       const thing = known.get(each.href) ?? { trace: [], group: new Group(), count: 0 };
-      Object.assign(thing, each, { colour: `--line-${place % COLOURS}` });
+      Object.assign(thing, each, { colour: `--line-${place % SpaceView.COLOURS}` });
       thing.tone = this.colour(thing.colour);
       if (!known.delete(each.href)) this.scene.add(thing.group);
       return thing;
@@ -296,16 +255,11 @@ class View {
       this.clear(group);
       this.scene.remove(group);
     }
-    this.legend.replaceChildren(...this.things.map((thing) => {
-      const tick = element("input", { type: "checkbox", checked: thing.group.visible });
-      tick.addEventListener("change", () => { thing.isHidden = !tick.checked; this.place(thing); this.renew(); });
-      const mark = element("span", { className: "mark" });
-      mark.style.background = `var(${thing.colour})`;
-      thing.why = element("span", { className: "why" });
-      return element("li", {}, element("label", { className: "tick", ariaLabel: thing.label }, tick, mark),
-        element("a", { href: thing.href, textContent: thing.label }),
-        element("span", { className: "sort", textContent: thing.kind }), thing.why);
-    }));
+    this.list();
+  }
+
+  toggle(thing) {
+    this.place(thing);
   }
 
   /* Whether something is drawn that was not before. */
@@ -546,17 +500,4 @@ class View {
   }
 }
 
-const views = new Map();
-const observer = new IntersectionObserver((entries) => {
-  for (const { target, isIntersecting } of entries) {
-    views.get(target).isSeen = isIntersecting;
-    views.get(target).follow();
-  }
-});
-for (const figure of document.querySelectorAll("[data-space3d]")) {
-  views.set(figure, new View(figure));
-  observer.observe(figure);
-}
-document.addEventListener("visibilitychange", () => views.forEach((view) => view.follow()));
-addEventListener("pagehide", () => views.forEach((view) => view.close()));
-addEventListener("pageshow", (event) => event.persisted && views.forEach((view) => view.follow()));
+SpaceView.watch("space3d", View);

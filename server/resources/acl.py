@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from pyoxigraph import Literal, NamedNode, Triple
 
 from rosld.ontology.document import Document
 from rosld.ontology.triples import boolean, statements, text, triples_about
-from rosld.ontology.urls import Location, Space
 from rosld.ontology.vocab import acl, foaf, rdf, ros
 from rosld.server.auth.agent import ANONYMOUS, Agent
 from rosld.server.auth.authenticator import Authenticator
 from rosld.server.auth.config import MODES
 from rosld.server.auth.rules import ACL, AUTHENTICATED, Policy, Rule
-from rosld.server.http.problem import Problem
 from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource
 from rosld.server.rest.state import State
 
@@ -43,18 +41,6 @@ class AclResource(Resource):
     async def state(self) -> State:
         policy = self._authenticator.config.policy
         return State(lambda: Document(self.url, tuple(policy_document(policy, self.url))))
-
-
-def acl_route(space: Space, authenticator: Authenticator | None) -> Mapping[str, Callable[[Location], Resource]]:
-    """The room of the rules; none where there are none."""
-
-    def room(location: Location) -> Resource:
-        if location.segments or location.is_container:
-            raise Problem(404, "There is nothing below /acl.")
-        assert authenticator is not None
-        return AclResource(space.base, authenticator)
-
-    return {} if authenticator is None else {ACL: room}
 
 
 def policy_document(policy: Policy, url: str) -> Iterable[Triple]:

@@ -105,6 +105,40 @@ def copy_form(site: Site, source: str) -> CopyForm | None:
     return None if site.read_only or not site.may("POST", f"{site.base}{ROUTE}") else CopyForm(source)
 
 
+class _ShownPage(Resource):
+    """What the pages of the default cockpit and of one that is kept have alike, as they are shown to one agent."""
+
+    documents: Documents
+    _permissions: Permissions
+    _reader: PanelReader
+
+    def _set_reader(self, sources: CockpitSources, permissions: Permissions) -> None:
+        self._permissions = permissions
+        self._reader = PanelReader(sources, permissions)
+
+    async def cockpit(self) -> Cockpit:
+        """The cockpit that is shown."""
+        raise NotImplementedError
+
+    @property
+    def variant_key(self) -> Hashable:
+        return "page", self._permissions.rights_key
+
+    async def select_variant(self, exchange: Exchange) -> Resource:
+        return self
+
+    async def state(self) -> State:
+        return await filled_state(await self.cockpit(), await super().state(), self._reader)
+
+    def redact(self, state: State, permissions: Permissions) -> State:
+        """The state: its panels were read for the agent."""
+        return state
+
+    async def watch(self, wake: Callable[[], None]) -> Watch | None:
+        own = self.documents.changes.watch(wake, lambda path: path.startswith(ROUTE))
+        return combine_watches(own, await self._reader.watch(await self.cockpit(), wake))
+
+
 # What clients keep
 
 
@@ -125,35 +159,19 @@ class CockpitResource(RdfSourceResource):
         return ShownCockpit(self._sources, self.path, exchange.permissions)
 
 
-class ShownCockpit(CockpitResource):
+class ShownCockpit(_ShownPage, CockpitResource):
     """A cockpit that a client keeps, as its page shows it to one agent."""
 
     def __init__(self, sources: CockpitSources, path: str, permissions: Permissions) -> None:
-        super().__init__(sources, path)
-        self._permissions = permissions
-        self._reader = PanelReader(sources, permissions)
+        CockpitResource.__init__(self, sources, path)
+        self._set_reader(sources, permissions)
 
-    @property
-    def variant_key(self) -> Hashable:
-        return "page", self._permissions.rights_key
-
-    async def select_variant(self, exchange: Exchange) -> Resource:
-        return self
+    async def cockpit(self) -> Cockpit:
+        return self._cockpit
 
     @property
     def _cockpit(self) -> Cockpit:
         return read_cockpit(state_of(self.documents, self.require_record()).document.triples, self.url)
-
-    async def state(self) -> State:
-        return await filled_state(self._cockpit, await super().state(), self._reader)
-
-    def redact(self, state: State, permissions: Permissions) -> State:
-        """The state: its panels were read for the agent."""
-        return state
-
-    async def watch(self, wake: Callable[[], None]) -> Watch | None:
-        own = self.documents.changes.watch(wake, lambda path: path.startswith(ROUTE))
-        return combine_watches(own, await self._reader.watch(self._cockpit, wake))
 
     async def forms(self) -> Sequence[Form]:
         if "PUT" not in self.methods():
@@ -270,33 +288,17 @@ class DefaultCockpit(Resource):
         return Document(self.url, (*own, *cockpit_triples(self.url, cockpit)))
 
 
-class ShownDefault(DefaultCockpit):
+class ShownDefault(_ShownPage, DefaultCockpit):
     """The default cockpit as its page shows it to one agent."""
 
     is_cacheable = False
 
     def __init__(self, sources: CockpitSources, permissions: Permissions) -> None:
-        super().__init__(sources)
-        self._permissions = permissions
-        self._reader = PanelReader(sources, permissions)
+        DefaultCockpit.__init__(self, sources)
+        self._set_reader(sources, permissions)
 
-    @property
-    def variant_key(self) -> Hashable:
-        return "page", self._permissions.rights_key
-
-    async def select_variant(self, exchange: Exchange) -> Resource:
-        return self
-
-    async def state(self) -> State:
-        return await filled_state(await self.cockpit(), await super().state(), self._reader)
-
-    def redact(self, state: State, permissions: Permissions) -> State:
-        """The state: its panels were read for the agent."""
-        return state
-
-    async def watch(self, wake: Callable[[], None]) -> Watch | None:
-        own = self.documents.changes.watch(wake, lambda path: path.startswith(ROUTE))
-        return combine_watches(own, await self._reader.watch(await self.cockpit(), wake))
+    async def cockpit(self) -> Cockpit:
+        return await DefaultCockpit.cockpit(self)
 
     def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
         assert isinstance(state, CockpitState)

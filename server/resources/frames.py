@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from functools import partial
 
 import orjson
@@ -10,12 +10,10 @@ import orjson
 from rosld.adapters.base import Watch
 from rosld.ontology.describe_frames import Frame, frames_document
 from rosld.ontology.literals import date_time
-from rosld.ontology.urls import Location
 from rosld.server.auth.errors import not_found
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.html import Csrf, Form, FramesPage, Notice, Site, render_frames
 from rosld.server.http.conditional import digest
-from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import DataSchema
 from rosld.server.hypermedia.json_schema import TEXT, URI, nullable
 from rosld.server.hypermedia.message_schemas import MessageSchemas
@@ -123,14 +121,3 @@ def _frame_json(node: FrameNode, frame: Frame) -> dict[str, object]:
         "publishers": frame.publishers,
         "problem": frame.problem,
     }
-
-
-def frames_route(session: Session, scene: Scene) -> Mapping[str, Callable[[Location], Resource]]:
-    """The room of frames."""
-
-    def room(location: Location) -> Resource:
-        if location.segments or location.is_container:
-            raise Problem(404, f"There is nothing below /{location.kind}.")
-        return FramesResource(session, scene)
-
-    return {"frames": room}

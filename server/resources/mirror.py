@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 
 import orjson
 from pyoxigraph import NamedNode
 
 from rosld.ontology.document import Document
 from rosld.ontology.triples import RDF_SOURCE, date_time_literal, double, integer, text, triples_about
-from rosld.ontology.urls import Location, Space
+from rosld.ontology.urls import Space
 from rosld.ontology.vocab import dcterms, rdf, ros
 from rosld.server.dataset.replication import Mirror, ReplicationStatus
-from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.mirror_setup import ROUTE
 from rosld.server.rest.path_item import PathItem
@@ -40,18 +39,6 @@ class ReplicationResource(Resource):
     async def state(self) -> State:
         status = self._mirror.status
         return State(lambda: replication_document(self.url, status), lambda: _plain(status))
-
-
-def replication_route(space: Space, mirror: Mirror | None) -> Mapping[str, Callable[[Location], Resource]]:
-    """The room of the mirror; none where there is no mirror."""
-
-    def room(location: Location) -> Resource:
-        if location.segments or location.is_container:
-            raise Problem(404, f"There is nothing below /{ROUTE}.")
-        assert mirror is not None
-        return ReplicationResource(space, mirror)
-
-    return {} if mirror is None else {ROUTE: room}
 
 
 def replication_document(url: str, status: ReplicationStatus) -> Document:

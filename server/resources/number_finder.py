@@ -46,8 +46,7 @@ class NumberFinder:
         space = self._session.space
         if len(reference) > _MAX_REFERENCE:
             raise Problem(400, f"?y={reference[:60]}... is too long.")
-        if not url.startswith(space.base):
-            url = space.base + url.removeprefix(space.path).removeprefix("/")
+        url = space.absolute(url)
         if not path and f"/{url}".find("/topics/") >= 0:
             raise Problem(400, f"?y={reference[:100]}: say which field, after # as %23, such as %23data.")
         location = None if "?" in url else space.location(url)

@@ -84,8 +84,14 @@ class _PastResource(Resource):
 
     kind = "Resource as it was"
     is_cacheable = False
+    _history: History
+    _at_ns: int
     _text: str
     """The time as it was asked for."""
+
+    def _set_time(self, history: History, at_ns: int, text: str) -> None:
+        self.links = (*self.links, *timegate_links(self.url))
+        self._history, self._at_ns, self._text = history, at_ns, text
 
     @property
     def variant_key(self) -> Hashable:
@@ -108,31 +114,17 @@ class _PastResource(Resource):
 class PastMember(_PastResource, MemberResource):
     """A property as it was."""
 
-    def __init__(
-        self,
-        session: Session,
-        affordances: AffordanceService[State],
-        limit_checks: LimitChecks,
-        things: ThingDescriptions,
-        states: VersionCache[State],
-        history: History,
-        name: str,
-        at_ns: int,
-        text: str,
-    ) -> None:
-        MemberResource.__init__(self, session, affordances, limit_checks, things, states, name)
-        self.history = history
-        self.links = (*self.links, *timegate_links(self.url))
-        self._at_ns, self._text = at_ns, text
+    def __init__(self, now: MemberResource, history: History, at_ns: int, text: str) -> None:
+        MemberResource.__init__(self, now.session, now.affordances, now.limit_checks, now.things, now.states, now.name)
+        self._set_time(history, at_ns, text)
 
     async def state(self) -> State:
         tree = await self.affordances.tree()
         plan = tree.property(self.name)
         if plan is None:
             raise Problem(404, f"{self.name} is an action: nothing is recorded of it.")
-        snapshot = await PastReadings(self.session.schemas, self.affordances, self.history, self._at_ns).snapshot(
-            plan.reads
-        )
+        readings = PastReadings(self.session.schemas, self.affordances, self._history, self._at_ns)
+        snapshot = await readings.snapshot(plan.reads)
         return _settle(self._as_it_was(replace(plan, exists_when=()), snapshot), self._at_ns)
 
     def _as_it_was(self, plan: PropertyPlan, snapshot: Snapshot) -> State:
@@ -151,27 +143,14 @@ class PastMember(_PastResource, MemberResource):
 class PastComplex(_PastResource, ComplexResource):
     """A complex resource as it was."""
 
-    def __init__(
-        self,
-        session: Session,
-        affordances: AffordanceService[State],
-        limit_checks: LimitChecks,
-        things: ThingDescriptions,
-        history: History,
-        path: str,
-        at_ns: int,
-        text: str,
-    ) -> None:
-        ComplexResource.__init__(self, session, affordances, limit_checks, things, path)
-        self.history = history
-        self.links = (*self.links, *timegate_links(self.url))
-        self._at_ns, self._text = at_ns, text
+    def __init__(self, now: ComplexResource, history: History, at_ns: int, text: str) -> None:
+        ComplexResource.__init__(self, now.session, now.affordances, now.limit_checks, now.things, now.path)
+        self._set_time(history, at_ns, text)
 
     async def state(self) -> State:
         _, plan = await self._plan()
-        snapshot = await PastReadings(self.session.schemas, self.affordances, self.history, self._at_ns).snapshot(
-            plan.reads
-        )
+        readings = PastReadings(self.session.schemas, self.affordances, self._history, self._at_ns)
+        snapshot = await readings.snapshot(plan.reads)
         return _settle(self._as_it_was(replace(plan, exists_when=()), snapshot), self._at_ns)
 
     def _as_it_was(self, plan: ComplexPlan, snapshot: Snapshot) -> State:
@@ -193,7 +172,43 @@ class PastComplex(_PastResource, ComplexResource):
         return None
 
 
-class MemberTimeGate(MemberResource):
+class _TimeGate(Resource):
+    """What a property and a complex resource have alike as the TimeGates of what they were."""
+
+    session: Session
+    history: History
+
+    def _set_history(self, history: History) -> None:
+        self.history = history
+        if history.is_kept:
+            self.links = (*self.links, *timegate_links(self.url))
+
+    async def state(self) -> State:
+        """As it is now; a cache must not tell it to who asks for another time."""
+        state = await super().state()
+        return replace(state, headers={**state.headers, "vary": VARY}) if self.history.is_kept else state
+
+    async def select_variant(self, exchange: Exchange) -> Resource:
+        """`?at=TIME` and Accept-Datetime: as it was; `?timemap`: when that may be asked for."""
+        if asks_for_time_map(self.history, exchange):
+            topics = _recorded_topics(self.history, await self._sources())
+            return time_map_of(self.session.space, self.history, self.url, self._name, topics, exchange)
+        asked = asked_time(self.history, self.url, exchange)
+        return await super().select_variant(exchange) if asked is None else self._memento(*asked)
+
+    @property
+    def _name(self) -> str:
+        raise NotImplementedError
+
+    async def _sources(self) -> Sequence[Property]:
+        """The properties whose topics tell what it was."""
+        raise NotImplementedError
+
+    def _memento(self, at_ns: int, text: str) -> Resource:
+        raise NotImplementedError
+
+
+class MemberTimeGate(_TimeGate, MemberResource):
     """A property or an action, which is the TimeGate of what it was."""
 
     def __init__(
@@ -206,31 +221,22 @@ class MemberTimeGate(MemberResource):
         history: History,
         name: str,
     ) -> None:
-        super().__init__(session, affordances, limit_checks, things, states, name)
-        self.history = history
-        if history.is_kept:
-            self.links = (*self.links, *timegate_links(self.url))
+        MemberResource.__init__(self, session, affordances, limit_checks, things, states, name)
+        self._set_history(history)
 
-    async def state(self) -> State:
-        """As it is now; a cache must not tell it to who asks for another time."""
-        state = await super().state()
-        return replace(state, headers={**state.headers, "vary": VARY}) if self.history.is_kept else state
+    @property
+    def _name(self) -> str:
+        return self.name
 
-    async def select_variant(self, exchange: Exchange) -> Resource:
-        """`?at=TIME` and Accept-Datetime: as it was; `?timemap`: when that may be asked for."""
-        if asks_for_time_map(self.history, exchange):
-            plan = (await self.affordances.tree()).property(self.name)
-            topics = _recorded_topics(self.history, () if plan is None else (plan.source,))
-            return time_map_of(self.session.space, self.history, self.url, self.name, topics, exchange)
-        asked = asked_time(self.history, self.url, exchange)
-        if asked is None:
-            return await super().select_variant(exchange)
-        return PastMember(
-            self.session, self.affordances, self.limit_checks, self.things, self.states, self.history, self.name, *asked
-        )
+    async def _sources(self) -> Sequence[Property]:
+        plan = (await self.affordances.tree()).property(self.name)
+        return () if plan is None else (plan.source,)
+
+    def _memento(self, at_ns: int, text: str) -> PastMember:
+        return PastMember(self, self.history, at_ns, text)
 
 
-class ComplexTimeGate(ComplexResource):
+class ComplexTimeGate(_TimeGate, ComplexResource):
     """A complex resource, which is the TimeGate of what it was."""
 
     def __init__(
@@ -242,28 +248,19 @@ class ComplexTimeGate(ComplexResource):
         history: History,
         path: str,
     ) -> None:
-        super().__init__(session, affordances, limit_checks, things, path)
-        self.history = history
-        if history.is_kept:
-            self.links = (*self.links, *timegate_links(self.url))
+        ComplexResource.__init__(self, session, affordances, limit_checks, things, path)
+        self._set_history(history)
 
-    async def state(self) -> State:
-        """As it is now; a cache must not tell it to who asks for another time."""
-        state = await super().state()
-        return replace(state, headers={**state.headers, "vary": VARY}) if self.history.is_kept else state
+    @property
+    def _name(self) -> str:
+        return self.path
 
-    async def select_variant(self, exchange: Exchange) -> Resource:
-        """`?at=TIME` and Accept-Datetime: as it was; `?timemap`: when that may be asked for."""
-        if asks_for_time_map(self.history, exchange):
-            _, plan = await self._plan()
-            topics = _recorded_topics(self.history, [each.source for each in plan.members])
-            return time_map_of(self.session.space, self.history, self.url, self.path, topics, exchange)
-        asked = asked_time(self.history, self.url, exchange)
-        if asked is None:
-            return await super().select_variant(exchange)
-        return PastComplex(
-            self.session, self.affordances, self.limit_checks, self.things, self.history, self.path, *asked
-        )
+    async def _sources(self) -> Sequence[Property]:
+        _, plan = await self._plan()
+        return [each.source for each in plan.members]
+
+    def _memento(self, at_ns: int, text: str) -> PastComplex:
+        return PastComplex(self, self.history, at_ns, text)
 
 
 def asked_time(history: History, url: str, exchange: Exchange) -> tuple[int, str] | None:

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
-from urllib.parse import parse_qsl
 
 import orjson
 from starlette.responses import Response
 
 from rosld.ontology.describe_plot import PlottedNumber, plot_document
 from rosld.ontology.document import Document
-from rosld.ontology.urls import Location
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.events.broadcaster import Broadcasters
 from rosld.server.events.event_stream import HEADERS
@@ -93,8 +91,7 @@ class PlotResource(Resource):
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """The plot of what the `y` say, as far as the agent may see it. Raises Problems."""
-        found = parse_qsl(exchange.request.scope["query_string"].decode("latin-1"), max_num_fields=100)
-        references = list(dict.fromkeys(value.strip() for name, value in found if name == "y" and value.strip()))
+        references = exchange.query_values("y")
         if len(references) > MAX_NUMBERS:
             raise Problem(
                 400, f"?y= is there {len(references)} times: at most {MAX_NUMBERS} numbers are drawn together."
@@ -143,16 +140,3 @@ class PlotResource(Resource):
 def number_json(number: PlottedNumber) -> dict[str, str | None]:
     """A number as plain JSON."""
     return {"topic": number.topic, "field": number.field, "type": number.type, "series": number.series}
-
-
-def plot_route(
-    session: Session, affordances: AffordanceService[State], history: History, broadcasters: Broadcasters
-) -> Mapping[str, Callable[[Location], Resource]]:
-    """The room of plots."""
-
-    def room(location: Location) -> Resource:
-        if location.segments or location.is_container:
-            raise Problem(404, f"There is nothing below /{location.kind}.")
-        return PlotResource(session, affordances, history, broadcasters)
-
-    return {"plot": room}

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
-from urllib.parse import parse_qsl
 
 import orjson
 from pyoxigraph import NamedNode
@@ -13,7 +12,6 @@ from starlette.responses import Response
 
 from rosld.ontology.document import Document
 from rosld.ontology.triples import RDF_SOURCE, statements, text, triples_about
-from rosld.ontology.urls import Location
 from rosld.ontology.vocab import dcterms, rdfs
 from rosld.server.auth.errors import not_found
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
@@ -131,8 +129,7 @@ class SpaceResource(Resource):
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """The view that `frame` and `show` ask for, as far as the agent may see it. Raises Problems."""
-        found = parse_qsl(exchange.request.scope["query_string"].decode("latin-1"), max_num_fields=100)
-        references = list(dict.fromkeys(value.strip() for name, value in found if name == "show" and value.strip()))
+        references = exchange.query_values("show")
         if len(references) > MAX_SHOWN:
             raise Problem(
                 400, f"?show= is there {len(references)} times: at most {MAX_SHOWN} topics are drawn together."
@@ -259,9 +256,7 @@ class SpaceResource(Resource):
         space = self.session.space
         if len(reference) > _MAX_REFERENCE:
             raise Problem(400, f"?show={reference[:60]}... is too long.")
-        url = reference
-        if not url.startswith(space.base):
-            url = space.base + url.removeprefix(space.path).removeprefix("/")
+        url = space.absolute(reference)
         location = None if "?" in url or "#" in url else space.location(url)
         if location is None or location.is_container or location.kind != "topics":
             raise Problem(400, f"?show={reference[:100]} names no topic of this robot: send such as topics/scan.")
@@ -302,16 +297,3 @@ def _document(url: str, topics: Sequence[str]) -> Document:
     """The view as RDF: of which topics it is."""
     said = statements(rdfs.seeAlso, (NamedNode(each) for each in topics))
     return Document(url, tuple(triples_about(NamedNode(url), *RDF_SOURCE, (dcterms.title, text("Space")), *said)))
-
-
-def space_route(
-    session: Session, scene: Scene, history: History, broadcasters: Broadcasters
-) -> Mapping[str, Callable[[Location], Resource]]:
-    """The room of views of space."""
-
-    def room(location: Location) -> Resource:
-        if location.segments or location.is_container:
-            raise Problem(404, f"There is nothing below /{location.kind}.")
-        return SpaceResource(session, scene, history, broadcasters)
-
-    return {"space": room}

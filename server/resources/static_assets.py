@@ -62,6 +62,7 @@ _FILES: Mapping[str, tuple[bytes, str, str]] = {
     "chart.js": (html.CHART_SCRIPT, _SCRIPT, "The script that says what plots look like"),
     "plot.js": (html.PLOT_SCRIPT, _SCRIPT, "The script that draws plots"),
     "spark.js": (html.SPARK_SCRIPT, _SCRIPT, "The script that draws beside numbers how they were lately"),
+    "space_view.js": (html.SPACE_VIEW_SCRIPT, _SCRIPT, "The script of what views of space have alike"),
     "space.js": (html.SPACE_SCRIPT, _SCRIPT, "The script that draws views of space"),
     "space3d.js": (html.SPACE_3D_SCRIPT, _SCRIPT, "The script that draws space in three dimensions"),
     "three.js": (html.SPACE_3D_LIBRARY, _SCRIPT, "three.js, which draws three dimensions"),

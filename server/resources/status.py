@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 
 import orjson
 from pyoxigraph import NamedNode
 
 from rosld.ontology.document import Document
 from rosld.ontology.triples import RDF_SOURCE, date_time_literal, double, text, triples_about
-from rosld.ontology.urls import Location, Space
+from rosld.ontology.urls import Space
 from rosld.ontology.vocab import rdf, ros
-from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import DataSchema
 from rosld.server.hypermedia.json_schema import TEXT, nullable
 from rosld.server.hypermedia.message_schemas import MessageSchemas
@@ -48,19 +47,6 @@ class StatusResource(Resource):
     async def state(self) -> State:
         pauses, problems = self._watchdog.pauses, self._storage_problems()
         return State(lambda: status_document(self.url, pauses, problems), lambda: _plain(pauses, problems))
-
-
-def status_route(
-    space: Space, storage_problems: Callable[[], tuple[str, ...]], watchdog: Watchdog
-) -> Mapping[str, Callable[[Location], Resource]]:
-    """The room of the server's status."""
-
-    def room(location: Location) -> Resource:
-        if location.segments or location.is_container:
-            raise Problem(404, f"There is nothing below /{ROUTE}.")
-        return StatusResource(space, storage_problems, watchdog)
-
-    return {ROUTE: room}
 
 
 def status_document(url: str, pauses: Pauses, storage_problems: Sequence[str] = ()) -> Document:

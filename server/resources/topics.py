@@ -388,18 +388,7 @@ class TopicResource(CommandResource):
         sample = await read_history(lambda: self.history.writer.latest_at(self.name, at))
         if sample is None:
             raise Problem(404, f"Nothing is recorded of {self.name} until {text}.")
-        return PastTopic(
-            self.session,
-            self.limit_checks,
-            self.states,
-            self.history,
-            self.holds,
-            self.pictures,
-            self.name,
-            sample,
-            text,
-            is_settled=at < now - SETTLED_NS,
-        )
+        return PastTopic(self, sample, text, is_settled=at < now - SETTLED_NS)
 
     @property
     def is_picture(self) -> bool:
@@ -489,22 +478,9 @@ class PastTopic(TopicResource):
     kind = "Topic as it was"
     is_cacheable = False
 
-    def __init__(
-        self,
-        session: Session,
-        limit_checks: LimitChecks,
-        states: VersionCache[State],
-        history: History,
-        holds: Holds,
-        pictures: PictureCache,
-        name: str,
-        sample: Sample,
-        text: str,
-        *,
-        is_settled: bool,
-    ) -> None:
-        super().__init__(session, limit_checks, states, history, holds, pictures, name)
-        self.links = (*self.links, *timegate_links(session.space.topic(name)))
+    def __init__(self, now: TopicResource, sample: Sample, text: str, *, is_settled: bool) -> None:
+        super().__init__(now.session, now.limit_checks, now.states, now.history, now.holds, now.pictures, now.name)
+        self.links = (*self.links, *timegate_links(self.url))
         self._sample = sample
         self._text = text
         self._is_settled = is_settled

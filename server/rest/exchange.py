@@ -166,6 +166,14 @@ class Exchange:
             self.audit.hash_chunk(chunk)
             yield chunk
 
+    def query_values(self, name: str) -> list[str]:
+        """The values of a parameter that may be there several times, each once; none that is empty.
+
+        Raises a 400 Problem.
+        """
+        pairs = _query_pairs(self.request.scope["query_string"])
+        return list(dict.fromkeys(value.strip() for each, value in pairs if each == name and value.strip()))
+
     def query_flag(self, name: str) -> bool:
         """Whether `?name=true` is asked for; raises a 400 Problem for anything but true and false."""
         if not self.request.scope["query_string"]:
@@ -185,11 +193,14 @@ def _fields(raw: Iterable[tuple[bytes, bytes]]) -> Mapping[str, str]:
 
 
 def _query(raw: bytes) -> Mapping[str, str]:
+    return MappingProxyType(dict(reversed(_query_pairs(raw))))
+
+
+def _query_pairs(raw: bytes) -> list[tuple[str, str]]:
     try:
-        pairs = parse_qsl(raw.decode("ascii"), keep_blank_values=True, errors="strict", max_num_fields=200)
+        return parse_qsl(raw.decode("ascii"), keep_blank_values=True, errors="strict", max_num_fields=200)
     except (UnicodeDecodeError, ValueError) as error:
         raise Problem(400, f"The query string cannot be read: {error}.") from error
-    return MappingProxyType(dict(reversed(pairs)))
 
 
 _remembered = lru_cache(maxsize=256)(_query)

@@ -53,7 +53,9 @@ def _flat(space: Space, what: str, container: Callable[[], Resource], leaf: Call
     return route
 
 
-def _single(make: Callable[[], Resource]) -> Route:
+def single_route(make: Callable[[], Resource]) -> Route:
+    """A route to one resource, with nothing below it."""
+
     def route(location: Location) -> Resource:
         if location.segments or (location.is_container and location.kind):
             raise Problem(404, f"There is nothing below /{location.kind}.")
@@ -66,7 +68,7 @@ def robot_routes(factory: ResourceFactory) -> Mapping[str, Route]:
     """The routes of what the robot is and what is kept beside it, by the first segments of their paths."""
     space = factory.session.space
     return {
-        "": _single(factory.entry),
+        "": single_route(factory.entry),
         "nodes": _named(factory, "nodes", factory.node),
         "topics": _named(factory, "topics", factory.topic),
         "services": _named(factory, "services", factory.service),
@@ -83,12 +85,12 @@ def robot_routes(factory: ResourceFactory) -> Mapping[str, Route]:
         "data": factory.document_at,
         "mappings": factory.document_at,
         ".well-known": factory.robot_thing,
-        "stop": _single(factory.stop),
-        "graph": _single(factory.graph),
-        "diagnostics": _single(factory.diagnostics),
-        "llms.txt": _single(factory.guide),
+        "stop": single_route(factory.stop),
+        "graph": single_route(factory.graph),
+        "diagnostics": single_route(factory.diagnostics),
+        "llms.txt": single_route(factory.guide),
         "ontology": factory.ontology_at,
-    } | {name: _single(partial(make, space)) for name, make in FILES.items()}
+    } | {name: single_route(partial(make, space)) for name, make in FILES.items()}
 
 
 def _finding(factory: ResourceFactory, at: Callable[[str], Resource]) -> Mapping[str, Route]:
@@ -122,12 +124,12 @@ class Router:
         self._routes: dict[str, Route] = {
             **routes,
             **_finding(factory, self.at),
-            "sparql": _single(lambda: self.endpoint),
+            "sparql": single_route(lambda: self.endpoint),
             "queries": partial(factory.query_at, runner=runner),
             "cockpit": partial(factory.cockpit_at, service=service, find=self.at),
-            "openapi.json": _single(lambda: described),
-            "find": _single(lambda: self.search),
-            "graphs": _single(lambda: self.graphs),
+            "openapi.json": single_route(lambda: described),
+            "find": single_route(lambda: self.search),
+            "graphs": single_route(lambda: self.graphs),
         }
         self._base = self._space.path.rstrip("/")
         self._kept: dict[bytes, Resource] = {}

@@ -18,7 +18,7 @@ import pytest
 from pyoxigraph import Literal, NamedNode, RdfFormat, parse
 
 from tests.server.sparql.processes import children_of, query_processes, until_ready
-from tests.waiting import until
+from tests.waiting import once_started
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="it looks at /proc")
 
@@ -155,12 +155,8 @@ KINDS = {
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_kind_of_query_is_over_when_its_time_is_and_frees_the_processor(aircraft: Served, kind: str) -> None:
-    def ask() -> httpx.Response | None:
-        answer = get(aircraft, KINDS[kind], timeout="0.4")
-        return None if answer.status_code == 503 and answer.json()["reason"] == "starting" else answer
-
     # On a busy machine the process of the query may not have begun when its time is over.
-    answer = until(ask, "a query that began")
+    answer = once_started(lambda: get(aircraft, KINDS[kind], timeout="0.4"))
     stopped(answer, "time")
     assert "0.4 s" in answer.json()["detail"]
     quiet(aircraft)

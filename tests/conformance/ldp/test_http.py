@@ -12,6 +12,7 @@ import pytest
 from pyoxigraph import Literal, NamedNode, Triple
 
 from rosld.ontology.vocab import ldp, xsd
+from tests.waiting import once_started
 
 if TYPE_CHECKING:
     from tests.conformance.ldp.conftest import Place, Served
@@ -322,11 +323,8 @@ def test_http_what_is_kept_is_in_the_same_dataset_as_the_robot(place: Place, ser
         "SELECT ?topic WHERE { "
         f"<{place.at('a')}> <http://ex.org/about> ?topic . ?topic a <https://w3id.org/rosld#Topic> }}"
     )
-    answer = served.http.post(
-        f"{served.url}sparql",
-        content=query,
-        headers={"Content-Type": "application/sparql-query", "Accept": "application/sparql-results+json"},
-    )
+    headers = {"Content-Type": "application/sparql-query", "Accept": "application/sparql-results+json"}
+    answer = once_started(lambda: served.http.post(f"{served.url}sparql", content=query, headers=headers))
     rows = answer.json()["results"]["bindings"]
     assert [row["topic"]["value"] for row in rows] == [f"{served.url}topics/aircraft/engine/speed"]
 

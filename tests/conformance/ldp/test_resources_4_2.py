@@ -12,10 +12,11 @@ import pytest
 from pyoxigraph import Literal, NamedNode, Triple
 
 from rosld.ontology.vocab import ldp
+from tests.waiting import until
 
 if TYPE_CHECKING:
     from rosld.server.http.link import Link
-    from tests.conformance.ldp.conftest import Place, Served
+from tests.conformance.ldp.conftest import Place, Served
 
 P = NamedNode("http://ex.org/p")
 READS = ("GET", "HEAD", "OPTIONS")
@@ -68,7 +69,12 @@ def test_4_2_1_3_every_representation_has_an_etag(place: Place, kinds: dict[str,
 
 
 def test_4_2_1_3_the_robots_containers_have_etags(robots: Place) -> None:
-    assert robots.get().headers["etag"] == robots.send("HEAD").headers["etag"]
+    def etags() -> tuple[str, str] | None:
+        before, head, after = (robots.send(method).headers["etag"] for method in ("GET", "HEAD", "GET"))
+        return (before, head) if before == after else None
+
+    got, head = until(etags, "a moment in which the robot says nothing else")
+    assert got == head
 
 
 @pytest.mark.parametrize("path", ROBOTS_OWN)

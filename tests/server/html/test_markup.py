@@ -82,7 +82,7 @@ def test_nothing_is_run_and_nothing_is_styled_in_place(page: Reader) -> None:
         assert not [name for name in attributes if name.startswith("on") or name in ("style", "srcdoc", "formaction")]
 
 
-OF_SOME = ("/ages.js", "/spark.js", "/drive.js", "/picture.js", "/space.js")
+OF_SOME = ("/ages.js", "/spark.js", "/drive.js", "/picture.js", "/space_view.js", "/space.js")
 """The scripts of pages that have what these are for."""
 OF_QUERIES = tuple(
     f"/{name}.js"
@@ -102,7 +102,8 @@ def test_scripts_are_our_own_files_and_wait_for_the_page(page: Reader) -> None:
         *(OF_QUERIES if any(each.get("id") == "editor" for each in page.all("section")) else ()),
     ]
     assert names.count("/picture.js") == len([each for each in page.all("img") if "data-motion" in each])
-    assert names.count("/space.js") == len([each for each in page.all("figure") if "data-space" in each])
+    spaces = [each for each in page.all("figure") if "data-space" in each]
+    assert names.count("/space_view.js") == names.count("/space.js") == len(spaces)
     assert "/spark.js" in names or not live or not any(each.get("class") == "plot" for each in page.all("a"))
     assert names.count("/drive.js") >= len(pads)
     assert all(each.keys() == {"src", "defer"} for each in scripts)

@@ -45,7 +45,8 @@ def _without_transparency(picture: Image.Image) -> Image.Image:
     """The picture as JPEG can hold it: what is transparent in a palette is grey."""
     if picture.mode == "P":
         opaque = Image.new("RGB", picture.size, (128, 128, 128))
-        opaque.paste(picture.convert("RGBA"), mask=picture.convert("RGBA").getchannel("A"))
+        coloured = picture.convert("RGBA")
+        opaque.paste(coloured, mask=coloured.getchannel("A"))
         return opaque
     return picture.convert("RGB") if picture.mode == "RGBA" else picture
 

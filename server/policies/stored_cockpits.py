@@ -61,7 +61,7 @@ def check_cockpit(data: bytes, url: str) -> None:
 
 
 def _violation(result: ValidationResult, url: str) -> Violation:
-    is_node = not isinstance(result.focus, str)
+    node = NamedNode(url) if isinstance(result.focus, str) else result.focus
     focus = result.focus if isinstance(result.focus, str) else result.focus.value
     name = focus.removeprefix(url) or "<>"
     predicate = "" if result.predicate is None else _short(result.predicate.value)
@@ -71,7 +71,7 @@ def _violation(result: ValidationResult, url: str) -> Violation:
         brief_value(result.value),
         result.component,
         None,
-        result.focus if is_node and not isinstance(result.focus, str) else NamedNode(url),
+        node,
         result.predicate,
     )
 

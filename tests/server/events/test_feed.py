@@ -35,12 +35,14 @@ async def show(app: Any, text: str) -> None:
 def test_three_hundred_readers_cost_one_rendering_a_value(opened: Any, reader: Any) -> None:
     async def main() -> None:
         async with opened() as app:
+            began = time.monotonic()
             readers = [reader(app, SPEED) for _ in range(300)]
             for one in readers:
                 await one.until(lambda one: len(one.events) >= 5)
+            messages = 10 * (time.monotonic() - began)  # the topic has 10 a second
             made = Counter(id(chunk) for one in readers for chunk in one.events)
             values = {chunk for one in readers for chunk in one.events}
-            assert len(values) <= 15
+            assert len(values) <= messages + 5
             assert len(made) == len(values), "an event was made more than once"
             for one in readers:
                 await one.leave()

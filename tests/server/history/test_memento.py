@@ -150,9 +150,9 @@ def test_the_timemap_of_a_resource_lists_the_messages_that_its_values_come_from(
     url = f"{gate.url}resources{path}"
     assert [each.target for each in links(now)["timemap"]] == [f"{url}?timemap"]
     assert "accept-datetime" in now.headers["vary"].lower()
+    times = [each.target.partition("?at=")[2] for each in mementos(gate.http)]
     listed = parse(gate.http.get(f"/resources{path}?timemap").text.replace("\n", ""))
     found = [each for each in listed if "memento" in each.rel.split()]
-    times = [each.target.partition("?at=")[2] for each in mementos(gate.http)]
     assert [each.target for each in found][: len(times)] == [f"{url}?at={each}" for each in times]
     one = gate.http.get(found[0].target, headers=JSON)
     assert (one.status_code, one.headers["memento-datetime"]) == (200, dict(found[0].attributes)["datetime"])

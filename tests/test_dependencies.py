@@ -29,7 +29,7 @@ NAMES = {
 }
 """The distributions that are called otherwise than what they are imported as."""
 OF_ROS = re.compile(
-    r"rclpy|rospy|roslib|rosservice|actionlib|dynamic_reconfigure|genpy|rosidl_\w+|rcl_interfaces|\w+_(msgs|srvs)"
+    r"rclpy|rospy|roslib|rosservice|actionlib|dynamic_reconfigure|genpy|tf2_py|rosidl_\w+|rcl_interfaces|\w+_(msgs|srvs)"
     r"|rosld_(aircraft|rover)"
 )
 """What comes with a ROS, and is imported where there is one."""

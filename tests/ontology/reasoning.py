@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Iterator
 from itertools import combinations
 from pathlib import Path
 
-from owlrl import DeductiveClosure, OWLRL_Semantics
 from pyoxigraph import RdfFormat, Triple, serialize
 from rdflib import OWL, RDF, RDFS, XSD, Graph, Literal, URIRef
 from rdflib.collection import Collection
 from rdflib.term import Node
+from reasonable import PyReasoner
 
 from rosld.ontology.modules import MODULES, module_triples
 
 VOCABULARIES = Path(__file__).parent / "vocabularies"
-ERROR = URIRef("http://www.daml.org/2002/03/agents/agent-ont#error")
 # An object property in W3C's ontology of Thing Descriptions, whose values are strings by W3C's context and shapes.
 _NAMES_OF_SCHEMES = URIRef("https://www.w3.org/2019/wot/td#hasSecurityConfiguration")
 _DERIVED = {
@@ -26,8 +24,6 @@ _DERIVED = {
     },
     XSD.decimal: {XSD.integer},
 }
-# owlrl holds that zero and what is not finite are no doubles.
-_NO_ERROR = re.compile(r"Lexical value of the literal '(-?0(\.0)?|-?INF|NaN)' does not match its datatype")
 
 
 def ontologies() -> Graph:
@@ -45,17 +41,19 @@ def of_triples(triples: Iterable[Triple]) -> Graph:
 
 def closure(graph: Graph) -> Graph:
     """All that follows by the rules of OWL 2 RL."""
-    DeductiveClosure(OWLRL_Semantics, rdfs_closure=True, axiomatic_triples=False, datatype_axioms=False).expand(graph)
-    return graph
+    reasoner, found = PyReasoner(), Graph()
+    reasoner.from_graph(graph)
+    for triple in reasoner.reason():
+        found.add(triple)
+    return found
 
 
 def contradictions(graph: Graph) -> list[str]:
     """What is wrong in a graph that holds all that follows from it, also where the reasoner does not look."""
-    return [*_errors(graph), *_disjoint(graph), *_equal_and_different(graph), *_several(graph), *_of_other_kinds(graph)]
+    return [*_nothing(graph), *_disjoint(graph), *_equal_and_different(graph), *_several(graph), *_of_other_kinds(graph)]
 
 
-def _errors(graph: Graph) -> Iterator[str]:
-    yield from (str(each) for each in graph.objects(None, ERROR) if not _NO_ERROR.match(str(each)))
+def _nothing(graph: Graph) -> Iterator[str]:
     yield from (f"{each} is an owl:Nothing" for each in graph.subjects(RDF.type, OWL.Nothing))
 
 

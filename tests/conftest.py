@@ -13,6 +13,8 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, settings
 
+from tests.scheduling import ByFileOrRobot, group_of
+
 settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("any machine")
 """How long an example takes, to make or to try, is no test: hypothesis' limits of time fail on a busy machine."""
@@ -30,9 +32,22 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(optionalhook=True, tryfirst=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> object:
-    from tests.scheduling import ByFileOrRobot
-
     return ByFileOrRobot(config, log)
+
+
+UNTIL_THE_GROUP_ENDS = ("start_lasting_server", "robot")
+"""Fixtures that pytest would keep until the end of all tests, with servers and robots that nobody asks any more."""
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> None:
+    """End what the tests of a group shared once the next test is of another."""
+    if nextitem is not None and group_of(nextitem.nodeid) == group_of(item.nodeid):
+        return
+    for name in UNTIL_THE_GROUP_ENDS:
+        for fixture in item.session._fixturemanager.getfixturedefs(name, item) or ():
+            if fixture.scope == "session" and isinstance(item, pytest.Function):
+                fixture.finish(item._request)
 
 
 def failed(reason: object) -> str:

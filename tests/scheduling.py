@@ -17,9 +17,14 @@ class ByFileOrRobot(LoadFileScheduling):
     """File by file; tests of the paper and of the rover robot by robot, so that each robot is started once for all."""
 
     def _split_scope(self, nodeid: str) -> str:
-        file, _, name = nodeid.partition("::")
-        for folder in BY_ROBOT:
-            if file.startswith(folder):
-                named = re.split(r"[\[\]-]", name)
-                return next((f"{folder} {robot}" for robot in ROBOTS if robot in named), file)
-        return nodeid if file in BY_TEST else file
+        return group_of(nodeid)
+
+
+def group_of(nodeid: str) -> str:
+    """Name the tests that run one after the other on one worker with the test of this id."""
+    file, _, name = nodeid.partition("::")
+    for folder in BY_ROBOT:
+        if file.startswith(folder):
+            named = re.split(r"[\[\]-]", name)
+            return next((f"{folder} {robot}" for robot in ROBOTS if robot in named), file)
+    return nodeid if file in BY_TEST else file

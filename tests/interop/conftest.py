@@ -23,8 +23,8 @@ PATIENCE = 60.0
 _COUNTER = itertools.count(1)
 
 
-@pytest.fixture(scope="session")
-def server(start_lasting_server: Callable[..., Any]) -> Any:
+@pytest.fixture(scope="module")
+def server(start_server: Callable[..., Any]) -> Any:
     """A server of the embedded aircraft, shared by all clients: `url` is its entry, `http` an HTTP client for it."""
     return start_lasting_server("aircraft", "--max-publish-rate", "100000")
 

@@ -50,7 +50,8 @@ def closure(graph: Graph) -> Graph:
 
 def contradictions(graph: Graph) -> list[str]:
     """What is wrong in a graph that holds all that follows from it, also where the reasoner does not look."""
-    return [*_nothing(graph), *_disjoint(graph), *_equal_and_different(graph), *_several(graph), *_of_other_kinds(graph)]
+    judges = (_nothing, _disjoint, _equal_and_different, _several, _of_other_kinds)
+    return [each for judge in judges for each in judge(graph)]
 
 
 def _nothing(graph: Graph) -> Iterator[str]:

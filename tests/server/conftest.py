@@ -15,6 +15,7 @@ from pyoxigraph import RdfFormat, Triple, parse
 
 from rosld.adapters.base import AdapterOptions
 from rosld.adapters.registry import adapter_for
+from tests.forked import ForkedProcess
 from tests.server.robots.made_up import robot, served, serving
 
 __all__ = ["robot", "serving"]
@@ -23,7 +24,7 @@ __all__ = ["robot", "serving"]
 class Served:
     """A running server: its process, its entry URL, a client for it."""
 
-    def __init__(self, process: subprocess.Popen[str], url: str) -> None:
+    def __init__(self, process: subprocess.Popen[str] | ForkedProcess, url: str) -> None:
         self.process = process
         self.url = url
         self.http = httpx.Client(base_url=url, timeout=60)
@@ -40,9 +41,14 @@ class Served:
 
 
 def start(*arguments: str, python: str = sys.executable, environment: Mapping[str, str] | None = None) -> Served:
-    """`rosld serve ARGUMENTS` on a free port, with a Python and an environment (None: ours)."""
-    command = [python, "-m", "rosld", "serve", *arguments, "--port", "0"]
-    process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
+    """`rosld serve ARGUMENTS` on a free port: a fork, or the command itself with a Python and an environment."""
+    command = ["serve", *arguments, "--port", "0"]
+    process: subprocess.Popen[str] | ForkedProcess
+    if environment is None:
+        process = ForkedProcess(*command)
+    else:
+        whole = [python, "-m", "rosld", *command]
+        process = subprocess.Popen(whole, env=environment, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
     url = process.stdout.readline().strip()
     if not url.startswith("http"):
@@ -83,14 +89,17 @@ def start_server() -> Iterator[Callable[..., Served]]:
 
 @pytest.fixture(scope="session")
 def start_lasting_server() -> Iterator[Callable[..., Served]]:
-    """As `serve`, for the few that all files of a folder share: each that runs on takes from what the others need."""
+    """As `serve`, for fixtures that take long: what they start ends with the last of the tests that share it.
+
+    `tests/scheduling.py` says which tests these are, and `tests/conftest.py` ends it.
+    """
     with servers() as started:
         yield started
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def aircraft() -> Iterator[Served]:
-    """The embedded aircraft, shared by the tests that leave it as it was."""
+    """The embedded aircraft, shared by the tests of a file that leave it as it was."""
     served = start("aircraft", "--max-publish-rate", "100000")
     yield served
     assert served.process.poll() is None, "the server died during the tests"
@@ -105,7 +114,7 @@ def own_aircraft() -> Iterator[httpx.Client]:
         yield client
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def http(aircraft: Served) -> httpx.Client:
     """A client of the aircraft."""
     return aircraft.http

@@ -5,8 +5,6 @@ from __future__ import annotations
 import itertools
 import re
 import signal
-import subprocess
-import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,6 +16,7 @@ from pyoxigraph import NamedNode, RdfFormat, Triple, parse
 from rosld.ontology.vocab import ldp
 from rosld.server.http import link
 from rosld.server.http.link import Link
+from tests.forked import ForkedProcess
 
 TURTLE = "text/turtle"
 ROBOT = (
@@ -117,13 +116,11 @@ def triples(answer: httpx.Response) -> set[Triple]:
     return {quad.triple for quad in parse(answer.content, format=syntax, base_iri=str(answer.url))}
 
 
-def start(*arguments: str) -> tuple[subprocess.Popen[str], Served]:
+def start(*arguments: str) -> tuple[ForkedProcess, Served]:
     """`rosld serve ARGUMENTS` on a free port."""
-    command = [sys.executable, "-m", "rosld", "serve", *arguments, "--port", "0"]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None
+    process = ForkedProcess("serve", *arguments, "--port", "0")
     url = process.stdout.readline().strip()
-    assert url.startswith("http"), f"{command} printed {url!r}"
+    assert url.startswith("http"), f"{process.args} printed {url!r}"
     return process, Served(url, httpx.Client(timeout=15))
 
 
@@ -145,7 +142,7 @@ def running(*arguments: str) -> Iterator[Served]:
 @pytest.fixture(scope="module")
 def start_and_kill() -> Iterator[Callable[..., Served]]:
     """Starts servers that are killed when the tests of a file are over, whatever they are at."""
-    started: list[subprocess.Popen[str]] = []
+    started: list[ForkedProcess] = []
 
     def serve(*arguments: str) -> Served:
         process, served = start(*arguments)
@@ -160,14 +157,14 @@ def start_and_kill() -> Iterator[Callable[..., Served]]:
         assert not died, "the server died during the tests"
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def served() -> Iterator[Served]:
     """The embedded aircraft."""
     with running("aircraft", "--max-publish-rate", "100000") as one:
         yield one
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def demanding() -> Iterator[Served]:
     """A server that demands If-Match."""
     with running("aircraft", "--demand-if-match") as one:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import itertools
 import signal
-import subprocess
-import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -15,6 +13,7 @@ import pytest
 from pyoxigraph import CanonicalizationAlgorithm, Dataset, NamedNode, Quad, RdfFormat, Triple, parse
 
 from rosld.ontology.vocab import dcterms, ldp, rdf
+from tests.forked import ForkedProcess
 
 TURTLE = "text/turtle"
 EX = "http://example.org/"
@@ -123,11 +122,9 @@ def _is_managed(triple: Triple, url: NamedNode) -> bool:
 @contextmanager
 def running(*arguments: str) -> Iterator[Endpoint]:
     """A server that ends afterwards, and in order."""
-    command = [sys.executable, "-m", "rosld", "serve", "aircraft", *arguments, "--port", "0"]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None
+    process = ForkedProcess("serve", "aircraft", *arguments, "--port", "0")
     url = process.stdout.readline().strip()
-    assert url.startswith("http"), f"{command} printed {url!r}"
+    assert url.startswith("http"), f"{process.args} printed {url!r}"
     with httpx.Client(timeout=20) as http:
         yield Endpoint(url, http)
     died = process.poll() is not None
@@ -137,21 +134,21 @@ def running(*arguments: str) -> Iterator[Endpoint]:
     assert code == 0
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def endpoint() -> Iterator[Endpoint]:
     """The embedded aircraft."""
     with running("--max-publish-rate", "100000") as one:
         yield one
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def read_only() -> Iterator[Endpoint]:
     """A server that only reads."""
     with running("--read-only") as one:
         yield one
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def sharing() -> Iterator[Endpoint]:
     """A server that shares with one other site."""
     with running("--cors-origin", "https://page.example") as one:

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import signal
-import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import httpx
 
+from tests.forked import ForkedProcess
+
 
 @contextmanager
 def running(folder: Path, port: int) -> Iterator[httpx.Client]:
     """A server on a folder of data, at the one port that the folder's URLs have."""
-    command = [sys.executable, "-m", "rosld", "serve", "aircraft", "--data", str(folder), "--port", str(port)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    process = ForkedProcess("serve", "aircraft", "--data", str(folder), "--port", str(port))
     try:
-        assert process.stdout is not None
         with httpx.Client(base_url=process.stdout.readline().strip(), timeout=15) as client:
             yield client
     finally:

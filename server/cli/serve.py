@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 
 MAX_FILES = 256
 """Open files that are left to everything else than clients: databases, recordings, robots, connections in reserve."""
-EXIT_SECONDS = 4.5
-"""Seconds after which a server that was told to end is ended, whatever still holds it: five are promised."""
+EXIT_SECONDS = 8.0
+"""Seconds after which a server that was told to end is ended, whatever still holds it: Docker kills after ten."""
 
 
 def serve(source: str, settings: Settings, *, base_given: bool) -> None:

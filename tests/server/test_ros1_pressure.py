@@ -18,6 +18,7 @@ import pytest
 from rosld.adapters.ros1.receive_buffer import MAX_BYTES, enlarge, max_permitted_bytes
 from rosld.adapters.ros1.tcpros import decode_header, encode_header
 from tests.adapters.ros1.system import RosSystem, running
+from tests.processes import Process
 from tests.waiting import until
 
 STRING = {"type": "std_msgs/String", "md5sum": "992ce8a1687cec8c8bd883ec73ca41d1", "latching": "0"}
@@ -120,16 +121,26 @@ def test_while_rosld_is_suspended_for_a_second_no_publisher_waits(ros: RosSystem
     steady = ros.node("steady_node.py", "/steady", str(MEGABYTE), str(rate))
     served = serve(ros.source, "--subscribe", "/steady")
     until(lambda: steady.seen[-1].endswith(" 1"), "rosld reads")
-    time.sleep(3)  # what it takes to learn how much comes in
+    waited: list[tuple[float, float]] = []
+    for _ in range(4):  # how much comes in is learnt in seconds in which all processes run, and others use the cores
+        time.sleep(3)
+        waited.append(suspended(served, steady))
+        if waited[-1][0] < waited[-1][1] - 0.7:  # of the second that is held for it
+            break
+    else:
+        pytest.fail(f"the publisher waited for most of the time that rosld was suspended: {waited}")
+    assert steady.seen[-1].endswith(" 1")
+
+
+def suspended(served: Any, steady: Process) -> tuple[float, float]:
+    """Suspend rosld for more than a second: how long a publisher waited at most, and how long it might have had to."""
     told = len(steady.seen)
     usual = longest(steady.seen[1:])  # on a busy machine a node waits for others, too
-    suspended = time.monotonic()
+    began = time.monotonic()
     served.process.send_signal(signal.SIGSTOP)
     time.sleep(1.2)
     served.process.send_signal(signal.SIGCONT)
     served.http.get("/").raise_for_status()
-    spared = 0.7  # of the second that is held for it: one that waits itself is not told from one that is not read
-    may_wait = time.monotonic() - suspended - spared + min(usual, 0.5)
+    took = time.monotonic() - began
     until(lambda: len(steady.seen) > told + 4, "what the publisher noticed")
-    assert longest(steady.seen[told:]) < may_wait
-    assert steady.seen[-1].endswith(" 1")
+    return longest(steady.seen[told:]), took + min(usual, 0.5)

@@ -20,8 +20,12 @@ Send: TypeAlias = Callable[[httpx.Client, int], httpx.Response]
 PATIENCE = 60.0
 _PAUSE = 0.02
 """Seconds between two requests of a client."""
-OPTIONS = ("--max-publish-rate", "100000", "--setting", "receipts_kept", "500")
-"""Of a server for this: the writes of the load are the robot's to take, and few receipts are to be told anew."""
+OPTIONS = (
+    *("--max-publish-rate", "100000", "--setting", "receipts_kept", "500"),
+    *("--setting", "query_time_limit", "60"),
+)
+"""Of a server for this: the writes of the load are the robot's to take, few receipts are to be told anew, and a query
+that takes long on a busy machine is not one that takes too long."""
 _TURTLE, _UPDATE = {"Content-Type": "text/turtle"}, {"Content-Type": "application/sparql-update"}
 _CSV = {"Accept": "text/csv, application/problem+json;q=0.9"}
 _VALUE = "<http://h/v>"

@@ -12,6 +12,8 @@ from urllib.parse import urlsplit
 import httpx
 import pytest
 
+from tests.waiting import once_started
+
 UPDATE = {"Content-Type": "application/sparql-update"}
 TURTLE = {"Content-Type": "text/turtle"}
 CROSS = "?a ?b ?c . ?d ?e ?f . ?g ?h ?i . ?j ?k ?l"
@@ -33,7 +35,7 @@ def update(client: httpx.Client, text: str | bytes) -> httpx.Response:
 
 def lives(client: httpx.Client) -> None:
     """Hold that the server answers, and does what it is told."""
-    answer = update(client, "INSERT DATA { GRAPH </data/lives> { <urn:a> <urn:b> 1 } }")
+    answer = once_started(lambda: update(client, "INSERT DATA { GRAPH </data/lives> { <urn:a> <urn:b> 1 } }"))
     assert answer.status_code == 204, answer.text
     assert client.get("/data/never").status_code == 404
 

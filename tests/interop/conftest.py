@@ -14,9 +14,9 @@ from typing import Any
 import pytest
 
 from tests.interop.missing import require
-from tests.server.conftest import start_lasting_server, start_server, triples_of
+from tests.server.conftest import start_server, triples_of
 
-__all__ = ["start_lasting_server", "start_server", "triples_of"]
+__all__ = ["start_server", "triples_of"]
 """Fixtures of the server's tests: one starts servers, one reads answers."""
 
 PATIENCE = 60.0
@@ -26,7 +26,7 @@ _COUNTER = itertools.count(1)
 @pytest.fixture(scope="module")
 def server(start_server: Callable[..., Any]) -> Any:
     """A server of the embedded aircraft, shared by all clients: `url` is its entry, `http` an HTTP client for it."""
-    return start_lasting_server("aircraft", "--max-publish-rate", "100000")
+    return start_server("aircraft", "--max-publish-rate", "100000")
 
 
 @pytest.fixture

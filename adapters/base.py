@@ -311,6 +311,14 @@ class Adapter(Protocol):
         """
         ...
 
+    async def advertise(self, topic: str, type: TypeRef, *, deadline: float) -> None:
+        """Advertise a topic without publishing, so that its subscribers are connected when something is published.
+
+        Waits for a subscriber to match until `deadline`; that none does is no error. Where it is advertised already it
+        is made to suit those who subscribe now. Raises Refused, Unreachable, UnknownType.
+        """
+        ...
+
     async def unadvertise(self, topic: str) -> None:
         """Stop advertising what rosld advertised; NotFound where it advertised nothing."""
         ...

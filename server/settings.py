@@ -105,6 +105,12 @@ class Settings:
         option=True,
         metavar="GLOB",
     )
+    stop_ready: bool = setting(
+        False,
+        "Advertise the topics on which a stop publishes zero as soon as they have a subscriber, not when the robot is "
+        "stopped: a stop need not wait until ROS has connected them. Other nodes see rosld as a publisher.",
+        option=True,
+    )
     stop_cancels: str = setting(
         "own",
         "The goals that a stop cancels: 'own', sent through rosld, or 'others', all goals of all actions.",

@@ -1,16 +1,10 @@
-"""Which tests run one after the other where several run side by side: those that share what takes long to start."""
+"""Which tests run side by side."""
 
 from __future__ import annotations
 
-import re
-
 from xdist.scheduler import LoadFileScheduling
 
-ROBOTS = ("embedded", "rospy", "jazzy", "kilted")
-"""The aircraft of the paper's tests and the rovers, as the names of tests have them."""
-BY_ROBOT = ("tests/paper/", "tests/rover/")
-BY_TEST = ("tests/ros2/test_adapter.py",)
-"""Files each test of which is a run of tests of its own: minutes."""
+from tests.groups import group_of
 
 
 class ByFileOrRobot(LoadFileScheduling):
@@ -18,13 +12,3 @@ class ByFileOrRobot(LoadFileScheduling):
 
     def _split_scope(self, nodeid: str) -> str:
         return group_of(nodeid)
-
-
-def group_of(nodeid: str) -> str:
-    """Name the tests that run one after the other on one worker with the test of this id."""
-    file, _, name = nodeid.partition("::")
-    for folder in BY_ROBOT:
-        if file.startswith(folder):
-            named = re.split(r"[\[\]-]", name)
-            return next((f"{folder} {robot}" for robot in ROBOTS if robot in named), file)
-    return nodeid if file in BY_TEST else file

@@ -176,6 +176,10 @@ class Aircraft:
         self._reachable(deadline)
         return self._topics.publish(topic, type, data, latch)
 
+    async def advertise(self, topic: str, type: TypeRef, *, deadline: float) -> None:
+        """Nothing needs to be made beforehand: the aircraft hears what is published at once."""
+        self._reachable(deadline)
+
     async def unadvertise(self, topic: str) -> None:
         """Stop advertising; what rosld sent there is gone with it."""
         self._topics.unadvertise(topic)

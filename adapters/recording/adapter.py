@@ -153,6 +153,10 @@ class RecordingAdapter:
         """Refused."""
         _refuse()
 
+    async def advertise(self, topic: str, type: TypeRef, *, deadline: float) -> None:
+        """Refused."""
+        _refuse()
+
     async def unadvertise(self, topic: str) -> None:
         """Nothing is ever advertised here."""
         raise NotFound(f"rosld does not advertise {topic}")

@@ -212,6 +212,13 @@ class Ros1Adapter:
         thread.post(partial(publication.send, data, latch))
         return Published(publication.matched)
 
+    async def advertise(self, topic: str, type: TypeRef, *, deadline: float) -> None:
+        """Register as a publisher, and wait for a subscriber. Raises Refused, Unreachable, UnknownType."""
+        _, client = self._running()
+        publication = client.publications.by_topic.get(topic)
+        if publication is None or not publication.carries(type):
+            await self._advertise(topic, type, deadline)
+
     async def unadvertise(self, topic: str) -> None:
         """Stop advertising. Raises NotFound where rosld advertises nothing."""
         thread, client = self._running()

@@ -225,6 +225,14 @@ class Ros2Adapter:
         thread.post(partial(publication.send, data))
         return Published(publication.matched)
 
+    async def advertise(self, topic: str, type: TypeRef, *, deadline: float) -> None:
+        """Make a writer that suits the topic's readers, and wait for one. Raises Refused, Unreachable, UnknownType."""
+        _, system = self._running()
+        publication = system.publications.by_topic.get(topic)
+        latch = publication is not None and publication.latched
+        if publication is None or not publication.carries(type) or not system.publications.suits(publication, latch):
+            await self._advertise(topic, type, latch, deadline)
+
     async def unadvertise(self, topic: str) -> None:
         """Stop advertising. Raises NotFound where rosld advertises nothing."""
         thread, system = self._running()

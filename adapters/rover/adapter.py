@@ -172,6 +172,10 @@ class Rover:
             return published
         return self._topics.publish(topic, type, data, latch)
 
+    async def advertise(self, topic: str, type: TypeRef, *, deadline: float) -> None:
+        """Nothing needs to be made beforehand: the rover hears what is published at once."""
+        self._reachable(deadline)
+
     async def unadvertise(self, topic: str) -> None:
         """Stop advertising; the rover drives on as it was told last."""
         self._topics.unadvertise(topic)

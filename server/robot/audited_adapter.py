@@ -67,6 +67,11 @@ class AuditedAdapter:
         """`Adapter.call`, also while the robot is stopped: for what stops it."""
         return await self._interlock.run_always(lambda: self.inner.call(service, type, request, deadline=deadline))
 
+    async def advertise(self, topic: str, type: TypeRef, *, deadline: float) -> None:
+        """`Adapter.advertise`, also while the robot is stopped: nothing is told by it."""
+        self.published.add(topic)
+        await self._interlock.run_always(lambda: self.inner.advertise(topic, type, deadline=deadline))
+
     async def unadvertise(self, topic: str) -> None:
         """`Adapter.unadvertise`; raises TopicHeld while somebody holds the topic."""
         record_step(f"stop advertising {topic}", self._space.topic(topic))

@@ -15,6 +15,7 @@ from rosld.server.auth.agent import Agent
 from rosld.server.robot.goal_store import Goal
 from rosld.server.robot.hold_store import Hold, Holds
 from rosld.server.robot.interlock import StopState
+from rosld.server.robot.ready_publications import ReadyPublications
 from rosld.server.robot.session import Session
 from rosld.server.robot.velocity import commanded_topics, subscribers_of
 from rosld.server.robot.zero_publisher import Reached, ZeroPublisher
@@ -80,8 +81,10 @@ class SoftwareStop:
         self._mapped = mapped
         self._is_at_rest = is_at_rest
         self._zero = ZeroPublisher(session)
+        self._ready = ReadyPublications(session)
         self._steps: dict[str, StopStep] = {}
         self._running: set[asyncio.Task[None]] = set()
+        self._late: set[asyncio.Task[None]] = set()
         self._count = 0
         self.revision = 0
         self.changes = Signal()
@@ -127,6 +130,11 @@ class SoftwareStop:
             return f"The robot may go on moving, for nothing was told to stand still: {_NOTHING}."
         said = "nothing could be told" if failed == len(telling) else "not everything could be told"
         return f"The robot may go on moving, for {said} to stand still: {failed} of {len(telling)} steps failed."
+
+    def start(self) -> None:
+        """Advertise beforehand what a stop publishes on, where the settings ask for that."""
+        if self._session.settings.stop_ready and self.is_usable:
+            self._ready.start()
 
     async def stop(self, by: Agent, reason: str | None) -> None:
         """Stop the robot, or do so again: who stopped it first is who stopped it.
@@ -227,7 +235,28 @@ class SoftwareStop:
             self._revise()
 
     async def _publish_zero(self, topic: Topic) -> Reached:
-        return await self._zero.publish(topic)
+        begun = self._session.deadline(0)
+        try:
+            return await self._zero.publish(topic)
+        except (RosError, ValueError):
+            late = asyncio.ensure_future(self._note_late(topic.name, begun))
+            self._late.add(late)
+            late.add_done_callback(self._late.discard)
+            raise
+
+    async def _note_late(self, topic: str, begun: float) -> None:
+        """Have the step of a topic succeed after all, where zero reaches a subscriber once the step has failed."""
+        reached = await self._zero.reached_late(topic)
+        step = self._steps.get(_zero_on(topic))
+        if reached is None or step is None or step.status is not StepStatus.FAILED:
+            return
+        words = f"told late, {self._session.deadline(0) - begun:.1f} s after the stop"
+        words = "; ".join(each for each in (words, _missed(reached)) if each)
+        self._steps[step.description] = replace(
+            step, status=StepStatus.DONE, words=words, subscribers=reached.subscribers
+        )
+        _log.warning("while the robot was stopped: %s: %s", step.description, words)
+        self._revise()
 
     async def _carried_out(self, mapped: StopCommand, deadline: float) -> Reached | str | None:
         """Call or publish what a mapping names, past the gate; words where it was refused by what is at rest."""
@@ -270,7 +299,8 @@ class SoftwareStop:
         self.changes.emit()
 
     async def wait_ended(self) -> None:
-        """Returns when nothing of a stop is under way."""
+        """Return when nothing of a stop is under way, and advertise nothing more."""
+        await self._ready.stop()
         if self._running:
             await asyncio.wait(self._running)
         await self._zero.over()

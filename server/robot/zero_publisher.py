@@ -77,6 +77,11 @@ class ZeroPublisher:
         repetition = self._running[name] = _Repetition(session, name, zero, subscribers_of(topic, session.graph))
         return await repetition.reached()
 
+    async def reached_late(self, topic: str) -> Reached | None:
+        """Wait until a subscriber got what `publish` could not bring to it in time; None where none does."""
+        repetition = self._running.get(topic)
+        return None if repetition is None else await repetition.reached_late()
+
     async def over(self) -> None:
         """Wait until zero is published no more."""
         running, self._running = list(self._running.values()), {}
@@ -124,6 +129,11 @@ class _Repetition:
         with contextlib.suppress(asyncio.TimeoutError, TimeoutError):
             await asyncio.wait_for(self._heard_by_all.wait(), _ALL_SECONDS)
         return self._reached
+
+    async def reached_late(self) -> Reached | None:
+        """Wait until it was heard, however long; how many heard it, None where it ended before."""
+        await asyncio.wait([self._heard])
+        return self._reached if self._heard.exception() is None else None
 
     @property
     def is_heard(self) -> bool:

@@ -119,6 +119,7 @@ class Services:
         gc.collect()
         gc.freeze()  # what is loaded now stays: looking through it again and again would hold everybody up
         self.session.follow()
+        self.software_stop.start()
 
     async def stop(self) -> None:
         """Give everything back to the robot; idempotent."""

@@ -436,6 +436,20 @@ def test_reading_leaves_no_trace(robot: Any) -> None:
     run(scenario())
 
 
+@needs("writable")
+def test_what_is_advertised_beforehand_reaches_its_subscriber_without_a_wait(robot: Any) -> None:
+    async def scenario() -> None:
+        async with opened(robot) as adapter:
+            ref, data = await message(adapter, robot.writable)
+            await adapter.advertise(robot.writable.topic, ref, deadline=soon())
+            await adapter.advertise(robot.writable.topic, ref, deadline=soon())
+            now = asyncio.get_running_loop().time() + 0.1
+            published = await adapter.publish(robot.writable.topic, ref, data, deadline=now)
+            assert published.matched >= 1
+
+    run(scenario())
+
+
 @needs("trace", "writable")
 def test_a_published_topic_leaves_no_trace_once_closed(robot: Any) -> None:
     async def scenario() -> None:

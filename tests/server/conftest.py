@@ -91,7 +91,7 @@ def start_server() -> Iterator[Callable[..., Served]]:
 def start_lasting_server() -> Iterator[Callable[..., Served]]:
     """As `serve`, for fixtures that take long: what they start ends with the last of the tests that share it.
 
-    `tests/scheduling.py` says which tests these are, and `tests/conftest.py` ends it.
+    `tests/groups.py` says which tests these are, and `tests/conftest.py` ends it.
     """
     with servers() as started:
         yield started

@@ -61,6 +61,19 @@ def test_a_base_that_another_node_set_going_and_left_is_told_zero_again_and_agai
     assert ros.publishers(TOPIC) == [], "what was advertised for the stop alone is withdrawn"
 
 
+def test_a_base_is_connected_before_the_stop_where_that_is_asked_for(
+    ros: RosSystem, base: Process, serve: Callable[..., Any]
+) -> None:
+    served = serve(ros.source, "--stop-ready")
+    until(lambda: any("rosld" in node for node in ros.publishers(TOPIC)), "rosld among the publishers")
+    assert speeds(base) == []
+    told = served.http.post("stop", headers=JSON).json()
+    assert [step["subscribers"] for step in told["steps"]] == [1]
+    until(lambda: len(speeds(base)) >= 15, "zero for a second")
+    assert served.http.delete("stop").status_code == 204
+    assert any("rosld" in node for node in ros.publishers(TOPIC)), "it stays ready"
+
+
 def test_a_base_that_another_node_commands_is_told_zero_as_well(ros: RosSystem, base: Process, served: Any) -> None:
     other = ros.publish(TOPIC, TWIST, AHEAD, rate=5)
     try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 from collections.abc import Iterator
 from typing import Any
 
@@ -28,6 +29,7 @@ class Base(MadeUp):
 
     def __init__(self) -> None:
         super().__init__()
+        self.advertised: list[str] = []
         self.withdrawn: list[str] = []
         self.deaf: set[str] = set()
         self.topic("/cmd_vel", TWIST, published=False, heard=True)
@@ -48,6 +50,12 @@ class Base(MadeUp):
                 return Published(0)
             await asyncio.sleep(0.01)
         return await super().publish(topic, type, data, latch=latch, deadline=deadline)
+
+    async def advertise(self, topic: str, type: TypeRef, *, deadline: float) -> None:
+        if topic == "/stamped" and topic not in self.advertised:
+            self.advertised.append(topic)
+            raise Unreachable("its subscribers are gone")
+        self.advertised.append(topic)
 
     async def unadvertise(self, topic: str) -> None:
         self.withdrawn.append(topic)
@@ -197,7 +205,34 @@ def test_a_base_that_nobody_reached_in_time_is_told_zero_when_it_is_there(base: 
     assert "/cmd_vel" not in base.sent
     base.deaf.clear()
     until(lambda: len(base.sent.get("/cmd_vel", ())) >= 15, "zero for a second")
+    told = http.get("/stop", headers=JSON).json()
+    late = steps(told)[on("/cmd_vel")]
+    assert (late["state"], late["subscribers"], told["warning"]) == ("Succeeded", 1, None)
+    assert re.fullmatch(r"told late, \d+\.\d s after the stop", late["words"])
+    assert "told late" in http.get("/stop", headers=HTML).text
     assert http.delete("/stop").status_code == 204
+
+
+def test_what_a_stop_publishes_on_is_advertised_beforehand_where_that_is_asked_for() -> None:
+    base = Base()
+    with served(base, stop_ready=True) as http:
+        until(lambda: set(base.advertised) == set(COMMANDS), "the topics")
+        assert base.sent == {}
+        base.strange(Topic("/cmd_vel_2", (TypeRef(TWIST),), (), base.graph.topics["/cmd_vel"].subscribers))
+        until(lambda: "/cmd_vel_2" in base.advertised, "the topic that came later")
+        assert base.advertised.count("/stamped") > 1, "what could not be advertised is tried again"
+        stop(http)
+        assert http.delete("/stop").status_code == 204
+        assert base.withdrawn == []
+
+
+@pytest.mark.parametrize("settings", [{}, {"stop_ready": True, "read_only": True}], ids=["by default", "read only"])
+def test_nothing_is_advertised_beforehand_otherwise(settings: dict[str, bool]) -> None:
+    base = Base()
+    with served(base, **settings) as http:
+        base.strange(Topic("/later", (TypeRef(STRING),), (), base.graph.topics["/cmd_vel"].subscribers))
+        until(lambda: http.get("/topics/later").status_code == 200, "the topic that came later")
+        assert base.advertised == []
 
 
 def test_what_was_advertised_to_stop_the_robot_is_withdrawn_with_the_stop(base: Base, http: httpx.Client) -> None:

@@ -267,6 +267,9 @@ class MadeUp:
         self._put(topic, ROSLD, data)
         return Published(int(there.heard))
 
+    async def advertise(self, topic: str, type: TypeRef, *, deadline: float) -> None:
+        self._message(type.name)
+
     async def unadvertise(self, topic: str) -> None:
         raise NotFound(f"rosld does not advertise {topic}")
 

@@ -28,11 +28,14 @@ Its endpoint is this server's, and nothing is asked of another. Without this fil
     return known ? `${known[0]}:${iri.slice(known[1].length)}` : iri;
   }
 
+  const homes = new Map(Object.entries(settings.terms).flatMap(([path, named]) => named.map((name) => [name, path])));
+
   function href(iri) {
     if (!/^https?:\/\/[^\s\\]*$/i.test(iri)) return null;
     if (iri.startsWith(settings.base)) return settings.root + iri.slice(settings.base.length).replace(/^\/+/, "");
     if (iri.startsWith(settings.types)) return `${settings.root}types/${iri.slice(settings.types.length)}`;
-    return iri;
+    const name = short(iri);
+    return homes.has(name) ? `${settings.root}${homes.get(name)}#${iri.split("#")[1]}` : iri;
   }
 
   /* The editor */

@@ -16,6 +16,7 @@ from pyoxigraph import NamedNode
 
 from rosld.ontology.describe_search import SearchResult
 from rosld.ontology.document import Document
+from rosld.ontology.modules import home_of_terms, module_url
 from rosld.ontology.neutral_message import COMMANDS
 from rosld.ontology.vocab import PREFIXES, ldp, ros, td
 from rosld.server.html.auto_refresh import MAX_RATE, is_refreshed
@@ -485,8 +486,15 @@ def render_sparql(page: SparqlPage) -> bytes:
 
 
 def _editor_config(page: SparqlPage) -> str:
-    """What the editor is made with, as JSON. `isAsked`: the query in the box is that of the page's address."""
+    """What the editor is made with, as JSON.
+
+    `isAsked`: the query in the box is that of the page's address. `terms`: the prefixed names that each module of the
+    vocabulary describes, by its path below the root.
+    """
     site = page.site
+    terms: dict[str, list[str]] = {}
+    for iri, module in home_of_terms().items():
+        terms.setdefault(module_url(module, ""), []).append(site.prefixed_name(iri))
     return json.dumps(
         {
             "endpoint": f"{site.root}sparql",
@@ -494,6 +502,7 @@ def _editor_config(page: SparqlPage) -> str:
             "root": site.root,
             "types": site.types,
             "prefixes": PREFIXES,
+            "terms": terms,
             "isAsked": bool(page.query),
         }
     )

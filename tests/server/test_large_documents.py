@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
+from functools import cache
 
 import httpx
 import pytest
@@ -11,8 +13,6 @@ from pyoxigraph import RdfFormat, parse
 from tests.server.robots.made_up import MadeUp, served
 
 NUMBERS = 100_000
-BUSY_SECONDS = 0.1
-"""Work of the loop in one pause: these numbers take it some 0.5 s to read, or to write in one syntax."""
 TURTLE = {"Content-Type": "text/turtle"}
 SYNTAXES = {
     "text/turtle": RdfFormat.TURTLE,
@@ -52,6 +52,16 @@ def busy(http: httpx.Client) -> float:
     return told["longestWork"]
 
 
+@cache
+def busy_seconds() -> float:
+    """A fifth of what it takes a processor of this machine to read the numbers: more work of the loop is not beside it."""
+    body = turtle(NUMBERS)
+    began = time.thread_time()
+    for _ in parse(body, format=RdfFormat.TURTLE, base_iri="http://example.org/"):
+        pass
+    return max((time.thread_time() - began) / 5, 0.1)
+
+
 @pytest.mark.parametrize("accept", SYNTAXES)
 def test_a_large_document_is_whole_in_every_syntax(http: httpx.Client, accept: str) -> None:
     answer = http.get("data/large", headers={"Accept": accept})
@@ -89,7 +99,7 @@ def test_what_a_syntax_cannot_carry_is_406_also_where_it_is_large(http: httpx.Cl
 def test_large_documents_keep_the_loop_free(http: httpx.Client) -> None:
     for accept in (*SYNTAXES, "text/html"):
         assert http.get("data/large", headers={"Accept": accept}).status_code == 200
-    assert busy(http) < BUSY_SECONDS
+    assert busy(http) < busy_seconds()
 
 
 def test_a_large_document_is_patched_merged_and_replaced_beside_the_loop() -> None:
@@ -111,7 +121,7 @@ def test_a_large_document_is_patched_merged_and_replaced_beside_the_loop() -> No
         assert found.count("example.org/p") == NUMBERS
         assert http.put("data/large", content=turtle(10), headers=TURTLE).status_code == 204
         assert http.get("data/large", headers={"Accept": "text/turtle"}).text.count(",") < 20
-        assert busy(http) < BUSY_SECONDS
+        assert busy(http) < busy_seconds()
 
 
 def test_a_patch_that_makes_much_of_little_is_done_whole_beside_the_loop() -> None:
@@ -125,7 +135,7 @@ def test_a_patch_that_makes_much_of_little_is_done_whole_beside_the_loop() -> No
         answer = http.patch("data/small", content=update, headers={"Content-Type": "application/sparql-update"})
         assert answer.status_code == 204
         assert http.get("data/small", headers={"Accept": "application/n-triples"}).text.count("example.org/q") == 64_000
-        assert busy(http) < BUSY_SECONDS
+        assert busy(http) < busy_seconds()
 
 
 def test_what_is_wrong_in_a_large_body_is_told_as_in_a_small_one(http: httpx.Client) -> None:
@@ -150,7 +160,7 @@ def test_the_description_of_very_many_parameters_is_of_bounded_size_and_made_bes
         assert len(paths) < 2_500
         for accept in ("text/turtle", "text/html"):
             assert http.get("parameters/", headers={"Accept": accept}).status_code == 200
-        assert busy(http) < BUSY_SECONDS
+        assert busy(http) < busy_seconds()
 
 
 def test_a_large_json_file_is_patched_beside_the_loop() -> None:
@@ -163,4 +173,4 @@ def test_a_large_json_file_is_patched_beside_the_loop() -> None:
         assert http.get("data/numbers.json").json() == {"numbers": numbers, "more": 1}
         broken = http.patch("data/numbers.json", content=b'{"more": NaN}', headers=patch)
         assert broken.status_code == 400
-        assert busy(http) < 0.05
+        assert busy(http) < busy_seconds() / 2

@@ -51,13 +51,17 @@ class ShownTopic:
 
 @dataclass(frozen=True, slots=True)
 class SpaceSource:
-    """What a stream reads from, and what it may: `frames` is None for who may not read them."""
+    """What a stream reads from, and what it may: `frames` is None for who may not read them.
+
+    `has_cloud_files`: the reader draws the points of a cloud from its file, so that the stream need not tell them, too.
+    """
 
     topics: LiveTopics
     drawings: Drawings
     frames: LiveFrames | None
     shown: Callable[[], Sequence[ShownTopic]]
     is_valid: Callable[[], bool]
+    has_cloud_files: bool = False
 
 
 class SpaceStream(EndlessResponse):
@@ -177,7 +181,8 @@ class _View:
         self._drawn[shown.name], self._told[shown.name] = found, (pose, problem)
         told: dict[str, object] = {"place": place, "pose": pose, "problem": problem}
         if is_new:
-            told["drawing"] = orjson.Fragment(found.json)
+            is_file = self._source.has_cloud_files and bool(shown.cloud) and found.drawing is not None
+            told["drawing"] = {} if is_file else orjson.Fragment(found.json)
             told["in"] = "" if found.drawing is None else found.drawing.frame
             if shown.picture and found.drawing is not None:
                 told["picture"] = f"{shown.picture}&v={found.sample.epoch}.{found.sample.sequence}"

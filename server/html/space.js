@@ -38,7 +38,6 @@ is in the frame that the view is fixed to. Without this file, and space_view.js,
     constructor(figure, address) {
       super(figure, address);
       this.frame = "";
-      this.followed = "";
       this.hasFrames = true;
       this.centre = [0, 0];
       this.scale = 50; // pixels of a metre
@@ -49,14 +48,12 @@ is in the frame that the view is fixed to. Without this file, and space_view.js,
     build() {
       this.words = element("span", { textContent: "Not live yet" });
       this.words.setAttribute("role", "status");
-      this.choice = element("select", {}, element("option", { value: "", textContent: "nothing" }));
-      this.choice.addEventListener("change", () => { this.followed = this.choice.value; this.renew(); });
       const frames = element("input", { type: "checkbox", checked: true });
       frames.addEventListener("change", () => { this.hasFrames = frames.checked; this.renew(); });
       this.controls = element("div", { className: "controls" }, this.words,
-        button("Fit", "Fit", () => { this.isMoved = false; this.followed = this.choice.value = ""; this.fit(); }),
+        button("Fit", "Fit", () => { this.isMoved = false; this.followNothing(); this.fit(); }),
         button("\u2212", "Zoom out", () => this.zoom(0.7)), button("+", "Zoom in", () => this.zoom(1 / 0.7)),
-        element("label", {}, "Follow ", this.choice), element("label", { className: "tick" }, frames, " Frames"));
+        this.chooseFollowed(), element("label", { className: "tick" }, frames, " Frames"));
       this.canvas = element("canvas", { tabIndex: 0 });
       this.canvas.setAttribute("role", "img");
       this.canvas.setAttribute("aria-label", "Seen from above. Arrow keys move it, plus and minus zoom, 0 fits all in.");
@@ -198,16 +195,6 @@ is in the frame that the view is fixed to. Without this file, and space_view.js,
       this.things = list.map((each, place) => ({ trace: [], ...known.get(each.href), ...each, colour: `--line-${place % SpaceView.COLOURS}` }));
       this.list();
       for (const thing of this.things) if (thing.history) this.recall(thing);
-    }
-
-    setFrames(frames) {
-      const names = frames.map(({ name }) => name);
-      if (names.join("\n") !== [...this.frames.keys()].join("\n")) {
-        const option = (name) => element("option", { value: name, textContent: name || "nothing" });
-        this.choice.replaceChildren(...["", ...names].map(option));
-        this.choice.value = names.includes(this.followed) ? this.followed : "";
-      }
-      this.frames = new Map(frames.map((each) => [each.name, each]));
     }
 
     /* Whether something is drawn that was not before. */

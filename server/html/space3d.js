@@ -40,15 +40,15 @@ function readPly(buffer) {
   return columns;
 }
 
-/* The links of a robot's model (URDF) by name, each with what is seen of it, and how many meshes are left out. */
+/* The links of a robot's model (URDF) by name, each with what is seen of it, and the names of the meshes, which are left out. */
 function readModel(text) {
   const model = new DOMParser().parseFromString(text, "application/xml");
   if (model.querySelector("parsererror") || !model.querySelector("robot")) throw new Error("no URDF");
   for (const each of model.querySelectorAll("texture")) each.remove(); // it is a file of another machine
   const loader = new URDFLoader(), links = new Map();
-  let meshes = 0;
+  const meshes = [...model.querySelectorAll("visual > geometry > mesh")].map((each) => each.getAttribute("filename") ?? "");
   loader.packages = () => "";
-  loader.loadMeshCb = () => { meshes++; };
+  loader.loadMeshCb = () => {};
   for (const [name, link] of Object.entries(loader.parse(model).links)) {
     const group = new Group();
     for (const visual of link.children.filter(({ isURDFVisual }) => isURDFVisual)) {
@@ -114,12 +114,16 @@ class View extends SpaceView {
     this.count.value = 20000;
     this.count.addEventListener("change", () => this.things.forEach((thing) => thing.cloud && this.load(thing, thing.cloud)));
     this.controlsRow = element("div", { className: "controls" }, this.words,
-      button("Fit", "Fit", () => this.fit()), button("Above", "From above", () => this.fit([0, -0.001, 1])),
+      button("Fit", "Fit", () => { this.followNothing(); this.fit(); }),
+      button("Above", "From above", () => { this.followNothing(); this.fit([0, -0.001, 1]); }),
       button("\u2212", "Zoom out", () => this.zoom(1.4)), button("+", "Zoom in", () => this.zoom(1 / 1.4)),
-      element("label", {}, "Points ", this.count), element("label", { className: "tick" }, frames, " Frames"));
+      this.chooseFollowed(), element("label", {}, "Points ", this.count),
+      element("label", { className: "tick" }, frames, " Frames"));
     this.legend = element("ul", { className: "legend" });
     this.readout = element("p", { className: "readout" });
-    this.figure.prepend(this.controlsRow, this.canvas, this.readout, this.legend);
+    this.absent = element("ul");
+    this.absence = element("details", { hidden: true }, element("summary", { textContent: "Meshes that are not shown" }), this.absent);
+    this.figure.prepend(this.controlsRow, this.canvas, this.readout, this.absence, this.legend);
     this.scene = new Scene();
     this.frameGroup = new Group();
     this.ruleGroup = new Group();
@@ -150,8 +154,10 @@ class View extends SpaceView {
       if (event.key.startsWith("Arrow")) this.isMoved = true;
       else if (event.key === "+" || event.key === "=") this.zoom(0.8);
       else if (event.key === "-") this.zoom(1.25);
-      else if (event.key === "0") this.fit();
-      else return;
+      else if (event.key === "0") {
+        this.followNothing();
+        this.fit();
+      } else return;
       event.preventDefault();
     });
     canvas.addEventListener("webglcontextlost", () => this.say("The browser has taken WebGL away"));
@@ -233,13 +239,24 @@ class View extends SpaceView {
   take({ show, frames, things }) {
     if (show) this.show(show);
     if (frames) {
-      this.frames = new Map(frames.map((each) => [each.name, each]));
+      this.setFrames(frames);
       this.drawFrames();
     }
     let isNew = false;
     for (const each of things ?? []) isNew = this.set(this.things[each.place], each) || isNew;
-    if (isNew && !this.isMoved) this.fit();
+    if (isNew && !this.isMoved && !this.followed) this.fit();
     this.renew();
+  }
+
+  /* What is followed is in the middle, seen from the same side and as far as before. */
+  centre() {
+    const pose = this.frames.get(this.followed)?.pose;
+    if (!pose) return;
+    const { target } = this.controls, way = new Vector3(...pose.slice(0, 3)).sub(target);
+    if (way.length() < 1e-6) return; // the controls tell of each change, which would draw it again
+    target.add(way);
+    this.camera.position.add(way);
+    this.controls.update();
   }
 
   show(list) {
@@ -273,9 +290,8 @@ class View extends SpaceView {
       const last = thing.trace.at(-1), now = drawing?.trace && drawing.arrows[0];
       if (now && !(last && Math.hypot(now[0] - last[0], now[1] - last[1], now[2] - last[2]) < STEP)) thing.trace.push(now.slice(0, 3));
       if (thing.trace.length > TRACE) thing.trace = thing.trace.filter((_, place) => place % 2);
-      if (cloud && thing.columns) this.load(thing, cloud);
+      if (cloud) this.load(thing, cloud);
       else this.draw(thing);
-      if (cloud && !thing.columns) this.load(thing, cloud);
       if (picture) this.loadPicture(thing, picture);
     }
     this.place(thing);
@@ -298,8 +314,10 @@ class View extends SpaceView {
     try {
       const answer = await fetch(`${address}&points=${most}`, { headers: { accept: "application/octet-stream" } });
       if (!answer.ok) throw new Error(`${answer.status}`);
+      const isFirst = !thing.columns;
       thing.columns = readPly(await answer.arrayBuffer());
       this.draw(thing);
+      if (isFirst && !this.isMoved && !this.followed) this.fit();
       this.renew();
     } catch {
       thing.why.textContent = "The points cannot be had";
@@ -335,7 +353,9 @@ class View extends SpaceView {
       const isJson = answer.headers.get("content-type").includes("json");
       const { links, meshes } = readModel(isJson ? await answer.json() : await answer.text());
       this.links = links;
-      this.meshes = meshes;
+      this.meshes = meshes.length;
+      this.absence.hidden = !meshes.length;
+      this.absent.replaceChildren(...[...new Set(meshes)].map((each) => element("li", { textContent: each })));
       this.modelGroup.add(...links.values());
     } catch {
       this.readout.textContent = "The model of the robot cannot be read.";
@@ -345,7 +365,7 @@ class View extends SpaceView {
     model.addEventListener("change", () => { this.modelGroup.visible = model.checked; this.renew(); });
     this.controlsRow.append(element("label", { className: "tick" }, model, " Model"));
     this.placeModel();
-    if (!this.isMoved) this.fit();
+    if (!this.isMoved && !this.followed) this.fit();
     this.renew();
   }
 
@@ -488,6 +508,7 @@ class View extends SpaceView {
     if (this.isStale) return;
     this.isStale = true;
     requestAnimationFrame(() => {
+      this.centre();
       this.isStale = false;
       this.renderer.render(this.scene, this.camera);
       const shown = this.things.filter(({ group }) => group.visible && group.children.length);

@@ -12,6 +12,7 @@ class SpaceView {
     this.address = address;
     this.things = [];
     this.frames = new Map();
+    this.followed = ""; // the name of the frame that stays in the middle
     this.isMoved = false; // by hand: then it stays where it is
     this.isSeen = false;
     this.isStale = false;
@@ -75,6 +76,28 @@ class SpaceView {
         element("a", { href: thing.href, textContent: thing.label }),
         element("span", { className: "sort", textContent: thing.kind }), thing.why);
     }));
+  }
+
+  /* The choice of a frame to be followed. */
+  chooseFollowed() {
+    const { element } = SpaceView;
+    this.choice = element("select", {}, element("option", { value: "", textContent: "nothing" }));
+    this.choice.addEventListener("change", () => { this.followed = this.choice.value; this.renew(); });
+    return element("label", {}, "Follow ", this.choice);
+  }
+
+  followNothing() {
+    this.followed = this.choice.value = "";
+  }
+
+  setFrames(frames) {
+    const names = frames.map(({ name }) => name);
+    if (names.join("\n") !== [...this.frames.keys()].join("\n")) {
+      const option = (name) => SpaceView.element("option", { value: name, textContent: name || "nothing" });
+      this.choice.replaceChildren(...["", ...names].map(option));
+      this.choice.value = names.includes(this.followed) ? this.followed : "";
+    }
+    this.frames = new Map(frames.map((each) => [each.name, each]));
   }
 
   /* After a topic was shown or hidden. */

@@ -189,6 +189,7 @@ class SpaceResource(Resource):
             self.scene.frames if self._may_read_frames else None,
             lambda: [self._shown(name) for name in names or self._all()[:MAX_SHOWN]],
             exchange.auth.is_valid,
+            self.is_3d,
         )
         return SpaceStream(self._broadcasters, source, self.frame)
 

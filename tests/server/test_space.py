@@ -13,6 +13,7 @@ import pytest
 from PIL import Image
 
 from tests.server.robots.made_up import MadeUp, served
+from tests.server.robots.point_clouds import CLOUD, cloud_message
 
 JSON = {"Accept": "application/json"}
 STREAM = {"Accept": "text/event-stream"}
@@ -65,6 +66,17 @@ def test_the_stream_tells_scans_as_they_come_and_what_stays_once(rover: httpx.Cl
     assert {each["name"]: each["parent"] for each in frames} == {
         "map": None, "odom": "map", "base_link": "odom", "laser": "base_link", "camera_optical_frame": "base_link",
     }  # fmt: skip
+
+
+@pytest.mark.parametrize(("view", "drawn"), [("3d", set()), ("above", {"points"})])
+def test_points_of_a_cloud_are_told_only_to_who_does_not_read_its_file(view: str, drawn: set[str]) -> None:
+    robot = MadeUp()
+    robot.topic("/points", CLOUD, cloud_message(np.eye(3)))
+    with served(robot) as http:
+        found = events(http, f"?show=topics/points&view={view}", lambda all: bool(things(all, 0)))
+        (told,) = things(found, 0)
+        assert told["drawing"].keys() == drawn
+        assert http.get(told["cloud"]).content.startswith(b"ply")
 
 
 def test_a_frame_that_is_not_there_is_said(rover: httpx.Client) -> None:

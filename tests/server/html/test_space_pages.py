@@ -88,10 +88,10 @@ def test_without_webgl_the_page_says_so_and_tells_in_words_what_is_there(tab: An
     assert tab.run("document.querySelector('.members').textContent.includes('/scan')")
 
 
-def test_the_model_of_the_robot_is_where_its_frames_are_and_what_is_missing_is_said(tab: Any) -> None:
+def test_the_model_of_the_robot_is_where_its_frames_are_is_followed_and_what_is_missing_is_said(tab: Any) -> None:
     robot = MadeUp()
     frames = [("map", "base_link"), ("base_link", "wheel")]
-    transforms = [
+    transforms: list[dict[str, Any]] = [
         {"header": {"frame_id": parent}, "child_frame_id": child, "transform": {"rotation": {"w": 1.0}}}
         for parent, child in frames
     ]
@@ -104,6 +104,13 @@ def test_the_model_of_the_robot_is_where_its_frames_are_and_what_is_missing_is_s
         tab.until(f"{model}.startsWith('Model: 2 links')")
         assert "1 mesh is missing" in tab.run(model)
         assert tab.run(model).endswith("1 without a frame.")
+        assert tab.run("document.querySelector('.space details:not([hidden]) li').textContent") == "package://r/m.stl"
+        tab.until("document.querySelector('.space select').options.length === 4")
+        tab.run("document.querySelector('.space select').value = 'base_link'")
+        tab.run("document.querySelector('.space select').dispatchEvent(new Event('change'))")
+        transforms[0]["transform"] = {"translation": {"x": 1000.0}, "rotation": {"w": 1.0}}
+        robot.publishes("/tf", {"transforms": transforms})
+        tab.until(f"Math.abs(Number({DATA}.camera.split(' ')[0]) - 1000) < 200")
         robot.topic("/robot_description", STRING, {"data": "<a/>"})
         tab.open(f"{http.base_url}space?view=3d")
         tab.until(f"{model} === 'The model of the robot cannot be read.'")

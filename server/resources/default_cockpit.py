@@ -40,6 +40,8 @@ _SPEEDS: _Fields = {
     "geometry_msgs/msg/TwistStamped": ("twist.linear.x", "twist.angular.z"),
     "turtlesim/msg/Pose": ("linear_velocity", "angular_velocity"),
 }
+_JOINTS: _Fields = {"sensor_msgs/msg/JointState": ("position",)}
+_TRANSFORMS = frozenset({"/tf", "/tf_static"})
 _IMAGES = frozenset({"sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"})
 _BATTERY = "sensor_msgs/msg/BatteryState"
 _NUMBERS = frozenset(
@@ -79,9 +81,10 @@ def _of_topics(session: Session, topics: Sequence[Topic], *, can_stop: bool) -> 
     if any(DIAGNOSTIC_ARRAY in _names(each) for each in told):
         url = f"{space.base}diagnostics"
         yield Panel(PanelKind.VALUE, (url,), title="Diagnostics", area=GridArea(3, 5))
-    if any(can_place(name) for each in told for name in _names(each)):
+    if _TRANSFORMS & session.graph.topics.keys() or any(can_place(name) for each in told for name in _names(each)):
         yield Panel(PanelKind.SPACE, (f"{space.base}space",), title="Space", area=GridArea(6, 6))
     yield from _of_fields(session, told, _SPEEDS, PanelKind.PLOT, "Speed", GridArea(6, 3))
+    yield from _of_fields(session, told, _JOINTS, PanelKind.PLOT, "Joints", GridArea(6, 4))
     yield from _of_fields(session, told, _POSES, PanelKind.VALUE, "Pose", GridArea(3, 3))
     for topic in _some(told, lambda name: name == _BATTERY, 1):
         fields = ("percentage", "voltage")

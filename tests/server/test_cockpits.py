@@ -17,6 +17,7 @@ from rosbags.typesys import Stores, get_typestore
 from rosld.ontology.cockpit import read_cockpit
 from rosld.ontology.vocab import ros
 from rosld.server.auth.tokens import token_digest
+from tests.server.robots.made_up import MadeUp, served
 from tests.waiting import until
 
 TURTLE = {"Content-Type": "text/turtle"}
@@ -72,6 +73,18 @@ def test_the_default_cockpit_is_made_from_what_the_robot_has(rover: httpx.Client
     refused = rover.put("/cockpit/default", content="", headers=TURTLE)
     assert refused.status_code == 405
     assert "another name" in refused.json()["detail"]
+
+
+def test_joints_are_plotted_and_transforms_are_drawn(triples_of: Reader) -> None:
+    robot = MadeUp()
+    robot.topic("/joint_states", "sensor_msgs/msg/JointState", published=True, heard=False)
+    robot.topic("/tf", "tf2_msgs/msg/TFMessage", published=True, heard=False)
+    with served(robot) as http:
+        url = f"{http.base_url}cockpit/default"
+        panels = read_cockpit(triples_of(http.get(url, headers={"Accept": "text/turtle"})), url).panels
+    shown = {each.kind and each.kind.value: (each.shows[0], each.fields) for each in panels}
+    assert shown["plot"] == (f"{http.base_url}topics/joint_states", ("position",))
+    assert shown["space"] == (f"{http.base_url}space", ())
 
 
 def test_a_recording_that_does_not_tell_who_published_has_panels(

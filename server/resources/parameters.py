@@ -261,7 +261,7 @@ class ParameterResource(_Parameters):
     def _note(self) -> str | None:
         """What a value means that a server keeps for nodes, which they are not told of; None where it is a node's."""
         parameter = self.session.graph.parameters.get(self.name)
-        is_kept = parameter is not None and parameter.node is None
+        is_kept = parameter is None or parameter.node is None  # one that was just set is in no graph yet
         return _AT_START if is_kept and self.session.adapter.capabilities.parameter_server else None
 
     def methods(self) -> frozenset[str]:

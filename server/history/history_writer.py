@@ -71,6 +71,8 @@ class HistoryWriter:
         if self.problem is not None and time.monotonic() < self._retry_at:
             self.dropped[topic] += 1
             return
+        if self._current is not None and not self._current[1].has_room():
+            self.write_due(time.monotonic())
         try:
             _, writer, _ = self._current or self._begin(sample)
         except _Failures as error:
@@ -97,9 +99,11 @@ class HistoryWriter:
             return
         _, writer, began = self._current
         limits = self.segments.limits
-        ends = now - began >= limits.segment_seconds or writer.file.size >= limits.segment_size
+        is_full = writer.file.size >= limits.segment_size or not writer.has_room()
+        ends = is_full or now - began >= limits.segment_seconds
+        # Chunks name channels by their numbers in this file: none may be left for the next.
         self._write([chunk for chunk in self._open.values() if ends or chunk.is_due(now)])
-        if (ends or not writer.has_room()) and self._current is not None:
+        if ends and self._current is not None:
             self._finish()
 
     def close(self) -> None:

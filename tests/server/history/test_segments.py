@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from rosld.adapters.model import Encoding, Sample, TypeRef
+from rosld.server.history import mcap_writer
 from rosld.server.history.history_writer import HistoryWriter
 from rosld.server.history.segment_file import DiskFile
 from rosld.server.history.segment_scan import recover
@@ -67,6 +68,20 @@ def test_a_message_is_found_by_its_number_before_and_after_it_is_written(tmp_pat
             assert message.received_ns == sample(number).received_ns
         assert writer.message(40) is None
         writer.close()
+
+
+def test_a_segment_that_has_no_number_for_another_channel_ends_with_all_that_came(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(mcap_writer, "_MAX_CHANNELS", 3)
+    writer = open_writer(tmp_path)
+    topics = ("/a", "/b", "/c", "/d", "/e")
+    add(writer, 4, topics)
+    writer.close()
+    found = sorted((one for path in files(tmp_path) for one in read(path)), key=lambda one: one.sequence)
+    assert len(files(tmp_path)) > 1
+    assert [(one.topic, one.data) for one in found] == [(topics[n % 5], sample(n).data) for n in range(20)]
+    assert not writer.dropped
 
 
 def test_numbers_go_on_after_a_restart_and_are_never_used_again(tmp_path: Path) -> None:

@@ -235,7 +235,7 @@ def of_nodes(
     environment: dict[str, str],
     base: subprocess.Popen[str],
     commander: subprocess.Popen[str],
-    options: Sequence[str] = (),
+    options: Sequence[str],
 ) -> Iterator[Robot]:
     """The base and its commander behind a rosld of its own process."""
     for each in (base, commander):

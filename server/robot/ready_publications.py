@@ -6,14 +6,13 @@ both longer on a busy machine; a message on one that is connected takes millisec
 
 from __future__ import annotations
 
-import asyncio
-import contextlib
 import logging
 
 from rosld.adapters.base import Watch
 from rosld.adapters.model import RosError
 from rosld.server.robot.session import Session
 from rosld.server.robot.velocity import commanded_topics
+from rosld.server.runtime.woken_task import WokenTask
 
 _log = logging.getLogger("rosld")
 _PATIENCE = 5.0
@@ -25,31 +24,20 @@ class ReadyPublications:
 
     def __init__(self, session: Session) -> None:
         self._session = session
-        self._changed = asyncio.Event()
+        self._advertising = WokenTask(self._advertise)
         self._watch: Watch | None = None
-        self._task: asyncio.Task[None] | None = None
         self._failures: dict[str, str] = {}
 
     def start(self) -> None:
         """Advertise what there is now, and from now on what comes."""
-        self._changed.set()
-        self._watch = self._session.changes.watch(self._changed.set)
-        self._task = asyncio.get_running_loop().create_task(self._run())
+        self._watch = self._session.changes.watch(self._advertising.wake)
+        self._advertising.start()
 
     async def stop(self) -> None:
         """Advertise nothing more; what is advertised goes with the adapter. Idempotent."""
         if self._watch is not None:
             self._watch.close()
-        if self._task is not None:
-            self._task.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await self._task
-
-    async def _run(self) -> None:
-        while True:
-            await self._changed.wait()
-            self._changed.clear()
-            await self._advertise()
+        await self._advertising.stop()
 
     async def _advertise(self) -> None:
         session = self._session

@@ -20,6 +20,7 @@ from rosld.server.robot.publish_rate import PublishLimiter
 from rosld.server.robot.schemas import Schemas
 from rosld.server.runtime.loop_time import loop_time
 from rosld.server.runtime.signals import Signal
+from rosld.server.runtime.woken_task import WokenTask
 from rosld.server.settings import Settings
 
 OPEN_SECONDS = 5.0
@@ -157,9 +158,8 @@ class GraphFollower:
 
     def __init__(self, session: Session) -> None:
         self._session = session
-        self._changed = asyncio.Event()
+        self._following = WokenTask(self._follow)
         self._loop: asyncio.AbstractEventLoop | None = None
-        self._task: asyncio.Task[None] | None = None
 
     def open(self) -> None:
         """Take the running loop for the one on which changes are announced."""
@@ -173,30 +173,23 @@ class GraphFollower:
 
     def on_graph_changed(self) -> None:
         """Look at the graph, which may have changed."""
-        self._changed.set()
+        self._following.wake()
         self._session.changes.emit()
 
     def start(self) -> None:
         """Follow, from the graph of now on."""
-        self._changed.set()
-        self._task = asyncio.get_running_loop().create_task(self._run())
+        self._following.start()
 
     async def stop(self) -> None:
         """Follow no longer; idempotent."""
-        if self._task is not None:
-            self._task.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await self._task
+        await self._following.stop()
 
-    async def _run(self) -> None:
-        while True:
-            await self._changed.wait()
-            self._changed.clear()
-            graph = self._session.graph
-            await self._session.topics.subscribe_eager(graph)
-            for ref in used_types(graph):
-                with contextlib.suppress(RosError, asyncio.TimeoutError):
-                    await self._session.schemas.get(ref)
+    async def _follow(self) -> None:
+        graph = self._session.graph
+        await self._session.topics.subscribe_eager(graph)
+        for ref in used_types(graph):
+            with contextlib.suppress(RosError, asyncio.TimeoutError):
+                await self._session.schemas.get(ref)
 
 
 def used_types(graph: Graph) -> list[TypeRef]:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections import defaultdict, deque
+from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import httpx
 from pyoxigraph import Literal, NamedNode, RdfFormat, Triple, parse
 
-from rosld.ontology.vocab import rdf, ros, xsd
+from rosld.ontology.vocab import ros, xsd
 
 MAX_URLS = 3_000
 ACCEPT = {"Accept": "application/n-triples;q=1, */*;q=0.1"}
@@ -21,15 +21,6 @@ class Crawl:
 
     graphs: dict[str, list[Triple]] = field(default_factory=dict)
     others: dict[str, int] = field(default_factory=dict)
-
-    def of_each_kind(self, most: int = 3) -> Crawl:
-        """At most so many of the documents that say the same properties of instances of the same classes."""
-        kinds: dict[frozenset[object], list[str]] = defaultdict(list)
-        for url, graph in self.graphs.items():
-            kinds[frozenset(each.object if each.predicate == rdf.type else each.predicate for each in graph)].append(
-                url
-            )
-        return Crawl({url: self.graphs[url] for urls in kinds.values() for url in urls[:most]}, self.others)
 
     def triples(self) -> list[Triple]:
         """All triples, each once."""

@@ -52,9 +52,10 @@ def test_the_speed_of_the_aircraft_is_waited_for(own_aircraft: httpx.Client, asi
 
 
 def test_what_holds_already_is_answered_at_once(aircraft: Served) -> None:
-    answer = wait(aircraft.http, SPEED, "data < 1e9")
+    aircraft.http.put(NIGHT, json=False).raise_for_status()
+    answer = wait(aircraft.http, NIGHT, "value = false")
     assert answer.status_code == 200
-    assert answer.headers["etag"] == aircraft.http.get(SPEED, headers={"Accept": JSON}).headers["etag"]
+    assert answer.headers["etag"] == aircraft.http.get(NIGHT, headers={"Accept": JSON}).headers["etag"]
 
 
 def test_the_time_being_over_the_state_is_told_by_its_name(aircraft: Served) -> None:

@@ -15,7 +15,7 @@ ENDING = threading.Event()
 
 
 def say(text: str) -> None:
-    print(text, flush=True)
+    print(f"{text}\n", end="", flush=True)
 
 
 def begun(*waited_for: threading.Event) -> Context:

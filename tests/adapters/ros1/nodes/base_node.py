@@ -11,7 +11,7 @@ from geometry_msgs.msg import Twist
 
 
 def drive(command):
-    print(f"drive {command.linear.x:g} {time.monotonic():.6f}", flush=True)
+    print(f"drive {command.linear.x:g} {time.monotonic():.6f}\n", end="", flush=True)
 
 
 rospy.init_node("base")

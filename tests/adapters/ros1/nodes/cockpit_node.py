@@ -4,6 +4,8 @@ import rospy
 from std_msgs.msg import String
 
 rospy.init_node("cockpit")
-rospy.Subscriber("/cockpit/display", String, lambda text: print("display", text.data, flush=True), queue_size=1000)
+rospy.Subscriber(
+    "/cockpit/display", String, lambda text: print(f"display {text.data}\n", end="", flush=True), queue_size=1000
+)
 print("ready", flush=True)
 rospy.spin()

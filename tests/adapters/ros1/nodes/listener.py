@@ -11,7 +11,7 @@ import yaml
 
 def heard(message):
     value = yaml.safe_load(genpy.message.strify_message(message))
-    print("heard", json.dumps(value), flush=True)
+    print(f"heard {json.dumps(value)}\n", end="", flush=True)  # one write: a thread a publisher runs this
 
 
 topic, type_name = sys.argv[1:3]

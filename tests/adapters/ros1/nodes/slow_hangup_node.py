@@ -20,6 +20,6 @@ def close_late(transport):
 
 TCPROSTransport.close = close_late
 rospy.init_node("slow", anonymous=True)
-rospy.Subscriber(topic, String, lambda message: print("heard", message.data, flush=True))
+rospy.Subscriber(topic, String, lambda message: print(f"heard {message.data}\n", end="", flush=True))
 print("ready", flush=True)
 rospy.spin()

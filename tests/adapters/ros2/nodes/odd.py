@@ -27,7 +27,7 @@ ENDING = threading.Event()
 
 def say(text: str) -> None:
     """A line for the test, at once."""
-    print(text, flush=True)
+    print(f"{text}\n", end="", flush=True)
 
 
 def silent(_: Node) -> None:

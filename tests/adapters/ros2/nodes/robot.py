@@ -26,7 +26,7 @@ BEST_EFFORT = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 def say(text: str) -> None:
     """A line for the test, at once."""
-    print(text, flush=True)
+    print(f"{text}\n", end="", flush=True)
 
 
 class Talker(Node):

@@ -9,8 +9,10 @@ time, and `space.js`, which draws space from above. Without them every page is a
 """
 
 from rosld.server.html.affordances import action_form, cancel_forms, forms_of, property_form
+from rosld.server.html.assets import ASSETS
 from rosld.server.html.cockpit import CockpitPage
 from rosld.server.html.cockpit_form import CopyForm, EditForm, cockpit_of_form, parse_copy, parse_edit
+from rosld.server.html.environment import prepare_pages
 from rosld.server.html.form_parser import (
     parse_choice,
     parse_form,
@@ -57,35 +59,6 @@ from rosld.server.html.page import (
     StoredQueryParameter,
 )
 from rosld.server.html.render import (
-    AGES_SCRIPT,
-    CHART_SCRIPT,
-    COCKPIT_STYLESHEET,
-    CONTENT_SECURITY_POLICY,
-    DRIVE_SCRIPT,
-    FILTER_SCRIPT,
-    FIND_SCRIPT,
-    HEADERS,
-    ICON,
-    PICTURE_SCRIPT,
-    PLOT_LIBRARY,
-    PLOT_SCRIPT,
-    PLOT_STYLESHEET,
-    QUERY_EDITOR_LIBRARY,
-    QUERY_EDITOR_LIBRARY_STYLESHEET,
-    QUERY_EDITOR_POLICY,
-    QUERY_EDITOR_SCRIPT,
-    QUERY_EDITOR_STYLESHEET,
-    QUERY_PARAMETERS_SCRIPT,
-    QUERY_TERMS_SCRIPT,
-    QUERY_VIEWS_SCRIPT,
-    SCRIPT,
-    SPACE_3D_LIBRARY,
-    SPACE_3D_SCRIPT,
-    SPACE_SCRIPT,
-    SPACE_VIEW_SCRIPT,
-    SPARK_SCRIPT,
-    STYLESHEET,
-    prepare_pages,
     render_cockpit,
     render_diagnostics,
     render_entry,
@@ -99,38 +72,15 @@ from rosld.server.html.render import (
     render_space,
     render_sparql,
 )
+from rosld.server.html.security_headers import CONTENT_SECURITY_POLICY, HEADERS, QUERY_EDITOR_POLICY
 from rosld.server.html.site import Site
 
 __all__ = [
-    "AGES_SCRIPT",
     "ALTERNATES",
-    "CHART_SCRIPT",
-    "COCKPIT_STYLESHEET",
+    "ASSETS",
     "CONTENT_SECURITY_POLICY",
-    "DRIVE_SCRIPT",
-    "FILTER_SCRIPT",
-    "FIND_SCRIPT",
     "HEADERS",
-    "ICON",
-    "PICTURE_SCRIPT",
-    "PLOT_LIBRARY",
-    "PLOT_SCRIPT",
-    "PLOT_STYLESHEET",
-    "QUERY_EDITOR_LIBRARY",
-    "QUERY_EDITOR_LIBRARY_STYLESHEET",
     "QUERY_EDITOR_POLICY",
-    "QUERY_EDITOR_SCRIPT",
-    "QUERY_EDITOR_STYLESHEET",
-    "QUERY_PARAMETERS_SCRIPT",
-    "QUERY_TERMS_SCRIPT",
-    "QUERY_VIEWS_SCRIPT",
-    "SCRIPT",
-    "SPACE_3D_LIBRARY",
-    "SPACE_3D_SCRIPT",
-    "SPACE_SCRIPT",
-    "SPACE_VIEW_SCRIPT",
-    "SPARK_SCRIPT",
-    "STYLESHEET",
     "Alternate",
     "ChoiceForm",
     "CockpitPage",

@@ -1,16 +1,12 @@
-"""Rendering: pages to bytes. The templates, the stylesheet and the script are read once."""
+"""Pages to bytes: one function for each kind of page, which gives its template what it prints."""
 
 from __future__ import annotations
 
-import hashlib
 import json
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
-from functools import cache
-from importlib.resources import files
+from collections.abc import Iterator
+from dataclasses import replace
 from urllib.parse import quote
 
-from jinja2 import DictLoader, Environment, StrictUndefined
 from markupsafe import Markup
 from pyoxigraph import NamedNode
 
@@ -19,15 +15,15 @@ from rosld.ontology.document import Document
 from rosld.ontology.modules import home_of_terms, module_url
 from rosld.ontology.neutral_message import COMMANDS
 from rosld.ontology.vocab import PREFIXES, ldp, ros, td
-from rosld.server.html.auto_refresh import MAX_RATE, is_refreshed
-from rosld.server.html.breadcrumb import breadcrumb
+from rosld.server.html.auto_refresh import is_refreshed
 from rosld.server.html.brief import brief_text
-from rosld.server.html.cockpit import CockpitPage, cockpit_style
+from rosld.server.html.cockpit import CockpitPage
 from rosld.server.html.cockpit_form import kinds_of_panels
 from rosld.server.html.description import describe, first_text, objects_of
 from rosld.server.html.endpoints import endpoint_table
-from rosld.server.html.forms import CHOICE_FIELD, CSRF_FIELD, METHOD_FIELD, Form, ValueForm
-from rosld.server.html.labels import capitalize
+from rosld.server.html.environment import render_template
+from rosld.server.html.forms import Form, ValueForm
+from rosld.server.html.frame import page_frame
 from rosld.server.html.listing import container_table
 from rosld.server.html.message_sections import message_sections
 from rosld.server.html.offer import FormTarget, form_targets, offer_view
@@ -54,7 +50,7 @@ from rosld.server.html.page import (
 from rosld.server.html.panels import LEVELS, panel_views
 from rosld.server.html.plot import PlotRow, plot_config, plot_query
 from rosld.server.html.section_groups import group_sections
-from rosld.server.html.site import Anchor, Site, readable_path
+from rosld.server.html.site import Site, readable_path
 from rosld.server.html.space_view import SpaceRow, frame_row, pose_words, space_query
 from rosld.server.html.stop_steps import stop_steps
 from rosld.server.html.tables import results_table
@@ -64,92 +60,6 @@ from rosld.server.hypermedia.views import ComplexView, PropertyView
 from rosld.server.robot.diagnostic_states import Level
 from rosld.server.space.drawing import PLACED_TYPES
 
-CONTENT_SECURITY_POLICY = "; ".join(
-    (
-        "default-src 'none'",
-        "style-src 'self'",
-        "script-src 'self'",
-        "connect-src 'self'",
-        "img-src 'self'",
-        "form-action 'self'",
-        "base-uri 'none'",
-        "frame-ancestors 'none'",
-    )
-)
-"""Nothing but our own files is loaded and run, nothing of a page itself is run, and all goes nowhere else."""
-
-QUERY_EDITOR_POLICY = CONTENT_SECURITY_POLICY.replace("style-src 'self'", "style-src 'self' 'unsafe-inline'")
-"""The policy of the page at `/sparql` alone: its editor writes styles into what it draws."""
-
-HEADERS: Mapping[str, str] = {
-    "content-security-policy": CONTENT_SECURITY_POLICY,
-    "x-content-type-options": "nosniff",
-    "referrer-policy": "same-origin",
-}
-"""What every page is sent with."""
-
-_HERE = files("rosld.server.html")
-STYLESHEET = (_HERE / "style.css").read_bytes()
-"""Served at `style.css` below the base."""
-ICON = (_HERE / "icon.svg").read_bytes()
-"""Served at `icon.svg` below the base."""
-SCRIPT = (_HERE / "live.js").read_bytes()
-"""Served at `live.js` below the base: opens the event stream of a page that is live, and shows what comes."""
-AGES_SCRIPT = (_HERE / "ages.js").read_bytes()
-"""Served at `ages.js` below the base: says how long ago times were."""
-FILTER_SCRIPT = (_HERE / "filter.js").read_bytes()
-"""Served at `filter.js` below the base: finds things on a page that folds very many."""
-FIND_SCRIPT = (_HERE / "find.js").read_bytes()
-"""Served at `find.js` below the base: shows what is found while words are typed into the box of every page."""
-DRIVE_SCRIPT = (_HERE / "drive.js").read_bytes()
-"""Served at `drive.js` below the base: the pad on the page of a topic that commands a velocity."""
-PICTURE_SCRIPT = (_HERE / "picture.js").read_bytes()
-"""Served at `picture.js` below the base: pictures move while they are looked at."""
-CHART_SCRIPT = (_HERE / "chart.js").read_bytes()
-"""Served at `chart.js` below the base: what plots look like."""
-PLOT_SCRIPT = (_HERE / "plot.js").read_bytes()
-"""Served at `plot.js` below the base: draws the page of a plot, by means of `PLOT_LIBRARY`."""
-SPARK_SCRIPT = (_HERE / "spark.js").read_bytes()
-"""Served at `spark.js` below the base: draws beside each number how it was lately."""
-SPACE_VIEW_SCRIPT = (_HERE / "space_view.js").read_bytes()
-"""Served at `space_view.js` below the base: what `SPACE_SCRIPT` and `SPACE_3D_SCRIPT` have alike."""
-SPACE_SCRIPT = (_HERE / "space.js").read_bytes()
-"""Served at `space.js` below the base: draws views of space from above."""
-SPACE_3D_SCRIPT = (_HERE / "space3d.js").read_bytes()
-"""Served at `space3d.js` below the base: draws views of space in three dimensions, by means of `SPACE_3D_LIBRARY`."""
-SPACE_3D_LIBRARY = (_HERE / "vendor" / "three.js").read_bytes()
-"""Served at `three.js` below the base: of three.js what is needed; its licence (MIT) lies beside it."""
-PLOT_LIBRARY = (_HERE / "vendor" / "uplot.js").read_bytes()
-"""Served at `uplot.js` below the base: uPlot, whose licence (MIT) lies beside it."""
-PLOT_STYLESHEET = (_HERE / "vendor" / "uplot.css").read_bytes()
-"""Served at `uplot.css` below the base."""
-QUERY_TERMS_SCRIPT = (_HERE / "query_terms.js").read_bytes()
-"""Served at `query_terms.js` below the base: completes prefixes and terms in the editor of queries."""
-QUERY_PARAMETERS_SCRIPT = (_HERE / "query_parameters.js").read_bytes()
-"""Served at `query_parameters.js` below the base: fields for the parameters that a query declares."""
-QUERY_VIEWS_SCRIPT = (_HERE / "query_views.js").read_bytes()
-"""Served at `query_views.js` below the base: results of queries as a plot and as a picture of links."""
-QUERY_EDITOR_SCRIPT = (_HERE / "query_editor.js").read_bytes()
-"""Served at `query_editor.js` below the base: the editor of queries, by means of `QUERY_EDITOR_LIBRARY`."""
-QUERY_EDITOR_STYLESHEET = (_HERE / "query_editor.css").read_bytes()
-"""Served at `query_editor.css` below the base."""
-QUERY_EDITOR_LIBRARY = (_HERE / "vendor" / "yasgui.js").read_bytes()
-"""Served at `yasgui.js` below the base: YASGUI, whose licence (MIT) and those of what it holds lie beside it."""
-QUERY_EDITOR_LIBRARY_STYLESHEET = (_HERE / "vendor" / "yasgui.css").read_bytes()
-"""Served at `yasgui.css` below the base."""
-COCKPIT_STYLESHEET = cockpit_style()
-"""Served at `cockpit.css` below the base."""
-_FILES = b"".join(
-    (
-        *(STYLESHEET, ICON, SCRIPT, AGES_SCRIPT, FILTER_SCRIPT, FIND_SCRIPT, DRIVE_SCRIPT, PICTURE_SCRIPT),
-        *(CHART_SCRIPT, PLOT_SCRIPT, SPARK_SCRIPT, SPACE_SCRIPT, PLOT_LIBRARY, PLOT_STYLESHEET),
-        *(QUERY_TERMS_SCRIPT, QUERY_PARAMETERS_SCRIPT, QUERY_VIEWS_SCRIPT, QUERY_EDITOR_SCRIPT),
-        *(QUERY_EDITOR_STYLESHEET, QUERY_EDITOR_LIBRARY, QUERY_EDITOR_LIBRARY_STYLESHEET),
-        *(COCKPIT_STYLESHEET, SPACE_VIEW_SCRIPT, SPACE_3D_SCRIPT, SPACE_3D_LIBRARY),
-    )
-)
-_VERSION = hashlib.blake2b(_FILES, digest_size=4).hexdigest()
-
 _NOTICED = (
     (ros.unreachable, "Unreachable"),
     (ros.unreadable, "Unreadable"),
@@ -158,7 +68,6 @@ _NOTICED = (
 )
 _DRAWN = (ldp.contains, ros.hasEndpoint, ros.stopStep, ros.warning, td.hasActionAffordance, td.hasEventAffordance)
 """What a page shows as a table or a form, and keeps folded beside that."""
-_LOUDEST_FIRST = (NoticeLevel.ERROR, NoticeLevel.WARNING, NoticeLevel.GOOD, NoticeLevel.INFO)
 _STEPS = {"first": "First", "prev": "Previous", "next": "Next", "last": "Last"}
 _FORMATS = (
     ("html", "a table on this page"),
@@ -179,172 +88,6 @@ SELECT ?topic ?type ?rate WHERE {{
 ORDER BY DESC(?rate)"""
 
 
-_EDITOR_SCRIPTS = (
-    "yasgui.js",
-    "uplot.js",
-    "chart.js",
-    "query_terms.js",
-    "query_parameters.js",
-    "query_views.js",
-    "query_editor.js",
-)
-
-
-@dataclass(frozen=True, slots=True)
-class _Frame:
-    """What every page has around it."""
-
-    site: Site
-    title: str
-    crumbs: tuple[Anchor, ...]
-    url: str
-    notices: tuple[Notice, ...]
-    live: bool = False
-    """Whether it follows its resource while it is looked at."""
-    query: str = ""
-    """What stands in the box that searches."""
-
-    @property
-    def stylesheet(self) -> str:
-        return f"{self.site.root}style.css?v={_VERSION}"
-
-    @property
-    def script(self) -> str:
-        return f"{self.site.root}live.js?v={_VERSION}"
-
-    @property
-    def ages_script(self) -> str:
-        return f"{self.site.root}ages.js?v={_VERSION}"
-
-    @property
-    def filter_script(self) -> str:
-        return f"{self.site.root}filter.js?v={_VERSION}"
-
-    @property
-    def find_script(self) -> str:
-        return f"{self.site.root}find.js?v={_VERSION}"
-
-    @property
-    def can_find(self) -> bool:
-        """Whether the reader may search."""
-        return self.site.may("GET", f"{self.site.base}find")
-
-    @property
-    def drive_script(self) -> str:
-        return f"{self.site.root}drive.js?v={_VERSION}"
-
-    @property
-    def picture_script(self) -> str:
-        return f"{self.site.root}picture.js?v={_VERSION}"
-
-    @property
-    def chart_script(self) -> str:
-        return f"{self.site.root}chart.js?v={_VERSION}"
-
-    @property
-    def query_editor_files(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """The stylesheets and the scripts of the editor of queries, in the order in which they are read."""
-        files = (("uplot.css", "yasgui.css", "query_editor.css"), _EDITOR_SCRIPTS)
-        styles, scripts = (tuple(f"{self.site.root}{name}?v={_VERSION}" for name in names) for names in files)
-        return styles, scripts
-
-    @property
-    def plot_script(self) -> str:
-        return f"{self.site.root}plot.js?v={_VERSION}"
-
-    @property
-    def spark_script(self) -> str:
-        return f"{self.site.root}spark.js?v={_VERSION}"
-
-    @property
-    def space_view_script(self) -> str:
-        return f"{self.site.root}space_view.js?v={_VERSION}"
-
-    @property
-    def space_script(self) -> str:
-        return f"{self.site.root}space.js?v={_VERSION}"
-
-    @property
-    def space_3d_script(self) -> str:
-        return f"{self.site.root}space3d.js?v={_VERSION}"
-
-    @property
-    def plot_library(self) -> str:
-        return f"{self.site.root}uplot.js?v={_VERSION}"
-
-    @property
-    def plot_stylesheet(self) -> str:
-        return f"{self.site.root}uplot.css?v={_VERSION}"
-
-    @property
-    def cockpit_stylesheet(self) -> str:
-        return f"{self.site.root}cockpit.css?v={_VERSION}"
-
-    @property
-    def icon(self) -> str:
-        return f"{self.site.root}icon.svg?v={_VERSION}"
-
-    @property
-    def navigation(self) -> tuple[tuple[Anchor, bool], ...]:
-        """The sections of the site, and whether the page lies in each."""
-        anchors = [
-            Anchor(f"{self.site.root}{name}/", capitalize(name), f"{self.site.base}{name}/")
-            for name in self.site.sections
-        ]
-        anchors.append(Anchor(f"{self.site.root}sparql", "SPARQL", f"{self.site.base}sparql"))
-        room = f"{self.site.base}cockpit/"
-        cockpit = (Anchor(f"{self.site.root}cockpit/default", "Cockpit", room),) if self._can_see_cockpit else ()
-        found = (*cockpit, *(each for each in anchors if self.site.may("GET", each.url)))
-        return tuple((each, self.url.startswith(each.url)) for each in found)
-
-    @property
-    def _can_see_cockpit(self) -> bool:
-        return self.site.may("GET", f"{self.site.base}cockpit/default")
-
-
-@cache
-def _environment() -> Environment:
-    folder = _HERE / "templates"
-    texts = {each.name: each.read_text("utf-8") for each in folder.iterdir() if each.name.endswith(".html")}
-    environment = Environment(
-        loader=DictLoader(texts),
-        autoescape=True,
-        undefined=StrictUndefined,
-        finalize=_printable,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["grouped"] = lambda number: f"{number:,}"
-    environment.globals |= {"csrf_field": CSRF_FIELD, "method_field": METHOD_FIELD, "choice_field": CHOICE_FIELD}
-    environment.globals["live_rate"] = MAX_RATE
-    return environment
-
-
-def prepare_pages() -> None:
-    """Compile the templates, which takes a quarter of a second, so that no page waits for it. From any thread."""
-    environment = _environment()
-    for name in environment.list_templates():
-        environment.get_template(name)
-
-
-def _printable(value: object) -> object:
-    """What the templates print: escaping makes text harmless, this makes it something HTML can hold."""
-    return escape_controls(value) if type(value) is str else value
-
-
-def _render(template: str, frame: _Frame, **values: object) -> bytes:
-    text = _environment().get_template(template).render(frame=frame, site=frame.site, **values)
-    return text.encode("utf-8", "replace")
-
-
-def _frame(
-    site: Site, title: str, url: str, notices: tuple[Notice, ...], live: bool = False, query: str = ""
-) -> _Frame:
-    stale = (Notice(f"The robot cannot be seen: {site.stale}", NoticeLevel.WARNING),) if site.stale else ()
-    ordered = sorted(stale + notices, key=lambda notice: _LOUDEST_FIRST.index(notice.level))
-    return _Frame(site, escape_controls(title), breadcrumb(site, url), url, tuple(ordered), live, query)
-
-
 def render_page(page: Page) -> bytes:
     """The page of a resource.
 
@@ -352,9 +95,9 @@ def render_page(page: Page) -> bytes:
     """
     posted = form_targets(_fitting(page), page.allow, page.csrf, page.site)
     body = _body(page, posted)
-    return _render(
+    return render_template(
         "page.html",
-        _frame(page.site, page.title, page.document.url, page.notices + _own_notices(page), is_refreshed(page)),
+        page_frame(page.site, page.title, page.document.url, page.notices + _own_notices(page), is_refreshed(page)),
         page=page,
         drives=_commands_velocity(page.document, page.site),
         forms=[each for each in posted if not (isinstance(page.offer, ComplexView) and each.form.action)],
@@ -457,9 +200,9 @@ def render_entry(page: EntryPage) -> bytes:
             f"'query=SELECT ?topic ?type WHERE {{ ?topic <{page.site.vocabulary}hasMessageType> ?type }}'",
         ),
     )
-    return _render(
+    return render_template(
         "entry.html",
-        _frame(page.site, page.site.name, page.site.base, page.notices, is_refreshed(page)),
+        page_frame(page.site, page.site.name, page.site.base, page.notices, is_refreshed(page)),
         page=page,
         counts=[(count, page.site.href(count.url)) for count in page.counts],
         sections=describe(page.document, page.site, without=(ldp.contains,)),
@@ -470,9 +213,9 @@ def render_entry(page: EntryPage) -> bytes:
 def render_sparql(page: SparqlPage) -> bytes:
     """The page of the SPARQL endpoint: a box for a query, its results, and stored queries to start from."""
     query = page.query or _FIRST_QUERY.format(vocabulary=page.site.vocabulary)
-    return _render(
+    return render_template(
         "sparql.html",
-        _frame(page.site, "SPARQL", f"{page.site.base}sparql", page.notices),
+        page_frame(page.site, "SPARQL", f"{page.site.base}sparql", page.notices),
         page=page,
         query=escape_controls(query),
         config=_editor_config(page),
@@ -510,9 +253,9 @@ def _editor_config(page: SparqlPage) -> str:
 
 def render_query(page: QueryPage) -> bytes:
     """The page of a stored query: its purpose, its parameters, its results, its text."""
-    return _render(
+    return render_template(
         "query.html",
-        _frame(page.site, page.query.name, page.query.url, page.notices),
+        page_frame(page.site, page.query.name, page.query.url, page.notices),
         page=page,
         action=page.site.href(page.query.url),
         edit=f"{page.site.root}sparql?query={quote(page.query.text.encode('utf-8', 'replace'), safe='')}",
@@ -527,9 +270,9 @@ def render_search(page: SearchPage) -> bytes:
         (result, page.site.anchor(result.member.url), [page.site.anchor(type) for type in _types(result, page.site)])
         for result in page.results
     )
-    return _render(
+    return render_template(
         "find.html",
-        _frame(page.site, page.query or "Search", page.url, page.notices, query=page.query),
+        page_frame(page.site, page.query or "Search", page.url, page.notices, query=page.query),
         page=page,
         formats=[replace(each, query=page.url.partition("?")[2]) for each in ALTERNATES],
         rows=[
@@ -546,9 +289,9 @@ _GRAPH_FORMATS = (Alternate("SVG", "image/svg+xml", "svg"), Alternate("DOT", "te
 def render_graph(page: GraphPage) -> bytes:
     """The page of the computation graph: its drawing, what is wrong in words, a choice of namespaces."""
     query = page.url.partition("?")[2]
-    return _render(
+    return render_template(
         "graph.html",
-        _frame(page.site, "Graph", page.url, page.notices, live=True),
+        page_frame(page.site, "Graph", page.url, page.notices, live=True),
         page=page,
         svg=Markup(page.svg),
         formats=[replace(each, query=query) for each in (*_GRAPH_FORMATS, *ALTERNATES)],
@@ -584,9 +327,9 @@ def render_plot(page: PlotPage) -> bytes:
         )
         for number, reference in zip(page.numbers, page.references, strict=True)
     ]
-    return _render(
+    return render_template(
         "plot.html",
-        _frame(site, ", ".join(row.field for row in rows) or "Plot", page.url, page.notices),
+        page_frame(site, ", ".join(row.field for row in rows) or "Plot", page.url, page.notices),
         page=page,
         rows=rows,
         references=page.references,
@@ -600,9 +343,9 @@ _MAX_FRAMES = 1000
 
 def render_frames(page: FramesPage) -> bytes:
     """The page of the frames, as a table in which they are indented below their parents."""
-    return _render(
+    return render_template(
         "frames.html",
-        _frame(page.site, "Frames", page.url, page.notices, live=True),
+        page_frame(page.site, "Frames", page.url, page.notices, live=True),
         page=page,
         rows=[frame_row(each, page.site, page.node_url) for each in page.nodes[:_MAX_FRAMES]],
         omitted=max(len(page.nodes) - _MAX_FRAMES, 0),
@@ -624,9 +367,9 @@ def render_space(page: SpacePage) -> bytes:
         )
         for each in page.topics
     ]
-    return _render(
+    return render_template(
         "space.html",
-        _frame(site, "In three dimensions" if page.is_3d else "Seen from above", page.url, page.notices),
+        page_frame(site, "In three dimensions" if page.is_3d else "Seen from above", page.url, page.notices),
         page=page,
         rows=rows,
         above=f"{site.root}space{space_query(page.asked, page.references)}",
@@ -654,9 +397,9 @@ def render_diagnostics(page: DiagnosticsPage) -> bytes:
         for level, words in _LEVEL_WORDS.items()
         if any(each.level is level for each in page.states)
     ]
-    return _render(
+    return render_template(
         "diagnostics.html",
-        _frame(site, page.name or "Diagnostics", page.url, page.notices, live=True),
+        page_frame(site, page.name or "Diagnostics", page.url, page.notices, live=True),
         page=page,
         groups=groups,
         words=_LEVEL_WORDS,
@@ -675,9 +418,9 @@ def render_cockpit(page: CockpitPage) -> bytes:
     others = [(site.href(url), escape_controls(name), url == page.url) for url, name in page.others]
     is_live = page.edit is None or page.edit.submitted is None
     name = readable_path(page.url.rpartition("/")[2])
-    return _render(
+    return render_template(
         "cockpit.html",
-        _frame(site, page.cockpit.title or name, page.url, page.notices, live=is_live),
+        page_frame(site, page.cockpit.title or name, page.url, page.notices, live=is_live),
         page=page,
         panels=panels,
         parts=parts,
@@ -694,9 +437,9 @@ def render_cockpit(page: CockpitPage) -> bytes:
 
 def render_problem(page: ProblemPage) -> bytes:
     """An error (RFC 9457) for people: what is wrong, in which field, and where to go from here."""
-    return _render(
+    return render_template(
         "problem.html",
-        _frame(page.site, f"{page.status} {page.title}", page.url, ()),
+        page_frame(page.site, f"{page.status} {page.title}", page.url, ()),
         page=page,
         near=[anchor for url in page.near if (anchor := page.site.anchor(url)) is not None],
     )

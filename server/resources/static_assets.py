@@ -8,7 +8,7 @@ from functools import partial
 from starlette.responses import Response
 
 from rosld.ontology.urls import Space
-from rosld.server import html
+from rosld.server.html import ASSETS
 from rosld.server.http.conditional import ETag, check_preconditions, digest
 from rosld.server.http.link import Link
 from rosld.server.hypermedia.json_schema import OBJECT
@@ -51,40 +51,40 @@ class FileResource(Resource):
         return Response(self._data, media_type=self._media_type, headers=headers)
 
 
-_FILES: Mapping[str, tuple[bytes, str, str]] = {
-    "style.css": (html.STYLESHEET, _STYLE, "The style of pages"),
-    "live.js": (html.SCRIPT, _SCRIPT, "The script that keeps pages up to date"),
-    "ages.js": (html.AGES_SCRIPT, _SCRIPT, "The script that says how long ago times were"),
-    "filter.js": (html.FILTER_SCRIPT, _SCRIPT, "The script that finds things on long pages"),
-    "find.js": (html.FIND_SCRIPT, _SCRIPT, "The script that shows what is found while words are typed"),
-    "drive.js": (html.DRIVE_SCRIPT, _SCRIPT, "The script of the pad that drives"),
-    "picture.js": (html.PICTURE_SCRIPT, _SCRIPT, "The script of pictures that move while they are looked at"),
-    "chart.js": (html.CHART_SCRIPT, _SCRIPT, "The script that says what plots look like"),
-    "plot.js": (html.PLOT_SCRIPT, _SCRIPT, "The script that draws plots"),
-    "spark.js": (html.SPARK_SCRIPT, _SCRIPT, "The script that draws beside numbers how they were lately"),
-    "space_view.js": (html.SPACE_VIEW_SCRIPT, _SCRIPT, "The script of what views of space have alike"),
-    "space.js": (html.SPACE_SCRIPT, _SCRIPT, "The script that draws views of space"),
-    "space3d.js": (html.SPACE_3D_SCRIPT, _SCRIPT, "The script that draws space in three dimensions"),
-    "three.js": (html.SPACE_3D_LIBRARY, _SCRIPT, "three.js, which draws three dimensions"),
-    "uplot.js": (html.PLOT_LIBRARY, _SCRIPT, "uPlot, which draws"),
-    "uplot.css": (html.PLOT_STYLESHEET, _STYLE, "The style of uPlot"),
-    "query_terms.js": (html.QUERY_TERMS_SCRIPT, _SCRIPT, "The script that completes terms in queries"),
-    "query_parameters.js": (html.QUERY_PARAMETERS_SCRIPT, _SCRIPT, "The script of the fields of a query's parameters"),
-    "query_views.js": (html.QUERY_VIEWS_SCRIPT, _SCRIPT, "The script that draws results of queries"),
-    "query_editor.js": (html.QUERY_EDITOR_SCRIPT, _SCRIPT, "The script of the editor of queries"),
-    "query_editor.css": (html.QUERY_EDITOR_STYLESHEET, _STYLE, "The style of the editor of queries"),
-    "yasgui.js": (html.QUERY_EDITOR_LIBRARY, _SCRIPT, "YASGUI, in which queries are edited"),
-    "yasgui.css": (html.QUERY_EDITOR_LIBRARY_STYLESHEET, _STYLE, "The style of YASGUI"),
-    "cockpit.css": (html.COCKPIT_STYLESHEET, _STYLE, "The style of cockpits"),
-    "icon.svg": (html.ICON, _ICON, "The icon of pages"),
-    "favicon.ico": (html.ICON, _ICON, "The icon of pages, where browsers look for it"),
+_FILES: Mapping[str, tuple[str, str]] = {
+    "style.css": (_STYLE, "The style of pages"),
+    "live.js": (_SCRIPT, "The script that keeps pages up to date"),
+    "ages.js": (_SCRIPT, "The script that says how long ago times were"),
+    "filter.js": (_SCRIPT, "The script that finds things on long pages"),
+    "find.js": (_SCRIPT, "The script that shows what is found while words are typed"),
+    "drive.js": (_SCRIPT, "The script of the pad that drives"),
+    "picture.js": (_SCRIPT, "The script of pictures that move while they are looked at"),
+    "chart.js": (_SCRIPT, "The script that says what plots look like"),
+    "plot.js": (_SCRIPT, "The script that draws plots"),
+    "spark.js": (_SCRIPT, "The script that draws beside numbers how they were lately"),
+    "space_view.js": (_SCRIPT, "The script of what views of space have alike"),
+    "space.js": (_SCRIPT, "The script that draws views of space"),
+    "space3d.js": (_SCRIPT, "The script that draws space in three dimensions"),
+    "three.js": (_SCRIPT, "three.js, which draws three dimensions"),
+    "uplot.js": (_SCRIPT, "uPlot, which draws"),
+    "uplot.css": (_STYLE, "The style of uPlot"),
+    "query_terms.js": (_SCRIPT, "The script that completes terms in queries"),
+    "query_parameters.js": (_SCRIPT, "The script of the fields of a query's parameters"),
+    "query_views.js": (_SCRIPT, "The script that draws results of queries"),
+    "query_editor.js": (_SCRIPT, "The script of the editor of queries"),
+    "query_editor.css": (_STYLE, "The style of the editor of queries"),
+    "yasgui.js": (_SCRIPT, "YASGUI, in which queries are edited"),
+    "yasgui.css": (_STYLE, "The style of YASGUI"),
+    "cockpit.css": (_STYLE, "The style of cockpits"),
+    "icon.svg": (_ICON, "The icon of pages"),
+    "favicon.ico": (_ICON, "The icon of pages, where browsers look for it"),
 }
-"""Of each file, by its name below the base: its bytes, its media type, what it is."""
+"""Of each file, by its name below the base: its media type, and what it is."""
 
 
 def _file_resource(name: str, space: Space) -> FileResource:
     """The file of a name in `FILES`."""
-    return FileResource(space, name, *_FILES[name])
+    return FileResource(space, name, ASSETS["icon.svg" if name == "favicon.ico" else name], *_FILES[name])
 
 
 FILES: Mapping[str, Callable[[Space], FileResource]] = {name: partial(_file_resource, name) for name in _FILES}

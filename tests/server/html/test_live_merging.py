@@ -12,12 +12,12 @@ from urllib.parse import parse_qs, urlsplit
 
 import pytest
 
-from rosld.server.html import HEADERS, ICON, SCRIPT, STYLESHEET
+from rosld.server.html import ASSETS, HEADERS
 
 FILES = {
-    "/style.css": (STYLESHEET, "text/css"),
-    "/live.js": (SCRIPT, "text/javascript"),
-    "/icon.svg": (ICON, "image/svg+xml"),
+    "/style.css": (ASSETS["style.css"], "text/css"),
+    "/live.js": (ASSETS["live.js"], "text/javascript"),
+    "/icon.svg": (ASSETS["icon.svg"], "image/svg+xml"),
 }
 LIVE = "document.querySelector('.liveness').dataset.state === 'live'"
 MARK = "document.querySelector('.liveness').innerText.trim()"

@@ -10,7 +10,7 @@ from itertools import pairwise
 import html5rdf  # type: ignore[import-untyped]
 import pytest
 
-from rosld.server.html import CONTENT_SECURITY_POLICY, STYLESHEET
+from rosld.server.html import ASSETS, CONTENT_SECURITY_POLICY
 from tests.server.html.hostile_pages import HOSTILE
 from tests.server.html.real_pages import NAMES
 
@@ -124,8 +124,8 @@ def test_nothing_is_fetched_from_elsewhere(page: Reader) -> None:
     fetched = [each for each in page.all("link") if each["rel"] in ("stylesheet", "icon")]
     assert fetched
     assert all((each["href"] or "").startswith("/") for each in fetched)
-    assert b"url(" not in STYLESHEET
-    assert b"@import" not in STYLESHEET
+    assert b"url(" not in ASSETS["style.css"]
+    assert b"@import" not in ASSETS["style.css"]
 
 
 def test_landmarks_and_one_heading_of_the_first_level(page: Reader) -> None:

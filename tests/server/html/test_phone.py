@@ -11,7 +11,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from rosld.server.html import HEADERS, ICON, STYLESHEET
+from rosld.server.html import ASSETS, HEADERS
 
 WIDTH = 360
 MEASURE = """(() => {
@@ -51,7 +51,7 @@ Measured: TypeAlias = Mapping[str, Mapping[str, object]]
 @contextmanager
 def serving(pages: Mapping[str, bytes]) -> Iterator[str]:
     """The pages by name, with the policy that all pages have, on a loopback port; yields the URL."""
-    files = {"style.css": (STYLESHEET, "text/css"), "icon.svg": (ICON, "image/svg+xml")}
+    files = {"style.css": (ASSETS["style.css"], "text/css"), "icon.svg": (ASSETS["icon.svg"], "image/svg+xml")}
 
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self) -> None:

@@ -6,9 +6,9 @@ import re
 
 import pytest
 
-from rosld.server.html import STYLESHEET
+from rosld.server.html import ASSETS
 
-TEXT = STYLESHEET.decode()
+TEXT = ASSETS["style.css"].decode()
 LIGHT, DARK = (
     dict(re.findall(r"--(\w[\w-]*): (#[0-9a-f]{6});", block)) for block in re.findall(r":root \{(.*?)\}", TEXT, re.S)
 )

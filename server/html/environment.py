@@ -1,0 +1,52 @@
+"""The templates of pages, read and compiled once: what they print is escaped."""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib.resources import files
+
+from jinja2 import DictLoader, Environment, StrictUndefined
+
+from rosld.server.html.auto_refresh import MAX_RATE
+from rosld.server.html.forms import CHOICE_FIELD, CSRF_FIELD, METHOD_FIELD
+from rosld.server.html.frame import Frame
+from rosld.server.html.view import escape_controls
+
+
+@cache
+def _environment() -> Environment:
+    folder = files("rosld.server.html") / "templates"
+    texts = {each.name: each.read_text("utf-8") for each in folder.iterdir() if each.name.endswith(".html")}
+    environment = Environment(
+        loader=DictLoader(texts),
+        autoescape=True,
+        undefined=StrictUndefined,
+        finalize=_printable,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["grouped"] = lambda number: f"{number:,}"
+    environment.globals |= {"csrf_field": CSRF_FIELD, "method_field": METHOD_FIELD, "choice_field": CHOICE_FIELD}
+    environment.globals["live_rate"] = MAX_RATE
+    return environment
+
+
+def prepare_pages() -> None:
+    """Compile the templates, which takes a quarter of a second, so that no page waits for it. From any thread."""
+    environment = _environment()
+    for name in environment.list_templates():
+        environment.get_template(name)
+
+
+def render_template(template: str, frame: Frame, **values: object) -> bytes:
+    """The page that a template of `templates/` makes of a frame and values, in UTF-8.
+
+    A value that the template names and that is not given is an error; half a surrogate pair becomes a question mark.
+    """
+    text = _environment().get_template(template).render(frame=frame, site=frame.site, **values)
+    return text.encode("utf-8", "replace")
+
+
+def _printable(value: object) -> object:
+    """What the templates print: escaping makes text harmless, this makes it something HTML can hold."""
+    return escape_controls(value) if type(value) is str else value

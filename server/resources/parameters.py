@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import secrets
-from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
 from pyoxigraph import NamedNode, Triple
-from starlette.responses import Response
 
-from rosld.adapters.base import Watch
-from rosld.adapters.model import Descriptor, Graph, Kind, Operation, ParameterValue, Ref, names
+from rosld.adapters.model import Kind, Operation, ParameterValue, Ref, names
 from rosld.ontology.body import index_triples, parse_body
 from rosld.ontology.document import Document
 from rosld.ontology.lower import parse_json
 from rosld.ontology.namespaces import Members
 from rosld.ontology.parameters import (
-    Json,
     Outline,
     lower_json,
     lower_parameter,
@@ -33,8 +30,7 @@ from rosld.server.auth.enforcement import require_subtree
 from rosld.server.auth.permissions import Permissions
 from rosld.server.auth.redaction.trees import redact_tree
 from rosld.server.events.query_params import EVENT_STREAM
-from rosld.server.html import DeleteForm, Form, MemberColumns, ParameterForm, SequenceLink, ValueForm
-from rosld.server.html.view import escape_controls
+from rosld.server.html import DeleteForm, Form, MemberColumns, SequenceLink
 from rosld.server.http import negotiation
 from rosld.server.http.conditional import digest
 from rosld.server.http.link import render
@@ -45,7 +41,6 @@ from rosld.server.hypermedia.json_schema import ANYTHING, OBJECT
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.patches.patch import apply_update, merge_patch
 from rosld.server.resources.accepted_shape import has_parameter_shape, parameter_shape, shape_query
-from rosld.server.resources.command import CommandResource
 from rosld.server.resources.limit_checks import LimitChecks
 from rosld.server.resources.namespaces import (
     HIDDEN,
@@ -57,6 +52,9 @@ from rosld.server.resources.namespaces import (
     namespaces,
     with_hidden,
 )
+from rosld.server.resources.parameter_base import ParameterBase
+from rosld.server.resources.parameter_form import parameter_form
+from rosld.server.resources.parameter_values import changed_values, leaf_values, omit_parameters
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH, OFFERS, RDF_BODIES, SPARQL_UPDATE
 from rosld.server.rest.paging import (
@@ -78,148 +76,23 @@ from rosld.server.rest.resource import (
     Answer,
     CreatedAnswer,
     Resource,
-    ShownAnswer,
     permanent_redirect,
 )
 from rosld.server.rest.state import State
-from rosld.server.robot.declared_parameters import has_other_values
 from rosld.server.robot.session import Session
-from rosld.server.robot.write_policy import parameter_denied_reason, resources_only_reason
-from rosld.server.runtime.signals import call_every, combine_watches
+from rosld.server.robot.write_policy import parameter_denied_reason
 from rosld.server.runtime.version_cache import VersionCache
-from rosld.shapes.parameter import (
-    choice_words,
-    declared_shape,
-    declared_triples,
-    require_form,
-)
-from rosld.shapes.value import OpenShape
+from rosld.shapes.parameter import declared_triples, require_form
 
 _AT_START = "Kept by the parameter server: nodes may read it only when they start."
 _MAX_SLUG = 100
 _TRIPLES_BYTES = 40
 """Bytes of N-Triples, about, that a byte of plain JSON of a tree comes to."""
-_LOOK_AGAIN_SECONDS = 1.0
-"""How often a parameter that is watched is read again: not every kind of robot tells of all changes."""
 
 _NEW_VALUE: DataSchema = {"type": ["string", "number", "boolean", "array", "object"]}
 
 
-class _Parameters(CommandResource):
-    """What a single parameter and a tree of them have in common."""
-
-    def __init__(self, session: Session, limit_checks: LimitChecks, name: str, url: str) -> None:
-        super().__init__(url)
-        self.title = name
-        self.session = session
-        self.limit_checks = limit_checks
-        self.name = name
-
-    async def current_methods(self) -> frozenset[str]:
-        return await self.methods_if_there()
-
-    def deny_reason(self, method: str) -> str:
-        if self.session.settings.read_only:
-            return "This server is read-only."
-        if self.session.is_resources_only(self.name):
-            return resources_only_reason(self.name)
-        return f"The parameters of this {self.session.adapter.capabilities.system} do not answer {method} here."
-
-    @property
-    def constrained_by(self) -> str | None:
-        return self.session.space.shape("limits")
-
-    def _descriptor(self, name: str) -> Descriptor | None:
-        """What is declared of a parameter."""
-        parameter = self.session.graph.parameters.get(name)
-        return None if parameter is None else parameter.descriptor
-
-    @property
-    def changes_subtree(self) -> bool:
-        return bool(_below(self.name, self.session.graph))
-
-    def _can(self, operation: Operation) -> bool:
-        if self.session.settings.read_only or self.session.is_resources_only(self.name):
-            return False
-        return operation in self.session.adapter.allows(Ref(Kind.PARAMETER, self.name))
-
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self.session.space.document_shape("Parameter"),)
-
-    async def _value(self) -> ParameterValue | None:
-        deadline = self.session.deadline(self.session.settings.call_deadline)
-        return (await self.session.adapter.get_parameters([self.name], deadline=deadline)).get(self.name)
-
-    def _plain(self, value: ParameterValue) -> bytes:
-        """The value as plain JSON; a 406 Problem for one that another node nested too deep to be shown."""
-        try:
-            return parameter_json(value)
-        except ValueError as error:
-            raise Problem(406, f"{self.name} cannot be shown: {error}.") from error
-
-    async def watch(self, wake: Callable[[], None]) -> Watch:
-        told = self.session.parameter_changes.watch(wake, lambda name: _related(name, self.name))
-        return combine_watches(told, call_every(_LOOK_AGAIN_SECONDS, wake))
-
-    async def _require_settable(self, values: Mapping[str, ParameterValue]) -> None:
-        """Raise a Problem or a LoweringError where a value must not be set."""
-        for name, value in values.items():
-            self._require_open(name, value)
-            for each in _leaves(name, value):
-                self._require_not_kept(each)
-            await self.limit_checks.require_parameter(name, value)
-
-    def _require_not_kept(self, name: str, *, delete: bool = False) -> None:
-        """Raise a 409 Problem where the node of a parameter declares that this is never done with it."""
-        words = parameter_denied_reason(self.session.graph, name, delete=delete)
-        if words is not None:
-            raise Problem(409, words)
-
-    async def _set(self, values: Mapping[str, ParameterValue]) -> None:
-        await self._require_settable(values)
-        deadline = self.session.deadline(self.session.settings.call_deadline)
-        try:
-            await self.session.adapter.set_parameters(values, deadline=deadline)
-        finally:
-            self._write(values)
-
-    async def _answer(self, asked: Mapping[str, ParameterValue]) -> Answer:
-        """What a write answers: 204, or what there is now where a node has made something else of what was asked."""
-        values = {name: value for each, whole in asked.items() for name, value in _values(each, whole)}
-        if await has_other_values(self.session, values):
-            return ShownAnswer(self, await self.state())
-        return Response(status_code=204)
-
-    async def _delete(self, gone: Sequence[str]) -> None:
-        for name in gone:
-            self._require_open(name, {})
-            self._require_not_kept(name, delete=True)
-        deadline = self.session.deadline(self.session.settings.call_deadline)
-        try:
-            await self.session.adapter.delete_parameters(gone, deadline=deadline)
-        finally:
-            self._write(gone)
-
-    def _write(self, changed: Iterable[str]) -> None:
-        for name in changed:
-            for each in (name, *_below(name, self.session.graph)):
-                self.session.announce_write(Kind.PARAMETER, each)
-
-    def _require_open(self, name: str, value: ParameterValue) -> None:
-        """Raise a 409 Problem where a tree holds, or would hold, a name that is written under /resources/ only."""
-        for each in (name, *_below(name, self.session.graph), *_leaves(name, value)):
-            if self.session.is_resources_only(each):
-                raise Problem(409, resources_only_reason(each))
-
-    async def delete(self, exchange: Exchange) -> Answer:
-        if await self._value() is None:
-            raise Problem(404, f"There is no parameter {self.name}.")
-        await self._delete([self.name])
-        return Response(status_code=204)
-
-
-class ParameterResource(_Parameters):
+class ParameterResource(ParameterBase):
     """One parameter that is no tree."""
 
     kind = "Parameter"
@@ -266,9 +139,9 @@ class ParameterResource(_Parameters):
 
     def methods(self) -> frozenset[str]:
         methods = READ
-        if self._can(Operation.SET_PARAMETER):
+        if self._is_allowed(Operation.SET_PARAMETER):
             methods |= {"PUT", "PATCH"}
-        if self._can(Operation.DELETE_PARAMETER):
+        if self._is_allowed(Operation.DELETE_PARAMETER):
             methods |= {"DELETE"}
         return methods
 
@@ -301,7 +174,7 @@ class ParameterResource(_Parameters):
         methods, value = self.methods(), await self._value()
         forms: list[Form] = []
         if "PUT" in methods and value is not None:
-            forms.append(_form(plain_value(value), self._descriptor(self.name), self._note))
+            forms.append(parameter_form(plain_value(value), self._descriptor(self.name), self._note))
         if "DELETE" in methods:
             forms.append(DeleteForm("Delete the parameter"))
         return forms
@@ -383,7 +256,7 @@ class ParameterResource(_Parameters):
         return await self._answer({self.name: value})
 
 
-class ParameterTree(_Parameters):
+class ParameterTree(ParameterBase):
     """A namespace of parameters: a container, and as plain JSON the object of its members' values.
 
     Where there are many members the container comes in pages. The object is one value, and never does unasked. Neither
@@ -439,9 +312,9 @@ class ParameterTree(_Parameters):
         if not self.session.adapter.capabilities.parameter_trees:
             return READ | {"POST", "PATCH"} if self._can_change_node() else READ
         methods = READ
-        if self._can(Operation.SET_PARAMETER) or (not self.namespace and self._may_create()):
+        if self._is_allowed(Operation.SET_PARAMETER) or (not self.namespace and self._may_create()):
             methods |= {"POST", "PATCH"}
-        if self.namespace and self._can(Operation.DELETE_PARAMETER):
+        if self.namespace and self._is_allowed(Operation.DELETE_PARAMETER):
             methods |= {"DELETE"}
         return methods
 
@@ -509,7 +382,7 @@ class ParameterTree(_Parameters):
         if self._hidden or not capabilities.hidden_names or names.is_hidden(self.name):
             return value
         hidden = {each.name for each in self.session.graph.parameters.values() if is_of_hidden(each)}
-        return _without(self.name, value, hidden) if hidden else value
+        return omit_parameters(self.name, value, hidden) if hidden else value
 
     def _members(self) -> Members | None:
         return listed_members(self.session, "parameters", self.namespace, hidden=self._hidden)
@@ -597,9 +470,11 @@ class ParameterTree(_Parameters):
         merged = lower_json(merge_patch(parse_json(parameter_json(before or {})), patch))
         assert isinstance(merged, dict)
         if not self.session.adapter.capabilities.parameter_trees:
-            return await self._patch_node(dict(_values(self.name, before or {})), dict(_values(self.name, merged)))
+            return await self._patch_node(
+                dict(leaf_values(self.name, before or {})), dict(leaf_values(self.name, merged))
+            )
         gone = [name for name in (before or {}) if name not in merged]
-        changed = {name: value for name, value in merged.items() if not _same((before or {}).get(name), value)}
+        changed = changed_values(before or {}, merged)
         prefix = "" if self.name == "/" else self.name
         values = {f"{prefix}/{name}": value for name, value in changed.items()}
         await self._set(values)
@@ -609,43 +484,19 @@ class ParameterTree(_Parameters):
 
     async def _patch_node(self, before: Mapping[str, ParameterValue], after: Mapping[str, ParameterValue]) -> Answer:
         """Set what changes of this node's parameters at once, then delete what is gone."""
-        changed = {name: value for name, value in after.items() if not _same(before.get(name), value)}
+        changed = changed_values(before, after)
         gone = [name for name in before if name not in after]
         for name in (*changed, *gone):
             known = self.session.graph.parameters.get(name)
             if known is not None and known.node != self.name:
                 raise Problem(409, f"{name} belongs to the node {known.node}: PATCH its own container.")
         for name in gone:
-            self._require_not_kept(name, delete=True)
+            self._require_not_fixed(name, delete=True)
         if changed:
             await self._set(changed)
         if gone:
             await self._delete(gone)
         return await self._answer(changed)
-
-
-def _form(value: Json, descriptor: Descriptor | None, note: str | None) -> Form:
-    """The form for a value, drawn from what is declared of the parameter; an open one where that does not say."""
-    if descriptor is None:
-        return ParameterForm(value, about=note or "")
-    choices = "; ".join(choice_words(descriptor))
-    words = (descriptor.description, descriptor.constraints, f"{choices}." if choices else "")
-    about = escape_controls(" ".join(filter(None, words)))
-    shape = declared_shape(descriptor)
-    if isinstance(shape, OpenShape) or isinstance(value, dict | list):
-        return ParameterForm(value, about=about)
-    return ValueForm(shape, value=value, title="Set the parameter", about=about)
-
-
-def _without(name: str, tree: dict[str, ParameterValue], hidden: Container[str]) -> dict[str, ParameterValue]:
-    """The tree without these parameters, and without what holds nothing else; the same object where it has none."""
-    kept: dict[str, ParameterValue] = {}
-    for key, value in tree.items():
-        path = f"{name.rstrip('/')}/{key}"
-        shown = _without(path, value, hidden) if isinstance(value, dict) else value
-        if path not in hidden and (shown is value or shown):
-            kept[key] = shown
-    return tree if len(kept) == len(tree) and all(kept[key] is tree[key] for key in tree) else kept
 
 
 def _require_below(exchange: Exchange, url: str, value: ParameterValue) -> None:
@@ -655,44 +506,9 @@ def _require_below(exchange: Exchange, url: str, value: ParameterValue) -> None:
         require_subtree(exchange.permissions, exchange.method, place)
 
 
-def _below(name: str, graph: Graph) -> list[str]:
-    """The parameters that lie in a tree now."""
-    prefix = name.rstrip("/") + "/"
-    return [each for each in graph.parameters if each.startswith(prefix)]
-
-
-def _leaves(name: str, value: ParameterValue) -> Iterator[str]:
-    """The parameters that a value comes to."""
-    if not isinstance(value, dict):
-        yield name
-        return
-    for key, inner in value.items():
-        yield from _leaves(f"{name.rstrip('/')}/{key}", inner)
-
-
-def _values(name: str, value: ParameterValue) -> Iterator[tuple[str, ParameterValue]]:
-    """The parameters that a value comes to, with the value of each."""
-    if not isinstance(value, dict):
-        yield name, value
-        return
-    for key, inner in value.items():
-        yield from _values(f"{name.rstrip('/')}/{key}", inner)
-
-
-def _related(one: str, other: str) -> bool:
-    """Whether two names are the same, or one is a tree that holds the other."""
-    ones, others = one.rstrip("/") + "/", other.rstrip("/") + "/"
-    return ones.startswith(others) or others.startswith(ones)
-
-
 def _wants_value(exchange: Exchange) -> bool:
     """Whether what is asked for is the value of a tree, in JSON or as a stream of it, rather than the container."""
     wanted = exchange.query.get("format")
     if wanted:
         return wanted == "json"
     return negotiation.choose(exchange.accept, (*OFFERS, EVENT_STREAM)) in (JSON, EVENT_STREAM)
-
-
-def _same(one: ParameterValue | None, other: ParameterValue) -> bool:
-    """Whether two values are written alike: 1, 1.0 and true are three."""
-    return one is not None and parameter_json(one) == parameter_json(other)

@@ -1,0 +1,138 @@
+"""What a single parameter and a tree of them have in common: how they are read, set and deleted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+
+from starlette.responses import Response
+
+from rosld.adapters.base import Watch
+from rosld.adapters.model import Descriptor, Kind, Operation, ParameterValue, Ref
+from rosld.ontology.parameters import parameter_json
+from rosld.server.http.problem import Problem
+from rosld.server.resources.command import CommandResource
+from rosld.server.resources.limit_checks import LimitChecks
+from rosld.server.resources.parameter_values import leaf_names, leaf_values, names_below, overlaps
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.resource import Answer, ShownAnswer
+from rosld.server.robot.declared_parameters import has_other_values
+from rosld.server.robot.session import Session
+from rosld.server.robot.write_policy import parameter_denied_reason, resources_only_reason
+from rosld.server.runtime.signals import call_every, combine_watches
+
+_LOOK_AGAIN_SECONDS = 1.0
+"""How often a parameter that is watched is read again: not every kind of robot tells of all changes."""
+
+
+class ParameterBase(CommandResource):
+    """What a single parameter and a tree of them have in common."""
+
+    def __init__(self, session: Session, limit_checks: LimitChecks, name: str, url: str) -> None:
+        super().__init__(url)
+        self.title = name
+        self.session = session
+        self.limit_checks = limit_checks
+        self.name = name
+
+    async def current_methods(self) -> frozenset[str]:
+        return await self.methods_if_there()
+
+    def deny_reason(self, method: str) -> str:
+        if self.session.settings.read_only:
+            return "This server is read-only."
+        if self.session.is_resources_only(self.name):
+            return resources_only_reason(self.name)
+        return f"The parameters of this {self.session.adapter.capabilities.system} do not answer {method} here."
+
+    @property
+    def constrained_by(self) -> str | None:
+        return self.session.space.shape("limits")
+
+    def _descriptor(self, name: str) -> Descriptor | None:
+        """What is declared of a parameter."""
+        parameter = self.session.graph.parameters.get(name)
+        return None if parameter is None else parameter.descriptor
+
+    @property
+    def changes_subtree(self) -> bool:
+        return bool(names_below(self.name, self.session.graph))
+
+    def _is_allowed(self, operation: Operation) -> bool:
+        if self.session.settings.read_only or self.session.is_resources_only(self.name):
+            return False
+        return operation in self.session.adapter.allows(Ref(Kind.PARAMETER, self.name))
+
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self.session.space.document_shape("Parameter"),)
+
+    async def _value(self) -> ParameterValue | None:
+        deadline = self.session.deadline(self.session.settings.call_deadline)
+        return (await self.session.adapter.get_parameters([self.name], deadline=deadline)).get(self.name)
+
+    def _plain(self, value: ParameterValue) -> bytes:
+        """The value as plain JSON; a 406 Problem for one that another node nested too deep to be shown."""
+        try:
+            return parameter_json(value)
+        except ValueError as error:
+            raise Problem(406, f"{self.name} cannot be shown: {error}.") from error
+
+    async def watch(self, wake: Callable[[], None]) -> Watch:
+        told = self.session.parameter_changes.watch(wake, lambda name: overlaps(name, self.name))
+        return combine_watches(told, call_every(_LOOK_AGAIN_SECONDS, wake))
+
+    async def _require_settable(self, values: Mapping[str, ParameterValue]) -> None:
+        """Raise a Problem or a LoweringError where a value must not be set."""
+        for name, value in values.items():
+            self._require_open(name, value)
+            for each in leaf_names(name, value):
+                self._require_not_fixed(each)
+            await self.limit_checks.require_parameter(name, value)
+
+    def _require_not_fixed(self, name: str, *, delete: bool = False) -> None:
+        """Raise a 409 Problem where the node of a parameter declares that this is never done with it."""
+        words = parameter_denied_reason(self.session.graph, name, delete=delete)
+        if words is not None:
+            raise Problem(409, words)
+
+    async def _set(self, values: Mapping[str, ParameterValue]) -> None:
+        await self._require_settable(values)
+        deadline = self.session.deadline(self.session.settings.call_deadline)
+        try:
+            await self.session.adapter.set_parameters(values, deadline=deadline)
+        finally:
+            self._announce(values)
+
+    async def _answer(self, asked: Mapping[str, ParameterValue]) -> Answer:
+        """What a write answers: 204, or what there is now where a node has made something else of what was asked."""
+        values = {name: value for each, whole in asked.items() for name, value in leaf_values(each, whole)}
+        if await has_other_values(self.session, values):
+            return ShownAnswer(self, await self.state())
+        return Response(status_code=204)
+
+    async def _delete(self, gone: Sequence[str]) -> None:
+        for name in gone:
+            self._require_open(name, {})
+            self._require_not_fixed(name, delete=True)
+        deadline = self.session.deadline(self.session.settings.call_deadline)
+        try:
+            await self.session.adapter.delete_parameters(gone, deadline=deadline)
+        finally:
+            self._announce(gone)
+
+    def _announce(self, changed: Iterable[str]) -> None:
+        for name in changed:
+            for each in (name, *names_below(name, self.session.graph)):
+                self.session.announce_write(Kind.PARAMETER, each)
+
+    def _require_open(self, name: str, value: ParameterValue) -> None:
+        """Raise a 409 Problem where a tree holds, or would hold, a name that is written under /resources/ only."""
+        for each in (name, *names_below(name, self.session.graph), *leaf_names(name, value)):
+            if self.session.is_resources_only(each):
+                raise Problem(409, resources_only_reason(each))
+
+    async def delete(self, exchange: Exchange) -> Answer:
+        if await self._value() is None:
+            raise Problem(404, f"There is no parameter {self.name}.")
+        await self._delete([self.name])
+        return Response(status_code=204)

@@ -210,6 +210,7 @@ def test_a_base_that_nobody_reached_in_time_is_told_zero_when_it_is_there(base: 
     assert (late["state"], late["subscribers"], told["warning"]) == ("Succeeded", 1, None)
     assert re.fullmatch(r"told late, \d+\.\d s after the stop", late["words"])
     assert "told late" in http.get("/stop", headers=HTML).text
+    assert f'"{late["words"]}"' in http.get("/stop", headers={"Accept": "text/turtle"}).text
     assert http.delete("/stop").status_code == 204
 
 

@@ -11,7 +11,7 @@ from rosld.ontology.vocab import ldp, rdf, rdfs, ros
 from rosld.server.html.description import objects_of
 from rosld.server.html.labels import label
 from rosld.server.html.name_groups import NameGroup, group_names
-from rosld.server.html.page import Cell, MemberColumns
+from rosld.server.html.page import Cell, MemberColumns, Thumbnail
 from rosld.server.html.site import Anchor, Site
 from rosld.server.html.terms import cell_view
 from rosld.server.html.view import View, escape_controls
@@ -75,7 +75,8 @@ def container_table(document: Document, site: Site, listing: MemberColumns | Non
 
 def _seen(cell: Cell, site: Site) -> Cell:
     """A cell without what the reader may not know of."""
-    return "" if isinstance(cell, NamedNode) and not site.may("GET", cell.value) else cell
+    url = cell.value if isinstance(cell, NamedNode) else cell.url if isinstance(cell, Thumbnail) else None
+    return cell if url is None or site.may("GET", url) else ""
 
 
 def _anchor(site: Site, url: str, container: str, name: str | None = None) -> Anchor:

@@ -24,7 +24,18 @@ if TYPE_CHECKING:
     from rosld.server.html.forms import Form
 
 Term: TypeAlias = NamedNode | BlankNode | Literal | Triple
-Cell: TypeAlias = str | NamedNode | Literal
+
+
+@dataclass(frozen=True, slots=True)
+class Thumbnail:
+    """A cell that shows a topic as a small picture: its URL, the query of that picture, and its value in words."""
+
+    url: str
+    query: str
+    words: str
+
+
+Cell: TypeAlias = str | NamedNode | Literal | Thumbnail
 Csrf: TypeAlias = Callable[[str], str]
 """The token of a form by the URL it posts to; that of its page's own where that is empty."""
 Offer: TypeAlias = views.View
@@ -229,7 +240,10 @@ class QueryPage:
 
 @dataclass(frozen=True, slots=True)
 class SearchPage:
-    """The page at `/find`: a box for words, and what was found, the best first; `total` are all that fit."""
+    """The page at `/find`: a box for words, and what was found, the best first; `total` are all that fit.
+
+    `pictures` are those of results by their URLs, in place of their values.
+    """
 
     site: Site
     url: str
@@ -237,6 +251,7 @@ class SearchPage:
     results: tuple[SearchResult, ...] = ()
     total: int = 0
     notices: tuple[Notice, ...] = ()
+    pictures: Mapping[str, Thumbnail] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

@@ -54,6 +54,7 @@ from rosld.server.html.site import Site, readable_path
 from rosld.server.html.space_view import SpaceRow, frame_row, pose_words, space_query
 from rosld.server.html.stop_steps import stop_steps
 from rosld.server.html.tables import results_table
+from rosld.server.html.terms import thumbnail_view
 from rosld.server.html.timestamps import time_view
 from rosld.server.html.view import escape_controls
 from rosld.server.hypermedia.views import ComplexView, PropertyView
@@ -266,6 +267,7 @@ def render_query(page: QueryPage) -> bytes:
 
 def render_search(page: SearchPage) -> bytes:
     """The page of the search: the box, and what was found in a table."""
+    pictures = page.pictures
     found = (
         (result, page.site.anchor(result.member.url), [page.site.anchor(type) for type in _types(result, page.site)])
         for result in page.results
@@ -276,7 +278,10 @@ def render_search(page: SearchPage) -> bytes:
         page=page,
         formats=[replace(each, query=page.url.partition("?")[2]) for each in ALTERNATES],
         rows=[
-            (anchor, result.kind, types, _found_by(result), brief_text(result.member.value or "null"))
+            (
+                *(anchor, result.kind, types, _found_by(result), brief_text(result.member.value or "null")),
+                thumbnail_view(pictures[anchor.url], page.site) if anchor.url in pictures else None,
+            )
             for result, anchor, types in found
             if anchor is not None
         ],

@@ -8,10 +8,19 @@ from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
 from rosld.ontology.vocab import rdf, xsd
 from rosld.server.html.numbers import number_view
-from rosld.server.html.page import Cell, Term
+from rosld.server.html.page import Cell, Term, Thumbnail
 from rosld.server.html.site import Site
 from rosld.server.html.timestamps import time_view_of_text
-from rosld.server.html.view import ArrayView, BytesView, LinkView, TextView, View, escape_controls, text_view
+from rosld.server.html.view import (
+    ArrayView,
+    BytesView,
+    LinkView,
+    TextView,
+    ThumbnailView,
+    View,
+    escape_controls,
+    text_view,
+)
 
 _PLAIN = frozenset({xsd.string, rdf.langString})
 NUMBERS = frozenset(
@@ -37,11 +46,21 @@ def cell_view(cell: Cell, site: Site) -> View:
     """A cell of a listing: text as it is, a term as a term without its datatype."""
     if isinstance(cell, str):
         return text_view(cell)
+    if isinstance(cell, Thumbnail):
+        return thumbnail_view(cell, site)
     if isinstance(cell, Literal) and (cell.datatype in NUMBERS or cell.datatype == xsd.boolean):
         return number_view(cell.value)
     if isinstance(cell, Literal) and cell.datatype == xsd.dateTime:
         return time_view_of_text(escape_controls(cell.value))
     return term_view(cell, site)
+
+
+def thumbnail_view(cell: Thumbnail, site: Site) -> View:
+    """The small picture of a topic, where the reader may see it; else its value in words."""
+    anchor = site.anchor(cell.url)
+    if anchor is None:
+        return text_view(cell.words)
+    return ThumbnailView(f"{anchor.href}?{cell.query}", anchor.href, f"Picture of {anchor.text}", cell.words)
 
 
 def iri_view(iri: str, site: Site, here: str = "") -> View:

@@ -80,6 +80,17 @@ class BytesView:
 
 
 @dataclass(frozen=True, slots=True)
+class ThumbnailView:
+    """A small picture in a table: where it is, where it is to be seen in full, what it is, and its value in words."""
+
+    kind: ClassVar[str] = "thumbnail"
+    source: str
+    href: str
+    text: str
+    words: str
+
+
+@dataclass(frozen=True, slots=True)
 class TableRow:
     """A named value (or several); `hint` is quiet, `term` links to what the name means."""
 
@@ -119,7 +130,9 @@ class TableListView:
     hint: str = ""
 
 
-View: TypeAlias = TextView | BlockView | LinkView | TimeView | ArrayView | BytesView | TableView | TableListView
+View: TypeAlias = (
+    TextView | BlockView | LinkView | TimeView | ArrayView | BytesView | ThumbnailView | TableView | TableListView
+)
 
 
 def escape_controls(text: str) -> str:

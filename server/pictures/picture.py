@@ -10,8 +10,8 @@ from rosld.adapters.model import Message, MessageSchema, Sample
 from rosld.server.pictures.compressed_image import draw_compressed, file_type, is_depth
 from rosld.server.pictures.form import COMPRESSED_IMAGE, OCCUPANCY_GRID, PNG, RAW_IMAGE, PictureForm
 from rosld.server.pictures.occupancy_grid import draw_grid
-from rosld.server.pictures.raw_image import draw_raw, read_bytes, read_field, read_raw_image
-from rosld.server.pictures.refusal import UnknownPicture
+from rosld.server.pictures.raw_image import ENCODINGS, draw_raw, read_bytes, read_field, read_raw_image
+from rosld.server.pictures.refusal import MAX_PIXELS, CannotDraw, UnknownPicture
 
 _QUALITY = 80
 _PNG_EFFORT = 1
@@ -28,6 +28,24 @@ def draw_sample(schema: MessageSchema, sample: Sample, form: PictureForm) -> byt
     if schema.ref.name == OCCUPANCY_GRID:
         return write_picture(draw_grid(message, form.width), PictureForm(form.media_type))
     raise UnknownPicture(f"A {schema.ref.name} is no picture")
+
+
+def is_drawable(schema: MessageSchema, message: Message) -> bool:
+    """Whether a message says of itself that it can be drawn, by its encoding or first bytes; no pixel is looked at."""
+    try:
+        if schema.ref.name == COMPRESSED_IMAGE:
+            format = str(read_field(message, "format"))
+            is_file = file_type(read_bytes(message)[:16].tobytes()) is not None
+            return is_file or (is_depth(format) and "rvl" not in format)
+        if schema.ref.name == RAW_IMAGE:
+            image = read_raw_image(message)
+            return image.encoding in ENCODINGS and 0 < image.width * image.height <= MAX_PIXELS
+        if schema.ref.name == OCCUPANCY_GRID:
+            info = read_field(message, "info")
+            return 0 < int(read_field(info, "width")) * int(read_field(info, "height")) <= MAX_PIXELS
+        return False
+    except CannotDraw:
+        return False
 
 
 def write_picture(picture: Image.Image, form: PictureForm) -> bytes:

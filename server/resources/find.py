@@ -18,6 +18,7 @@ from rosld.ontology.document import Document
 from rosld.ontology.vocab import ros
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.html import Csrf, Form, Notice, SearchPage, Site, render_search
+from rosld.server.html.page import Thumbnail
 from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import AffordanceService
@@ -31,6 +32,7 @@ from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.hypermedia.property_reader import PropertyReader
 from rosld.server.hypermedia.value import Reading
 from rosld.server.resources.finder import Finder
+from rosld.server.resources.member_outlines import thumbnail
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import FORMAT, PathItem, QueryParameter
 from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource
@@ -121,6 +123,7 @@ class FindResource(Resource):
         self._permissions = permissions
         self._subscribes = subscribes
         self._results: Sequence[SearchResult] = ()
+        self._pictures: Mapping[str, Thumbnail] = {}
         self._total = 0
 
     @property
@@ -169,6 +172,8 @@ class FindResource(Resource):
     async def _told(self, hits: Sequence[Hit]) -> Sequence[SearchResult]:
         """The results, each with its latest value where that is at hand."""
         values = await self._values([hit.entry for hit in hits])
+        small = {url: thumbnail(latest, url) for url, latest in values.items()}
+        self._pictures = {url: picture for url, picture in small.items() if picture is not None}
         return [self._result(hit, values.get(hit.entry.url, NOTHING_AT_HAND)) for hit in hits]
 
     def _result(self, hit: Hit, latest: LatestValue) -> SearchResult:
@@ -234,7 +239,8 @@ class FindResource(Resource):
 
     def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
         url = self.url if self._text else f"{self.session.space.base}find"
-        return render_search(SearchPage(site, url, self._text, tuple(self._results), self._total, tuple(notices)))
+        found = tuple(self._results)
+        return render_search(SearchPage(site, url, self._text, found, self._total, tuple(notices), self._pictures))
 
     @property
     def query(self) -> str:

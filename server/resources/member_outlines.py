@@ -12,8 +12,12 @@ from rosld.ontology.namespaces import Members
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import ros
 from rosld.server.html.brief import brief_text
-from rosld.server.html.page import Cell
+from rosld.server.html.page import Cell, Thumbnail
 from rosld.server.hypermedia.latest_values import LatestValue, LatestValues
+from rosld.server.pictures.form import OCCUPANCY_GRID
+
+_THUMBNAIL_WIDTH = 192
+"""Pixels: it is drawn half as wide, for screens that have two of them where others have one."""
 
 
 def member_outlines(
@@ -56,8 +60,21 @@ def topic_cells(topic: Topic, latest: LatestValue | None, space: Space) -> tuple
     """The cells of a topic: its type, its latest value and rate as far as they are at hand, its endpoints."""
     kind = NamedNode(space.class_of(topic.type.name)) if topic.type else ", ".join(ref.name for ref in topic.types)
     value = "" if latest is None or latest.json is None else brief_text(latest.json)
+    picture = None if latest is None else thumbnail(latest, space.topic(topic.name))
     rate = "" if latest is None or latest.rate is None else f"{latest.rate:.3g} Hz"
-    return (kind, value, rate, str(len(topic.publishers)), str(len(topic.subscribers)))
+    return (kind, picture or value, rate, str(len(topic.publishers)), str(len(topic.subscribers)))
+
+
+def thumbnail(latest: LatestValue, url: str) -> Thumbnail | None:
+    """The small picture of the topic at a URL; None where its latest value is no picture that is drawn.
+
+    Its address is another one with each message, so that a page that is kept up to date fetches it again then only.
+    """
+    if latest.picture is None:
+        return None
+    format = "png" if latest.picture.type_name == OCCUPANCY_GRID else "jpeg"  # of maps much is transparent
+    query = f"format={format}&width={_THUMBNAIL_WIDTH}&no={latest.picture.sequence}"
+    return Thumbnail(url, query, "" if latest.json is None else brief_text(latest.json))
 
 
 def service_cells(service: Service, space: Space) -> tuple[Cell, ...]:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import base64
+import html
+import re
 import socket
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -155,6 +158,59 @@ def test_many_see_one_motion_that_is_drawn_once(camera: Any, serving: Any, monke
         until(lambda number=number: all(each.has(number) for each in viewers), f"picture {number} at all viewers")
     assert len(drawn) <= 13
     assert all(len(each.files) >= 12 for each in viewers)
+
+
+def thumbnails(http: httpx.Client, path: str) -> dict[str, str]:
+    """The small pictures on a page: their addresses, by the paths of their topics."""
+    page = get(http, path, BROWSER).text
+    found = re.findall(r'<a class="thumbnail" href="/([^"]+)"[^>]*><img src="([^"]+)"[^>]* loading="lazy"', page)
+    return {topic: html.unescape(source) for topic, source in found}
+
+
+@pytest.mark.parametrize("path", ["topics/", "find?q=image"])
+def test_lists_show_small_pictures_of_what_is_subscribed_to_and_can_be_drawn(
+    camera: Any, serving: Any, path: str
+) -> None:
+    camera.topic("/map_image", "nav_msgs/msg/OccupancyGrid", {"info": {"width": 2, "height": 1}, "data": [0, 100]})
+    camera.topic("/video_image", COMPRESSED, {"header": STAMP, "format": "h264", "data": "AAAAAQ=="})
+    http = serving()
+    assert thumbnails(http, path) == {}
+    for topic in ("camera", "odd", "huge", "silent", "file", "map_image", "video_image", "words"):
+        http.get(f"topics/{topic}")
+    found = thumbnails(http, path)
+    assert found.keys() == {"topics/camera", "topics/file", "topics/map_image"}
+    assert found["topics/map_image"].startswith("/topics/map_image?format=png&width=192&no=")
+    assert {get(http, source, IMG).status_code for source in found.values()} == {200}
+    assert "encoding yuv420" in get(http, path, BROWSER).text
+
+
+def test_a_small_picture_is_drawn_once_for_all_and_has_another_address_when_it_changes(
+    camera: Any, serving: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn = []
+    counting = "rosld.server.pictures.picture.draw_sample"
+    monkeypatch.setattr(counting, lambda *given: drawn.append(given) or draw_sample(*given))
+    http = serving()
+    http.get(CAMERA)
+    first = thumbnails(http, "topics/")["topics/camera"]
+    for _ in range(3):
+        assert thumbnails(http, "topics/")["topics/camera"] == first
+        assert (decoded(get(http, first, IMG).content).shape) == (48, 64, 3)
+    assert len(drawn) == 1
+    camera.publishes("/camera", image(frame(7), width=64))
+    until(lambda: thumbnails(http, "topics/")["topics/camera"] != first, "another address")
+
+
+def test_who_may_not_read_a_topic_sees_no_small_picture_of_it(camera: Any, serving: Any, tmp_path: Path) -> None:
+    rules = tmp_path / "auth.toml"
+    rules.write_text(
+        '[[rule]]\nagents = ["anybody"]\nmodes = ["read"]\npaths = ["/find", "/topics/**"]\n'
+        '[[rule]]\nagents = ["anybody"]\nmodes = ["read"]\npaths = ["/topics/camera"]\ndeny = true\n'
+    )
+    http = serving(auth=rules, subscribe=("/camera", "/file"))
+    for path in ("topics/", "find?q=image"):
+        until(lambda path=path: thumbnails(http, path).keys() == {"topics/file"}, "the picture that may be seen")
+        assert "topics/camera" not in get(http, path, BROWSER).text
 
 
 def test_a_reader_that_takes_nothing_holds_up_nobody(camera: Any, serving: Any) -> None:

@@ -34,7 +34,8 @@ from rosld.ontology.document import Envelope
 from rosld.ontology.lift import TYPES, lifter
 from rosld.ontology.vocab import rdf, ros
 from rosld.server.sparql.analysis import Analyser
-from rosld.server.sparql.materializer import GraphEntry, Synchroniser
+from rosld.server.sparql.graph_source import GraphEntry
+from rosld.server.sparql.materializer import Materializer
 from rosld.server.sparql.needs import Needs
 from rosld.server.sparql.process.client import QueryProcess
 from rosld.server.sparql.protocol import query_request
@@ -198,7 +199,7 @@ class Robot:
 def serve() -> None:
     """The thousand topics behind HTTP: /sparql; /tick, a new message on each; /idle, which asks for nothing."""
     robot, process, settings = Robot(), QueryProcess(4, 256), QuerySettings()
-    service = QueryService(process, Synchroniser(process, robot), Analyser(BASE, TYPES), settings=settings)
+    service = QueryService(process, Materializer(process, robot), Analyser(BASE, TYPES), settings=settings)
 
     async def sparql(request: Request) -> Response:
         answer = await service.answer(query_request("GET", request.scope["query_string"]), "text/csv")

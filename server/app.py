@@ -63,7 +63,7 @@ from rosld.server.runtime.version_cache import IdentityKey
 from rosld.server.runtime.watchdog import Watchdog
 from rosld.server.settings import Settings
 from rosld.server.sparql.analysis import Analyser
-from rosld.server.sparql.materializer import Synchroniser
+from rosld.server.sparql.materializer import Materializer
 from rosld.server.sparql.mentions import MentionRecorder, Mentions
 from rosld.server.sparql.process.client import QueryProcess
 from rosld.server.sparql.query_service import QueryService, QuerySettings, UnreadGraphs
@@ -87,7 +87,7 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
     mentions = Mentions(space.base, space.types)
     receipts = ReceiptGraphs(services.receipts, space)
     source = RobotGraphs(factory)
-    synchroniser = Synchroniser(
+    materializer = Materializer(
         process, source, MentionRecorder(kept, mentions), receipts, mentioned=mentions.documents_of
     )
     reach = ServiceAllowlist(frozenset(settings.allow_service))
@@ -99,8 +99,8 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
         reach=reach,
         relations=lambda: relations(services.mappings.mapping_set),
     )
-    service = query_service(services, process, synchroniser, analyser, source.count_unread)
-    mirror = create_mirror(session, services.instance_id, process, synchroniser, {*routes, "queries", "sparql"})
+    service = query_service(services, process, materializer, analyser, source.count_unread)
+    mirror = create_mirror(session, services.instance_id, process, materializer, {*routes, "queries", "sparql"})
     names = origin_policy(settings.base_url, settings.host, settings.port, settings.cors_origins)
     broadcasters = Broadcasters(session.changes, settings.client_streams)
     keyed_lock = KeyedLock(settings.call_deadline)
@@ -151,7 +151,7 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
     admission = Admission(clients, f"{space.path}stop".encode("ascii"))
     handler = middleware(space, services.receipts, router, dispatcher, pages, names, admission, authenticator)
     background: list[Job] = [
-        service.keep_synchronised,
+        service.keep_materialized,
         partial(asyncio.to_thread, prepare_pages),
         partial(log_mapping_warnings, services.affordances, services.mappings),
     ]
@@ -206,7 +206,7 @@ def middleware(
 
 
 def query_service(
-    services: Services, process: QueryProcess, synchroniser: Synchroniser, analyser: Analyser, unread: UnreadGraphs
+    services: Services, process: QueryProcess, materializer: Materializer, analyser: Analyser, unread: UnreadGraphs
 ) -> QueryService:
     """SPARQL over everything that the robot's resources say."""
     session, settings = services.session, services.session.settings
@@ -219,7 +219,7 @@ def query_service(
     )
     restricted = RestrictedDatasets(process, lambda: IdentityKey(session.graph))
     past = RecordedPast(session, services.recordings)
-    return QueryService(process, synchroniser, analyser, session.message_ages, limits, restricted, unread, past)
+    return QueryService(process, materializer, analyser, session.message_ages, limits, restricted, unread, past)
 
 
 class Application:

@@ -19,7 +19,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.robot.session import Session
 from rosld.server.runtime.loop_time import loop_time
 from rosld.server.settings import Settings
-from rosld.server.sparql.materializer import Synchroniser
+from rosld.server.sparql.materializer import Materializer
 from rosld.server.sparql.needs import Demand, Needs
 from rosld.server.sparql.process.client import QueryProcess
 from rosld.server.sparql.process.work import DumpGraphs, ListGraphs, Work
@@ -34,7 +34,7 @@ _log = logging.getLogger("rosld.store")
 
 
 def create_mirror(
-    session: Session, instance_id: str, process: QueryProcess, synchroniser: Synchroniser, rooms: Collection[str]
+    session: Session, instance_id: str, process: QueryProcess, materializer: Materializer, rooms: Collection[str]
 ) -> Mirror | None:
     """The mirror that the settings ask for, None for none. `rooms` are the first segments of all paths of this server.
 
@@ -48,10 +48,10 @@ def create_mirror(
     _warn(settings, endpoints)
     query, update = (Endpoint(url, header, seconds=settings.store_time_limit) for url in endpoints)
     return Mirror(
-        _Dataset(process, synchroniser),
+        _Dataset(process, materializer),
         RemoteStore(query, update),
-        _Graphs(session.space.base, rooms, synchroniser),
-        _Reading(session, synchroniser).refresh,
+        _Graphs(session.space.base, rooms, materializer),
+        _Reading(session, materializer).refresh,
         interval=1 / settings.store_rate,
         run_name=instance_id,
     )
@@ -84,9 +84,9 @@ def _warn(settings: Settings, endpoints: tuple[str, str]) -> None:
 class _Dataset:
     """What the query process holds, as a mirror reads it."""
 
-    def __init__(self, process: QueryProcess, synchroniser: Synchroniser) -> None:
+    def __init__(self, process: QueryProcess, materializer: Materializer) -> None:
         self._process = process
-        self._synchroniser = synchroniser
+        self._materializer = materializer
 
     def watch(self, told: Callable[[Collection[str], Sequence[Edit]], None], begun: Callable[[], None]) -> None:
         self._process.on_change(told)
@@ -101,8 +101,8 @@ class _Dataset:
         return texts[graph]
 
     def _result(self, work: Work) -> bytes:
-        if self._synchroniser.progress is not None:
-            raise StoreError(self._synchroniser.progress)
+        if self._materializer.stored.progress is not None:
+            raise StoreError(self._materializer.stored.progress)
         try:
             return self._process.result_for_thread(work, _LONGEST_READING)
         except (Problem, TimeoutError) as error:
@@ -112,11 +112,11 @@ class _Dataset:
 class _Graphs:
     """The graphs of this server in a store that others use too: those in its rooms. A base may begin with another."""
 
-    def __init__(self, base: str, rooms: Collection[str], synchroniser: Synchroniser) -> None:
+    def __init__(self, base: str, rooms: Collection[str], materializer: Materializer) -> None:
         self.base = base
         self.heartbeat_graph = base + ROUTE
         self._rooms = frozenset(rooms)
-        self._synchroniser = synchroniser
+        self._materializer = materializer
 
     def is_ours(self, graph: str) -> bool:
         path = graph.removeprefix(self.base)
@@ -124,15 +124,15 @@ class _Graphs:
         return len(path) < len(graph) and room in self._rooms
 
     def transient_graphs(self) -> Collection[str]:
-        return self._synchroniser.source_graphs
+        return self._materializer.source_graphs
 
 
 class _Reading:
     """Brings the dataset to now: descriptions, what clients keep, followed topics, and parameters now and then."""
 
-    def __init__(self, session: Session, synchroniser: Synchroniser) -> None:
+    def __init__(self, session: Session, materializer: Materializer) -> None:
         self._session = session
-        self._synchroniser = synchroniser
+        self._materializer = materializer
         self._parameters_at = float("-inf")
 
     async def refresh(self) -> None:
@@ -143,7 +143,7 @@ class _Reading:
             await asyncio.wait_for(self._read(self._parameters()), _LONGEST_READING)
 
     async def _read(self, needs: Needs) -> None:
-        async with self._synchroniser.synchronised(needs, deadline=self._session.deadline(_LONGEST_READING)):
+        async with self._materializer.materialize(needs, deadline=self._session.deadline(_LONGEST_READING)):
             pass
 
     def _topics(self) -> Needs:

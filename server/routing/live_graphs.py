@@ -59,18 +59,13 @@ from rosld.server.resources.namespaces import (
 from rosld.server.resources.parameters import ParameterResource, ParameterTree
 from rosld.server.resources.queries import queries_document, shipped_document
 from rosld.server.resources.topics import TopicResource
-from rosld.server.resources.types import (
-    SHAPES_GRAPHS,
-    child_names,
-    known_types,
-    shapes_graph,
-)
+from rosld.server.resources.types import SHAPES_GRAPHS, child_names, known_types, shapes_graph
 from rosld.server.rest.resource import Resource
 from rosld.server.rest.state import State
 from rosld.server.routing.resource_factory import ResourceFactory
 from rosld.server.runtime.loop_time import loop_time
 from rosld.server.runtime.version_cache import IdentityKey
-from rosld.server.sparql.materializer import GraphEntry
+from rosld.server.sparql.graph_source import GraphEntry
 from rosld.server.sparql.needs import Needs
 from rosld.server.sparql.vocabulary_view import ACTIONS, COMPLEX, PROPERTIES
 from rosld.shapes.message import shape_document

@@ -19,7 +19,7 @@ from rosld.server.sparql import results, row_limit
 from rosld.server.sparql.analysis import Analyser, Analysis, parse_problem
 from rosld.server.sparql.disconnect import Disconnected
 from rosld.server.sparql.intervals import Interval
-from rosld.server.sparql.materializer import SeenVersions, Synchroniser
+from rosld.server.sparql.materializer import Materializer, SeenVersions
 from rosld.server.sparql.needs import Needs
 from rosld.server.sparql.past_source import PastMessages, PastSource
 from rosld.server.sparql.process.client import QueryProcess
@@ -83,7 +83,7 @@ _LONG = 8 * 1024
 
 
 class QueryService:
-    """Answers queries over a dataset that is synchronised before each. Belongs to one loop.
+    """Answers queries over a dataset that is materialized before each. Belongs to one loop.
 
     `ages` tells how many seconds ago the newest message of each topic that has one was received, by the topics' URLs.
     """
@@ -91,7 +91,7 @@ class QueryService:
     def __init__(
         self,
         process: QueryProcess,
-        synchroniser: Synchroniser,
+        materializer: Materializer,
         analyser: Analyser,
         ages: Callable[[], Mapping[str, float]] = dict,
         settings: QuerySettings = QuerySettings(),
@@ -100,7 +100,7 @@ class QueryService:
         past: PastSource | None = None,
     ) -> None:
         self._process = process
-        self._synchroniser = synchroniser
+        self._materializer = materializer
         self._analyser = analyser
         self._ages = ages
         self._restricted = restricted
@@ -110,9 +110,9 @@ class QueryService:
         self._reader = ThreadPoolExecutor(1, "sparql-reader")
         self._long = 0
 
-    async def keep_synchronised(self) -> None:
+    async def keep_materialized(self) -> None:
         """Have the dataset ready for queries, until this is cancelled: a query then has little to wait for."""
-        await self._synchroniser.run()
+        await self._materializer.stored.run()
 
     async def answer(
         self,
@@ -178,9 +178,9 @@ class QueryService:
         """
         limits, until = self.limits, time.monotonic() + self.limits.seconds
         await self._process.wait_ready(until)
-        needs = await self._synchroniser.resolve_documents(needs)
+        needs = await self._materializer.resolve_documents(needs)
         async with self._sync(needs, limits, graphs):
-            seen = self._synchroniser.versions_of(graphs)
+            seen = self._materializer.versions_of(graphs)
             work = await prepare()
             try:
                 return await self._process.result(work, limits, until), seen
@@ -220,11 +220,11 @@ class QueryService:
 
     async def _needed(self, analysis: Analysis, request: QueryRequest, permissions: Permissions) -> Needs:
         """What the query needs, with all documents that it names, as far as it may be read."""
-        return _readable(await self._synchroniser.resolve_documents(_needs(analysis, request)), permissions)
+        return _readable(await self._materializer.resolve_documents(_needs(analysis, request)), permissions)
 
     def _sync(self, needs: Needs, limits: Limits, scope: frozenset[str] | None) -> AbstractAsyncContextManager[None]:
         """Within it the dataset holds what the needs ask for."""
-        return self._synchroniser.synchronised(needs, deadline=loop_time() + limits.seconds, scope=scope)
+        return self._materializer.materialize(needs, deadline=loop_time() + limits.seconds, scope=scope)
 
     async def _read_past(
         self,
@@ -265,7 +265,7 @@ class QueryService:
         """The past, with the graphs of single messages that are there: what they say twice would be found twice."""
         if past is None:
             return None
-        return PastMessages(past, tuple(self._synchroniser.recorded_messages))
+        return PastMessages(past, tuple(self._materializer.recorded_messages))
 
     def _query(
         self,

@@ -1,4 +1,4 @@
-"""Update evaluator: has updates evaluated in the query process, over a dataset synchronised as for a query."""
+"""Update evaluator: has updates evaluated in the query process, over a dataset materialized as for a query."""
 
 from __future__ import annotations
 

@@ -12,7 +12,8 @@ import pytest
 from hypothesis import settings
 
 from rosld.server.sparql.analysis import Analyser
-from rosld.server.sparql.materializer import GraphEntry, Synchroniser
+from rosld.server.sparql.graph_source import GraphEntry
+from rosld.server.sparql.materializer import Materializer
 from rosld.server.sparql.needs import Needs
 from rosld.server.sparql.process.client import QueryProcess
 from rosld.server.sparql.process.work import DumpGraphs, ListGraphs
@@ -118,8 +119,8 @@ class Endpoint:
     def __init__(self, source: RobotSource, settings: QuerySettings = SETTINGS, interval: float = 0.2) -> None:
         self.source = source
         self.process = QueryProcess(settings.workers, settings.waiting)
-        self.synchroniser = Synchroniser(self.process, source, interval=interval)
-        self.service = QueryService(self.process, self.synchroniser, Analyser(BASE, TYPES), dict, settings)
+        self.materializer = Materializer(self.process, source, interval=interval)
+        self.service = QueryService(self.process, self.materializer, Analyser(BASE, TYPES), dict, settings)
 
     async def start(self) -> None:
         """Have its process, which ends with the loop."""

@@ -17,7 +17,7 @@ from rosld.server.routing.resource_factory import ResourceFactory
 from rosld.server.routing.services import Services
 from rosld.server.sparql.analysis import Analyser
 from rosld.server.sparql.change_source import Changes
-from rosld.server.sparql.materializer import Synchroniser
+from rosld.server.sparql.materializer import Materializer
 from rosld.server.sparql.mentions import MentionRecorder, Mentions
 from rosld.server.sparql.needs import Demand, Needs
 from tests.server.sparql.local import LocalStore
@@ -111,7 +111,7 @@ class Comparison:
         space = services.session.space
         mentions = Mentions(space.base, space.types)
         self.analyser = Analyser(space.base, space.types, relations=lambda: relations(services.mappings.mapping_set))
-        self._synchroniser = Synchroniser(
+        self._materializer = Materializer(
             LocalStore(),
             self.frozen.dataset,
             MentionRecorder(_Kept(self.kept), mentions),
@@ -124,7 +124,7 @@ class Comparison:
         assert analysis.form is not None, "the query is not understood"
         named = analysis.default_graphs + analysis.named_graphs
         needs = analysis.needs.restrict_to(named) if named else analysis.needs
-        return self.frozen.loop.run_until_complete(self._synchroniser.resolve_documents(needs))
+        return self.frozen.loop.run_until_complete(self._materializer.resolve_documents(needs))
 
     def wanted(self, needs: Needs) -> frozenset[str]:
         """The live graphs that the dataset brings for it."""

@@ -14,7 +14,7 @@ from rosld.server.sparql.query_limits import Limits
 
 
 class LocalStore(MemoryStore):
-    """A store to be synchronised, or told to another one."""
+    """A store to materialize graphs in, or to tell to another one."""
 
     generation = 0
 

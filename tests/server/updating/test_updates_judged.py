@@ -22,7 +22,8 @@ from pyoxigraph import BlankNode, CanonicalizationAlgorithm, Dataset, DefaultGra
 
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.analysis import Analyser
-from rosld.server.sparql.materializer import GraphEntry, Synchroniser
+from rosld.server.sparql.graph_source import GraphEntry
+from rosld.server.sparql.materializer import Materializer
 from rosld.server.sparql.needs import Needs
 from rosld.server.sparql.protocol import UpdateRequest
 from rosld.server.sparql.query_service import QueryService
@@ -210,7 +211,7 @@ def drawn(text: str, live: bool) -> tuple[GraphChange, ...]:
 
     async def drawing() -> tuple[GraphChange, ...]:
         process, analyser = LocalProcess(), Analyser(BASE, "https://w3id.org/rosld/types/")
-        service = QueryService(process, Synchroniser(process, Room(live)), analyser)
+        service = QueryService(process, Materializer(process, Room(live)), analyser)
         operations = read_update(UpdateRequest(text), {}, BASE, DEFAULT_BOUNDS)
         return (await UpdateEvaluator(service, analyser).evaluate(operations)).changes
 

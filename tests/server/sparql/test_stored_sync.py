@@ -18,19 +18,10 @@ from rosld.ontology.vocab import ldp
 from rosld.server.resources.ldp.record_graphs import RecordGraphs
 from rosld.server.rest.interaction import membership_declaration, membership_triples
 from rosld.server.sparql.change_source import Changes
-from rosld.server.sparql.materializer import GraphEntry, Synchroniser
+from rosld.server.sparql.graph_source import GraphEntry
+from rosld.server.sparql.materializer import Materializer
 from rosld.server.sparql.needs import Demand, Needs
-from rosld.server.storage import (
-    Difference,
-    Member,
-    Membership,
-    Model,
-    Put,
-    Record,
-    Remove,
-    SqliteRecords,
-    open_records,
-)
+from rosld.server.storage import Difference, Member, Membership, Model, Put, Record, Remove, SqliteRecords, open_records
 from rosld.server.storage.record_documents import META, record_document
 from tests.server.sparql.local import LocalStore
 
@@ -63,10 +54,10 @@ class Index:
         self.records = records or open_records(None)
         self.store = LocalStore()
         self.changes = RecordGraphs(self.records, BASE)
-        self.synchroniser = Synchroniser(self.store, NoRobot(), self.changes)
+        self.materializer = Materializer(self.store, NoRobot(), self.changes)
 
     async def query(self, text: str) -> QuerySolutions:
-        async with self.synchroniser.synchronised(EVERYTHING, deadline=asyncio.get_running_loop().time() + 30):
+        async with self.materializer.materialize(EVERYTHING, deadline=asyncio.get_running_loop().time() + 30):
             found = self.store.query(text)
         assert isinstance(found, QuerySolutions)
         return found
@@ -301,7 +292,7 @@ class Watched:
 async def test_a_large_backlog_is_told_in_parts_and_holds_nobody_up(index: Index) -> None:
     await index.records.write(*(source(f"data/r{number}", "x" * 100) for number in range(10_000)))
     watched = Watched(RecordGraphs(index.records, BASE))
-    loaded = asyncio.ensure_future(Synchroniser(index.store, NoRobot(), watched).sync_stored())
+    loaded = asyncio.ensure_future(Materializer(index.store, NoRobot(), watched).stored.sync())
     while not loaded.done():
         watched.turn += 1
         await asyncio.sleep(0)
@@ -315,7 +306,7 @@ async def test_a_large_backlog_is_told_in_parts_and_holds_nobody_up(index: Index
 
 @running
 async def test_much_that_was_written_is_in_the_store_before_anybody_asks(index: Index) -> None:
-    keeping = asyncio.ensure_future(index.synchroniser.run())
+    keeping = asyncio.ensure_future(index.materializer.stored.run())
     for start in (0, 2000):
         await index.records.write(*(source(f"data/r{number}", 0) for number in range(start, start + 2000)))
         while len(index.store.graphs()) <= start + 2000:  # noqa: ASYNC110 - nobody is told
@@ -341,7 +332,7 @@ async def test_one_write_among_many_costs_a_query_only_what_has_changed(index: I
     alone = await seconds("data/a")
     for start in range(0, 20_000, 1000):
         await index.records.write(*(source(f"data/big/r{number}", 0) for number in range(start, start + 1000)))
-    await index.synchroniser.sync_stored()
+    await index.materializer.stored.sync()
     await index.query("SELECT * {}")
     assert await seconds("data/b") < 4 * alone + 0.002
 

@@ -172,11 +172,11 @@ def test_another_query_does_not_take_away_what_one_has_named_and_not_yet_seen(
         named = endpoint.service.check(f"SELECT * {{ <{message}> ros:words ?w }}").needs
         other = endpoint.service.check(value(1)).needs
         deadline = asyncio.get_running_loop().time() + 10
-        async with endpoint.synchroniser.synchronised(named, deadline=deadline):
-            async with endpoint.synchroniser.synchronised(other, deadline=deadline):
+        async with endpoint.materializer.materialize(named, deadline=deadline):
+            async with endpoint.materializer.materialize(other, deadline=deadline):
                 assert message in await endpoint.graphs()
             assert message in await endpoint.graphs()
-        async with endpoint.synchroniser.synchronised(other, deadline=deadline):
+        async with endpoint.materializer.materialize(other, deadline=deadline):
             assert message not in await endpoint.graphs()
 
     run(scenario())
@@ -221,7 +221,7 @@ def test_many_queries_at_once_render_each_change_once(make_source: Make, make_en
     run(scenario())
 
 
-def test_a_query_that_is_given_up_leaves_the_synchroniser_in_order(
+def test_a_query_that_is_given_up_leaves_the_materializer_in_order(
     make_source: Make, make_endpoint: Make, run: Make
 ) -> None:
     async def scenario() -> None:

@@ -1,13 +1,16 @@
-"""The container of a node's parameters (ROS 2): patched as one."""
+"""The container of a node's parameters (ROS 2), patched as one; and what a parameter server says of its own (ROS 1)."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import httpx
 import pytest
 
-from tests.server.robots.made_up import MadeUp, Serving
+from rosld.adapters import parameters as trees
+from rosld.adapters.model import ParameterValue
+from tests.server.robots.made_up import MadeUp, Serving, served
 
 PATCH = {"content-type": "application/merge-patch+json"}
 JSON = {"accept": "application/json"}
@@ -72,3 +75,28 @@ def test_a_container_that_is_no_nodes_takes_no_patch(turtle: MadeUp, serving: Se
 def test_a_server_that_only_reads_takes_no_patch(turtle: MadeUp, serving: Serving) -> None:
     assert patched(serving(read_only=True), {"red": 1}).status_code in (403, 405)
     assert turtle.sets == []
+
+
+class LateGraph(MadeUp):
+    """A robot with a parameter server, whose graph shows what was set there only when it is looked at."""
+
+    capabilities = replace(MadeUp.capabilities, parameter_server=True)
+
+    async def set_parameters(self, values: Mapping[str, ParameterValue], *, deadline: float) -> None:
+        for name, value in values.items():
+            self._parameters = trees.with_value(self._parameters, name, value)
+
+    def look(self) -> None:
+        """The graph is as the parameters are."""
+        self.run(lambda: self._parameters_are(self._parameters))
+
+
+def test_what_was_just_set_on_a_parameter_server_reads_the_same_before_the_graph_has_it() -> None:
+    robot = LateGraph()
+    with served(robot) as http:
+        http.put("/parameters/height", json=3).raise_for_status()
+        before = http.get("/parameters/height")
+        robot.look()
+        after = http.get("/parameters/height")
+    assert "nodes may read it only when they start" in before.text
+    assert (before.headers["etag"], before.text) == (after.headers["etag"], after.text)

@@ -1,0 +1,218 @@
+"""Representations of resources: a state in the media type and for the rights of a request (RFC 9110 3.2)."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping, Sequence
+
+from starlette.responses import Response
+
+from rosld.ontology.serialize import CannotCarry, Syntax, serialize
+from rosld.server.auth.permissions import ALLOW_ALL, Permissions
+from rosld.server.html import Notice
+from rosld.server.http import link, negotiation
+from rosld.server.http.conditional import ETag, check_preconditions, digest
+from rosld.server.http.problem import Problem
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.file_response import file_stream
+from rosld.server.rest.formats import FORMATS, HTML, JSON, OFFERS, VARIANTS
+from rosld.server.rest.large import LargeDocuments
+from rosld.server.rest.pages import PageRenderer
+from rosld.server.rest.raw_response import RawResponse
+from rosld.server.rest.resource import Resource
+from rosld.server.rest.resource_headers import resource_headers
+from rosld.server.rest.state import Rendering, State
+
+_JSON_IS_JSONLD = {JSON: Syntax.JSON_LD.media_type}
+_MAX_RENDERINGS = 64
+"""Representations, and what they are made from, that are kept with a state."""
+CONTENT_FIELDS = (b"content-type", b"content-length")
+"""The fields that an answer without content leaves out."""
+
+
+class Representations:
+    """Makes the representations of states. `instance_id` tells this run of the server from others in ETags."""
+
+    def __init__(self, instance_id: str, pages: PageRenderer, large: LargeDocuments) -> None:
+        self._instance_id = instance_id
+        self._pages = pages
+        self._large = large
+
+    def name(self, state: State) -> str:
+        """The state part of the ETags of a state's representations."""
+        return f"{state.scope or self._instance_id}-{state.tag}"
+
+    async def represent(
+        self,
+        resource: Resource,
+        state: State,
+        media_type: str,
+        permissions: Permissions = ALLOW_ALL,
+        notices: Sequence[Notice] = (),
+    ) -> Rendering:
+        """The representation in a media type, kept with the state or made now. Raises a 406 Problem.
+
+        Bytes are shared by agents of the same rights; a page, which has forms, is one agent's, and with `notices` it is
+        made for one reader.
+        """
+        variant = _variant(media_type, permissions)
+        if not permissions.is_unrestricted:
+            state = redacted_state(resource, state, permissions)
+        if media_type == HTML and (self._pages.version is not None or notices):
+            return await self._render(resource, state, media_type, variant, permissions, notices)
+        found = state.renderings.get(variant)
+        if found is None:
+            if len(state.renderings) >= _MAX_RENDERINGS:
+                state.renderings.clear()
+            found = state.renderings[variant] = await self._render(resource, state, media_type, variant, permissions)
+        return found
+
+    async def preferred(self, exchange: Exchange, resource: Resource, state: State) -> Rendering:
+        """The representation that the request prefers, kept with the state or made now. Raises a 406 Problem."""
+        return await self.represent(resource, state, negotiate(exchange), exchange.permissions)
+
+    async def _render(
+        self,
+        resource: Resource,
+        state: State,
+        media_type: str,
+        variant: str,
+        permissions: Permissions,
+        notices: Sequence[Notice] = (),
+    ) -> Rendering:
+        if media_type == HTML:
+            body = await self._pages.page(resource, state, notices, permissions)
+        elif media_type == JSON and state.plain is not None:
+            body = state.plain()
+        elif state.is_large:
+            raise Problem(406, "This is too large to be sent here: GET it, or follow it by its notifications.")
+        elif state.is_long:
+            body = await asyncio.to_thread(_serialize, state, _JSON_IS_JSONLD.get(media_type, media_type))
+        else:
+            body = _serialize(state, _JSON_IS_JSONLD.get(media_type, media_type))
+        name = f"{self._instance_id}-{digest(body)}" if media_type == HTML else self.name(state)  # a page shows more
+        etag = str(ETag(name, variant + state.part))
+        headers = {**_headers(resource, state, media_type, etag), "content-length": str(len(body))}
+        if media_type == HTML:
+            headers |= self._pages.headers
+        return Rendering(body, encode_headers(headers), etag)
+
+    async def read_large(
+        self, exchange: Exchange, resource: Resource, state: State, media_type: str, *, unchanged: bool
+    ) -> Response:
+        """The answer to GET and HEAD of a large state: from a file that a worker process makes; HEAD makes none.
+
+        Without a representation nothing tells its length, and HEAD may leave that out (RFC 9110 9.3.2). `unchanged`:
+        the client has it already, and gets 304. Raises a 406 Problem where the media type cannot carry the state.
+        """
+        permissions = exchange.permissions
+        variant = _variant(media_type, permissions)
+        syntax = _JSON_IS_JSONLD.get(media_type, media_type)
+        etag = str(ETag(self.name(state), variant + state.part))
+        headers = _headers(resource, state, media_type, etag)
+        if unchanged or is_not_modified(exchange, Rendering(b"", [], etag)):
+            return RawResponse(
+                304, b"", encode_headers({name: headers[name] for name in headers if name != "content-type"})
+            )
+        if exchange.method == "HEAD":
+            return RawResponse(200, b"", encode_headers(headers))
+        try:
+            file, size = await self._large.file(
+                (resource.url, etag, syntax), redacted_state(resource, state, permissions), syntax
+            )
+        except CannotCarry as error:
+            raise _cannot_carry(media_type, error) from error
+        return file_stream(encode_headers({**headers, "content-length": str(size)}), file, size)
+
+    def unmet(self, exchange: Exchange, resource: Resource, state: State) -> Response:
+        """204 after `?timeout=`: by its ETag, which state the resource is in instead."""
+        media_type = negotiate(exchange)
+        etag = str(ETag(self.name(state), _variant(media_type, exchange.permissions) + state.part))
+        headers = _headers(resource, state, media_type, etag)
+        del headers["content-type"]
+        return RawResponse(204, b"", encode_headers({**headers, "content-location": link.to_uri(resource.url)}))
+
+    def receipt_notices(self, exchange: Exchange, media_type: str) -> Sequence[Notice]:
+        """What a page says of the write that led to it (`?receipt=`)."""
+        if media_type != HTML or b"receipt=" not in exchange.request.scope["query_string"]:
+            return ()
+        return self._pages.receipt_notices(exchange.query.get("receipt", ""), exchange.permissions)
+
+
+def redacted_state(resource: Resource, state: State, permissions: Permissions) -> State:
+    """The state without what an agent of these rights may not read; the same object for the same rights."""
+    if permissions.is_unrestricted:
+        return state
+    found = state.redactions.get(permissions.rights_key)
+    if found is None:
+        if len(state.redactions) >= _MAX_RENDERINGS:
+            state.redactions.clear()
+        found = state.redactions[permissions.rights_key] = resource.redact(state, permissions)
+    return found
+
+
+def negotiate(exchange: Exchange) -> str:
+    """The media type to answer with: `?format=` before Accept. Raises a 406 Problem naming what there is."""
+    if b"format=" in exchange.request.scope["query_string"] and (wanted := exchange.query.get("format")):
+        if wanted not in FORMATS:
+            raise Problem(406, f"?format={wanted} is unknown; there are {', '.join(FORMATS)}.")
+        return FORMATS[wanted]
+    found = negotiation.choose(exchange.accept, OFFERS)
+    if found is None:
+        raise Problem(406, f"None of {exchange.accept!r} is offered; there are {', '.join(OFFERS)}.")
+    return found
+
+
+def event_media_type(exchange: Exchange) -> str:
+    """The media type of an event's data: plain JSON, or what `?format=` says. Raises a 406 Problem."""
+    wanted = exchange.query.get("format", "json")
+    if wanted not in FORMATS:
+        raise Problem(406, f"?format={wanted} cannot be streamed; there are {', '.join(FORMATS)}.")
+    return FORMATS[wanted]
+
+
+def is_not_modified(exchange: Exchange, rendering: Rendering) -> bool:
+    """Whether GET or HEAD is answered with 304; raises a 412 Problem where If-Match fails (RFC 9110 13.2.2)."""
+    if_none_match = exchange.header("if-none-match")
+    if_match = exchange.header("if-match")
+    if if_none_match is None and if_match is None:
+        return False
+    state, _, variant = rendering.etag.strip('"').rpartition(".")
+    return check_preconditions(exchange.method, ETag(state, variant), if_match=if_match, if_none_match=if_none_match)
+
+
+def encode_headers(headers: Mapping[str, str]) -> list[tuple[bytes, bytes]]:
+    """Header fields as ASGI wants them, in Latin-1."""
+    return [(name.encode("latin-1"), value.encode("latin-1")) for name, value in headers.items()]
+
+
+def _variant(media_type: str, permissions: Permissions) -> str:
+    """The variant part of the ETags of representations in a media type, for agents of these rights."""
+    variant = (
+        VARIANTS[media_type] if permissions.is_unrestricted else f"{VARIANTS[media_type]}-{permissions.rights_key}"
+    )
+    return variant + permissions.cache_key if media_type == HTML else variant
+
+
+def _headers(resource: Resource, state: State, media_type: str, etag: str) -> dict[str, str]:
+    """The headers of a representation, but for its length."""
+    return {
+        "content-type": f"{media_type}; charset=utf-8" if media_type.startswith("text/") else media_type,
+        "etag": etag,
+        "vary": "Accept",
+        "cache-control": f"max-age={state.max_age}" if state.max_age else "no-cache",
+        **resource_headers(resource, shapes=state.shapes),
+        **state.headers,
+    }
+
+
+def _serialize(state: State, media_type: str) -> bytes:
+    syntax = next(syntax for syntax in Syntax if syntax.media_type == media_type)
+    try:
+        return serialize(state.document, syntax)
+    except CannotCarry as error:
+        raise _cannot_carry(media_type, error) from error
+
+
+def _cannot_carry(media_type: str, error: CannotCarry) -> Problem:
+    return Problem(406, f"{media_type} cannot carry this resource: {error}")

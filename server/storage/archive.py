@@ -32,8 +32,9 @@ from rosld.server.storage import packing
 from rosld.server.storage.blobs import ID, Blobs
 from rosld.server.storage.record import NO_MEMBER, Blob, Membership, Model, Put, Record, StorageError
 from rosld.server.storage.record_paths import check_write, container_of
-from rosld.server.storage.record_table import DatabaseBusy, NumberedRecord, RecordTable, storage_error
+from rosld.server.storage.record_table import NumberedRecord, RecordTable
 from rosld.server.storage.sqlite import BLOBS, DATABASE, connect
+from rosld.server.storage.sqlite_errors import DatabaseBusy, storage_error
 
 FORMAT = 1
 _ABOUT, _RECORDS, _GONE = "rosld.json", "records.jsonl", "gone.jsonl"

@@ -18,7 +18,7 @@ from pathlib import Path
 from rosld.server.storage.blobs import Blobs, storage_error
 from rosld.server.storage.disk_reserve import DiskReserve
 from rosld.server.storage.record import StorageError
-from rosld.server.storage.record_table import is_full
+from rosld.server.storage.sqlite_errors import is_full
 from rosld.server.storage.synced_log import SyncedLog
 from rosld.server.storage.write_ahead_log import checkpoint, close_without_checkpoint
 

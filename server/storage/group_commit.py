@@ -12,7 +12,8 @@ from collections.abc import Sequence
 from typing import Protocol
 
 from rosld.server.storage.record import Conflict, Put, StorageError, Write
-from rosld.server.storage.record_table import DatabaseBusy, Effects
+from rosld.server.storage.record_effects import Effects
+from rosld.server.storage.sqlite_errors import DatabaseBusy
 
 MAX_BATCHES = 128
 """Jobs in one transaction, which the loop does at a stretch."""

@@ -6,79 +6,37 @@ when its transaction is committed.
 
 from __future__ import annotations
 
-import json
 import sqlite3
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from rosld.server.storage.record import (
-    Blob,
-    Conflict,
-    ConflictCause,
-    Member,
-    Membership,
-    Model,
-    Put,
-    Record,
-    RecordChange,
-    Remove,
-    StorageError,
-    Write,
-)
+from rosld.server.storage.record import Conflict, ConflictCause, Member, Model, Put, Record, RecordChange, Remove, Write
+from rosld.server.storage.record_effects import Effects, MemberList, version_of_change, with_list
 from rosld.server.storage.record_paths import container_of
+from rosld.server.storage.record_rows import (
+    INSERT_RECORD,
+    MODELS,
+    SELECT_ALL,
+    SELECT_CHANGES,
+    SELECT_CURRENT,
+    SELECT_LAST_NUMBERS,
+    SELECT_LATEST_VERSION,
+    SELECT_MEMBERS,
+    SELECT_RECORD,
+    UPDATE_RECORD,
+    UPDATE_TRIPLES,
+    CurrentRow,
+    record_of_row,
+    row_texts,
+)
+from rosld.server.storage.sqlite_errors import storage_error
 from rosld.server.storage.version_table import FormerVersion, forget_versions, former_version_at, former_versions
 
 OPENING = 1 << 20
 """Versions begin anew at a multiple of this when records are opened: what was seen before a power failure, but was not
 durable yet, shares its version with nothing that comes after."""
 
-_MODELS = {model.value: model for model in Model}
-_RECORD = """SELECT r.model, r.version, r.created, r.modified, r.triples, r.blob, r.size, r.media_type, r.membership,
-    r.member, l.version, l.modified, l.count FROM record r LEFT JOIN list l ON l.container = r.id WHERE r.path = ?"""
-_PRESENT = """SELECT r.id, r.container, r.model, r.version, r.created, r.modified, r.member, r.blob, l.version,
-    l.modified, l.count FROM record r LEFT JOIN list l ON l.container = r.id WHERE r.path = ?"""
-_MEMBERS = """SELECT id, path, model, member FROM record
-    WHERE container = (SELECT id FROM record WHERE path = ?) AND id > ? ORDER BY id LIMIT ?"""
-_NUMBERS = """SELECT id FROM record
-    WHERE container = (SELECT id FROM record WHERE path = ?) AND id <= ? ORDER BY id DESC LIMIT ?"""
 _GREATEST = (1 << 63) - 1
-_CHANGED = """
-    SELECT r.path, r.version AS at, 0 FROM record r LEFT JOIN list l ON l.container = r.id
-        WHERE r.version > ?1 AND (l.version IS NULL OR l.version < r.version)
-    UNION ALL SELECT r.path, l.version, 0 FROM list l JOIN record r ON r.id = l.container
-        WHERE l.version > ?1 AND l.version > r.version
-    UNION ALL SELECT path, version, 1 FROM gone WHERE version > ?1
-    ORDER BY at LIMIT ?2"""
-_ENTRIES = """SELECT r.id, r.path, r.model, r.version, r.created, r.modified, r.triples, r.blob, r.size, r.media_type,
-    r.membership, r.member, l.version, l.modified, l.count FROM record r LEFT JOIN list l ON l.container = r.id
-    ORDER BY r.id"""
-_LATEST = """SELECT max(coalesce((SELECT max(version) FROM record), 0), coalesce((SELECT max(version) FROM list), 0),
-    coalesce((SELECT max(version) FROM gone), 0), coalesce((SELECT max(id) FROM record), 0))"""
-_INSERT = """INSERT INTO record (id, path, container, model, version, created, modified, member, blob, size, media_type,
-    membership, triples) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"""
-_UPDATE = """UPDATE record SET version = ?, modified = ?, member = ?, blob = ?, size = ?, media_type = ?,
-    membership = ?, triples = ? WHERE id = ?"""
-_REWRITE = "UPDATE record SET version = ?, modified = ?, triples = ? WHERE path = ? AND version = ?"
-
-
-class DatabaseBusy(Exception):
-    """Another process is writing just now."""
-
-
-class CurrentRow(NamedTuple):
-    """What a write must know of a record that is there; the last three are None of what is no container."""
-
-    id: int
-    container: int
-    model: str
-    version: int
-    created: int
-    modified: int
-    member: str | None
-    blob: str | None
-    listed: int | None
-    list_modified: int | None
-    members: int | None
 
 
 class NumberedRecord(NamedTuple):
@@ -86,41 +44,6 @@ class NumberedRecord(NamedTuple):
 
     number: int
     record: Record
-
-
-class MemberList(NamedTuple):
-    """How the list of a container is after a write."""
-
-    version: int
-    modified: int
-    members: int
-
-
-class Effects:
-    """What the writes of a transaction have done so far."""
-
-    __slots__ = ("freed", "lists", "records", "removed", "unused")
-
-    def __init__(self, received: Sequence[str] = ()) -> None:
-        self.records: dict[str, Record] = {}
-        """The records that were written, as they are now."""
-        self.removed: dict[str, int] = {}
-        """The version at which a path was removed."""
-        self.lists: dict[str, MemberList] = {}
-        """The lists that changed, of containers that are there."""
-        self.freed: list[str] = []
-        """The blobs that nothing refers to any more."""
-        self.unused = set(received)
-        """The blobs that were received and wait for their record."""
-
-    def changes(self) -> list[RecordChange]:
-        """Each path once, with its latest version, in the order of versions."""
-        found = {path: listed.version for path, listed in self.lists.items()}
-        for path, record in self.records.items():
-            found[path] = max(record.version, found.get(path, 0))
-        changed = [RecordChange(path, version, False) for path, version in found.items()]
-        changed += [RecordChange(path, version, True) for path, version in self.removed.items()]
-        return sorted(changed, key=_version)
 
 
 class RecordTable:
@@ -147,10 +70,10 @@ class RecordTable:
     def find(self, path: str) -> Record | None:
         """A record."""
         try:
-            row = self._execute(_RECORD, (path,)).fetchone()
+            row = self._execute(SELECT_RECORD, (path,)).fetchone()
         except sqlite3.Error as error:
             raise storage_error(error) from error
-        return None if row is None else _record(path, row)
+        return None if row is None else record_of_row(path, row)
 
     def versions(self, path: str) -> list[FormerVersion]:
         """The former versions of a document."""
@@ -176,15 +99,15 @@ class RecordTable:
     def members(self, path: str, after: int, limit: int) -> list[Member]:
         """Members of a container by number."""
         try:
-            rows = self._execute(_MEMBERS, (path, after, limit)).fetchall()
+            rows = self._execute(SELECT_MEMBERS, (path, after, limit)).fetchall()
         except sqlite3.Error as error:
             raise storage_error(error) from error
-        return [Member(number, name, _MODELS[model], member) for number, name, model, member in rows]
+        return [Member(number, name, MODELS[model], member) for number, name, model, member in rows]
 
     def last_member_numbers(self, path: str, up_to: int | None, limit: int) -> list[int]:
         """The numbers of the last members of a container, the newest first."""
         try:
-            rows = self._execute(_NUMBERS, (path, _GREATEST if up_to is None else up_to, limit)).fetchall()
+            rows = self._execute(SELECT_LAST_NUMBERS, (path, _GREATEST if up_to is None else up_to, limit)).fetchall()
         except sqlite3.Error as error:
             raise storage_error(error) from error
         return [row[0] for row in rows]
@@ -192,13 +115,13 @@ class RecordTable:
     def changes_since(self, after: int, limit: int) -> list[RecordChange]:
         """What has changed after a version."""
         try:
-            rows = self._execute(_CHANGED, (after, limit)).fetchall()
+            rows = self._execute(SELECT_CHANGES, (after, limit)).fetchall()
         except sqlite3.Error as error:
             raise storage_error(error) from error
         found = [RecordChange(path, version, bool(gone)) for path, version, gone in rows]
         if self._withdrawn:
             found += (RecordChange(path, version, True) for path, version in self._withdrawn.items() if version > after)
-            found.sort(key=_version)
+            found.sort(key=version_of_change)
         return found[:limit]
 
     def suspend(self, words: str) -> None:
@@ -210,7 +133,7 @@ class RecordTable:
         self._execute = refuse
 
     def take_over(self, former: RecordTable, undone: Iterable[str]) -> None:
-        """Take the place of a former ledger, some of whose writes were not kept: these have changed once more.
+        """Take the place of a former table, some of whose writes were not kept: these have changed once more.
 
         Versions go on from its own, so that none stands for two states. Raises what a write raises.
         """
@@ -234,7 +157,7 @@ class RecordTable:
 
     def all_records(self) -> Iterator[NumberedRecord]:
         """All records, containers before their members."""
-        return (NumberedRecord(row[0], _record(row[1], row[2:])) for row in self._execute(_ENTRIES))
+        return (NumberedRecord(row[0], record_of_row(row[1], row[2:])) for row in self._execute(SELECT_ALL))
 
     def tombstones(self) -> Iterator[str]:
         """The paths of all records that were removed."""
@@ -249,7 +172,7 @@ class RecordTable:
         return True
 
     def begin(self) -> bool:
-        """Begin to write; whether another process has changed something meanwhile. Raises Busy while one writes."""
+        """Begin to write; whether another process changed something. Raises what reading does, and DatabaseBusy."""
         try:
             self._execute("BEGIN IMMEDIATE")
             foreign = self.changed_elsewhere()
@@ -318,7 +241,7 @@ class RecordTable:
         """Put these in place of all records, with new versions, between `begin` and `commit`; the blobs set free.
 
         Records that are there and not among them are removed; those among them come back even where they were removed.
-        Entries come as `entries` tells them. Raises ValueError where a container is missing.
+        Entries come as `all_records` tells them. Raises ValueError where a container is missing.
         """
         freed = list(self.blob_ids())
         before = [row[0] for row in self._execute("SELECT path FROM record ORDER BY id")]
@@ -365,10 +288,10 @@ class RecordTable:
         return int(self._execute("PRAGMA data_version").fetchone()[0])
 
     def _latest(self) -> int:
-        return int(self._execute(_LATEST).fetchone()[0])
+        return int(self._execute(SELECT_LATEST_VERSION).fetchone()[0])
 
     def _present(self, path: str) -> CurrentRow | None:
-        row = self._execute(_PRESENT, (path,)).fetchone()
+        row = self._execute(SELECT_CURRENT, (path,)).fetchone()
         return None if row is None else CurrentRow(*row)
 
     def _put(self, put: Put, applied: Effects, now: int) -> None:
@@ -391,7 +314,7 @@ class RecordTable:
         if put.expected not in (None, known.version) or put.member not in (None, known.member):
             return None
         version, modified = self._next + 1, max(now, known.modified_ns)
-        if self._execute(_REWRITE, (version, modified, triples, path, known.version)).rowcount != 1:
+        if self._execute(UPDATE_TRIPLES, (version, modified, triples, path, known.version)).rowcount != 1:
             return None
         self._next = version
         return Record(path, known.model, version, known.created_ns, modified, triples, member=known.member)
@@ -426,7 +349,7 @@ class RecordTable:
 
     def _row(self, number: int, version: int, container: int, record: Record) -> None:
         head = (number, record.path, container, record.model.value, version, record.created_ns, record.modified_ns)
-        self._execute(_INSERT, (*head, record.member, *_texts(record.blob, record.membership), record.triples))
+        self._execute(INSERT_RECORD, (*head, record.member, *row_texts(record.blob, record.membership), record.triples))
 
     def _replace(self, put: Put, present: CurrentRow, applied: Effects, now: int) -> None:
         path, blob, triples = put.path, put.blob, put.triples
@@ -438,7 +361,7 @@ class RecordTable:
         member = present.member if put.member is None else put.member
         now = max(now, present.modified)
         self._next = version = self._next + 1
-        self._execute(_UPDATE, (version, now, member, *_texts(blob, put.membership), triples, present.id))
+        self._execute(UPDATE_RECORD, (version, now, member, *row_texts(blob, put.membership), triples, present.id))
         modified = max(now, present.list_modified or 0)
         applied.records[path] = Record(
             path,
@@ -505,42 +428,6 @@ class RecordTable:
             applied.records[path] = with_list(record, listed)
 
 
-def with_list(record: Record, listed: MemberList) -> Record:
-    """A container after its list has changed."""
-    return Record(
-        record.path,
-        record.model,
-        record.version,
-        record.created_ns,
-        max(record.modified_ns, listed.modified),
-        record.triples,
-        record.blob,
-        record.membership,
-        record.member,
-        listed.version,
-        listed.members,
-    )
-
-
-def storage_error(error: sqlite3.Error) -> Exception:
-    """What SQLite's error means: Busy, or a StorageError with its words."""
-    words = str(error)
-    if "locked" in words or "busy" in words:
-        return DatabaseBusy(words)
-    if is_full(error):
-        return StorageError(f"There is no space left to keep this: {words}.", full=True)
-    return StorageError(f"The database of records failed: {words}.")
-
-
-def is_full(error: Exception) -> bool:
-    """Whether SQLite says that there is no space left."""
-    return "full" in str(error)
-
-
-def _version(changed: RecordChange) -> int:
-    return changed.version
-
-
 def _expect(write: Write, present: CurrentRow) -> None:
     """Raises Conflict where the record has not the version that the write expects."""
     if write.expected is None or write.expected == present.version:
@@ -562,28 +449,3 @@ def _take(put: Put, present: str | None, applied: Effects) -> None:
         applied.unused.discard(id)
     if present is not None:
         applied.freed.append(present)
-
-
-def _texts(blob: Blob | None, membership: Membership | None) -> tuple[str | None, int | None, str | None, str | None]:
-    """A blob and a membership as they stand in a row."""
-    text = None
-    if membership is not None:
-        text = json.dumps([membership.resource, membership.relation, membership.inverse, membership.content])
-    return (None, None, None, text) if blob is None else (blob.id, blob.size, blob.media_type, text)
-
-
-def _record(path: str, row: tuple[Any, ...]) -> Record:
-    model, version, created, modified, triples, blob, size, media_type, membership, member, listed, lately, count = row
-    return Record(
-        path,
-        _MODELS[model],
-        version,
-        created,
-        modified if lately is None or lately < modified else lately,
-        triples,
-        None if blob is None else Blob(blob, size, media_type),
-        None if membership is None else Membership(*json.loads(membership)),
-        member,
-        listed or 0,
-        count or 0,
-    )

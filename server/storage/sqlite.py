@@ -20,20 +20,12 @@ from rosld.server.storage.durability import Durability, checkpoint_with_reserve
 from rosld.server.storage.group_commit import GroupCommit, WriteBatch
 from rosld.server.storage.received_blobs import ReceivedBlobs
 from rosld.server.storage.recent_writes import RecentWrites, RecordWrite
-from rosld.server.storage.record import (
-    Blob,
-    Conflict,
-    Member,
-    Put,
-    Record,
-    RecordChange,
-    Remove,
-    StorageError,
-    Write,
-)
+from rosld.server.storage.record import Blob, Conflict, Member, Put, Record, RecordChange, Remove, StorageError, Write
 from rosld.server.storage.record_cache import RecordCache
+from rosld.server.storage.record_effects import Effects, with_list
 from rosld.server.storage.record_paths import check_write
-from rosld.server.storage.record_table import DatabaseBusy, Effects, RecordTable, is_full, with_list
+from rosld.server.storage.record_table import RecordTable
+from rosld.server.storage.sqlite_errors import DatabaseBusy, is_full
 from rosld.server.storage.tables import prepare_tables, read_pragma
 from rosld.server.storage.version_table import FormerVersion, keep_versions
 from rosld.server.storage.write_ahead_log import close_without_checkpoint

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 
 from starlette.requests import Request
@@ -13,12 +13,12 @@ from rosld.adapters.base import Adapter
 from rosld.ontology.urls import Space
 from rosld.server.auth.authenticator import Authenticator
 from rosld.server.auth.rate_limit import ClientLimiter, ClientLimits
+from rosld.server.dataset.replication import Mirror
 from rosld.server.events.broadcaster import Broadcasters
 from rosld.server.events.notification_channels import Channels
 from rosld.server.html import prepare_pages
 from rosld.server.http import link
 from rosld.server.http.origin import OriginPolicy, origin_policy
-from rosld.server.hypermedia.mappings import relations
 from rosld.server.middleware.audit import Audit
 from rosld.server.middleware.authentication import AccessHeaders, Authentication
 from rosld.server.middleware.cors import CrossOriginHeaders, Preflight, TrustedHosts
@@ -35,16 +35,13 @@ from rosld.server.resources.acl import AclResource
 from rosld.server.resources.channels import Notifications, fixed_resources
 from rosld.server.resources.channels import routes as notification_routes
 from rosld.server.resources.frames import FramesResource
-from rosld.server.resources.ldp.record_graphs import RecordGraphs
 from rosld.server.resources.mapping_warnings import log_mapping_warnings
 from rosld.server.resources.mirror import ReplicationResource
 from rosld.server.resources.mirror_setup import create_mirror
 from rosld.server.resources.near import near_urls
-from rosld.server.resources.past_messages import RecordedPast
 from rosld.server.resources.plot import PlotResource
 from rosld.server.resources.resource_types import types_at
 from rosld.server.resources.space import SpaceResource
-from rosld.server.resources.sparql_update.service import UpdateService
 from rosld.server.resources.status import StatusResource
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.keyed_lock import KeyedLock
@@ -55,112 +52,58 @@ from rosld.server.robot.hold_store import Holds
 from rosld.server.robot.scene import Scene
 from rosld.server.robot.session import Session
 from rosld.server.routing.dispatcher import Dispatcher
-from rosld.server.routing.live_graphs import OTHER_ROUTES, RobotGraphs
 from rosld.server.routing.resource_factory import ResourceFactory
 from rosld.server.routing.router import Router, robot_routes, single_route
 from rosld.server.routing.services import Services
-from rosld.server.runtime.version_cache import IdentityKey
+from rosld.server.routing.sparql_services import SparqlServices
 from rosld.server.runtime.watchdog import Watchdog
 from rosld.server.settings import Settings
-from rosld.server.sparql.analysis import Analyser
-from rosld.server.sparql.materializer import Materializer
-from rosld.server.sparql.mentions import MentionRecorder, Mentions
-from rosld.server.sparql.process.client import QueryProcess
-from rosld.server.sparql.query_service import QueryService, QuerySettings, UnreadGraphs
-from rosld.server.sparql.receipt_graphs import ReceiptGraphs
-from rosld.server.sparql.restricted import RestrictedDatasets
-from rosld.server.sparql.syntax.lexer import QueryBounds, ServiceAllowlist
-from rosld.server.sparql.update.executor import UpdateEvaluator
 
 
 def create_app(adapter: Adapter, settings: Settings) -> Application:
     """The ASGI app that serves this adapter; its lifespan opens and closes the adapter, raising what `open` raises."""
     services = Services(adapter, settings)
-    session, space, documents = services.session, services.session.space, services.documents
+    session, space = services.session, services.session.space
     factory = ResourceFactory(services)
     routes = robot_routes(factory)
-    scene = Scene(session)
-    large = LargeDocuments(documents.workers)
+    sparql = SparqlServices(services, factory)
+    mirror = create_mirror(
+        session, services.instance_id, sparql.process, sparql.materializer, {*routes, "queries", "sparql"}
+    )
+    scene, watchdog = Scene(session), Watchdog()
+    large = LargeDocuments(services.documents.workers)
     pages = PageRenderer(session, services.software_stop, large, services.receipts)
-    process = QueryProcess(settings.query_concurrency, settings.query_queue)
-    kept = RecordGraphs(documents.records, space.base, services.queries.description, OTHER_ROUTES)
-    mentions = Mentions(space.base, space.types)
-    receipts = ReceiptGraphs(services.receipts, space)
-    source = RobotGraphs(factory)
-    materializer = Materializer(
-        process, source, MentionRecorder(kept, mentions), receipts, mentioned=mentions.documents_of
-    )
-    reach = ServiceAllowlist(frozenset(settings.allow_service))
-    bounded = QueryBounds(size=settings.query_size_limit)
-    analyser = Analyser(
-        space.base,
-        space.types,
-        bounds=bounded,
-        reach=reach,
-        relations=lambda: relations(services.mappings.mapping_set),
-    )
-    service = query_service(services, process, materializer, analyser, source.count_unread)
-    mirror = create_mirror(session, services.instance_id, process, materializer, {*routes, "queries", "sparql"})
     names = origin_policy(settings.base_url, settings.host, settings.port, settings.cors_origins)
     broadcasters = Broadcasters(session.changes, settings.client_streams)
     keyed_lock = KeyedLock(settings.call_deadline)
-    bounds = QueryBounds(size=settings.body_limit)
-    evaluator = UpdateEvaluator(service, analyser)
-
-    def updates(at: Callable[[str], Resource]) -> UpdateService:
-        return UpdateService(session, services.affordances, documents, evaluator, analyser, bounds, at, keyed_lock)
-
-    router = Router(factory, routes, service, pages, updates)
+    router = Router(factory, routes, sparql.queries, pages, partial(sparql.updates, keyed_lock=keyed_lock))
     notifications = Notifications(
         space, services.instance_id, Channels(services.instance_id), broadcasters, names, router.resolve
     )
     router.add(notification_routes(notifications, routes[".well-known"]))
-    plot = partial(PlotResource, session, services.affordances, factory.history, broadcasters)
-    view = partial(SpaceResource, session, scene, factory.history, broadcasters)
-    watchdog = Watchdog()
-    status = partial(StatusResource, space, services.storage_problems, watchdog)
-    own: dict[str, Callable[[], Resource]] = {
-        "plot": plot,
-        "space": view,
-        "frames": partial(FramesResource, session, scene),
-        "status": status,
+    views: dict[str, Callable[[], PlotResource | SpaceResource]] = {
+        "plot": partial(PlotResource, session, services.affordances, factory.history, broadcasters),
+        "space": partial(SpaceResource, session, scene, factory.history, broadcasters),
     }
-    changing = ["/status"]
-    if mirror is not None:
-        own["mirror"] = partial(ReplicationResource, space, mirror)
-        changing.append("/mirror")
+    changing: dict[str, Callable[[], Resource]] = {
+        "status": partial(StatusResource, space, services.storage_problems, watchdog),
+        **({} if mirror is None else {"mirror": partial(ReplicationResource, space, mirror)}),
+    }
+    own: dict[str, Callable[[], Resource]] = {**views, **changing, "frames": partial(FramesResource, session, scene)}
     router.add({name: single_route(make) for name, make in own.items()})
-    described = {each.url: each.document for each in fixed_resources(notifications)}
-    described |= {each.url: each.document for each in (router.endpoint, router.graphs, router.search, plot(), view())}
-    source.add(described, map(router.at, changing))
-    authenticator = (
-        None
-        if settings.auth is None
-        else Authenticator(settings.auth, space, partial(types_at, session, services.affordances))
-    )
+    fixed = (router.endpoint, router.graphs, router.search, *(make() for make in views.values()))
+    described = {each.url: each.document for each in (*fixed_resources(notifications), *fixed)}
+    sparql.graphs.add(described, [router.at(f"/{name}") for name in changing])
+    authenticator = create_authenticator(services)
     if authenticator is not None:
         authenticator.changed.watch(broadcasters.wake_all)
         router.add({"acl": single_route(partial(AclResource, space.base, authenticator))})
     dispatcher = Dispatcher(
         services.instance_id, pages, broadcasters, keyed_lock, large, partial(near_urls, session, services.affordances)
     )
-    allowance = ClientLimits(
-        settings.client_rate, settings.client_requests, settings.client_connections, settings.client_websockets
-    )
-    clients = ClientLimiter(allowance, loopback=settings.limit_loopback)
+    clients = client_limiter(settings)
     admission = Admission(clients, f"{space.path}stop".encode("ascii"))
     handler = middleware(space, services.receipts, router, dispatcher, pages, names, admission, authenticator)
-    background: list[Job] = [
-        service.keep_materialized,
-        partial(asyncio.to_thread, prepare_pages),
-        partial(log_mapping_warnings, services.affordances, services.mappings),
-    ]
-    closings: list[Job] = [large.close, scene.close]
-    if mirror is not None:
-        background.append(mirror.run)
-        closings.insert(0, mirror.close)
-    if authenticator is not None:
-        background.append(authenticator.watch_file)
     return Application(
         session,
         services.holds,
@@ -170,8 +113,44 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
         router.route_names,
         HttpApplication(handler, clients, settings, link.render([notifications.link])),
         WebSockets(names, admission, notifications),
-        Lifespan(services.start, services.stop, process, watchdog, background, closings),
+        Lifespan(
+            services.start,
+            services.stop,
+            sparql.process,
+            watchdog,
+            background_jobs(services, sparql, mirror, authenticator),
+            [*(() if mirror is None else (mirror.close,)), large.close, scene.close],
+        ),
     )
+
+
+def background_jobs(
+    services: Services, sparql: SparqlServices, mirror: Mirror | None, authenticator: Authenticator | None
+) -> Sequence[Job]:
+    """What runs beside requests from the start to the end."""
+    return [
+        sparql.queries.keep_materialized,
+        partial(asyncio.to_thread, prepare_pages),
+        partial(log_mapping_warnings, services.affordances, services.mappings),
+        *(() if mirror is None else (mirror.run,)),
+        *(() if authenticator is None else (authenticator.watch_file,)),
+    ]
+
+
+def create_authenticator(services: Services) -> Authenticator | None:
+    """Who asks and what they may do, by the file of `--auth`; None without one."""
+    session = services.session
+    if session.settings.auth is None:
+        return None
+    return Authenticator(session.settings.auth, session.space, partial(types_at, session, services.affordances))
+
+
+def client_limiter(settings: Settings) -> ClientLimiter:
+    """The limits of each client, as the settings have them."""
+    allowance = ClientLimits(
+        settings.client_rate, settings.client_requests, settings.client_connections, settings.client_websockets
+    )
+    return ClientLimiter(allowance, loopback=settings.limit_loopback)
 
 
 def middleware(
@@ -203,23 +182,6 @@ def middleware(
     if authenticator is not None:
         handler = AccessHeaders(handler, authenticator, space)
     return CrossOriginHeaders(handler, names)
-
-
-def query_service(
-    services: Services, process: QueryProcess, materializer: Materializer, analyser: Analyser, unread: UnreadGraphs
-) -> QueryService:
-    """SPARQL over everything that the robot's resources say."""
-    session, settings = services.session, services.session.settings
-    limits = QuerySettings(
-        settings.query_time_limit,
-        settings.query_memory_limit,
-        settings.query_row_limit,
-        settings.query_concurrency,
-        settings.query_queue,
-    )
-    restricted = RestrictedDatasets(process, lambda: IdentityKey(session.graph))
-    past = RecordedPast(session, services.recordings)
-    return QueryService(process, materializer, analyser, session.message_ages, limits, restricted, unread, past)
 
 
 class Application:

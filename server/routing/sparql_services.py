@@ -1,0 +1,87 @@
+"""What answers SPARQL on one run of the server: composed once, from its services and the resources that it reads."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from rosld.server.hypermedia.mappings import relations
+from rosld.server.resources.ldp.record_graphs import RecordGraphs
+from rosld.server.resources.past_messages import RecordedPast
+from rosld.server.resources.sparql_update.service import UpdateService
+from rosld.server.rest.keyed_lock import KeyedLock
+from rosld.server.rest.resource import Resource
+from rosld.server.routing.live_graphs import OTHER_ROUTES, RobotGraphs
+from rosld.server.routing.resource_factory import ResourceFactory
+from rosld.server.routing.services import Services
+from rosld.server.runtime.version_cache import IdentityKey
+from rosld.server.settings import Settings
+from rosld.server.sparql.analysis import Analyser
+from rosld.server.sparql.materializer import Materializer
+from rosld.server.sparql.mentions import MentionRecorder, Mentions
+from rosld.server.sparql.process.client import QueryProcess
+from rosld.server.sparql.query_service import QueryService, QuerySettings
+from rosld.server.sparql.receipt_graphs import ReceiptGraphs
+from rosld.server.sparql.restricted import RestrictedDatasets
+from rosld.server.sparql.syntax.lexer import QueryBounds, ServiceAllowlist
+from rosld.server.sparql.update.executor import UpdateEvaluator
+
+
+class SparqlServices:
+    """Queries and updates over everything that the robot's resources say, in a process of their own."""
+
+    def __init__(self, services: Services, factory: ResourceFactory) -> None:
+        session, space, settings = services.session, services.session.space, services.session.settings
+        self._services = services
+        self.process = QueryProcess(settings.query_concurrency, settings.query_queue)
+        self.graphs = RobotGraphs(factory)
+        """What the dataset is filled from."""
+        mentions = Mentions(space.base, space.types)
+        kept = RecordGraphs(services.documents.records, space.base, services.queries.description, OTHER_ROUTES)
+        self.materializer = Materializer(
+            self.process,
+            self.graphs,
+            MentionRecorder(kept, mentions),
+            ReceiptGraphs(services.receipts, space),
+            mentioned=mentions.documents_of,
+        )
+        self._analyser = Analyser(
+            space.base,
+            space.types,
+            bounds=QueryBounds(size=settings.query_size_limit),
+            reach=ServiceAllowlist(frozenset(settings.allow_service)),
+            relations=lambda: relations(services.mappings.mapping_set),
+        )
+        self.queries = QueryService(
+            self.process,
+            self.materializer,
+            self._analyser,
+            session.message_ages,
+            _limits(settings),
+            RestrictedDatasets(self.process, lambda: IdentityKey(session.graph)),
+            self.graphs.count_unread,
+            RecordedPast(session, services.recordings),
+        )
+
+    def updates(self, at: Callable[[str], Resource], keyed_lock: KeyedLock) -> UpdateService:
+        """What carries updates out on the resources that `at` finds by their paths below the base."""
+        services = self._services
+        return UpdateService(
+            services.session,
+            services.affordances,
+            services.documents,
+            UpdateEvaluator(self.queries, self._analyser),
+            self._analyser,
+            QueryBounds(size=services.session.settings.body_limit),
+            at,
+            keyed_lock,
+        )
+
+
+def _limits(settings: Settings) -> QuerySettings:
+    return QuerySettings(
+        settings.query_time_limit,
+        settings.query_memory_limit,
+        settings.query_row_limit,
+        settings.query_concurrency,
+        settings.query_queue,
+    )

@@ -17,7 +17,8 @@ from typing import Any, cast
 
 from rosld.adapters.model import Action, GoalEvent, GoalId, GoalStatus, NotFound, Qos, Refused, RosError, Sent
 from rosld.adapters.ros2.calls import Calls
-from rosld.adapters.ros2.middleware import Participant, Reader, deserialize, make_message, serialize
+from rosld.adapters.ros2.message_classes import deserialize, make_message, serialize
+from rosld.adapters.ros2.middleware import Participant, Reader
 from rosld.adapters.ros2.wait_set import Waiter
 
 _STATUS = "action_msgs/msg/GoalStatusArray"

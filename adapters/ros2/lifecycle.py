@@ -24,7 +24,8 @@ from rosld.adapters.model import (
     freeze,
 )
 from rosld.adapters.ros2.calls import Calls
-from rosld.adapters.ros2.middleware import Names, Participant, Reader, class_problem, deserialize, make_message
+from rosld.adapters.ros2.message_classes import class_problem, deserialize, make_message
+from rosld.adapters.ros2.middleware import Names, Participant, Reader
 from rosld.adapters.ros2.wait_set import Waiter
 
 _STATE = "lifecycle_msgs/srv/GetState"

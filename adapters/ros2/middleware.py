@@ -1,4 +1,6 @@
-"""All that is asked of rclpy: the one module that imports it, when it is first used.
+"""A participant in a ROS 2 system: subscriptions, publishers, clients, and what the middleware sees.
+
+With `message_classes` and `qos_profiles` it is all that uses rclpy, which is imported when it is first used.
 
 Contexts are our own, never rclpy's global one, so that no signal handler is touched. Topics are read as bytes, taken
 from the middleware's own history; there is no executor. What is used here is shared by Humble and all later ROS.
@@ -9,20 +11,16 @@ from __future__ import annotations
 import importlib
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, NamedTuple, Protocol, TypeAlias, cast
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, NamedTuple, Protocol, TypeAlias
 
-from rosld.adapters.model import Qos, TypeRef, UnknownType
+from rosld.adapters.model import Qos, TypeRef
 from rosld.adapters.model.names import global_name
+from rosld.adapters.ros2.message_classes import message_class
+from rosld.adapters.ros2.qos_profiles import profile_of_qos, qos_of_profile
 
 _UNKNOWN = "_NODE_NAME_UNKNOWN_"
-_FOR_EVER = 2**63 - 1
-_POLICIES = {
-    "reliability": {"RELIABLE": "reliable", "BEST_EFFORT": "best_effort"},
-    "durability": {"TRANSIENT_LOCAL": "transient_local", "VOLATILE": "volatile"},
-    "history": {"KEEP_LAST": "keep_last", "KEEP_ALL": "keep_all"},
-    "liveliness": {"AUTOMATIC": "automatic", "MANUAL_BY_TOPIC": "manual_by_topic"},
-}
 
 Names: TypeAlias = Mapping[str, tuple[str, ...]]
 """Names of topics or services to the names of their types."""
@@ -86,7 +84,7 @@ class Reader:
         try:
             with self.handle:
                 taken = self._take(self._type, True)
-        except _invalid():
+        except _invalid_handle():
             return None
         if taken is None:
             return None
@@ -114,8 +112,8 @@ class ParameterEvents:
     """The subscription to `/parameter_events`."""
 
     def __init__(self, node: Any) -> None:
-        kind = _class("rcl_interfaces/msg/ParameterEvent")
-        profile = _profile(Qos("best_effort", "volatile", "keep_last", 1000))
+        kind = message_class("rcl_interfaces/msg/ParameterEvent")
+        profile = profile_of_qos(Qos("best_effort", "volatile", "keep_last", 1000))
         self._subscription = node.create_subscription(kind, "/parameter_events", _ignore, profile)
         self.handle: Handle = self._subscription.handle
 
@@ -124,7 +122,7 @@ class ParameterEvents:
         try:
             with self.handle:
                 taken = self._subscription.handle.take_message(self._subscription.msg_type, False)
-        except _invalid():
+        except _invalid_handle():
             return None
         if taken is None:
             return None
@@ -184,7 +182,7 @@ class Client:
         try:
             with self.handle:
                 header, response = self._client.handle.take_response(self._client.srv_type.Response)
-        except _invalid():
+        except _invalid_handle():
             return None
         return None if header is None else (int(header.request_id.sequence_number), response)
 
@@ -205,7 +203,7 @@ class Wakeup:
         """Wake."""
         try:
             self._guard.trigger()
-        except _invalid():
+        except _invalid_handle():
             pass  # nobody waits any more
 
     def close(self) -> None:
@@ -316,19 +314,21 @@ class Participant:
         """Subscribe. Raises UnknownType, ValueError."""
         events = _no_events("SubscriptionEventCallbacks")
         subscription = self._hidden.create_subscription(
-            _class(type), topic, _ignore, _profile(qos), event_callbacks=events, raw=True
+            message_class(type), topic, _ignore, profile_of_qos(qos), event_callbacks=events, raw=True
         )
         return Reader(self._hidden, subscription, qos)
 
     def writer(self, topic: str, type: str, qos: Qos) -> Writer:
         """Publish, from the node that is shown. Raises UnknownType, ValueError."""
         events = _no_events("PublisherEventCallbacks")
-        publisher = self._shown.create_publisher(_class(type), topic, _profile(qos), event_callbacks=events)
+        publisher = self._shown.create_publisher(
+            message_class(type), topic, profile_of_qos(qos), event_callbacks=events
+        )
         return Writer(self._shown, publisher, qos)
 
     def client(self, service: str, type: str) -> Client:
         """A client of a service. Raises UnknownType, ValueError."""
-        return Client(self._hidden, self._hidden.create_client(_class(type), service))
+        return Client(self._hidden, self._hidden.create_client(message_class(type), service))
 
     def parameter_events(self) -> ParameterEvents:
         """Subscribe to the changes of all nodes' parameters."""
@@ -348,107 +348,10 @@ class Participant:
             return {}
 
 
-def class_problem(type: str) -> str | None:
-    """Why messages of a type cannot be read or sent here, None where they can."""
-    try:
-        _class(type)
-    except UnknownType as error:
-        return error.sentence
-    return None
-
-
-def request_of(type: str, data: bytes) -> object:
-    """The request of a service type from its bytes. Raises UnknownType, ValueError."""
-    return _deserialize(_class(type).Request, data)
-
-
-def deserialize(type: str, data: bytes) -> object:
-    """A message from its bytes. Raises UnknownType, ValueError."""
-    return _deserialize(_class(type), data)
-
-
-def serialize(message: object) -> bytes:
-    """The bytes of a message or of a half of a service."""
-    return bytes(importlib.import_module("rclpy.serialization").serialize_message(message))
-
-
-def make_message(type: str, values: Mapping[str, object], half: str | None = None) -> object:
-    """An object of a type's class, or of its `Request`."""
-    kind = _class(type)
-    return (getattr(kind, half) if half else kind)(**values)
-
-
-def _deserialize(kind: Any, data: bytes) -> object:
-    try:
-        return cast(object, importlib.import_module("rclpy.serialization").deserialize_message(data, kind))
-    except Exception as error:
-        raise ValueError(f"{len(data)} bytes are no {kind.__name__}: {error}") from error
-
-
-@dataclass
-class _Classes:
-    known: dict[str, Any] = field(default_factory=dict)
-    invalid: Any = None
-
-
-_classes = _Classes()
-
-
-def _class(type: str) -> Any:
-    """The Python class of a type, with its type support. Raises UnknownType saying what is lacking."""
-    if (known := _classes.known.get(type)) is not None:
-        return known
-    package, _, rest = type.partition("/")
-    kind, _, name = rest.partition("/")
-    if not (package.isidentifier() and kind in ("msg", "srv", "action") and name.isidentifier()):
-        raise UnknownType(f"{type!r} is no name of a type")
-    try:
-        found = _within(importlib.import_module(f"{package}.{kind}"), kind, name)
-        importlib.import_module("rclpy.type_support").check_for_type_support(found)
-    except ModuleNotFoundError as error:
-        raise UnknownType(
-            f"the type {type} is not known here: its package {package} is not installed where rosld runs; "
-            "source the workspace that has it before starting rosld"
-        ) from error
-    except AttributeError as error:
-        raise UnknownType(
-            f"the type {type} is not known here: the package {package} installed here has none"
-        ) from error
-    except Exception as error:
-        raise UnknownType(f"the type {type} cannot be used: {error}") from error
-    _classes.known[type] = found
-    return found
-
-
-_DERIVED = {
-    "_SendGoal_Event": ("Impl", "SendGoalService", "Event"),
-    "_GetResult_Event": ("Impl", "GetResultService", "Event"),
-    "_SendGoal": ("Impl", "SendGoalService"),
-    "_GetResult": ("Impl", "GetResultService"),
-    "_FeedbackMessage": ("Impl", "FeedbackMessage"),
-    "_Goal": ("Goal",),
-    "_Result": ("Result",),
-    "_Feedback": ("Feedback",),
-}
-
-
-def _within(module: Any, kind: str, name: str) -> Any:
-    """A class of a module of types; what is derived from a service or an action lies within its class."""
-    derived = _DERIVED if kind == "action" else {"_Event": ("Event",)} if kind == "srv" else {}
-    for end, steps in derived.items():
-        if name.endswith(end):
-            found = getattr(module, name.removesuffix(end))
-            for step in steps:
-                found = getattr(found, step)
-            return found
-    return getattr(module, name)
-
-
-def _invalid() -> Any:
-    if _classes.invalid is None:
-        implementation = importlib.import_module("rclpy.impl.implementation_singleton").rclpy_implementation
-        _classes.invalid = implementation.InvalidHandle
-    return _classes.invalid
+@cache
+def _invalid_handle() -> Any:
+    """The error of a handle that was destroyed."""
+    return importlib.import_module("rclpy.impl.implementation_singleton").rclpy_implementation.InvalidHandle
 
 
 def _node(name: str, namespace: str, context: Any) -> Any:
@@ -486,47 +389,9 @@ def _seen(info: Any) -> SeenEndpoint:
     return SeenEndpoint(
         _full_name(info.node_name, info.node_namespace) if known else "",
         TypeRef(info.topic_type, stated if stated.startswith("RIHS") else None),
-        _qos(info.qos_profile),
+        qos_of_profile(info.qos_profile),
         bytes(info.endpoint_gid)[:16],
     )
-
-
-def _qos(profile: Any) -> Qos:
-    words = {policy: table.get(getattr(profile, policy).name) for policy, table in _POLICIES.items()}
-    return Qos(
-        **words,
-        depth=profile.depth if words["history"] == "keep_last" else 0,
-        deadline_ns=_nanoseconds(profile.deadline),
-        lifespan_ns=_nanoseconds(profile.lifespan),
-        lease_ns=_nanoseconds(profile.liveliness_lease_duration),
-    )
-
-
-def _nanoseconds(duration: Any) -> int | None:
-    """A time, None for ever: which is "infinite" or, where nobody said anything, zero."""
-    found = int(duration.nanoseconds)
-    return found if 0 < found < _FOR_EVER // 2 else None
-
-
-def _profile(qos: Qos) -> Any:
-    """rclpy's profile; what is not said is best effort's opposite: reliable, volatile, the last one."""
-    module = importlib.import_module("rclpy.qos")
-    duration = importlib.import_module("rclpy.duration").Duration
-    given: dict[str, object] = {
-        "history": module.HistoryPolicy[(qos.history or "keep_last").upper()],
-        "depth": max(qos.depth, 1),
-        "reliability": module.ReliabilityPolicy[(qos.reliability or "reliable").upper()],
-        "durability": module.DurabilityPolicy[(qos.durability or "volatile").upper()],
-        "liveliness": module.LivelinessPolicy[(qos.liveliness or "automatic").upper()],
-    }
-    for name, value in (
-        ("deadline", qos.deadline_ns),
-        ("lifespan", qos.lifespan_ns),
-        ("liveliness_lease_duration", qos.lease_ns),
-    ):
-        if value is not None:
-            given[name] = duration(nanoseconds=value)
-    return module.QoSProfile(**given)
 
 
 def _full_name(name: str, namespace: str) -> str:

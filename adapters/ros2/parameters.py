@@ -27,7 +27,8 @@ from rosld.adapters.model import (
 from rosld.adapters.model.names import segments
 from rosld.adapters.ros2.calls import Calls
 from rosld.adapters.ros2.descriptors import descriptor_of
-from rosld.adapters.ros2.middleware import Names, ParameterChange, make_message
+from rosld.adapters.ros2.message_classes import make_message
+from rosld.adapters.ros2.middleware import Names, ParameterChange
 from rosld.adapters.ros2.values import Tag, from_message, to_fields
 
 _SERVICES = {

@@ -11,14 +11,7 @@ import time
 from collections.abc import Callable, Sequence
 
 from rosld.adapters.base import AdapterOptions, Sink
-from rosld.adapters.model import (
-    Action,
-    GoalId,
-    Graph,
-    NotFound,
-    Refused,
-    TypeRef,
-)
+from rosld.adapters.model import Action, GoalId, Graph, NotFound, Refused, TypeRef
 from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.ros2.actions import Actions
 from rosld.adapters.ros2.calls import Calls
@@ -27,7 +20,8 @@ from rosld.adapters.ros2.feeds import Feed
 from rosld.adapters.ros2.graph import GraphInputs, foreign_nodes, of_action
 from rosld.adapters.ros2.lifecycle import Lifecycles
 from rosld.adapters.ros2.live_graph import LiveGraph
-from rosld.adapters.ros2.middleware import ParameterChange, Participant, request_of, serialize
+from rosld.adapters.ros2.message_classes import request_of, serialize
+from rosld.adapters.ros2.middleware import ParameterChange, Participant
 from rosld.adapters.ros2.parameters import Parameters
 from rosld.adapters.ros2.publications import Publications
 from rosld.adapters.ros2.readers import Readers

@@ -15,7 +15,7 @@ from rosld.adapters.model.derived import written_form
 from rosld.adapters.model.description import IndividualTypeMessage, definition_of
 from rosld.adapters.model.library import SEPARATOR, TypeLibrary
 from rosld.adapters.ros2.calls import Calls
-from rosld.adapters.ros2.middleware import class_problem, make_message
+from rosld.adapters.ros2.message_classes import class_problem, make_message
 
 _DESCRIPTION = "type_description_interfaces/srv/GetTypeDescription"
 _KINDS = ("msg", "srv", "action")

@@ -9,11 +9,14 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.mappings import Mappings
 from rosld.server.pictures.picture_cache import PictureCache
+from rosld.server.resources.bag_container import BagContainer
 from rosld.server.resources.bag_files import BagFile, BagUpload
+from rosld.server.resources.bag_messages import BagMessage, BagMessages
 from rosld.server.resources.bag_moment import bag_moment
-from rosld.server.resources.bags import ArmedBag, BagContainer, BagMessage, BagMessages, BagResource, RunningBag
+from rosld.server.resources.bags import BagResource
 from rosld.server.resources.event_stream import EventStreamResource, event_stream_page
 from rosld.server.resources.recording_trigger import Find
+from rosld.server.resources.unfinished_bags import ArmedBag, RunningBag
 from rosld.server.rest.resource import Resource, permanent_redirect
 from rosld.server.rest.state import State
 from rosld.server.robot.session import Session

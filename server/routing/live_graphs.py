@@ -46,7 +46,7 @@ from rosld.server.hypermedia.mappings import related
 from rosld.server.hypermedia.resource_tree import path_of
 from rosld.server.policies import active_limits, stored_queries
 from rosld.server.resources import types
-from rosld.server.resources.bags import bag_urls, describe_armed, describe_bag, describe_running
+from rosld.server.resources.bag_descriptions import bag_urls, describe_armed, describe_bag, describe_running
 from rosld.server.resources.listings import ListingResource
 from rosld.server.resources.namespaces import (
     NamespaceContainer,

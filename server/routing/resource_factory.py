@@ -16,8 +16,8 @@ from rosld.server.hypermedia.resource_tree import path_of
 from rosld.server.openapi.openapi_resource import OpenApiResource
 from rosld.server.resources.actions import ActionResource, GoalResource
 from rosld.server.resources.activities import ActivityContainer, ActivityResource
+from rosld.server.resources.bag_messages import BagMessage
 from rosld.server.resources.bag_routes import bag_route
-from rosld.server.resources.bags import BagMessage
 from rosld.server.resources.cockpit_panels import CockpitSources, QueryTables
 from rosld.server.resources.cockpits import cockpit_route
 from rosld.server.resources.complex_resource import ComplexResource

@@ -1,0 +1,99 @@
+"""Classes of messages as rclpy has them, by the names of types; messages made of bytes and bytes of messages."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping
+from typing import Any, cast
+
+from rosld.adapters.model import UnknownType
+
+_classes: dict[str, Any] = {}
+"""The classes that were found, by the names of their types: a class that is missing may be installed yet."""
+
+
+def class_problem(type: str) -> str | None:
+    """Why messages of a type cannot be read or sent here, None where they can."""
+    try:
+        message_class(type)
+    except UnknownType as error:
+        return error.sentence
+    return None
+
+
+def request_of(type: str, data: bytes) -> object:
+    """The request of a service type from its bytes. Raises UnknownType, ValueError."""
+    return _deserialize(message_class(type).Request, data)
+
+
+def deserialize(type: str, data: bytes) -> object:
+    """A message from its bytes. Raises UnknownType, ValueError."""
+    return _deserialize(message_class(type), data)
+
+
+def serialize(message: object) -> bytes:
+    """The bytes of a message or of a half of a service."""
+    return bytes(importlib.import_module("rclpy.serialization").serialize_message(message))
+
+
+def make_message(type: str, values: Mapping[str, object], half: str | None = None) -> object:
+    """An object of a type's class, or of its part `half` ("Request"), with these values. Raises UnknownType."""
+    kind = message_class(type)
+    return (getattr(kind, half) if half else kind)(**values)
+
+
+def _deserialize(kind: Any, data: bytes) -> object:
+    try:
+        return cast(object, importlib.import_module("rclpy.serialization").deserialize_message(data, kind))
+    except Exception as error:
+        raise ValueError(f"{len(data)} bytes are no {kind.__name__}: {error}") from error
+
+
+def message_class(type: str) -> Any:
+    """The Python class of a type, with its type support. Raises UnknownType saying what is lacking."""
+    if (known := _classes.get(type)) is not None:
+        return known
+    package, _, rest = type.partition("/")
+    kind, _, name = rest.partition("/")
+    if not (package.isidentifier() and kind in ("msg", "srv", "action") and name.isidentifier()):
+        raise UnknownType(f"{type!r} is no name of a type")
+    try:
+        found = _within(importlib.import_module(f"{package}.{kind}"), kind, name)
+        importlib.import_module("rclpy.type_support").check_for_type_support(found)
+    except ModuleNotFoundError as error:
+        raise UnknownType(
+            f"the type {type} is not known here: its package {package} is not installed where rosld runs; "
+            "source the workspace that has it before starting rosld"
+        ) from error
+    except AttributeError as error:
+        raise UnknownType(
+            f"the type {type} is not known here: the package {package} installed here has none"
+        ) from error
+    except Exception as error:
+        raise UnknownType(f"the type {type} cannot be used: {error}") from error
+    _classes[type] = found
+    return found
+
+
+_DERIVED = {
+    "_SendGoal_Event": ("Impl", "SendGoalService", "Event"),
+    "_GetResult_Event": ("Impl", "GetResultService", "Event"),
+    "_SendGoal": ("Impl", "SendGoalService"),
+    "_GetResult": ("Impl", "GetResultService"),
+    "_FeedbackMessage": ("Impl", "FeedbackMessage"),
+    "_Goal": ("Goal",),
+    "_Result": ("Result",),
+    "_Feedback": ("Feedback",),
+}
+
+
+def _within(module: Any, kind: str, name: str) -> Any:
+    """A class of a module of types; what is derived from a service or an action lies within its class."""
+    derived = _DERIVED if kind == "action" else {"_Event": ("Event",)} if kind == "srv" else {}
+    for end, steps in derived.items():
+        if name.endswith(end):
+            found = getattr(module, name.removesuffix(end))
+            for step in steps:
+                found = getattr(found, step)
+            return found
+    return getattr(module, name)

@@ -12,71 +12,34 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import Callable, Collection, Coroutine, Hashable, Iterable, Iterator, Mapping, Sequence
-from functools import partial
-from itertools import chain, product
+from itertools import chain
 
-from pyoxigraph import NamedNode
-
-from rosld.adapters.model import (
-    MessageSchema,
-    Parameter,
-    ParameterValue,
-    RosError,
-    Schema,
-    Topic,
-    TypeRef,
-    halves_of,
-    names,
-)
-from rosld.ontology.describe_containers import container_document, type_container_document
-from rosld.ontology.describe_graph import entry_document, node_document, node_views
-from rosld.ontology.describe_services import service_document
-from rosld.ontology.describe_topics import topic_document
-from rosld.ontology.describe_types import type_document
+from rosld.adapters.model import MessageSchema, ParameterValue, RosError, Topic
 from rosld.ontology.document import Document
-from rosld.ontology.modules import MODULES
-from rosld.ontology.serialize import Syntax, serialize
-from rosld.ontology.triples import RDF_SOURCE, text, triples_about
-from rosld.ontology.urls import Location, Space
-from rosld.ontology.vocab import rdf, ros
+from rosld.ontology.urls import Location
 from rosld.server.auth.permissions import Permissions
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.mappings import related
 from rosld.server.hypermedia.resource_tree import path_of
 from rosld.server.policies import active_limits, stored_queries
-from rosld.server.resources import types
-from rosld.server.resources.bag_descriptions import bag_urls, describe_armed, describe_bag, describe_running
 from rosld.server.resources.listings import ListingResource
-from rosld.server.resources.namespaces import (
-    NamespaceContainer,
-    listed_graph,
-    listed_members,
-    listing_document,
-    namespaces,
-    things_of,
-)
+from rosld.server.resources.namespaces import NamespaceContainer, namespaces
 from rosld.server.resources.parameters import ParameterResource, ParameterTree
-from rosld.server.resources.queries import queries_document, shipped_document
 from rosld.server.resources.topics import TopicResource
-from rosld.server.resources.types import SHAPES_GRAPHS, child_names, known_types, shapes_graph
 from rosld.server.rest.resource import Resource
 from rosld.server.rest.state import State
+from rosld.server.routing.graph_descriptions import LISTED_ROUTES, GraphDescriptions, document_ntriples
 from rosld.server.routing.resource_factory import ResourceFactory
 from rosld.server.runtime.loop_time import loop_time
-from rosld.server.runtime.version_cache import IdentityKey
 from rosld.server.sparql.graph_source import GraphEntry
 from rosld.server.sparql.needs import Needs
 from rosld.server.sparql.vocabulary_view import ACTIONS, COMPLEX, PROPERTIES
-from rosld.shapes.message import shape_document
-from rosld.shapes.parameter import declared_triples
 
 _KEPT = 256
 """Needs whose resources are remembered."""
 OTHER_ROUTES = frozenset({stored_queries.ROUTE, active_limits.ROUTE})
 """The containers of what clients keep in which something else lies too: they are described here, whole."""
-_LISTINGS = ("nodes", "topics", "services", "actions")
-"""The routes of containers whose members are names of the computation graph."""
 _AT_ONCE = 64
 """Looks that are begun before the loop has its turn."""
 _TURNS = 4
@@ -90,34 +53,19 @@ class RobotGraphs:
         self._factory = factory
         self._services = factory.services
         self._session = factory.session
-        self._described: tuple[Hashable, Mapping[str, GraphEntry]] = (None, {})
+        self._descriptions = GraphDescriptions(factory)
         self._found: dict[Needs, tuple[Hashable, Sequence[Resource]]] = {}
-        self._fixed: Mapping[str, Callable[[], Document]] = {}
         self._live: Mapping[str, Resource] = {}
 
     def add(self, fixed: Mapping[str, Callable[[], Document]], live: Iterable[Resource]) -> None:
         """Add documents that never change, by URL, and resources that are read whenever a query may mean them."""
-        self._fixed = fixed
+        self._descriptions.add(fixed)
         self._live = {resource.url: resource for resource in live}
 
     @property
     def revision(self) -> Hashable:
         """Changes whenever a description may have changed."""
-        session, services = self._session, self._services
-        return (
-            IdentityKey(session.graph),
-            session.schemas.count,
-            session.calls.revision,
-            session.goals.revision,
-            services.holds.revision,
-            services.software_stop.revision,
-            services.recordings.history.digests.revision,
-            services.queries.version,
-            services.recordings.revision,
-            IdentityKey(services.active_limits.current),
-            IdentityKey(services.mappings.mapping_set),
-            IdentityKey(services.affordances.last_tree),
-        )
+        return self._descriptions.revision
 
     @property
     def writes(self) -> int:
@@ -126,10 +74,7 @@ class RobotGraphs:
 
     def descriptions(self) -> Mapping[str, GraphEntry]:
         """Every graph without live values, by IRI."""
-        revision = self.revision
-        if self._described[0] != revision:
-            self._described = (revision, {entry.iri: entry for entry in self._describe()})
-        return self._described[1]
+        return self._descriptions.entries()
 
     async def documents_of(self, terms: Collection[str]) -> Collection[str]:
         """The URLs of the complex resources, properties and actions that these terms may be said of."""
@@ -146,7 +91,7 @@ class RobotGraphs:
     async def count_unread(self, needs: Needs, permissions: Permissions) -> Mapping[str, int]:
         """How many graphs that are there only on demand the needs could match without asking for them, by container.
 
-        Only those count that the judge lets be read.
+        Only those count that the permissions let be read.
         """
         session, space = self._session, self._session.space
         found: dict[str, int] = {}
@@ -229,7 +174,7 @@ class RobotGraphs:
             location = self._session.space.location(url)
             if location is None or not location.is_container:
                 continue
-            if location.kind in _LISTINGS:
+            if location.kind in LISTED_ROUTES:
                 yield self._factory.namespace(location.kind, location.segments)
             elif location.kind in listings and not location.segments:
                 yield listings[location.kind]()
@@ -353,152 +298,6 @@ class RobotGraphs:
         except (Problem, RosError):
             return None
 
-    def _describe(self) -> Iterator[GraphEntry]:
-        session, services = self._session, self._services
-        space, graph = session.space, session.graph
-        system = session.adapter.capabilities.system
-        problems = services.storage_problems()
-        entry = partial(entry_document, listed_graph(session), space, system, problems, name=session.name)
-        yield _described(space.base, (graph.revision, problems), entry)
-        simulated = graph.simulated_time
-        for name, known in node_views(graph).items():
-            view = self._factory.node(name).with_offers(known)
-            describe = partial(node_document, view, space, simulated_time=simulated)
-            yield _described(space.node(name), (view, simulated), describe)
-        for topic in graph.topics.values():
-            hold = services.holds.find_by_topic(topic.name)
-            can = self._factory.topic(topic.name).is_holdable
-            yield _described(
-                space.topic(topic.name),
-                (topic, hold and hold.id, can),
-                partial(topic_document, topic, space, graph, holdable=can, hold=hold.id if hold else None),
-            )
-        for service in graph.services.values():
-            yield _described(space.service(service.name), service, partial(service_document, service, space, graph))
-        for name, action in graph.actions.items():
-            one = self._factory.action(name)
-            goals = tuple(goal.id for goal in session.goals.of_action(name))
-            yield _described(one.url, (action, goals, one.takes_goals), one.document)
-        for parameter in graph.parameters.values():
-            url = space.parameter(parameter.name)
-            yield _described(url, parameter, partial(parameter_description, parameter, space))
-        yield from self._containers()
-        yield from self._types()
-        yield from self._records()
-        for iri, fixed in self._fixed.items():
-            yield _described(iri, 0, fixed)
-        for module in (self._factory.ontology_module(name) for name in MODULES):
-            yield _described(module.url, 0, module.document)
-
-    def _containers(self) -> Iterator[GraphEntry]:
-        space, graph = self._session.space, self._session.graph
-        for path in namespaces(graph, "parameters"):
-            tree = self._factory.parameter_tree(path)
-            yield _described(tree.url, IdentityKey(graph.parameters), partial(_of_itself, tree))
-        for room in _LISTINGS:
-            for path, whole in namespaces(graph, room).items():
-                members = listed_members(self._session, room, path)
-                assert members is not None
-                is_name = names.join(path) in things_of(graph, room)
-                describe = partial(listing_document, self._session, room, path, members)
-                yield _described(space.container(room, path), (members, is_name, members == whole), describe)
-        recordings = bag_urls(space, self._services.recordings)
-        bags = partial(container_document, space.container("bags"), recordings, "Recordings")
-        yield _described(space.container("bags"), recordings, bags)
-        yield _described(
-            space.container("queries"),
-            self._services.queries.version,
-            queries_document(self._services.documents, self._services.queries),
-        )
-        for name, query in self._services.queries.shipped.items():
-            url = space.query(name)
-            yield _described(url, 0, partial(shipped_document, url, query))
-
-    def _types(self) -> Iterator[GraphEntry]:
-        space = self._session.space
-        listed = tuple(sorted({ref.name for ref in known_types(self._session)}))
-        paths = {tuple(name.split("/"))[:depth] for name in listed for depth in range(3)} | {()}
-        for room, path in product(("types", "shapes"), sorted(paths)):
-            if room == "shapes" and not path:
-                continue
-            below = child_names(listed, room, path)
-            describe = partial(type_container_document, room, path, below, space)
-            yield _described(space.container(room, path), below, describe)
-        shapes = types.shapes_document(self._session, self._services.documents)
-        yield _described(shapes.url, IdentityKey(shapes), lambda: shapes)
-        for name in SHAPES_GRAPHS:
-            yield _described(
-                space.shape(name),
-                *shapes_graph(self._session, self._services.affordances, self._factory.limit_checks, name),
-            )
-        variants = known_types(self._session)
-        for schema in self._session.schemas.all():
-            yield from self._type(schema, variants)
-
-    def _type(self, schema: Schema, variants: Sequence[TypeRef]) -> Iterator[GraphEntry]:
-        space = self._session.space
-        for one in (schema,) if isinstance(schema, MessageSchema) else (schema, *halves_of(schema)):
-            same = tuple(ref for ref in variants if ref.name == one.ref.name)
-            yield _described(space.type(one.ref.name), (one.ref, same), partial(type_document, one, space, same))
-            yield _described(space.shape(one.ref.name), one.ref, partial(shape_document, one, space))
-
-    def _records(self) -> Iterator[GraphEntry]:
-        space = self._session.space
-        for recording in self._services.recordings.readable.values():
-            digest = self._services.recordings.history.digests.known(recording.path)
-            size = recording.first, recording.count, self._services.recordings.history.problem, digest
-            yield _described(
-                space.bag(recording.name),
-                size,
-                partial(describe_bag, space, self._services.recordings.history, recording),
-            )
-        for armed in self._services.recordings.armed.values():
-            waits = armed.count, armed.problem
-            yield _described(space.bag(armed.name), waits, partial(describe_armed, space, armed))
-        for one in self._services.recordings.running.values():
-            progress = one.writer.count, one.writer.problem
-            yield _described(
-                space.bag(one.name), progress, partial(describe_running, space, self._services.recordings, one)
-            )
-        calls = tuple(space.call(call.id) for call in self._session.calls.all())
-        listed = partial(container_document, space.container("calls"), calls, "Calls")
-        yield _described(space.container("calls"), calls, listed)
-        for call in self._session.calls.all():
-            resource = self._factory.call(call.id)
-            yield _described(resource.url, (call.id, call.state), partial(resource.document, call))
-        holds = self._services.holds.all()
-        held, room = tuple(space.hold(hold.id) for hold in holds), space.container("holds")
-        yield _described(room, held, partial(container_document, room, held, "Holds"))
-        for hold in holds:
-            of = self._factory.hold(hold.id)
-            yield _described(of.url, IdentityKey(hold), partial(of.document, hold))
-        stop = self._factory.stop()
-        yield _described(
-            stop.url, (self._services.software_stop.revision, self._services.software_stop.steps), stop.document
-        )
-        goals = self._session.goals.all()
-        known = tuple(space.goal(goal.id) for goal in goals)
-        yield _described(
-            space.container("goals"), known, partial(container_document, space.container("goals"), known, "Goals")
-        )
-        for goal in goals:
-            told = self._factory.goal(goal.id)
-            yield _described(told.url, IdentityKey(goal), partial(told.document, goal))
-
-
-def parameter_description(parameter: Parameter, space: Space) -> Document:
-    """A parameter without its value, which is read when a query needs it."""
-    url, descriptor = space.parameter(parameter.name), parameter.descriptor
-    triples = triples_about(NamedNode(url), (rdf.type, ros.Parameter), *RDF_SOURCE, (ros.name, text(parameter.name)))
-    return Document(url, (*triples, *(declared_triples(descriptor, url, space) if descriptor is not None else ())))
-
-
-def _of_itself(tree: ParameterTree) -> Document:
-    """What a tree of parameters says of itself alone: the union has what it says of its members from their graphs."""
-    document = tree.outline()
-    itself = NamedNode(document.url)
-    return Document(document.url, tuple(triple for triple in document.all_triples() if triple.subject == itself))
-
 
 def _of_parameter(resource: ParameterResource | ParameterTree, value: ParameterValue | None) -> GraphEntry | None:
     """The graph of a parameter or a tree, None where it has no value that can be shown."""
@@ -511,12 +310,4 @@ def _of_parameter(resource: ParameterResource | ParameterTree, value: ParameterV
 
 
 def _live(iri: str, state: State) -> GraphEntry:
-    return GraphEntry(iri, state.tag, lambda: _ntriples(state.document), lambda: state.document.all_triples())
-
-
-def _described(iri: str, token: Hashable, describe: Callable[[], Document]) -> GraphEntry:
-    return GraphEntry(iri, token, lambda: _ntriples(describe()))
-
-
-def _ntriples(document: Document) -> str:
-    return serialize(document, Syntax.N_TRIPLES).decode()
+    return GraphEntry(iri, state.tag, lambda: document_ntriples(state.document), lambda: state.document.all_triples())

@@ -1,0 +1,228 @@
+"""The graphs of the dataset that have no live values: one a resource, each with a token that changes with it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from functools import partial
+from itertools import product
+
+from pyoxigraph import NamedNode
+
+from rosld.adapters.model import MessageSchema, Parameter, Schema, TypeRef, halves_of, names
+from rosld.ontology.describe_containers import container_document, type_container_document
+from rosld.ontology.describe_graph import entry_document, node_document, node_views
+from rosld.ontology.describe_services import service_document
+from rosld.ontology.describe_topics import topic_document
+from rosld.ontology.describe_types import type_document
+from rosld.ontology.document import Document
+from rosld.ontology.modules import MODULES
+from rosld.ontology.serialize import Syntax, serialize
+from rosld.ontology.triples import RDF_SOURCE, text, triples_about
+from rosld.ontology.urls import Space
+from rosld.ontology.vocab import rdf, ros
+from rosld.server.resources import types
+from rosld.server.resources.bag_descriptions import bag_urls, describe_armed, describe_bag, describe_running
+from rosld.server.resources.namespaces import listed_graph, listed_members, listing_document, namespaces, things_of
+from rosld.server.resources.parameters import ParameterTree
+from rosld.server.resources.queries import queries_document, shipped_document
+from rosld.server.resources.types import SHAPES_GRAPHS, child_names, known_types, shapes_graph
+from rosld.server.routing.resource_factory import ResourceFactory
+from rosld.server.runtime.version_cache import IdentityKey
+from rosld.server.sparql.graph_source import GraphEntry
+from rosld.shapes.message import shape_document
+from rosld.shapes.parameter import declared_triples
+
+LISTED_ROUTES = ("nodes", "topics", "services", "actions")
+"""The routes of containers whose members are names of the computation graph."""
+
+
+class GraphDescriptions:
+    """Describes the resources of one robot but for values of topics, parameters and resources."""
+
+    def __init__(self, factory: ResourceFactory) -> None:
+        self._factory = factory
+        self._services = factory.services
+        self._session = factory.session
+        self._fixed: Mapping[str, Callable[[], Document]] = {}
+        self._described: tuple[Hashable, Mapping[str, GraphEntry]] = (None, {})
+
+    def add(self, fixed: Mapping[str, Callable[[], Document]]) -> None:
+        """Add documents that never change, by URL."""
+        self._fixed = fixed
+
+    @property
+    def revision(self) -> Hashable:
+        """Changes whenever a description may have changed."""
+        session, services = self._session, self._services
+        return (
+            IdentityKey(session.graph),
+            session.schemas.count,
+            session.calls.revision,
+            session.goals.revision,
+            services.holds.revision,
+            services.software_stop.revision,
+            services.recordings.history.digests.revision,
+            services.queries.version,
+            services.recordings.revision,
+            IdentityKey(services.active_limits.current),
+            IdentityKey(services.mappings.mapping_set),
+            IdentityKey(services.affordances.last_tree),
+        )
+
+    def entries(self) -> Mapping[str, GraphEntry]:
+        """Every graph without live values, by IRI."""
+        revision = self.revision
+        if self._described[0] != revision:
+            self._described = (revision, {entry.iri: entry for entry in self._describe()})
+        return self._described[1]
+
+    def _describe(self) -> Iterator[GraphEntry]:
+        session, services = self._session, self._services
+        space, graph = session.space, session.graph
+        system = session.adapter.capabilities.system
+        problems = services.storage_problems()
+        entry = partial(entry_document, listed_graph(session), space, system, problems, name=session.name)
+        yield _described(space.base, (graph.revision, problems), entry)
+        simulated = graph.simulated_time
+        for name, known in node_views(graph).items():
+            view = self._factory.node(name).with_offers(known)
+            describe = partial(node_document, view, space, simulated_time=simulated)
+            yield _described(space.node(name), (view, simulated), describe)
+        for topic in graph.topics.values():
+            hold = services.holds.find_by_topic(topic.name)
+            can = self._factory.topic(topic.name).is_holdable
+            yield _described(
+                space.topic(topic.name),
+                (topic, hold and hold.id, can),
+                partial(topic_document, topic, space, graph, holdable=can, hold=hold.id if hold else None),
+            )
+        for service in graph.services.values():
+            yield _described(space.service(service.name), service, partial(service_document, service, space, graph))
+        for name, action in graph.actions.items():
+            one = self._factory.action(name)
+            goals = tuple(goal.id for goal in session.goals.of_action(name))
+            yield _described(one.url, (action, goals, one.takes_goals), one.document)
+        for parameter in graph.parameters.values():
+            url = space.parameter(parameter.name)
+            yield _described(url, parameter, partial(parameter_description, parameter, space))
+        yield from self._containers()
+        yield from self._types()
+        yield from self._recordings()
+        yield from self._activities()
+        for iri, fixed in self._fixed.items():
+            yield _described(iri, 0, fixed)
+        for module in (self._factory.ontology_module(name) for name in MODULES):
+            yield _described(module.url, 0, module.document)
+
+    def _containers(self) -> Iterator[GraphEntry]:
+        space, graph = self._session.space, self._session.graph
+        for path in namespaces(graph, "parameters"):
+            tree = self._factory.parameter_tree(path)
+            yield _described(tree.url, IdentityKey(graph.parameters), partial(_of_itself, tree))
+        for route in LISTED_ROUTES:
+            for path, whole in namespaces(graph, route).items():
+                members = listed_members(self._session, route, path)
+                assert members is not None
+                is_name = names.join(path) in things_of(graph, route)
+                describe = partial(listing_document, self._session, route, path, members)
+                yield _described(space.container(route, path), (members, is_name, members == whole), describe)
+        yield _described(
+            space.container("queries"),
+            self._services.queries.version,
+            queries_document(self._services.documents, self._services.queries),
+        )
+        for name, query in self._services.queries.shipped.items():
+            url = space.query(name)
+            yield _described(url, 0, partial(shipped_document, url, query))
+
+    def _types(self) -> Iterator[GraphEntry]:
+        space = self._session.space
+        listed = tuple(sorted({ref.name for ref in known_types(self._session)}))
+        paths = {tuple(name.split("/"))[:depth] for name in listed for depth in range(3)} | {()}
+        for route, path in product(("types", "shapes"), sorted(paths)):
+            if route == "shapes" and not path:
+                continue
+            below = child_names(listed, route, path)
+            describe = partial(type_container_document, route, path, below, space)
+            yield _described(space.container(route, path), below, describe)
+        shapes = types.shapes_document(self._session, self._services.documents)
+        yield _described(shapes.url, IdentityKey(shapes), lambda: shapes)
+        for name in SHAPES_GRAPHS:
+            yield _described(
+                space.shape(name),
+                *shapes_graph(self._session, self._services.affordances, self._factory.limit_checks, name),
+            )
+        variants = known_types(self._session)
+        for schema in self._session.schemas.all():
+            yield from self._type(schema, variants)
+
+    def _type(self, schema: Schema, variants: Sequence[TypeRef]) -> Iterator[GraphEntry]:
+        space = self._session.space
+        for one in (schema,) if isinstance(schema, MessageSchema) else (schema, *halves_of(schema)):
+            same = tuple(ref for ref in variants if ref.name == one.ref.name)
+            yield _described(space.type(one.ref.name), (one.ref, same), partial(type_document, one, space, same))
+            yield _described(space.shape(one.ref.name), one.ref, partial(shape_document, one, space))
+
+    def _recordings(self) -> Iterator[GraphEntry]:
+        space, recordings = self._session.space, self._services.recordings
+        urls = bag_urls(space, recordings)
+        yield _container(space.container("bags"), urls, "Recordings")
+        for recording in recordings.readable.values():
+            digest = recordings.history.digests.known(recording.path)
+            size = recording.first, recording.count, recordings.history.problem, digest
+            yield _described(
+                space.bag(recording.name), size, partial(describe_bag, space, recordings.history, recording)
+            )
+        for armed in recordings.armed.values():
+            waits = armed.count, armed.problem
+            yield _described(space.bag(armed.name), waits, partial(describe_armed, space, armed))
+        for one in recordings.running.values():
+            progress = one.writer.count, one.writer.problem
+            yield _described(space.bag(one.name), progress, partial(describe_running, space, recordings, one))
+
+    def _activities(self) -> Iterator[GraphEntry]:
+        """Calls, goals, holds and the stop, and the containers of the first three."""
+        space = self._session.space
+        calls, goals, holds = self._session.calls.all(), self._session.goals.all(), self._services.holds.all()
+        yield _container(space.container("calls"), tuple(space.call(call.id) for call in calls), "Calls")
+        for call in calls:
+            of_call = self._factory.call(call.id)
+            yield _described(of_call.url, (call.id, call.state), partial(of_call.document, call))
+        yield _container(space.container("holds"), tuple(space.hold(hold.id) for hold in holds), "Holds")
+        for hold in holds:
+            of_hold = self._factory.hold(hold.id)
+            yield _described(of_hold.url, IdentityKey(hold), partial(of_hold.document, hold))
+        stop, software_stop = self._factory.stop(), self._services.software_stop
+        yield _described(stop.url, (software_stop.revision, software_stop.steps), stop.document)
+        yield _container(space.container("goals"), tuple(space.goal(goal.id) for goal in goals), "Goals")
+        for goal in goals:
+            of_goal = self._factory.goal(goal.id)
+            yield _described(of_goal.url, IdentityKey(goal), partial(of_goal.document, goal))
+
+
+def parameter_description(parameter: Parameter, space: Space) -> Document:
+    """A parameter without its value, which is read when a query needs it."""
+    url, descriptor = space.parameter(parameter.name), parameter.descriptor
+    triples = triples_about(NamedNode(url), (rdf.type, ros.Parameter), *RDF_SOURCE, (ros.name, text(parameter.name)))
+    return Document(url, (*triples, *(declared_triples(descriptor, url, space) if descriptor is not None else ())))
+
+
+def _of_itself(tree: ParameterTree) -> Document:
+    """What a tree of parameters says of itself alone: the union has what it says of its members from their graphs."""
+    document = tree.outline()
+    itself = NamedNode(document.url)
+    return Document(document.url, tuple(triple for triple in document.all_triples() if triple.subject == itself))
+
+
+def _container(url: str, members: tuple[str, ...], title: str) -> GraphEntry:
+    """The graph of a container that says no more than which members it has."""
+    return _described(url, members, partial(container_document, url, members, title))
+
+
+def _described(iri: str, token: Hashable, describe: Callable[[], Document]) -> GraphEntry:
+    return GraphEntry(iri, token, lambda: document_ntriples(describe()))
+
+
+def document_ntriples(document: Document) -> str:
+    """A document as N-Triples, which the query process reads."""
+    return serialize(document, Syntax.N_TRIPLES).decode()

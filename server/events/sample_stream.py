@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from itertools import islice
 from typing import NamedTuple, TypeAlias
 
@@ -30,6 +30,9 @@ _DEPTH = 32
 _MOST = 200
 """Messages of a topic that one event tells of: of more, every second, third and so on, and the newest."""
 
+NAMED_ARRAYS: Mapping[str, tuple[str, ...]] = {"sensor_msgs/msg/JointState": ("position", "velocity", "effort")}
+"""The arrays of a type whose elements the array `name` beside them names."""
+
 Numbers: TypeAlias = "float | list[float | None] | None"
 """A number, or those of an array; None for what is no finite number."""
 SchemaOf: TypeAlias = Callable[[TypeRef], Awaitable[MessageSchema]]
@@ -46,7 +49,8 @@ class SampleStream(EndlessResponse):
     """Tells numbers of topics until its reader leaves or the server ends.
 
     Each event is JSON, a list with an object for each topic that has something new: `times` in milliseconds since 1970,
-    `values` by place, each as long as `times`, and `lost`, how many messages were not told of.
+    `values` by place, each as long as `times`, and `lost`, how many messages were not told of. `names` by place are
+    what the robot calls the numbers of an array, where its messages say so.
     """
 
     def __init__(
@@ -110,24 +114,28 @@ class TopicNumbers:
         lost += len(new) - len(told)
         if not told and not lost:
             return None
-        rows = [(each.received_ns / 1e6, await self._numbers(each)) for each in told]
+        rows, names, fields = list[list[Numbers]](), dict[str, list[str]](), self._followed.fields
+        for sample in told:
+            message = await self._decode(sample)
+            rows.append([None if message is None else number_at(*message, path) for _, path in fields])
+            if message is not None and sample is told[-1]:
+                names = {str(place): found for place, path in fields if (found := element_names(*message, path))}
         return {
-            "times": [at for at, _ in rows],
-            "values": {
-                str(place): [row[column] for _, row in rows] for column, (place, _) in enumerate(self._followed.fields)
-            },
+            "times": [each.received_ns / 1e6 for each in told],
+            "values": {str(place): [row[column] for row in rows] for column, (place, _) in enumerate(fields)},
             "lost": lost,
+            **({"names": names} if names else {}),
         }
 
-    async def _numbers(self, sample: Sample) -> list[Numbers]:
+    async def _decode(self, sample: Sample) -> tuple[MessageSchema, Message] | None:
+        """The message of a sample and its type; None where its bytes are none."""
         schema = self._schemas.get(sample.schema)
         if schema is None:
             schema = self._schemas[sample.schema] = await self._schema_of(sample.schema)
         try:
-            message = schema.codec.decode(sample.data, sample.encoding)
+            return schema, schema.codec.decode(sample.data, sample.encoding)
         except ValueError:
-            return [None] * len(self._followed.fields)
-        return [number_at(schema, message, path) for _, path in self._followed.fields]
+            return None
 
 
 def number_at(schema: MessageSchema, message: Message, path: str) -> Numbers:
@@ -139,6 +147,14 @@ def number_at(schema: MessageSchema, message: Message, path: str) -> Numbers:
     if isinstance(value, list | tuple | np.ndarray):
         return [_finite(each) for each in islice(value, MAX_ELEMENTS)]
     return _finite(value)
+
+
+def element_names(schema: MessageSchema, message: Message, path: str) -> list[str]:
+    """What a robot calls the numbers that are told of a path of a message; none where it does not say so of all."""
+    if path not in NAMED_ARRAYS.get(schema.ref.name, ()):
+        return []
+    names, values = list(getattr(message, "name", ())), getattr(message, path, ())
+    return [str(each) for each in names[:MAX_ELEMENTS]] if len(names) == len(values) else []
 
 
 def _finite(value: object) -> float | None:

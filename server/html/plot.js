@@ -55,7 +55,7 @@ tells which numbers there are. */
     /* What comes */
 
     function take(event) {
-      for (const { times, values, lost: more } of JSON.parse(event.data)) {
+      for (const { times, values, lost: more, names = {} } of JSON.parse(event.data)) {
         const places = Object.keys(values).filter((each) => placed.has(each)), key = places.join();
         if (!places.length) continue;
         lost += more;
@@ -63,7 +63,7 @@ tells which numbers there are. */
         const table = tables.get(key);
         for (const at of times) table.times.push(at / 1000);
         for (const place of places) {
-          expand(placed.get(place), values[place]);
+          expand(placed.get(place), values[place], names[place]);
           table.values.get(placed.get(place)).push(...values[place]);
         }
         if (table.times.length > 2 * KEPT) thin(table);
@@ -73,12 +73,15 @@ tells which numbers there are. */
       tell();
     }
 
-    /* The first that comes of an array tells how many lines it takes. */
-    function expand(place, values) {
+    /* The first that comes of an array tells how many lines it takes, and what the robot calls each, where it says so. */
+    function expand(place, values, names) {
       const first = values.find(Array.isArray), at = lines.findIndex((each) => each.place === place);
-      if (!first || !first.length || lines[at].item !== null) return;
-      const label = lines[at].label;
-      lines.splice(at, 1, ...first.map((_, item) => ({ place, item, label: `${label}.${item}` })));
+      const { item } = lines[at], { label } = wanted.y[place];
+      if (!first?.length || (item !== null && !names)) return;
+      const old = lines.filter((each) => each.place === place), size = item === null ? first.length : old.length;
+      const labels = Array.from({ length: size }, (_, each) => names?.[each] ? `${label} ${names[each]}` : `${label}.${each}`);
+      if (item !== null && labels.every((each, row) => each === old[row].label)) return;
+      lines.splice(at, old.length, ...labels.map((each, row) => ({ place, item: row, label: each })));
       build();
     }
 

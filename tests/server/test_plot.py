@@ -137,3 +137,12 @@ def test_what_is_no_finite_number_and_what_cannot_be_decoded_is_null() -> None:
     with served(robot) as http:
         (event,) = told(http, "topics/odd#data", rows=1)
     assert event["values"]["0"] == [None]
+
+
+def test_joints_are_called_by_their_names_where_there_are_as_many_as_numbers() -> None:
+    robot = MadeUp()
+    robot.topic("/joints", "sensor_msgs/msg/JointState", {"name": ["left", "right"], "position": [1, 2], "effort": [3]})
+    with served(robot) as http:
+        (event,) = told(http, "topics/joints#position", "topics/joints#effort", "topics/joints#position.1", rows=1)
+    assert event["values"] == {"0": [[1.0, 2.0]], "1": [[3.0]], "2": [2.0]}
+    assert event["names"] == {"0": ["left", "right"]}

@@ -8,6 +8,7 @@ import httpx
 
 from tests.server.html.test_live_pages import LIVE
 from tests.server.test_pictures import IMAGE, frame, image
+from tests.waiting import until
 
 IMG = "document.querySelector('.picture img')"
 COLOUR = f"""(() => {{
@@ -50,3 +51,32 @@ def test_an_encoding_that_is_no_text_stays_text(robot: Any, serving: Any) -> Non
     page = http.get("topics/camera", headers={"Accept": "text/html"}).text
     assert "Images of the encoding &lt;script&gt;" in page
     assert "<script>alert" not in page
+
+
+SMALL = "[...document.querySelectorAll('.thumbnail img')]"
+FETCHED = (
+    "performance.getEntriesByType('resource').map((each) => each.name).filter((each) => each.includes('width=192'))"
+)
+ASKED = f"new Set({FETCHED})"
+
+
+def test_a_list_fetches_the_small_pictures_that_are_seen_and_those_anew_that_changed(
+    tab: Any, robot: Any, serving: Any
+) -> None:
+    for number in range(36):
+        robot.topic(f"/camera_{number:02}", IMAGE, image(frame(1)))
+        robot.topic(f"/words_{number:02}", "std_msgs/msg/String", {"data": ""})
+    http = serving(subscribe=("/*",))
+    until(lambda: http.get("topics/", headers={"Accept": "text/html"}).text.count('loading="lazy"') == 36, "pictures")
+    tab.send("Emulation.setDeviceMetricsOverride", width=390, height=500, deviceScaleFactor=1, mobile=True)
+    tab.open(f"{http.base_url}topics/")
+    tab.run("document.querySelectorAll('details').forEach((each) => { each.open = true; })")
+    tab.until(f"{LIVE} && {SMALL}[0].complete && {SMALL}[0].naturalWidth === 64")
+    assert tab.run(f"{SMALL}.length") == 36
+    assert tab.run(f"{SMALL}[35].naturalWidth") == 0
+    asked = tab.run(f"{ASKED}.size")
+    robot.publishes("/camera_00", image(frame(5)))
+    robot.publishes("/camera_35", image(frame(5)))
+    tab.until(f"{ASKED}.size === {asked + 1} && {SMALL}[0].complete")
+    assert tab.run(f"{SMALL}[35].naturalWidth") == 0
+    assert tab.run("document.documentElement.scrollWidth") <= 390

@@ -79,6 +79,15 @@ def test_the_elements_of_an_array_are_lines_of_their_own(tab: Any, rover: httpx.
     tab.until(f"{POINTS} > 5")
 
 
+def test_joints_have_their_names_beside_their_lines(tab: Any, robot: Any, serving: Any) -> None:
+    robot.topic("/joints", "sensor_msgs/msg/JointState", {"name": ["<b>", "right"], "position": [1, 2]})
+    tab.open(f"{serving().base_url}plot?y=topics/joints%23position")
+    tab.until(f"{LABELS}.length === 2")
+    assert tab.run(LABELS) == ["position <b>", "position right"]
+    robot.publishes("/joints", {"name": ["left", "right"], "position": [1, 2]})
+    tab.until(f"{LABELS}[0] === 'position left'")
+
+
 def test_a_plot_is_saved_as_a_picture(tab: Any, rover: httpx.Client) -> None:
     opened(tab, rover, f"y={ODOMETRY}pose.pose.position.x")
     kind, size = tab.run(SAVED % ("[blob.type, blob.size]", "png"))

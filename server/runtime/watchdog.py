@@ -26,7 +26,7 @@ LATE_SECONDS = 0.02
 LOGGED_SECONDS = 0.1
 """From here on a pause is logged. On a busy machine the system itself takes shorter ones."""
 LONG_SECONDS = 1.0
-"""From here on a pause is a warning, whoever took the processor."""
+"""From here on a pause is a warning, whoever took the processor, and its stack is logged."""
 LOG_INTERVAL_SECONDS = 60.0
 RECENT_SECONDS = 60.0
 _SLOTS = 6
@@ -161,10 +161,10 @@ def _level(pause: Pause) -> int:
 
 
 def describe_pause(pause: Pause) -> str:
-    """A pause in words for the log, with its stack."""
+    """A pause in words for the log, with its stack where it was long."""
     where = f", in {pause.code}" if pause.code else ""
     head = f"the event loop was paused for {pause.seconds:.2f} s, {pause.busy:.2f} s of them at work{where}"
-    return f"{head}\n{pause.stack}" if pause.stack else head
+    return f"{head}\n{pause.stack}" if pause.stack and pause.seconds >= LONG_SECONDS else head
 
 
 def running_code(frame: FrameType | None) -> str | None:

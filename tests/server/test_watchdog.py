@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from pyoxigraph import Literal, NamedNode, RdfFormat, parse
 
-from rosld.server.runtime.watchdog import Watchdog, running_code
+from rosld.server.runtime.watchdog import Pause, Watchdog, describe_pause, running_code
 from tests.server.robots.made_up import MadeUp, served
 from tests.waiting import until
 
@@ -52,7 +52,14 @@ def test_the_longest_pause_of_the_loop_is_told_at_status_with_the_code_that_ran(
         assert told["recentPause"] >= PAUSE_SECONDS - 0.02
         assert told["longestWorkCode"].startswith("rosld.server.")
         paused = "the event loop was paused for"
-        until(lambda: any(paused in each and "_pause" in each for each in caplog.messages), "a line in the log")
+        until(lambda: any(paused in each and told["longestWorkCode"] in each for each in caplog.messages), "a line")
+
+
+@pytest.mark.parametrize(("seconds", "lines"), [(0.2, 1), (2.0, 3)])
+def test_a_pause_is_a_line_in_the_log_and_a_long_one_has_its_stack(seconds: float, lines: int) -> None:
+    said = describe_pause(Pause(seconds, 0.1, 0, "rosld.server.app.create_app", "first\nsecond"))
+    assert "0.10 s of them at work, in rosld.server.app.create_app" in said
+    assert len(said.splitlines()) == lines
 
 
 def test_a_loop_that_waits_runs_no_code_though_rosld_started_it() -> None:

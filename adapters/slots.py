@@ -94,7 +94,10 @@ class Slot:
         return view
 
     def subscribe(self, depth: int = 1) -> SlotSubscription:
-        """One more interest in this topic: while it lasts, at least `depth` samples of each publisher are kept."""
+        """Have at least `depth` samples of each publisher kept until what is returned is closed.
+
+        Raises ValueError for a depth below 1.
+        """
         if depth < 1:
             raise ValueError(f"a depth of {depth} holds no sample: it must be 1 or more")
         self._depths[depth] += 1

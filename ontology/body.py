@@ -203,7 +203,10 @@ def index_triples(triples: Iterable[Triple]) -> RdfBody:
 
 
 def index_quads(quads: Iterable[Quad], base: str, *, alone: bool = False) -> RdfBody:
-    """The triples of the default graph and of the graph named `base`, by subject and predicate."""
+    """The triples of the default graph and of the graph named `base`, by subject and predicate.
+
+    Other graphs are passed over; with `alone` they raise BodyError.
+    """
     graphs = _own_graphs(base)
     subjects: dict[Subject, dict[NamedNode, list[Term]]] = {}
     size = 0

@@ -9,6 +9,7 @@ from pyoxigraph import Literal, NamedNode
 from rosld.ontology.document import Document
 from rosld.ontology.triples import (
     RDF_SOURCE,
+    Statement,
     boolean,
     date_time_literal,
     double,
@@ -88,8 +89,18 @@ def activity_document(receipt: Receipt, space: Space) -> Document:
     if made and is_activity:
         triples += triples_about(made, (prov.wasInformedBy, activity))
     triples += triples_about(agent, (rdf.type, prov.Agent), (rdfs.label, text(receipt.agent)))
-    triples += triples_about(
-        request,
+    triples += triples_about(request, *_request_statements(receipt))
+    triples += triples_about(answer, *_response_statements(receipt))
+    if has_plan:
+        triples += triples_about(association, (rdf.type, prov.Association), (prov.agent, agent), (prov.hadPlan, plan))
+        steps = statements(ros.does, [Literal(step) for step in dict.fromkeys(receipt.plan)])
+        triples += triples_about(plan, (rdf.type, prov.Plan), (rdf.type, prov.Entity), *steps)
+    return Document(url, tuple(triples))
+
+
+def _request_statements(receipt: Receipt) -> tuple[Statement, ...]:
+    """What is said of a request, by the terms of HTTP in RDF."""
+    return (
         (rdf.type, htv.Request),
         (rdf.type, prov.Entity),
         (htv.methodName, Literal(receipt.method)),
@@ -100,18 +111,16 @@ def activity_document(receipt: Receipt, space: Space) -> Document:
         (ros.excerpt, text(receipt.excerpt)),
         (ros.withheld, boolean(True) if receipt.withheld else None),
     )
-    triples += triples_about(
-        answer,
+
+
+def _response_statements(receipt: Receipt) -> tuple[Statement, ...]:
+    """What is said of a response, by the terms of HTTP in RDF."""
+    return (
         (rdf.type, htv.Response),
         (rdf.type, prov.Entity),
         (htv.statusCodeValue, integer(receipt.status)),
         (ros.words, text(receipt.words)),
     )
-    if has_plan:
-        triples += triples_about(association, (rdf.type, prov.Association), (prov.agent, agent), (prov.hadPlan, plan))
-        steps = statements(ros.does, [Literal(step) for step in dict.fromkeys(receipt.plan)])
-        triples += triples_about(plan, (rdf.type, prov.Plan), (rdf.type, prov.Entity), *steps)
-    return Document(url, tuple(triples))
 
 
 def _is_activity(url: str | None, space: Space) -> bool:

@@ -8,7 +8,7 @@ from types import MappingProxyType
 from typing import Protocol
 from urllib.parse import urljoin
 
-from pyoxigraph import Literal, NamedNode
+from pyoxigraph import Literal, NamedNode, Triple
 
 from rosld.adapters.model import Sample, TypeRef
 from rosld.ontology.describe_topics import MESSAGE, type_url
@@ -28,7 +28,7 @@ from rosld.ontology.vocab import dcterms, ldp, rdf, rdfs, ros, spdx, xhv, xsd
 
 
 class Track(Protocol):
-    """What is described of a topic of a recording."""
+    """What is described of a topic of a recording; `unreadable` says why its messages cannot be read, if so."""
 
     @property
     def name(self) -> str: ...
@@ -71,7 +71,7 @@ class BagMessage(Protocol):
 
 
 class Trigger(Protocol):
-    """What is described of what begins a recording."""
+    """What is described of what begins a recording: a condition on a resource, and how often at most it does."""
 
     @property
     def condition(self) -> str: ...
@@ -113,9 +113,7 @@ def bag_document(
     how many recordings its trigger has begun, where it waits for that.
     """
     url, messages = space.bag(bag.name), NamedNode(space.bag_messages(bag.name))
-    tracks = {
-        NamedNode(space.fragment(url, "topic", *name[1:].split("/"))): track for name, track in bag.topics.items()
-    }
+    tracks = _track_nodes(bag, space)
     triples = triples_about(
         NamedNode(url),
         (rdf.type, ros.Bag),
@@ -135,12 +133,7 @@ def bag_document(
         (spdx.checksum, None if sha256 is None else NamedNode(f"{url}#checksum")),
     )
     if sha256 is not None:
-        triples += triples_about(
-            NamedNode(f"{url}#checksum"),
-            (rdf.type, spdx.Checksum),
-            (spdx.algorithm, spdx.checksumAlgorithm_sha256),
-            (spdx.checksumValue, Literal(sha256, datatype=xsd.hexBinary)),
-        )
+        triples += _checksum_triples(url, sha256)
     if order is None:
         triples += triples_about(messages, (rdfs.label, text("Messages")))
     for node, track in tracks.items():
@@ -149,6 +142,22 @@ def bag_document(
     for ref in dict.fromkeys(track.type for track in bag.topics.values()):
         triples += type_url(ref, space)
     return Document(url, tuple(triples))
+
+
+def _track_nodes(bag: Bag, space: Space) -> dict[NamedNode, Track]:
+    """The topics of a recording by the fragments of its URL that stand for them."""
+    url = space.bag(bag.name)
+    return {NamedNode(space.fragment(url, "topic", *name[1:].split("/"))): track for name, track in bag.topics.items()}
+
+
+def _checksum_triples(url: str, sha256: str) -> list[Triple]:
+    """The checksum of the file of the recording at `url`, as SPDX has it."""
+    return triples_about(
+        NamedNode(f"{url}#checksum"),
+        (rdf.type, spdx.Checksum),
+        (spdx.algorithm, spdx.checksumAlgorithm_sha256),
+        (spdx.checksumValue, Literal(sha256, datatype=xsd.hexBinary)),
+    )
 
 
 def _order(order: RecordingOrder, space: Space, triggered: int | None) -> Iterator[Statement]:

@@ -27,7 +27,7 @@ def container_document(url: str, members: Iterable[str], title: str) -> Document
 
 
 def namespace_document(
-    room: str,
+    route: str,
     namespace: tuple[str, ...],
     members: Members,
     space: Space,
@@ -41,10 +41,10 @@ def namespace_document(
     hidden members are told as well, if there are any. What members are is not told here: in the dataset they say it
     themselves and nobody else, so that a query over all graphs finds it once.
     """
-    url = space.container(room, namespace)
-    title = SECTIONS.get(room, room.capitalize())
-    leaves = {leaf: NamedNode(space.url(room, (*namespace, leaf))) for leaf in members.leaves}
-    below = {inner: NamedNode(space.container(room, (*namespace, inner))) for inner in members.namespaces}
+    url = space.container(route, namespace)
+    title = SECTIONS.get(route, route.capitalize())
+    leaves = {leaf: NamedNode(space.url(route, (*namespace, leaf))) for leaf in members.leaves}
+    below = {inner: NamedNode(space.container(route, (*namespace, inner))) for inner in members.namespaces}
     triples = triples_about(
         NamedNode(url),
         *CONTAINER,
@@ -52,23 +52,23 @@ def namespace_document(
         (ros.name, text(names.join(namespace)) if namespace else None),
         *statements(ldp.contains, leaves.values()),
         *statements(ldp.contains, below.values()),
-        (rdfs.seeAlso, NamedNode(space.url(room, namespace)) if is_name else None),
+        (rdfs.seeAlso, NamedNode(space.url(route, namespace)) if is_name else None),
         (rdfs.seeAlso, NamedNode(whole) if whole else None),
     )
     return Document(url, tuple(triples))
 
 
-def type_container_document(room: str, namespace: tuple[str, ...], below: Sequence[str], space: Space) -> Document:
+def type_container_document(route: str, namespace: tuple[str, ...], below: Sequence[str], space: Space) -> Document:
     """A container of types or shapes: `below` are the type names (`pkg/msg/X`) that lie in this namespace."""
     depth = len(namespace)
     members: dict[str, None] = {}
     for name in below:
         path = tuple(name.split("/"))
         leaf = len(path) == depth + 1
-        members[space.url(room, path) if leaf else space.container(room, path[: depth + 1])] = None
-    title = SECTIONS[room] + (f" of {'/'.join(namespace)}" if namespace else "")
-    document = container_document(space.container(room, namespace), members, title)
-    labels = [_label(space.url(room, tuple(name.split("/"))), name) for name in below if name.count("/") == depth]
+        members[space.url(route, path) if leaf else space.container(route, path[: depth + 1])] = None
+    title = SECTIONS[route] + (f" of {'/'.join(namespace)}" if namespace else "")
+    document = container_document(space.container(route, namespace), members, title)
+    labels = [_label(space.url(route, tuple(name.split("/"))), name) for name in below if name.count("/") == depth]
     return Document(document.url, (*document.triples, *labels))
 
 

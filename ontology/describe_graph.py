@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TypeVar
 
-from pyoxigraph import Literal, NamedNode
+from pyoxigraph import Literal, NamedNode, Triple
 
 from rosld.adapters.model import Endpoint, Graph, Live, Node, Stale, Topic, names
 from rosld.ontology.describe_lifecycle import lifecycle_statements, transition_triples
@@ -57,17 +57,13 @@ SECTIONS: Mapping[str, str] = {
 def entry_document(
     graph: Graph, space: Space, system: str = "ROS", storage_problems: Sequence[str] = (), *, name: str = "robot"
 ) -> Document:
-    """The entry point `/`: the distributed application (paper, Table 1), its machine, master, state, and all the rooms.
+    """The entry point `/`: the distributed application (paper, Table 1), its machine, master, state, and all routes.
 
     `system` names the kind of ROS system (`ROS 1`, `recording`, ...), `name` the robot; `storage_problems` are the
     server's.
     """
-    entry, robot = NamedNode(space.base), NamedNode(f"{space.base}#robot")
-    drawing = NamedNode(f"{space.base}graph")
-    cockpit = NamedNode(space.cockpit("default"))
-    rooms = {room: NamedNode(space.container(room)) for room in SECTIONS}
-    ontology, sparql, graphs = (NamedNode(space.base + name) for name in ("ontology", "sparql", "graphs"))
-    master = NamedNode(f"{space.base}#master") if graph.master else None
+    entry, robot, status = NamedNode(space.base), NamedNode(f"{space.base}#robot"), NamedNode(f"{space.base}status")
+    services = {name: NamedNode(space.base + name) for name in _SERVICES}
     triples = triples_about(
         entry,
         (rdf.type, ros.Graph),
@@ -75,25 +71,40 @@ def entry_document(
         (dcterms.title, text(f"The computation graph ({system})")),
         *_state(graph),
         (ros.robot, robot),
-        (ros.hasMaster, master),
+        (ros.hasMaster, NamedNode(f"{space.base}#master") if graph.master else None),
         *(((ros.simulatedTime, boolean(True)),) if graph.simulated_time else ()),
-        *statements(ldp.contains, rooms.values()),
+        *statements(ldp.contains, (NamedNode(space.container(route)) for route in SECTIONS)),
         (ros.hasStop, NamedNode(space.stop)),
-        (ros.hasServerStatus, NamedNode(f"{space.base}status")),
-        (rdfs.seeAlso, sparql),
-        (rdfs.seeAlso, graphs),
-        (rdfs.seeAlso, drawing),
-        (rdfs.seeAlso, cockpit),
-        (rdfs.seeAlso, ontology),
+        (ros.hasServerStatus, status),
+        *statements(rdfs.seeAlso, (*services.values(), NamedNode(space.cockpit("default")))),
     )
     triples += triples_about(
         robot, (rdf.type, sosa.Platform), (rdf.type, cora.Robot), (rdfs.label, text(name)), (sosa.hosts, entry)
     )
-    if graph.master and master:
-        uri = graph.master.uri
-        triples += triples_about(
-            master, (rdf.type, ros.Master), (ros.uri, _uri(uri)), (ros.runId, text(graph.master.run_id))
-        )  # fmt: skip
+    triples += _master_triples(graph, space)
+    triples += _section_triples(graph, space)
+    triples += triples_about(status, *((ros.storageProblem, text(problem)) for problem in storage_problems))
+    triples += search_triples(entry, space)
+    for each, label in _SERVICES.items():
+        triples += triples_about(services[each], (rdfs.label, text(label)))
+    return Document(space.base, tuple(triples), simulated_time=graph.simulated_time)
+
+
+_SERVICES = {"sparql": "SPARQL", "graphs": "Graph store", "graph": "Who talks to whom", "ontology": "Ontology"}
+"""What there is one of beside the routes, by its name below the base, with its label."""
+
+
+def _master_triples(graph: Graph, space: Space) -> list[Triple]:
+    """What is said of the ROS 1 master; nothing where the system has none."""
+    if graph.master is None:
+        return []
+    master = NamedNode(f"{space.base}#master")
+    said = ((rdf.type, ros.Master), (ros.uri, _uri(graph.master.uri)), (ros.runId, text(graph.master.run_id)))
+    return triples_about(master, *said)
+
+
+def _section_triples(graph: Graph, space: Space) -> Iterator[Triple]:
+    """The titles of the routes, and how many members each has where the graph tells it."""
     counts = {
         "nodes": len(graph.nodes),
         "topics": len(graph.topics),
@@ -101,20 +112,9 @@ def entry_document(
         "actions": len(graph.actions),
         "parameters": len(graph.parameters),
     }
-    for room, title in SECTIONS.items():
-        triples += triples_about(
-            rooms[room],
-            (rdfs.label, text(title)),
-            (ros.count, integer(counts.get(room))),
-        )
-    status = NamedNode(f"{space.base}status")
-    triples += triples_about(status, *((ros.storageProblem, text(problem)) for problem in storage_problems))
-    triples += search_triples(entry, space)
-    triples += triples_about(ontology, (rdfs.label, text("Ontology")))
-    triples += triples_about(sparql, (rdfs.label, text("SPARQL")))
-    triples += triples_about(drawing, (rdfs.label, text("Who talks to whom")))
-    triples += triples_about(graphs, (rdfs.label, text("Graph store")))
-    return Document(space.base, tuple(triples), simulated_time=graph.simulated_time)
+    for route, title in SECTIONS.items():
+        said = ((rdfs.label, text(title)), (ros.count, integer(counts.get(route))))
+        yield from triples_about(NamedNode(space.container(route)), *said)
 
 
 def _state(graph: Graph) -> list[Statement]:

@@ -15,6 +15,7 @@ from rosld.ontology.document import Document, LiftedMessage
 from rosld.ontology.lift import LiftSettings, lifter
 from rosld.ontology.triples import (
     RDF_SOURCE,
+    Statement,
     boolean,
     date_time_literal,
     double,
@@ -194,14 +195,7 @@ def stop_document(
         *statements(ros.stopStep, nodes),
     )
     for node, step in zip(nodes, steps, strict=True):
-        triples += triples_about(
-            node,
-            (rdfs.label, text(step.does)),
-            (ros.state, step.state),
-            (ros.subscriberCount, integer(step.subscribers)),
-            (ros.words, text(step.words)),
-            *statements(ros.touches, map(NamedNode, step.touches)),
-        )
+        triples += triples_about(node, *_step_statements(step))
     if usable:
         triples += affordance(subject, "stop", td.hasActionAffordance, td.ActionAffordance)
         stop = NamedNode(f"{url}#stop")
@@ -209,6 +203,16 @@ def stop_document(
         if by is not None:
             triples += forms(stop, "delete", "DELETE", td.cancelAction, url)
     return Document(url, tuple(triples))
+
+
+def _step_statements(step: StepView) -> tuple[Statement, ...]:
+    return (
+        (rdfs.label, text(step.does)),
+        (ros.state, step.state),
+        (ros.subscriberCount, integer(step.subscribers)),
+        (ros.words, text(step.words)),
+        *statements(ros.touches, map(NamedNode, step.touches)),
+    )
 
 
 def _step_node(url: str, step: StepView) -> NamedNode:

@@ -62,7 +62,10 @@ class Findings:
         self.violations: list[Violation] = []
 
     def add(self, path: Path, words: str, value: object = None) -> None:
-        """Note a violation."""
+        """Note a violation.
+
+        Raises LoweringError with all of them once there are very many: a body may be wrong everywhere.
+        """
         self.violations.append(Violation(path_text(path), words, brief_value(value)))
         if len(self.violations) >= _MAX_VIOLATIONS:
             raise LoweringError(*self.violations)

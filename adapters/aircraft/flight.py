@@ -42,14 +42,14 @@ class Declined(Exception):
 
 
 def start(flight: Flight, now_ns: int) -> Flight:
-    """Switched on. Declined when it is on already."""
+    """The flight of an aircraft that is switched on now. Raises Declined when it is on already."""
     if flight.on:
         raise Declined("the aircraft is already started")
     return replace(flight, on=True, since_ns=now_ns)
 
 
 def stop(flight: Flight, now_ns: int) -> Flight:
-    """Switched off; nothing changes when it is off already. Declined while it moves."""
+    """The flight of an aircraft that is switched off now; the same when it is off. Raises Declined while it moves."""
     speed = flight.speed_at(now_ns)
     if flight.on and speed > 0:
         raise Declined(f"the aircraft still moves at {speed:g}: set the speed to 0 first")

@@ -40,7 +40,11 @@ class GoalEnd:
 
 
 def accept(flight: Flight, underway: FlyGoal | None, id: str, distance: float, now_ns: int) -> FlyGoal:
-    """A goal that is taken. Declined while off, while another is underway, and outside 0 to 100000."""
+    """The goal to fly a distance from now on.
+
+    Raises Declined while the aircraft is off, while another goal is underway, and for less than 0 or more than
+    `MAX_DISTANCE`.
+    """
     if not flight.on:
         raise Declined("the aircraft is off: start it before it is to fly")
     if underway is not None:

@@ -127,7 +127,7 @@ class RecordingAdapter:
         return frozenset({Operation.SUBSCRIBE}) if known else frozenset()
 
     async def schema(self, ref: TypeRef, *, deadline: float) -> Schema:
-        """The schema of a type: as recorded, else as shipped."""
+        """The schema of a type: as recorded, else as shipped. Raises UnknownType."""
         if self._library is None:
             raise UnknownType(f"the type {ref.name} is not known: the recording is not open")
         return self._library.find(ref)
@@ -158,27 +158,27 @@ class RecordingAdapter:
         _refuse()
 
     async def unadvertise(self, topic: str) -> None:
-        """Nothing is ever advertised here."""
+        """Raise NotFound: nothing is ever advertised here."""
         raise NotFound(f"rosld does not advertise {topic}")
 
     async def call(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
-        """Recordings have no services."""
+        """Raise NotFound: recordings have no services."""
         raise NotFound(f"there is no service {service}: a recording has none")
 
     async def send_goal(self, action: str, type: TypeRef, goal: bytes, *, deadline: float) -> GoalId:
-        """Recordings have no actions."""
+        """Raise NotFound: recordings have no actions."""
         raise NotFound(f"there is no action {action}: a recording has none")
 
     async def cancel_goal(self, goal: GoalId, *, deadline: float) -> None:
-        """There is none."""
+        """Raise NotFound: recordings have no actions."""
         raise NotFound(f"there is no action {goal.action}: a recording has none")
 
     async def cancel_goals(self, action: str, *, deadline: float) -> None:
-        """There are none."""
+        """Raise NotFound: recordings have no actions."""
         raise NotFound(f"there is no action {action}: a recording has none")
 
     async def follow_goals(self, action: str, *, deadline: float) -> Watch:
-        """Recordings have no actions."""
+        """Raise NotFound: recordings have no actions."""
         raise NotFound(f"there is no action {action}: a recording has none")
 
     async def change_state(self, node: str, transition: str, *, deadline: float) -> None:
@@ -194,7 +194,7 @@ class RecordingAdapter:
         _refuse()
 
     async def delete_parameters(self, names: Sequence[str], *, deadline: float) -> None:
-        """Recordings have no parameters."""
+        """Raise NotFound: recordings have no parameters."""
         raise NotFound(f"there is no parameter {', '.join(names)}: a recording has none")
 
     def _open(self) -> Bag:

@@ -18,14 +18,14 @@ class WireReader:
         self._at = 0
 
     def skip(self, count: int) -> bytes:
-        """The next so many bytes."""
+        """The next `count` bytes. Raises ValueError, as all reading does, where the message ends before."""
         start, self._at = self._at, self._at + count
         if self._at > len(self._data):
             raise ValueError("the message is cut off")
         return self._data[start : self._at]
 
     def length(self) -> int:
-        """A uint32."""
+        """The next uint32: the length of what follows."""
         return int(_LENGTH.unpack(self.skip(_LENGTH.size))[0])
 
     def int32(self) -> int:

@@ -137,7 +137,7 @@ class XmlRpcClient:
         return self.decode(await self.request(encode_call(method, *arguments), timeout=timeout))
 
     def decode(self, document: bytes) -> Answer:
-        """The answer in a document of this server; Unreachable where it is none."""
+        """The answer that a document of this server has. Raises Unreachable where it is none."""
         try:
             return decode_answer(document)
         except Malformed as error:

@@ -104,7 +104,10 @@ class ClientLimiter:
         return ended
 
     def open_websocket(self, address: str | None) -> Callable[[], None]:
-        """Count a WebSocket as `connect` does; the limit holds for this machine's clients, too."""
+        """Count a WebSocket until what is returned is called; clients of this machine count, too.
+
+        Raises the 429 Problem of one too many.
+        """
         client = self._client(f"WebSockets of {client_name(address, loopback=True)}")
         if client.websockets >= self._limits.websockets:
             words = f"{client.websockets} WebSockets are open at your address already, as many as may be at a time"

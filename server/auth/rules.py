@@ -39,24 +39,24 @@ class Mode(Enum):
 _CONTROLLED = frozenset(
     {"topics", "services", "calls", "actions", "goals", "resources", "nodes", "holds", "stop", "activity"}
 )
-"""The rooms in which a write commands the robot."""
+"""The routes in which a write commands the robot."""
 ACL = "acl"
-"""The room that says who may do what."""
+"""The route that says who may do what."""
 _READS = frozenset({"GET", "HEAD", "OPTIONS"})
 _ASKED = frozenset({"sparql", "channels"})
-"""The rooms in which a POST reads: queries, and subscriptions. What an update changes is judged graph by graph."""
+"""The routes in which a POST reads: queries, and subscriptions. What an update changes is judged graph by graph."""
 
 
 def mode_of(method: str, path: Path) -> Mode:
     """What a request with this method at this path does."""
-    room = path[0] if path else ""
-    if room == ACL:
+    route = path[0] if path else ""
+    if route == ACL:
         return Mode.ADMINISTER
-    if method in _READS or room in _ASKED:
+    if method in _READS or route in _ASKED:
         return Mode.READ
-    if room == "stop" and method == "DELETE":
+    if route == "stop" and method == "DELETE":
         return Mode.ADMINISTER
-    return Mode.CONTROL if room in _CONTROLLED else Mode.WRITE
+    return Mode.CONTROL if route in _CONTROLLED else Mode.WRITE
 
 
 @dataclass(frozen=True, slots=True)

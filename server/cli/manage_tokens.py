@@ -48,7 +48,10 @@ def count_tokens(file: Path) -> None:
 
 
 def remove(file: Path, name: str) -> None:
-    """Take all tokens of an agent away; the rules about it stay, and are about nobody."""
+    """Take all tokens of an agent away; the rules about it stay, and are about nobody.
+
+    Fails with a message for the command line where it has none.
+    """
     with user_errors():
         found = _read(file)
         if name not in found.tokens.agents.values():

@@ -9,7 +9,7 @@ from rosld.server.html.page import EntryPage, Page
 MAX_RATE = 3
 """At most so many times a second a page is brought up to date."""
 
-_ROOMS = frozenset(
+_ROUTES = frozenset(
     {"", "resources", "nodes", "topics", "services", "actions", "goals", "parameters", "mappings", "calls", "data"}
 )
 _UNDERWAY = frozenset({ros.Accepted, ros.Executing, ros.Canceling})
@@ -19,9 +19,9 @@ def is_refreshed(page: Page | EntryPage) -> bool:
     """Whether a page follows its resource. One that answers a form stays as it is: its reader is in the midst of it."""
     if not all(notice.is_lasting for notice in page.notices) or not page.document.url.startswith(page.site.base):
         return False
-    room, _, name = page.document.url.removeprefix(page.site.base).partition("/")
-    if room == "calls" and name:
+    route, _, name = page.document.url.removeprefix(page.site.base).partition("/")
+    if route == "calls" and name:
         return ros.Running in objects_of(page.document, ros.state)
-    if room == "goals" and name:
+    if route == "goals" and name:
         return not _UNDERWAY.isdisjoint(objects_of(page.document, ros.status))
-    return room in _ROOMS and not any(form.violations for form in getattr(page, "forms", ()))
+    return route in _ROUTES and not any(form.violations for form in getattr(page, "forms", ()))

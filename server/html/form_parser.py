@@ -96,7 +96,10 @@ def parse_value(shape: ValueShape, pairs: Iterable[tuple[str, str]]) -> JsonValu
 
 
 def parse_choice(name: str, pairs: Iterable[tuple[str, str]]) -> JsonValue:
-    """The plain JSON of what was asked for by a `ChoiceForm`, whether or not it is still on offer."""
+    """The plain JSON of what a `ChoiceForm` was sent with, whether or not it is still on offer.
+
+    Raises LoweringError where it is missing, or where there are other fields.
+    """
     texts, violations = _by_name(pairs)
     text = texts.pop(name, None)
     if text is None:

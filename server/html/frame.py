@@ -47,8 +47,8 @@ class Frame:
             for name in self.site.sections
         ]
         anchors.append(Anchor(f"{self.site.root}sparql", "SPARQL", f"{self.site.base}sparql"))
-        room = f"{self.site.base}cockpit/"
-        cockpit = (Anchor(f"{self.site.root}cockpit/default", "Cockpit", room),) if self._can_see_cockpit else ()
+        cockpits = f"{self.site.base}cockpit/"
+        cockpit = (Anchor(f"{self.site.root}cockpit/default", "Cockpit", cockpits),) if self._can_see_cockpit else ()
         found = (*cockpit, *(each for each in anchors if self.site.may("GET", each.url)))
         return tuple((each, self.url.startswith(each.url)) for each in found)
 

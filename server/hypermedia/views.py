@@ -39,6 +39,7 @@ class PropertyAffordance:
     hold: str | None = None
 
     def redact(self, permissions: Permissions) -> PropertyAffordance:
+        """It without the interactions that an agent of these rights may not use."""
         read, write = self.read and permissions.may_read(self.url), self.write and permissions.may("PUT", self.url)
         hold = self.hold if self.hold is not None and permissions.may("POST", self.hold) else None
         return replace(self, read=read, observe=self.observe and read, write=write, hold=hold)
@@ -57,6 +58,10 @@ class GoalAffordance:
     result: MessageSchema | None
 
     def redact(self, permissions: Permissions, url: str) -> GoalAffordance:
+        """It without the status and the cancellation that are not for an agent of these rights;
+
+        `url` is the action's.
+        """
         may_read = self.status is not None and permissions.may_read(self.status)
         can_cancel = self.can_cancel and permissions.may("DELETE", url)
         return replace(self, status=self.status if may_read else None, can_cancel=can_cancel)
@@ -78,6 +83,7 @@ class ActionAffordance:
     is_open: bool = True
 
     def redact(self, permissions: Permissions) -> ActionAffordance:
+        """It without the request and the goals that are not for an agent of these rights; the same where all are."""
         goals = None if self.goals is None else self.goals.redact(permissions, self.url)
         request = self.request if permissions.may("POST", self.url) else None
         return self if request is self.request and goals == self.goals else replace(self, request=request, goals=goals)
@@ -116,6 +122,7 @@ class PropertyView:
     field: str | None = None
 
     def redact(self, permissions: Permissions) -> PropertyView:
+        """It without the URLs that an agent of these rights may not read."""
         return replace(
             self,
             affordance=self.affordance.redact(permissions),
@@ -137,6 +144,7 @@ class ActionView:
     parts: tuple[PropertyAffordance, ...] = ()
 
     def redact(self, permissions: Permissions) -> ActionView:
+        """It without what an agent of these rights may not do, and the parts that must not be read."""
         parts = tuple(one.redact(permissions) for one in self.parts if permissions.may_read(one.url))
         return replace(self, affordance=self.affordance.redact(permissions), parts=parts)
 
@@ -161,6 +169,10 @@ class ComplexView:
     warnings: tuple[str, ...] = ()
 
     def redact(self, permissions: Permissions) -> ComplexView:
+        """It without members, actions, links and children that are not for an agent of these rights.
+
+        Warnings go as a whole: their words may name anything.
+        """
         return replace(
             self,
             warnings=(),

@@ -131,9 +131,9 @@ class PathCollector:
 
     def _graph(self) -> Iterator[DescribedPath]:
         graph, space = self._listed, self.session.space
-        for room in ("nodes", "topics", "services", "actions"):
-            for namespace in namespaces(graph, room):
-                yield self._path(self._of(space.container(room, namespace)))
+        for route in ("nodes", "topics", "services", "actions"):
+            for namespace in namespaces(graph, route):
+                yield self._path(self._of(space.container(route, namespace)))
         urls = chain(
             map(space.node, graph.nodes),
             map(space.topic, graph.topics),
@@ -143,9 +143,9 @@ class PathCollector:
         for url in urls:
             yield self._path(self._of(url))
         yield self._template("/topics/{name}", "/topics/new", name=_NAME)
-        for room, word in (("calls", "call"), ("goals", "goal"), ("holds", "hold")):
-            yield self._path(f"/{room}/")
-            yield self._template(f"/{room}/{{id}}", f"/{room}/any", id=f"As in the URL of the {word}.")
+        for route, word in (("calls", "call"), ("goals", "goal"), ("holds", "hold")):
+            yield self._path(f"/{route}/")
+            yield self._template(f"/{route}/{{id}}", f"/{route}/any", id=f"As in the URL of the {word}.")
 
     def _activities(self) -> Iterator[DescribedPath]:
         yield self._path("/activity/")
@@ -200,12 +200,12 @@ class PathCollector:
 
     def _types(self) -> Iterator[DescribedPath]:
         package, kind, name = "A package.", "`msg`, `srv` or `action`.", "The name of a type."
-        for room in ("types", "shapes"):
-            yield self._path(f"/{room}/")
-            yield self._template(f"/{room}/{{package}}/", f"/{room}/a/", package=package)
-            yield self._template(f"/{room}/{{package}}/{{kind}}/", f"/{room}/a/msg/", package=package, kind=kind)
-            one = f"/{room}/{{package}}/{{kind}}/{{name}}"
-            yield self._template(one, f"/{room}/a/msg/B", package=package, kind=kind, name=name)
+        for route in ("types", "shapes"):
+            yield self._path(f"/{route}/")
+            yield self._template(f"/{route}/{{package}}/", f"/{route}/a/", package=package)
+            yield self._template(f"/{route}/{{package}}/{{kind}}/", f"/{route}/a/msg/", package=package, kind=kind)
+            one = f"/{route}/{{package}}/{{kind}}/{{name}}"
+            yield self._template(one, f"/{route}/a/msg/B", package=package, kind=kind, name=name)
         for path in SHAPES_GRAPHS:
             yield self._path(f"/shapes/{path}")
         yield self._template("/shapes/{name}", "/shapes/any", name="One segment, as in the URL.")
@@ -233,13 +233,13 @@ class PathCollector:
     def _kept(self) -> Iterator[DescribedPath]:
         """What clients keep. What one URL answers depends on what is there: the template tells of all of it."""
         yield self._path("/cockpit/default")
-        for room in ("mappings", "data", "cockpit"):
-            yield self._path(f"/{room}/")
+        for route in ("mappings", "data", "cockpit"):
+            yield self._path(f"/{route}/")
             path = "One segment or several, with slashes between them."
-            yield self._template(f"/{room}/{{path}}", f"/{room}/any", path=path)
+            yield self._template(f"/{route}/{{path}}", f"/{route}/any", path=path)
 
     def _queries(self) -> Iterator[DescribedPath]:
-        """The room of queries and what is below it now; the template tells of those that come and go."""
+        """`/queries/` and what is below it now; the template tells of those that come and go."""
         yield self._path("/queries/")
         for url, _ in self.queries.all(limit=_MAX_QUERIES):
             yield self._path(self._of(url))

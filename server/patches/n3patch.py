@@ -38,7 +38,7 @@ class Pattern(NamedTuple):
 
     @property
     def variables(self) -> frozenset[Variable]:
-        """Its variables."""
+        """The variables in it, which a solution binds."""
         return frozenset(each for each in self if isinstance(each, Variable))
 
     def substitute(self, bindings: Bindings) -> Pattern:

@@ -32,7 +32,7 @@ class StoredQueries:
         self.shipped: Mapping[str, StoredQuery] = shipped_queries()
         self.bounds = bounds
         self.version = records.version
-        """The number of the last change of records in the room: it rises, from one run to the next too."""
+        """The number of the last change of records below `/queries/`: it rises, from one run to the next too."""
         self.lock = asyncio.Lock()
         """Held while a write is judged and done."""
         self._records = records
@@ -46,7 +46,7 @@ class StoredQueries:
             self.version = max(self.version, change.version)
 
     def stored_records(self, *, limit: int | None = None) -> Iterator[Record]:
-        """What clients keep in the room, in the order in which it was made; the first `limit` of it."""
+        """What clients keep below `/queries/`, in the order in which it was made; the first `limit` of it."""
         last = 0
         while limit is None or limit > 0:
             found = self._records.members(ROUTE, after=last, limit=1000 if limit is None else min(limit, 1000))

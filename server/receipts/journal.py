@@ -50,7 +50,7 @@ class JournalEntry:
 
     @property
     def receipt(self) -> Receipt:
-        """The receipt."""
+        """The receipt, made when it is first read: most are never."""
         asked, receipt = self._asked, self._receipt
         if receipt is None:
             assert asked is not None

@@ -158,6 +158,7 @@ class ActionResource(CommandResource):
             return ()
 
     async def post(self, exchange: Exchange) -> Answer:
+        """Send the goal in the body: 201 once it is accepted, with the goal (paper, Table 2)."""
         schema, message = await self.read_goal(exchange, self.url)
         return await self.send(exchange, schema, message)
 
@@ -355,6 +356,10 @@ class GoalResource(Resource):
         return (DeleteForm("Cancel the goal", "Cancel"),)
 
     async def delete(self, exchange: Exchange) -> Answer:
+        """Forget a goal that is over (204), or ask for it to be canceled (202), of which its state tells.
+
+        Raises a 409 Problem where the action server refuses to cancel it.
+        """
         goal, goals = self.goal, self.session.goals
         if goal.status.is_final:
             goals.delete(self.id)

@@ -82,7 +82,11 @@ class BagContainer(Resource):
         )
 
     async def post(self, exchange: Exchange) -> Answer:
-        """Begin a recording of topics that who asks may read, or have it wait for its trigger."""
+        """Begin a recording of topics that who asks may read, or have it wait for its trigger: 201 with either.
+
+        Raises a 403 Problem for a topic that must not be read, 409 where the name is taken, 507 where nothing can be
+        stored.
+        """
         order = await self._read_order(exchange)
         try:
             resource = await self._begin(order, exchange)

@@ -110,6 +110,10 @@ class BagUpload(Resource):
         raise Problem(404, f"There is no recording {self.name}.")
 
     async def put(self, exchange: Exchange) -> Answer:
+        """Receive a recording as the body, chunk by chunk: 201 once it can be read.
+
+        Raises a 409 Problem where the name is taken, 422 where it is no recording, 507 where it cannot be stored.
+        """
         limit, whole = self.settings.upload_limit, exchange.consumed_body
         chunks = exchange.chunks(limit=limit) if whole is None else single_chunk(whole)
         try:

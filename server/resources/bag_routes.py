@@ -33,7 +33,7 @@ def bag_route(
     location: Location,
     find: Find | None = None,
 ) -> Resource:
-    """`/bags/` and below."""
+    """The resource at `/bags/` or below. Raises a 404 Problem where there is none, 308 where only the slash differs."""
     match location.segments:
         case ():
             return (

@@ -61,7 +61,7 @@ from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import State
 
 WEBSOCKET, STREAMING_HTTP = CHANNEL_TYPES
-ROOM, SOURCE = "channels", "messages"
+ROUTE, SOURCE = "channels", "messages"
 WELL_KNOWN, THING = ".well-known", "wot"
 STORAGE_DESCRIPTION = "http://www.w3.org/ns/solid/terms#storageDescription"
 Resolve: TypeAlias = Callable[[Scope], Resource]
@@ -100,7 +100,7 @@ class Notifications:
         self.broadcasters = broadcasters
         self._site = site
         self._resolve = resolve
-        self.services = tuple(ServiceDescription(space.url(ROOM, (kind,)), kind) for kind in CHANNEL_TYPES)
+        self.services = tuple(ServiceDescription(space.url(ROUTE, (kind,)), kind) for kind in CHANNEL_TYPES)
         self.description = f"{space.base}{WELL_KNOWN}/solid"
         self.link = Link(self.description, STORAGE_DESCRIPTION)
         """What every answer links to (2.1)."""
@@ -111,7 +111,7 @@ class Notifications:
 
     def urls_of(self, kind: str, token: str) -> tuple[str, str]:
         """The URLs of a channel, and of what is received from."""
-        url = self.space.url(ROOM, (kind, token))
+        url = self.space.url(ROUTE, (kind, token))
         source = f"{url}/{SOURCE}"
         return url, source.replace("http", "ws", 1) if kind == WEBSOCKET else source
 
@@ -133,10 +133,10 @@ class Notifications:
         except ValueError as error:
             raise Problem(400, f"{error}.") from error
         match location.segments:
-            case (kind, token, name) if location.kind == ROOM and kind == WEBSOCKET and name == SOURCE:
+            case (kind, token, name) if location.kind == ROUTE and kind == WEBSOCKET and name == SOURCE:
                 self.broadcasters.require_capacity()
                 return WebSocketReceiver(self.channels, self.broadcasters, channel_of(self, kind, token))
-        raise Problem(404, f"No WebSocket is there: subscribe at {self.space.url(ROOM, (WEBSOCKET,))} first.")
+        raise Problem(404, f"No WebSocket is there: subscribe at {self.space.url(ROUTE, (WEBSOCKET,))} first.")
 
     async def _topic(self, url: str, permissions: Permissions) -> tuple[Resource, State]:
         """The resource to tell of, and what it is like now. Raises a 422 Problem where nothing can be told of it."""
@@ -329,6 +329,7 @@ class SubscriptionService(DescribedResource):
         return True
 
     async def post(self, exchange: Exchange) -> Answer:
+        """Make a channel of notifications (Solid Notifications Protocol): 201, in JSON-LD as the protocol has it."""
         channel = await self.notifications.create_channel(exchange, self._service)
         made = ChannelResource(self.notifications, channel)
         if not prefers_json(exchange, (JSON_LD, *OFFERS)):
@@ -363,6 +364,7 @@ class ChannelResource(DescribedResource):
         return self._channel.terms.members()
 
     async def delete(self, exchange: Exchange) -> Answer:
+        """Close the channel: nothing more is sent to it."""
         self.notifications.channels.close(self._channel)
         return Response(status_code=204)
 
@@ -393,7 +395,7 @@ def channel_route(location: Location, *, notifications: Notifications) -> Resour
     """`/channels/` and below."""
     space = notifications.space
     if not location.segments:
-        url = space.container(ROOM)
+        url = space.container(ROUTE)
         if not location.is_container:
             raise permanent_redirect(url)
         return ServiceContainer(notifications, url)
@@ -407,7 +409,7 @@ def channel_route(location: Location, *, notifications: Notifications) -> Resour
                 return ChannelResource(notifications, channel_of(notifications, kind, token))
             case [token, name] if name == SOURCE:
                 return ChannelSourceResource(notifications, channel_of(notifications, kind, token))
-    raise Problem(404, f"There is no subscription service there; {space.container(ROOM)} lists them.")
+    raise Problem(404, f"There is no subscription service there; {space.container(ROUTE)} lists them.")
 
 
 def channel_item() -> PathItem:
@@ -433,7 +435,7 @@ def channel_of(notifications: Notifications, kind: str, token: str) -> Channel:
 
 def fixed_resources(notifications: Notifications) -> Sequence[DescribedResource]:
     """The resources of notifications that never change."""
-    container = notifications.space.container(ROOM)
+    container = notifications.space.container(ROUTE)
     services = (SubscriptionService(notifications, service) for service in notifications.services)
     return (
         WellKnownContainer(notifications, f"{notifications.space.base}{WELL_KNOWN}/"),
@@ -444,7 +446,7 @@ def fixed_resources(notifications: Notifications) -> Sequence[DescribedResource]
 
 
 def routes(notifications: Notifications, well_known: Route) -> Mapping[str, Route]:
-    """The rooms of notifications; `well_known` is the room of whatever else is well known."""
+    """The routes of notifications by their first segments; `well_known` is that of whatever else is well known."""
 
     def known(location: Location) -> Resource:
         if not location.segments:
@@ -456,4 +458,4 @@ def routes(notifications: Notifications, well_known: Route) -> Mapping[str, Rout
             return StorageDescription(notifications, notifications.description)
         return well_known(location)
 
-    return {ROOM: partial(channel_route, notifications=notifications), WELL_KNOWN: known}
+    return {ROUTE: partial(channel_route, notifications=notifications), WELL_KNOWN: known}

@@ -201,7 +201,10 @@ class ShownCockpit(_ShownPage, CockpitResource):
         )
 
     async def put(self, exchange: Exchange) -> Answer:
-        """Write the cockpit that a form describes in place of this one."""
+        """Write the cockpit that a form describes in place of this one.
+
+        Raises a 409 Problem where it was changed after the form was drawn.
+        """
         value = cast("Mapping[str, object]", json.loads(await exchange.body()))
         cockpit = cockpit_of_form(value, self.documents.space.base)
 
@@ -264,8 +267,8 @@ class DefaultCockpit(Resource):
     def deny_reason(self, method: str) -> str:
         if self.documents.settings.read_only:
             return "This server is read-only."
-        room = self.documents.space.container("cockpit")
-        return f"This cockpit is made from what the robot has: PUT one of another name to {room}NAME."
+        container = self.documents.space.container("cockpit")
+        return f"This cockpit is made from what the robot has: PUT one of another name to {container}NAME."
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """Its page where that is asked for."""

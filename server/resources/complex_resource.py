@@ -222,7 +222,10 @@ class ComplexResource(CommandResource):
             )
 
     async def plan_graph_write(self, triples: Sequence[Triple] | None) -> Plan:
-        """Within a turn that names `concerned`."""
+        """Plan the writes of the properties that a graph changes; the caller holds the turn that names `concerned`.
+
+        Raises a 403 Problem where it cannot be written, or would be dropped (`triples` None).
+        """
         (tree, plan) = await self._plan()
         if "PATCH" not in self.methods() or triples is None:
             raise Problem(403, self.deny_reason("PATCH" if triples is not None else "DELETE"))

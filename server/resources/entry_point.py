@@ -66,10 +66,14 @@ class EntryResource(Resource):
         goals = ("goals",) if graph.actions else ()
         counts = (
             first,
-            *(EntryCount(SECTIONS[room], number, space.container(room)) for room, number in numbers.items() if number),
             *(
-                EntryCount(SECTIONS[room], None, space.container(room))
-                for room in ("types", "mappings", "data", "calls", *goals, "holds", "queries")
+                EntryCount(SECTIONS[route], number, space.container(route))
+                for route, number in numbers.items()
+                if number
+            ),
+            *(
+                EntryCount(SECTIONS[route], None, space.container(route))
+                for route in ("types", "mappings", "data", "calls", *goals, "holds", "queries")
             ),
         )
         if any(ref.name == DIAGNOSTIC_ARRAY for topic in graph.topics.values() for ref in topic.types):

@@ -11,12 +11,7 @@ from collections.abc import Hashable, Iterator, Sequence
 from typing import NamedTuple
 
 from rosld.adapters.base import MessageFilter, Recording
-from rosld.ontology.describe_event_stream import (
-    StreamLink,
-    StreamProfile,
-    event_stream_document,
-    observation_triples,
-)
+from rosld.ontology.describe_event_stream import StreamLink, StreamProfile, event_stream_document, observation_triples
 from rosld.ontology.document import Document
 from rosld.ontology.urls import Space
 from rosld.server.history.history import History
@@ -122,7 +117,10 @@ class EventStreamResource(Resource):
         return (self.session.space.document_shape("EventStream" if self._page is None else "StreamPage"),)
 
     async def select_variant(self, exchange: Exchange) -> Resource:
-        """In the profile that the request prefers; one named in the query is in the URLs of all pages."""
+        """The stream in the profile that the request prefers; one named in the query is in the URLs of all pages.
+
+        Raises a 406 Problem for a profile that there is not.
+        """
         asked = exchange.query.get(QUERY)
         found = choose_profile(_PROFILES, exchange.header("accept-profile"), exchange.prefer, asked)
         if asked is not None and found is None:

@@ -186,7 +186,10 @@ class GraphStore(Resource):
         )
 
     async def select_variant(self, exchange: Exchange) -> Resource:
-        """The graph that is named, as its own URL has it."""
+        """The graph that the query string names, as the resource at its own URL.
+
+        Raises a 400 Problem for a write that names none (SPARQL 1.1 Graph Store Protocol 4.2).
+        """
         asked = parse_graph_selection(exchange.request.scope["query_string"], self.url)
         if asked.default:
             return self._default
@@ -228,8 +231,8 @@ class GraphStore(Resource):
         space, shown = self._space, f"<{graph[:200]}>"
         if method in READ:
             return Problem(404, f"There is no graph {shown} here: the names of graphs are URLs below {space.base}")
-        room = space.container("data")
-        return Problem(403, f"No graph {shown} can be here: choose a name below {room}, such as {room}NAME")
+        container = space.container("data")
+        return Problem(403, f"No graph {shown} can be here: choose a name below {container}, such as {container}NAME")
 
 
 @lru_cache(maxsize=256)
@@ -326,8 +329,10 @@ class DatasetResource(_Whole):
         graphs = await asyncio.to_thread(parse_dataset, data, media_type, self.url)
         strange = next((name for name in graphs if not name.startswith(self._base)), None)
         if strange is not None:
-            room = f"{self._base}data/"
-            raise Problem(403, f"No graph <{strange[:200]}> can be here: choose names below {room}. Nothing was done.")
+            container = f"{self._base}data/"
+            raise Problem(
+                403, f"No graph <{strange[:200]}> can be here: choose names below {container}. Nothing was done."
+            )
         kept = {name: triples for name, triples in graphs.items() if self._updates.is_stored(name)}
         operations = await asyncio.to_thread(_operations, kept, replaces=replaces)
         return await self._updates.carry_out(

@@ -17,15 +17,7 @@ from starlette.responses import Response
 from rosld.adapters.base import Watch
 from rosld.adapters.model import Message, MessageSchema, RosError
 from rosld.ontology.body import index_triples
-from rosld.ontology.describe_holds import (
-    LEASE,
-    MAX_LEASE,
-    MAX_RATE,
-    MIN_OF_HOLDS,
-    RATE,
-    HoldView,
-    hold_document,
-)
+from rosld.ontology.describe_holds import LEASE, MAX_LEASE, MAX_RATE, MIN_OF_HOLDS, RATE, HoldView, hold_document
 from rosld.ontology.document import Document
 from rosld.ontology.lift import LiftSettings, lifter
 from rosld.ontology.lower import LoweringError, find_message, lowerer, parse_json
@@ -258,7 +250,10 @@ class HoldResource(Resource):
         )
 
     def keep_alive(self, exchange: Exchange) -> contextlib.AbstractContextManager[float | None]:
-        """`?keep=true`: the stream keeps the hold, and says twice a lease that it is alive."""
+        """`?keep=true`: the stream keeps the hold, and says twice a lease that it is alive.
+
+        Raises a 403 Problem for anybody but its holder, and on a read-only server.
+        """
         if not exchange.query_flag("keep"):
             return contextlib.nullcontext()
         if self.session.settings.read_only:
@@ -273,6 +268,10 @@ class HoldResource(Resource):
             yield lease / 2
 
     async def patch(self, exchange: Exchange) -> Answer:
+        """Renew the hold, and change what is held, `?rate=`, `?lease=` (seconds) or `?then=` where these are given.
+
+        Raises a 403 Problem for anybody but its holder.
+        """
         hold = self.hold
         require_holder(exchange, hold)
         publishing = Publisher(self.session, self.limit_checks, hold.topic)
@@ -314,6 +313,10 @@ class HoldResource(Resource):
         return _command(self.session, publishing.name, schema, message, restamp=False)
 
     async def delete(self, exchange: Exchange) -> Answer:
+        """End the hold, and wait until what it ends with is published.
+
+        Raises a 403 Problem for anybody but its holder.
+        """
         require_holder(exchange, self.hold)
         topic = self.hold.topic
         exchange.audit.add_step(f"end the hold of {topic}", self.session.space.topic(topic))

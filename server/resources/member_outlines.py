@@ -24,7 +24,7 @@ def member_outlines(
     space: Space,
     latest_values: LatestValues,
     things: Mapping[str, object],
-    room: str,
+    route: str,
     namespace: tuple[str, ...],
     members: Members,
 ) -> tuple[MemberOutline, ...]:
@@ -35,8 +35,8 @@ def member_outlines(
     leaves = ((*namespace, leaf) for leaf in members.leaves)
     below = ((*namespace, inner) for inner in members.namespaces)
     return (
-        *(_outline(latest_values, things, names.join(path), space.url(room, path)) for path in leaves),
-        *(MemberOutline(space.container(room, path), None, names.join(path)) for path in below),
+        *(_outline(latest_values, things, names.join(path), space.url(route, path)) for path in leaves),
+        *(MemberOutline(space.container(route, path), None, names.join(path)) for path in below),
     )
 
 

@@ -34,9 +34,9 @@ _log = logging.getLogger("rosld.store")
 
 
 def create_mirror(
-    session: Session, instance_id: str, process: QueryProcess, materializer: Materializer, rooms: Collection[str]
+    session: Session, instance_id: str, process: QueryProcess, materializer: Materializer, routes: Collection[str]
 ) -> Mirror | None:
-    """The mirror that the settings ask for, None for none. `rooms` are the first segments of all paths of this server.
+    """The mirror that the settings ask for, None for none. `routes` are the first segments of all paths of this server.
 
     Raises ValueError where the credentials cannot be used, OSError where they cannot be read.
     """
@@ -50,7 +50,7 @@ def create_mirror(
     return Mirror(
         _Dataset(process, materializer),
         RemoteStore(query, update),
-        _Graphs(session.space.base, rooms, materializer),
+        _Graphs(session.space.base, routes, materializer),
         _Reading(session, materializer).refresh,
         interval=1 / settings.store_rate,
         run_name=instance_id,
@@ -110,18 +110,18 @@ class _Dataset:
 
 
 class _Graphs:
-    """The graphs of this server in a store that others use too: those in its rooms. A base may begin with another."""
+    """The graphs of this server in a store that others use too: those in its routes. A base may begin with another."""
 
-    def __init__(self, base: str, rooms: Collection[str], materializer: Materializer) -> None:
+    def __init__(self, base: str, routes: Collection[str], materializer: Materializer) -> None:
         self.base = base
         self.heartbeat_graph = base + ROUTE
-        self._rooms = frozenset(rooms)
+        self._routes = frozenset(routes)
         self._materializer = materializer
 
     def is_ours(self, graph: str) -> bool:
         path = graph.removeprefix(self.base)
-        room = path.partition("/")[0].partition("?")[0].partition("#")[0]
-        return len(path) < len(graph) and room in self._rooms
+        route = path.partition("/")[0].partition("?")[0].partition("#")[0]
+        return len(path) < len(graph) and route in self._routes
 
     def transient_graphs(self) -> Collection[str]:
         return self._materializer.source_graphs

@@ -49,21 +49,21 @@ _V = TypeVar("_V")
 _namespaces: IdentityCache[Mapping[str, object], Namespaces] = IdentityCache(members_of, 24)
 
 
-def things_of(graph: Graph, room: str) -> Mapping[str, object]:
-    """The things of one room by name."""
-    rooms: Mapping[str, Mapping[str, object]] = {
+def things_of(graph: Graph, route: str) -> Mapping[str, object]:
+    """The things of one route by name."""
+    routes: Mapping[str, Mapping[str, object]] = {
         "nodes": graph.nodes,
         "topics": graph.topics,
         "services": graph.services,
         "actions": graph.actions,
         "parameters": graph.parameters,
     }
-    return rooms[room]
+    return routes[route]
 
 
-def namespaces(graph: Graph, room: str) -> Namespaces:
-    """The namespaces of one room with their members."""
-    return _namespaces(things_of(graph, room))
+def namespaces(graph: Graph, route: str) -> Namespaces:
+    """The namespaces of one route with their members."""
+    return _namespaces(things_of(graph, route))
 
 
 def is_of_hidden(parameter: Parameter) -> bool:
@@ -110,30 +110,30 @@ def with_hidden(url: str) -> str:
     return f"{url}?{HIDDEN}"
 
 
-def listed_members(session: Session, room: str, namespace: tuple[str, ...], *, hidden: bool = False) -> Members | None:
+def listed_members(session: Session, route: str, namespace: tuple[str, ...], *, hidden: bool = False) -> Members | None:
     """The members of a namespace as its listing tells them; None where there is no such namespace.
 
     Within a namespace that is hidden itself nothing is, and neither where hidden ones are asked for.
     """
-    whole = namespaces(session.graph, room).get(namespace)
+    whole = namespaces(session.graph, route).get(namespace)
     if whole is None or hidden or names.is_hidden(names.join(namespace)):
         return whole
-    return namespaces(listed_graph(session), room).get(namespace, Members())
+    return namespaces(listed_graph(session), route).get(namespace, Members())
 
 
 def listing_document(
-    session: Session, room: str, namespace: tuple[str, ...], members: Members, *, hidden: bool = False
+    session: Session, route: str, namespace: tuple[str, ...], members: Members, *, hidden: bool = False
 ) -> Document:
     """A namespace with these members, or these of them; where its listing leaves some out it links to all."""
-    url = session.space.container(room, namespace)
-    is_name = names.join(namespace) in things_of(session.graph, room)
-    whole = with_hidden(url) if leaves_out(session, room, namespace, hidden=hidden) else None
-    return namespace_document(room, namespace, members, session.space, is_name=is_name, whole=whole)
+    url = session.space.container(route, namespace)
+    is_name = names.join(namespace) in things_of(session.graph, route)
+    whole = with_hidden(url) if leaves_out(session, route, namespace, hidden=hidden) else None
+    return namespace_document(route, namespace, members, session.space, is_name=is_name, whole=whole)
 
 
-def leaves_out(session: Session, room: str, namespace: tuple[str, ...], *, hidden: bool = False) -> bool:
+def leaves_out(session: Session, route: str, namespace: tuple[str, ...], *, hidden: bool = False) -> bool:
     """Whether the listing of a namespace leaves hidden members out."""
-    return listed_members(session, room, namespace, hidden=hidden) != namespaces(session.graph, room).get(namespace)
+    return listed_members(session, route, namespace, hidden=hidden) != namespaces(session.graph, route).get(namespace)
 
 
 def count_members(members: Members) -> int:
@@ -152,18 +152,18 @@ def members_from_keys(ends: Sequence[str]) -> Members:
     return Members(leaves, tuple(sorted(decode_segment(end[:-1]) for end in ends if end.endswith("/"))))
 
 
-def is_absent(space: Space, graph: Graph, room: str, name: str) -> bool:
+def is_absent(space: Space, graph: Graph, route: str, name: str) -> bool:
     """Whether nothing in the computation graph has this name, nor is it a namespace."""
-    things: Mapping[str, object] = getattr(graph, room)
-    return name not in things and redirect_to_namespace(space, graph, room, name) is None
+    things: Mapping[str, object] = getattr(graph, route)
+    return name not in things and redirect_to_namespace(space, graph, route, name) is None
 
 
-def redirect_to_namespace(space: Space, graph: Graph, room: str, name: str) -> Problem | None:
+def redirect_to_namespace(space: Space, graph: Graph, route: str, name: str) -> Problem | None:
     """308 to the container where a name is a namespace and nothing else; None where it is none."""
     path = names.segments(name)
-    if path not in namespaces(graph, room):
+    if path not in namespaces(graph, route):
         return None
-    url = space.container(room, path)
+    url = space.container(route, path)
     return permanent_redirect(url)
 
 
@@ -178,18 +178,18 @@ class NamespaceContainer(Resource):
         session: Session,
         states: VersionCache[State],
         latest_values: LatestValues,
-        room: str,
+        route: str,
         namespace: tuple[str, ...],
         place: PagePosition | None = None,
         *,
         hidden: bool = False,
     ) -> None:
-        super().__init__(session.space.container(room, namespace))
-        self.title = names.join(namespace) if namespace else room.capitalize()
+        super().__init__(session.space.container(route, namespace))
+        self.title = names.join(namespace) if namespace else route.capitalize()
         self.session = session
         self.states = states
         self.latest_values = latest_values
-        self.room = room
+        self.route = route
         self.namespace = namespace
         self._place = place
         self._hidden = hidden
@@ -210,7 +210,7 @@ class NamespaceContainer(Resource):
         hidden, token = exchange.query_flag("hidden"), exchange.query.get("page")
         place = None if token is None else parse_named_position(token)
         asked = NamespaceContainer(
-            self.session, self.states, self.latest_values, self.room, self.namespace, place, hidden=hidden
+            self.session, self.states, self.latest_values, self.route, self.namespace, place, hidden=hidden
         )
         if place is None:
             require_page(exchange, self.url, count_members(asked._members()))
@@ -221,7 +221,7 @@ class NamespaceContainer(Resource):
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         query = listing_parameters(self.session)
-        return PathItem(self.room.capitalize(), query=query, is_paged=True, alike=f"namespace-of-{self.room}")
+        return PathItem(self.route.capitalize(), query=query, is_paged=True, alike=f"namespace-of-{self.route}")
 
     async def state(self) -> State:
         members = self._members()
@@ -229,8 +229,8 @@ class NamespaceContainer(Resource):
         outlines = member_outlines(
             self.session.space,
             self.latest_values,
-            things_of(self.session.graph, self.room),
-            self.room,
+            things_of(self.session.graph, self.route),
+            self.route,
             self.namespace,
             told,
         )
@@ -245,13 +245,13 @@ class NamespaceContainer(Resource):
             part = f"p{digest(page.token.encode())}"
             return State(lambda: page.add_to(document), token=token, part=part, headers=headers)
 
-        is_partial = leaves_out(self.session, self.room, self.namespace, hidden=self._hidden)
+        is_partial = leaves_out(self.session, self.route, self.namespace, hidden=self._hidden)
         token = digest(repr((members, self._is_name, is_partial, outlines, values)).encode("utf-8", "replace"))
         return self.states.get_or_make(self._sequence if page is None else page.url, version, make)
 
     def _values_below(self) -> Sequence[tuple[str, LatestValue | None]]:
         """The values at hand of all topics below, which the page lists, too: it is another one when one of them is."""
-        if self.room != "topics":
+        if self.route != "topics":
             return ()
         prefix, values = "".join(f"/{part}" for part in self.namespace) + "/", self.latest_values
         below = (name for name in self.session.topics.subscribed() if name.startswith(prefix))
@@ -259,13 +259,13 @@ class NamespaceContainer(Resource):
 
     def _document(self, members: Members, outlines: Sequence[MemberOutline]) -> Document:
         """What the namespace says of itself, and in brief of its members."""
-        document = listing_document(self.session, self.room, self.namespace, members, hidden=self._hidden)
+        document = listing_document(self.session, self.route, self.namespace, members, hidden=self._hidden)
         told = (triple for outline in outlines for triple in member_triples(outline, self.session.space))
         return replace(document, triples=(*document.triples, *told))
 
     @property
     def _is_name(self) -> bool:
-        return names.join(self.namespace) in things_of(self.session.graph, self.room)
+        return names.join(self.namespace) in things_of(self.session.graph, self.route)
 
     def _members(self) -> Members:
         """The members; a Problem where there is no such namespace."""
@@ -275,7 +275,7 @@ class NamespaceContainer(Resource):
         return members
 
     def _found(self) -> Members | None:
-        return listed_members(self.session, self.room, self.namespace, hidden=self._hidden)
+        return listed_members(self.session, self.route, self.namespace, hidden=self._hidden)
 
     def _page(self, place: PagePosition, members: Members) -> tuple[LdpPage, Members]:
         """A page, and the members it tells of."""
@@ -296,7 +296,7 @@ class NamespaceContainer(Resource):
         whole = self._hidden or names.is_hidden(names.join(self.namespace))
         graph, space = self.session.graph if whole else listed_graph(self.session), self.session.space
         members = self._found()
-        if self.room == "topics":
+        if self.route == "topics":
             told, total = self._below(graph.topics, members)
             topics = {name: graph.topics[name] for name in told}
             return MemberColumns(
@@ -307,7 +307,7 @@ class NamespaceContainer(Resource):
                 },
                 total,
             )
-        if self.room == "services":
+        if self.route == "services":
             told, total = self._below(graph.services, members)
             services = {name: graph.services[name] for name in told}
             return MemberColumns(
@@ -315,7 +315,7 @@ class NamespaceContainer(Resource):
                 {space.service(name): service_cells(service, space) for name, service in services.items()},
                 total,
             )
-        if self.room == "actions":
+        if self.route == "actions":
             told, total = self._below(graph.actions, members)
             actions = {name: graph.actions[name] for name in told}
             return MemberColumns(
@@ -340,7 +340,7 @@ class NamespaceContainer(Resource):
     def _missing(self) -> Problem:
         """308 where the name is a leaf, else 404."""
         name = names.join(self.namespace)
-        if name in things_of(self.session.graph, self.room):
-            leaf = self.session.space.url(self.room, self.namespace)
+        if name in things_of(self.session.graph, self.route):
+            leaf = self.session.space.url(self.route, self.namespace)
             return permanent_redirect(leaf)
-        return Problem(404, f"There is no namespace {name} under /{self.room}/.")
+        return Problem(404, f"There is no namespace {name} under /{self.route}/.")

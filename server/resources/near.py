@@ -17,7 +17,7 @@ from rosld.server.search.near_names import NearNames
 _IN_GRAPH = frozenset({"nodes", "topics", "services", "actions", "parameters"})
 
 
-def _near_in_room(things: Mapping[str, object]) -> NearNames:
+def _near_in_route(things: Mapping[str, object]) -> NearNames:
     return NearNames((*things, *(path_of(namespace) for namespace in namespaces_of(things) if namespace)))
 
 
@@ -25,7 +25,7 @@ def _near_in_tree(tree: ResourceTree) -> NearNames:
     return NearNames({*tree.properties, *tree.actions, *tree.paths} - {"/"})
 
 
-_room_names: IdentityCache[Mapping[str, object], NearNames] = IdentityCache(_near_in_room)
+_route_names: IdentityCache[Mapping[str, object], NearNames] = IdentityCache(_near_in_route)
 _tree_names: IdentityCache[ResourceTree, NearNames] = IdentityCache(_near_in_tree, 2)
 
 
@@ -50,7 +50,7 @@ def _near_names(session: Session, place: Location) -> Sequence[str]:
         space.container(place.kind, segments_of(each))
         if each.endswith("/")
         else space.url(place.kind, tuple(each[1:].split("/")))
-        for each in _room_names(things).of(name)
+        for each in _route_names(things).of(name)
     ]
 
 

@@ -128,6 +128,10 @@ class NodeResource(CommandResource):
         return (ChoiceForm(TRANSITION, labels, "Change the state"),)
 
     async def post(self, exchange: Exchange) -> Answer:
+        """Have a managed node make the transition that the body names (`lifecycle_msgs/srv/ChangeState`).
+
+        Raises a 409 Problem, with the transitions that there are, where the node refuses it.
+        """
         label = await _label_in(exchange, self.url)
         lifecycle = self.lifecycle
         transition = next((each for each in lifecycle.transitions if each.label == label), None) if lifecycle else None

@@ -42,8 +42,8 @@ class OntologyResource(Resource):
         return Document(self.url, served_triples(self.name))
 
 
-def ontology_room(space: Space, states: VersionCache[State], location: Location) -> Resource:
-    """`/ontology` and below."""
+def ontology_route(space: Space, states: VersionCache[State], location: Location) -> Resource:
+    """The module of the vocabulary at `/ontology` or below. Raises a 404 Problem where there is none."""
     if location.is_container:
         raise permanent_redirect(space.url("ontology", location.segments))
     version = location.segments[0] if location.segments[:1] == (VERSION,) else ""

@@ -132,6 +132,10 @@ class ParameterBase(CommandResource):
                 raise Problem(409, resources_only_reason(each))
 
     async def delete(self, exchange: Exchange) -> Answer:
+        """Delete the parameter, of a tree all that is in it.
+
+        Raises a 409 Problem where a node declares that it is never deleted, 404 where it is not there.
+        """
         if await self._value() is None:
             raise Problem(404, f"There is no parameter {self.name}.")
         await self._delete([self.name])

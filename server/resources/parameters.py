@@ -180,6 +180,7 @@ class ParameterResource(ParameterBase):
         return forms
 
     async def put(self, exchange: Exchange) -> Answer:
+        """Set the parameter: 204, 201 where it is new, 200 with the value where a node made another of it."""
         value = await self._parse(exchange)
         _require_below(exchange, self.url, value)
         before = await self._value()
@@ -241,6 +242,7 @@ class ParameterResource(ParameterBase):
                 )
 
     async def patch(self, exchange: Exchange) -> Answer:
+        """Set what a patch makes of the value: 204, or 200 with the value where a node made another of it."""
         before = await self._value()
         if before is None:
             raise Problem(404, f"There is no parameter {self.name}; PUT makes it.")
@@ -446,7 +448,10 @@ class ParameterTree(ParameterBase):
         return state.redact(permissions, plain=lambda: redact_tree(plain(), self.url, permissions))
 
     async def post(self, exchange: Exchange) -> Answer:
-        """A new member, named by Slug where it is free (LDP 5.2.3.10)."""
+        """Make a member, named by Slug where it is free (LDP 5.2.3.10).
+
+        Raises a 404 Problem where there is no such tree.
+        """
         if self.namespace and await self._value() is None:
             raise Problem(404, f"There is no tree of parameters {self.name}.")
         member = ParameterResource(
@@ -462,7 +467,10 @@ class ParameterTree(ParameterBase):
         return f"{name}_{secrets.token_hex(3)}" if taken else name
 
     async def patch(self, exchange: Exchange) -> Answer:
-        """Merge patch: members are set, those that are null are deleted. Those of a node are set all or none."""
+        """Set the members of a merge patch, delete those that are null (RFC 7396); those of a node all or none.
+
+        Raises a 422 Problem for a patch that is no object, 409 for parameters of another node.
+        """
         before = await self._value()
         patch = parse_json(await exchange.body())
         if not isinstance(patch, dict) or not isinstance(before, dict | None):

@@ -115,7 +115,10 @@ class PlotResource(Resource):
         return State(partial(plot_document, self.url, numbers), lambda: plain, digest(plain))
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
-        """The numbers as they come, where an event stream is asked for."""
+        """The event stream of the numbers as they come, where one is preferred; else None.
+
+        Raises a 400 Problem without numbers, 404 for one that there is not.
+        """
         if not stream_is_preferred(exchange.accept, OFFERS):
             return None
         if not self.references:

@@ -263,7 +263,7 @@ class MemberResource(CommandResource):
         return None if plan is None else await self.affordances.watch(plan.reads, wake)
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
-        """`?field=PATH`: the bytes of one field of the value."""
+        """`?field=PATH`: the bytes of one field of the value; a 404 Problem where there is none."""
         if b"field=" not in exchange.request.scope["query_string"] or "field" not in exchange.query:
             return None
         view, path = (await self.state()).view, exchange.query["field"]
@@ -294,6 +294,10 @@ class MemberResource(CommandResource):
     # Writing
 
     async def put(self, exchange: Exchange) -> Answer:
+        """Write the property through what its mapping or convention writes by: a topic, a service or a parameter.
+
+        200 with the value where the robot made another of it, 202 where no subscriber heard it.
+        """
         tree, plan = await self._property()
         content = await self._content(exchange, plan, await exchange.body())
         changed = () if plan.member.field is None else (plan.source.name,)
@@ -319,7 +323,10 @@ class MemberResource(CommandResource):
         return await plan_property_write(self.session, self.limit_checks, plan.source, content, defaults=defaults)
 
     async def plan_graph_write(self, triples: Sequence[Triple] | None) -> Plan:
-        """Within a turn that names `concerned`."""
+        """Plan the write of the property by a graph; the caller holds the turn that names `concerned`.
+
+        Raises a 403 Problem where it cannot be written, or would be dropped (`triples` None).
+        """
         tree, plan = await self._property()
         if "PUT" not in self.methods():
             raise Problem(403, self.deny_reason("PUT"))
@@ -339,6 +346,7 @@ class MemberResource(CommandResource):
         return (self.name,) if plan is None else (self.name, plan.source.name)
 
     async def patch(self, exchange: Exchange) -> Answer:
+        """Write what a patch makes of the value as it is read within this turn: no write of ours comes between."""
         tree, plan = await self._property()
         data = await exchange.body()
         async with self.affordances.lock(tree, self.name, modified=(plan.source.name,)):
@@ -389,6 +397,10 @@ class MemberResource(CommandResource):
         return await self._stated(plan, apply_update(data, before.all_triples(), self.url, by_value=True))
 
     async def post(self, exchange: Exchange) -> Answer:
+        """Invoke the action: call its service, or send its goal.
+
+        Raises a 409 Problem where a condition forbids it now.
+        """
         tree = await self.affordances.tree()
         plan = tree.action(self.name)
         if plan is None:
@@ -425,7 +437,10 @@ class MemberResource(CommandResource):
             return await action.send(exchange, schema, goal)
 
     async def delete(self, exchange: Exchange) -> Answer:
-        """Cancel the goals of an action of ROS, whatever conditions say."""
+        """Cancel the goals of an action of ROS, whatever conditions say; `?others=true`: also those of other clients.
+
+        Raises a 404 Problem where there is no such action.
+        """
         tree = await self.affordances.tree()
         plan = tree.action(self.name)
         if plan is None:

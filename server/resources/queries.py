@@ -213,8 +213,10 @@ class ShippedQueryResource(Resource):
     def deny_reason(self, method: str) -> str:
         if self.settings.read_only:
             return "This server is read-only."
-        room = self.space.container("queries")
-        return f"{self._query.name} comes with rosld and stays as it is: PUT a query of another name to {room}NAME."
+        container = self.space.container("queries")
+        return (
+            f"{self._query.name} comes with rosld and stays as it is: PUT a query of another name to {container}NAME."
+        )
 
     async def state(self) -> State:
         return self.states.get_or_make(self.url, 0, self._describe)

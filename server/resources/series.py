@@ -107,7 +107,7 @@ class FieldValues:
         """Types that have a number at the path."""
 
     def value_of(self, sample: Sample) -> float | None:
-        """The number, None where there is none. In any thread."""
+        """The number of a sample; None where it has none, and `problem` says why. In any thread."""
         schema = self._schema(sample.schema)
         if schema is None:
             return None

@@ -118,6 +118,10 @@ class ServiceResource(CommandResource):
             return ()
 
     async def post(self, exchange: Exchange) -> Answer:
+        """Call the service with the request in the body: 201 with the call, which has the response (paper, Table 2).
+
+        A repetition with the same `Idempotency-Key` gets the first outcome.
+        """
         schema = await self._schema()
         request = await read_request(
             exchange, self.session.space, self.session.lifting, self.limit_checks, self.name, schema, self.url
@@ -208,6 +212,10 @@ class CallResource(Resource):
         return (DeleteForm("Forget the call", "Forget"),) if "DELETE" in self.methods() else ()
 
     async def delete(self, exchange: Exchange) -> Answer:
+        """Forget the call; of one that is still running the answer is dropped.
+
+        Raises a 404 Problem where there is none.
+        """
         _ = self.call
         self.session.calls.delete(self.id)
         return Response(status_code=204)

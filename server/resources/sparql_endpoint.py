@@ -333,6 +333,7 @@ class SparqlResource(Resource):
         return await self._answer(request, accept, exchange)
 
     async def post(self, exchange: Exchange) -> Answer:
+        """Answer a query, or carry out an update (SPARQL 1.1 Protocol 2.1.2, 2.1.3, 2.2)."""
         body = await exchange.raw_body()
         query_string = exchange.request.scope["query_string"]
         asked = posted_request(query_string, exchange.header("content-type"), body)

@@ -165,6 +165,7 @@ class StopResource(Resource):
         return (DeleteForm("Release the robot", "Release", about), stop)
 
     async def post(self, exchange: Exchange) -> Answer:
+        """Stop the robot: 200 with what was done, step by step. The body may state a reason."""
         require_right(exchange, self.session, self.software_stop)
         reason = _reason(await exchange.raw_body())  # a stop is not refused for its charset
         exchange.audit.add_step("stop the robot", self.url)
@@ -172,6 +173,7 @@ class StopResource(Resource):
         return ShownAnswer(self, self.current_state())
 
     async def delete(self, exchange: Exchange) -> Answer:
+        """Release the stop: writes pass again. Raises a 409 Problem while the robot is still being stopped."""
         require_right(exchange, self.session, self.software_stop)
         if self.software_stop.is_running:
             raise _still_being_stopped()

@@ -364,7 +364,10 @@ class TopicResource(CommandResource):
         return cast(Json, parse_json(lifter(decoded.schema, self.session.lifting).json(decoded.message, self.url)))
 
     async def select_variant(self, exchange: Exchange) -> Resource:
-        """`?series=FIELD`, `?at=TIME`, `?timemap`: out of the history."""
+        """The resource out of the history that `?series=FIELD`, `?at=TIME` or `?timemap` asks for.
+
+        Raises the redirection to a memento that `Accept-Datetime` asks for (RFC 7089 4.1).
+        """
         if exchange.method in ("GET", "HEAD"):
             query = exchange.query if exchange.request.scope["query_string"] else {}
             if "series" in query:
@@ -403,7 +406,10 @@ class TopicResource(CommandResource):
         return topic is not None and any(is_cloud(ref.name) for ref in topic.types)
 
     async def custom_get(self, exchange: Exchange) -> Response | Motion | None:
-        """`?field=PATH`: the bytes of one field of the latest message; or its picture or points, where preferred."""
+        """`?field=PATH`: the bytes of a field of the latest message; or its picture or points, where preferred.
+
+        Raises a 404 Problem where there is no message or no such field.
+        """
         if cloud_is_preferred(exchange, is_cloud=self.is_cloud):
             return await self._cloud(exchange)
         wanted = picture_type(exchange, is_picture=self.is_picture)
@@ -454,20 +460,27 @@ class TopicResource(CommandResource):
         return RobotWrite(f"publish a {plan.publication.type.name} on {self.name}", carried_out)
 
     async def put(self, exchange: Exchange) -> Answer:
+        """Publish the message in the body: 204, 202 where no subscriber is there, 201 where this made the topic."""
         return await self._publishing.carry_out(await self._publishing.plan(exchange), exchange.accept)
 
     async def post(self, exchange: Exchange) -> Answer:
+        """Hold the topic: publish the message in the body again and again while the lease is renewed.
+
+        Answers 201 with the hold.
+        """
         return await create_hold(
             exchange, self.session, self.limit_checks, self.states, self.holds, self.name, self._find
         )
 
     async def patch(self, exchange: Exchange) -> Answer:
+        """Publish the latest message with the changes of a patch. Raises a 428 Problem without If-Match."""
         require_if_match(exchange.header("if-match"), "PATCH changes the latest message, which changes often.")
         description = (await self.state()).document.triples
         plan = await self._publishing.plan_patch(exchange, description)
         return await self._publishing.carry_out(plan, exchange.accept)
 
     async def delete(self, exchange: Exchange) -> Answer:
+        """Advertise the topic no more."""
         await self.session.adapter.unadvertise(self.name)
         return Response(status_code=204)
 

@@ -192,16 +192,16 @@ class TypeContainer(Resource):
     kind = "Types"
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
 
-    def __init__(self, session: Session, states: VersionCache[State], room: str, namespace: tuple[str, ...]) -> None:
-        super().__init__(session.space.container(room, namespace))
+    def __init__(self, session: Session, states: VersionCache[State], route: str, namespace: tuple[str, ...]) -> None:
+        super().__init__(session.space.container(route, namespace))
         self.session = session
         self.states = states
-        self.room = room
+        self.route = route
         self.namespace = namespace
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         of = ("", " of a package", " of a kind")[len(self.namespace)]
-        return PathItem(f"{self.room.capitalize()}{of}")
+        return PathItem(f"{self.route.capitalize()}{of}")
 
     @property
     def conforms_to(self) -> Sequence[str]:
@@ -209,13 +209,13 @@ class TypeContainer(Resource):
 
     async def state(self) -> State:
         listed = sorted({ref.name for ref in known_types(self.session)})
-        below = child_names(listed, self.room, self.namespace)
+        below = child_names(listed, self.route, self.namespace)
         if self.namespace and not below:
             raise Problem(404, f"No type of {'/'.join(self.namespace)} is known.")
         return self.states.get_or_make(
             self.url,
             below,
-            lambda: State(lambda: type_container_document(self.room, self.namespace, below, self.session.space)),
+            lambda: State(lambda: type_container_document(self.route, self.namespace, below, self.session.space)),
         )
 
 
@@ -238,11 +238,11 @@ def known_types(session: Session) -> Sequence[TypeRef]:
     return list(dict.fromkeys([*session.adapter.known_types(), *used_types(session.graph)]))
 
 
-def child_names(listed: Sequence[str], room: str, namespace: tuple[str, ...]) -> tuple[str, ...]:
+def child_names(listed: Sequence[str], route: str, namespace: tuple[str, ...]) -> tuple[str, ...]:
     """The names that a container of types or shapes shows, of those `listed` by the robot."""
     depth = len(namespace)
     below = tuple(name for name in listed if tuple(name.split("/"))[:depth] == namespace)
-    return (*below, *SHAPES_GRAPHS) if room == "shapes" and not namespace else below
+    return (*below, *SHAPES_GRAPHS) if route == "shapes" and not namespace else below
 
 
 def type_route(session: Session, states: VersionCache[State], location: Location) -> Resource:
@@ -374,12 +374,14 @@ def _packages(session: Session) -> set[str]:
 def _deny_reason(space: Space, settings: Settings, url: str, method: str) -> str:
     if settings.read_only:
         return "This server is read-only."
-    room = space.container("shapes")
-    return f"{url} is the server's own and does not answer {method}: limits may be kept at {room}NAME, by another name."
+    route = space.container("shapes")
+    return (
+        f"{url} is the server's own and does not answer {method}: limits may be kept at {route}NAME, by another name."
+    )
 
 
-def _container(session: Session, states: VersionCache[State], room: str, location: Location) -> Resource:
+def _container(session: Session, states: VersionCache[State], route: str, location: Location) -> Resource:
     if not location.is_container:
-        url = session.space.container(room, location.segments)
+        url = session.space.container(route, location.segments)
         raise permanent_redirect(url)
-    return TypeContainer(session, states, room, location.segments)
+    return TypeContainer(session, states, route, location.segments)

@@ -71,7 +71,10 @@ class RunningBag(UnfinishedBag):
         return State(partial(describe_running, self.space, self.recordings, self.one))
 
     async def patch(self, exchange: Exchange) -> Answer:
-        """End it: `{"status": "ended"}`, or that `ros:recordingStatus` is "ended" from now on."""
+        """End it: `{"status": "ended"}`, or that `ros:recordingStatus` is "ended" from now on.
+
+        Answers with the recording, or a 507 Problem where it could not be completed.
+        """
         before = describe_running(self.space, self.recordings, self.one).triples
         require_end(await exchange.body(), exchange.media_type, self.url, before)
         await self.recordings.end(self.one.name)

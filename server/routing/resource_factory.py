@@ -34,7 +34,7 @@ from rosld.server.resources.limit_checks import LimitChecks
 from rosld.server.resources.listings import ListingResource, calls_listing, goals_listing, holds_listing
 from rosld.server.resources.namespaces import NamespaceContainer
 from rosld.server.resources.nodes import NodeResource
-from rosld.server.resources.ontology import OntologyResource, ontology_room
+from rosld.server.resources.ontology import OntologyResource, ontology_route
 from rosld.server.resources.parameters import ParameterResource, ParameterTree
 from rosld.server.resources.past_resources import ComplexTimeGate, MemberTimeGate
 from rosld.server.resources.property_action import MemberResource
@@ -251,7 +251,7 @@ class ResourceFactory:
         return OntologyResource(self.session.space, self.states, name)
 
     def ontology_at(self, location: Location) -> Resource:
-        return ontology_room(self.session.space, self.states, location)
+        return ontology_route(self.session.space, self.states, location)
 
     def guide(self) -> GuideResource:
         return GuideResource(self.session)

@@ -54,7 +54,7 @@ def _flat(space: Space, what: str, container: Callable[[], Resource], leaf: Call
 
 
 def single_route(make: Callable[[], Resource]) -> Route:
-    """A route to one resource, with nothing below it."""
+    """A route to one resource; a 404 Problem for everything below it."""
 
     def route(location: Location) -> Resource:
         if location.segments or (location.is_container and location.kind):

@@ -74,7 +74,10 @@ class Blobs:
                 os.rename(part, path)  # noqa: PTH104 - as quick as the thread would be to begin
 
     def add(self, file: IO[bytes], size: int) -> str:
-        """Copy a file that must hold so many bytes: the id of the copy, whose name is durable after `sync`."""
+        """Copy a file that must hold so many bytes: the id of the copy, whose name is durable after `sync`.
+
+        Raises ValueError where it holds another number of bytes, and OSError; then no copy is left.
+        """
         id = secrets.token_hex(16)
         path = self.path(id)
         try:

@@ -68,7 +68,7 @@ class RecordTable:
         """What was seen and then was not kept, and has never been there since: the version at which it went."""
 
     def find(self, path: str) -> Record | None:
-        """A record."""
+        """The record at a path, None where there is none. Raises StorageError, DatabaseBusy: all reading does."""
         try:
             row = self._execute(SELECT_RECORD, (path,)).fetchone()
         except sqlite3.Error as error:
@@ -76,28 +76,28 @@ class RecordTable:
         return None if row is None else record_of_row(path, row)
 
     def versions(self, path: str) -> list[FormerVersion]:
-        """The former versions of a document."""
+        """The former versions of a document, without their triples."""
         try:
             return former_versions(self._connection, path)
         except sqlite3.Error as error:
             raise storage_error(error) from error
 
     def version_at(self, path: str, time_ns: int) -> Record | None:
-        """The former version of a document at a time."""
+        """The version that a document had at a time (ns after the epoch), None where it is not a former one."""
         try:
             return former_version_at(self._connection, path, time_ns)
         except sqlite3.Error as error:
             raise storage_error(error) from error
 
     def is_tombstone(self, path: str) -> bool:
-        """Whether it was removed."""
+        """Whether there was a record at a path that was removed."""
         try:
             return self._execute("SELECT 1 FROM gone WHERE path = ?", (path,)).fetchone() is not None
         except sqlite3.Error as error:
             raise storage_error(error) from error
 
     def members(self, path: str, after: int, limit: int) -> list[Member]:
-        """Members of a container by number."""
+        """At most `limit` members of a container, after the number `after`, by number."""
         try:
             rows = self._execute(SELECT_MEMBERS, (path, after, limit)).fetchall()
         except sqlite3.Error as error:
@@ -105,7 +105,7 @@ class RecordTable:
         return [Member(number, name, MODELS[model], member) for number, name, model, member in rows]
 
     def last_member_numbers(self, path: str, up_to: int | None, limit: int) -> list[int]:
-        """The numbers of the last members of a container, the newest first."""
+        """The numbers of the last `limit` members of a container up to a number (None: of all), the newest first."""
         try:
             rows = self._execute(SELECT_LAST_NUMBERS, (path, _GREATEST if up_to is None else up_to, limit)).fetchall()
         except sqlite3.Error as error:
@@ -113,7 +113,7 @@ class RecordTable:
         return [row[0] for row in rows]
 
     def changes_since(self, after: int, limit: int) -> list[RecordChange]:
-        """What has changed after a version."""
+        """The first `limit` changes after a version, each path once, by version."""
         try:
             rows = self._execute(SELECT_CHANGES, (after, limit)).fetchall()
         except sqlite3.Error as error:

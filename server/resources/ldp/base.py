@@ -92,6 +92,10 @@ class StoredResource(Resource):
                     raise Problem(503, words, headers={"Retry-After": "1"}) from error
 
     async def delete(self, exchange: Exchange) -> Answer:
+        """Remove the record, which leaves a tombstone; with `?versions=true` its former versions, too.
+
+        Raises a 409 Problem for a container that has members, 412 where another has changed it.
+        """
         self.require_if_match(exchange)
         with_versions = exchange.query_flag("versions") and self.documents.settings.versions > 0
 

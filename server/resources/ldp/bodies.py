@@ -106,6 +106,7 @@ async def receive_blob(documents: Documents, exchange: Exchange) -> Blob:
 
 
 async def single_chunk(data: bytes) -> AsyncIterator[bytes]:
+    """A body that was read already, as the chunks of one that is read as it comes."""
     yield data
 
 

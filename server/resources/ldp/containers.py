@@ -110,7 +110,7 @@ class ContainerResource(RdfSourceResource):
         return any(records.get(path) is not None or records.is_tombstone(path) for path in paths)
 
     async def post(self, exchange: Exchange) -> Answer:
-        """A member, named by Slug where that is free (LDP 5.2.3)."""
+        """Make a member, named by Slug where that is free (LDP 5.2.3)."""
         self.require_record()
         model = self._model(exchange)
         permissions = exchange.permissions

@@ -87,6 +87,7 @@ class RdfSourceResource(StoredResource):
         return [DeleteForm("Delete it")] if "DELETE" in self.methods() else []
 
     async def put(self, exchange: Exchange) -> Answer:
+        """Replace all triples (LDP 4.2.4). Of writes that state no condition the last one counts."""
         self.require_if_match(exchange)
         require_model(exchange, self.require_record().model, self.url)
         triples = await read_statements(self.documents.workers, exchange, self.document_url, self._subject)
@@ -117,6 +118,10 @@ class RdfSourceResource(StoredResource):
         return await with_warnings(self.documents, self.path, exchange, no_content())
 
     async def patch(self, exchange: Exchange) -> Answer:
+        """Apply a SPARQL Update, an N3 Patch or a JSON merge patch to the triples as they are now.
+
+        One that is made while another changes the resource is applied anew.
+        """
         self.require_if_match(exchange)
         data, media_type, url = await exchange.body(), exchange.media_type, self.document_url
 

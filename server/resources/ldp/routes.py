@@ -144,6 +144,10 @@ class AbsentResource(StoredResource):
         return Model.BASIC_CONTAINER if self.path.endswith("/") else Model.RDF_SOURCE
 
     async def put(self, exchange: Exchange) -> Answer:
+        """Make the resource with the content that is sent (LDP 4.2.4); one that was made meanwhile is replaced.
+
+        Raises a 412 Problem where the request was only to make it.
+        """
         model, blob = self._model(exchange), None
         if model is Model.NON_RDF_SOURCE:
             require_free(self.documents, self.path)
@@ -158,7 +162,10 @@ class AbsentResource(StoredResource):
         return await self._once_more(exchange, blob)
 
     async def patch(self, exchange: Exchange) -> Answer:
-        """What is not there is made of what a patch inserts; what was made meanwhile is patched."""
+        """Make the resource of what a patch inserts; one that was made meanwhile is patched.
+
+        Raises a 404 or 410 Problem for a patch that deletes something.
+        """
         if self.documents.records.get(self.path) is not None:
             return await self._patch_there(exchange)
         data, media_type = await exchange.body(), exchange.media_type
@@ -210,7 +217,10 @@ def missing_description(records: Records, path: str) -> Problem:
 
 
 def stored_route(documents: Documents, location: Location) -> Resource:
-    """`/data/` and below: as what is recorded now has it."""
+    """The resource at `/data/` or below, by its record; an `AbsentResource` where there is none.
+
+    Raises a 308 Problem for `/data`, and 404 for the description of a file that is not there.
+    """
     if not location.segments and not location.is_container:
         raise permanent_redirect(documents.space.container(location.kind))
     path = documents.space.url(location.kind, location.segments)[len(documents.space.base) :]

@@ -82,6 +82,7 @@ class StoredFile(StoredResource):
         )
 
     async def put(self, exchange: Exchange) -> Answer:
+        """Replace the bytes and their media type (RFC 9110 9.3.4). Raises a 507 Problem where there is no space."""
         self.require_if_match(exchange)
         before = self.require_record()
         require_model(exchange, before.model, self.url)

@@ -80,9 +80,9 @@ class MappingValidator:
         if isinstance(write, Remove):
             return self._told(lambda: self._mappings.remove(url))
         if write.model is not Model.RDF_SOURCE or "/" in write.path.removeprefix(MAPPINGS):
-            room = self._space.base + MAPPINGS
+            container = self._space.base + MAPPINGS
             raise Problem(
-                409, f"A mapping is an RDF source directly under {room}: files and containers have no place there."
+                409, f"A mapping is an RDF source directly under {container}: files and containers have no place there."
             )
         document = await asyncio.to_thread(stored_mapping, _unpack(write), url)  # a large one takes its time
         self._mappings.check(document)
@@ -124,9 +124,9 @@ class QueryValidator:
 
     async def _permissions(self, put: Put) -> None:
         if put.blob is None or "/" in put.path.removeprefix(QUERIES):
-            room = self._space.base + QUERIES
+            container = self._space.base + QUERIES
             raise Problem(
-                409, f"A stored query is {QUERY_MEDIA_TYPE} directly under {room}: nothing else has a place there."
+                409, f"A stored query is {QUERY_MEDIA_TYPE} directly under {container}: nothing else has a place there."
             )
         before = self._records.get(put.path)
         if before is not None and before.blob == put.blob:
@@ -166,8 +166,8 @@ class LimitsValidator:
         if isinstance(write, Remove):
             return self._told(lambda: limits.remove(url))
         if write.model is not Model.RDF_SOURCE or "/" in write.path.removeprefix(SHAPES):
-            room = self._space.base + SHAPES
-            raise Problem(409, f"Limits are an RDF source directly under {room}: nothing else has a place there.")
+            container = self._space.base + SHAPES
+            raise Problem(409, f"Limits are an RDF source directly under {container}: nothing else has a place there.")
         try:
             graph = await asyncio.to_thread(limits.check, url, _unpack(write))  # a large one takes its time
         except ValueError as error:
@@ -208,10 +208,10 @@ class CockpitValidator:
         return _nothing
 
     async def _check(self, put: Put) -> None:
-        room = self._space.base + COCKPITS
+        container = self._space.base + COCKPITS
         if put.model is not Model.RDF_SOURCE or "/" in put.path.removeprefix(COCKPITS):
             raise Problem(
-                409, f"A cockpit is an RDF source directly under {room}: files and containers have no place there."
+                409, f"A cockpit is an RDF source directly under {container}: files and containers have no place there."
             )
         await asyncio.to_thread(check_cockpit, _unpack(put), self._space.base + put.path)
 

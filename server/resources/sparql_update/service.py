@@ -55,7 +55,7 @@ from rosld.server.storage import Conflict, ConflictCause, Write
 ATTEMPTS = 4
 """Times that an update is drawn where what it is drawn over changes before it is carried out."""
 _LIVE = ("topics", "parameters", "resources")
-"""The rooms whose graphs hold values that change by themselves."""
+"""The routes whose graphs hold values that change by themselves."""
 _PATIENCE = 1.0
 """Seconds that an update lets others of the same graphs go first."""
 _CHANGED = frozenset({ConflictCause.CHANGED, ConflictCause.THERE, ConflictCause.MISSING})
@@ -182,7 +182,7 @@ class UpdateService:
     # What graphs are
 
     def _kind(self, graph: str) -> str | None:
-        """The room that it lies in; None where it is none of this server's."""
+        """The route that it lies at; None where it is none of this server's."""
         location = self._session.space.location(graph)
         return None if location is None else location.kind
 

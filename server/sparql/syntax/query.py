@@ -67,7 +67,7 @@ class QueryParser(ExpressionParser):
     """Reads a query from its beginning to its end."""
 
     def query(self) -> Query:
-        """The whole text."""
+        """Parse the whole text as one query. Raises a 400 Problem that names the place and what is expected there."""
         self.prologue()
         form, name = self.token, self.key
         if self.is_at_end:

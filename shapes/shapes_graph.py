@@ -14,8 +14,26 @@ from rosld.ontology.vocab import rdf, sh, xsd
 from rosld.shapes import components
 from rosld.shapes.bounds import is_exact, merge_bounds, narrow
 from rosld.shapes.compiled_shape import Extent, SetConstraint, Shape, ValueConstraint
+from rosld.shapes.parameter_checks import (
+    ParameterFault,
+    checked_cardinal,
+    checked_iri,
+    checked_term,
+    checked_text,
+    checked_truth,
+)
 from rosld.shapes.safe_regex import SafePattern, compile_pattern
-from rosld.shapes.terms import is_numeric, number
+from rosld.shapes.shacl_terms import (
+    ABOUT,
+    BEYOND_CORE,
+    BOUNDS,
+    COMPILED,
+    LEFT_TO_PYSHACL,
+    PAIRS,
+    REPEATABLE,
+    TARGETS,
+    prefixed,
+)
 from rosld.shapes.value import UNBOUNDED, Bounds
 
 if TYPE_CHECKING:
@@ -29,38 +47,6 @@ MAX_SHAPES = 1000
 """The shapes that one shape may hold, counted each time they are referred to."""
 
 _LONGEST_PATH = 50
-_XML = frozenset(NamedNode(rdf.iri + name) for name in ("XMLLiteral", "HTML"))
-
-
-def _terms(names: str) -> frozenset[NamedNode]:
-    return frozenset(NamedNode(sh.iri + name) for name in names.split())
-
-
-_COMPILED = _terms(
-    "class datatype nodeKind minCount maxCount minInclusive maxInclusive minExclusive maxExclusive minLength maxLength "
-    "pattern flags and or not xone node property in hasValue"
-)
-_LEFT = _terms(
-    "languageIn uniqueLang equals disjoint lessThan lessThanOrEquals closed ignoredProperties qualifiedValueShape "
-    "qualifiedMinCount qualifiedMaxCount qualifiedValueShapesDisjoint"
-)
-_PAIRS = _terms("equals disjoint lessThan lessThanOrEquals")
-_TARGETS = _terms("targetNode targetClass targetSubjectsOf targetObjectsOf")
-_ABOUT = _terms("path message severity deactivated name description order group defaultValue")
-_SEVERAL = _terms(
-    "class minInclusive maxInclusive minExclusive maxExclusive pattern and or not xone node property hasValue equals "
-    "disjoint lessThan lessThanOrEquals qualifiedValueShape message name description targetNode targetClass "
-    "targetSubjectsOf targetObjectsOf"
-)
-_BEYOND_CORE = _terms("sparql js rule expression target values entailment shapesGraph")
-_BOUNDS = _terms("minInclusive maxInclusive minExclusive maxExclusive minLength maxLength pattern in")
-_CARDINAL = (xsd.integer, xsd.nonNegativeInteger, NamedNode(xsd.iri + "positiveInteger"))
-_TRUTH = {"true": True, "1": True, "false": False, "0": False}
-
-
-def local(predicate: NamedNode) -> str:
-    """A term of SHACL as people write it."""
-    return f"sh:{predicate.value[len(sh.iri) :]}"
 
 
 @dataclass
@@ -102,7 +88,7 @@ class ShapesGraph:
         """Each target declaration: the shape, the kind of target (`sh:targetNode`), the target (SHACL 2.1.3)."""
         for node, said in self._said.items():
             if isinstance(node, NamedNode | BlankNode):
-                for kind in sorted(said.keys() & _TARGETS, key=str):
+                for kind in sorted(said.keys() & TARGETS, key=str):
                     yield from ((node, kind, target) for target in said[kind])
 
     def roots(self) -> Iterator[Node]:
@@ -111,12 +97,12 @@ class ShapesGraph:
             each
             for said in self._said.values()
             for predicate, objects in said.items()
-            if predicate not in (rdf.type, *_TARGETS)
+            if predicate not in (rdf.type, *TARGETS)
             for each in objects
         }
         for node, said in self._said.items():
             typed = {sh.NodeShape, sh.PropertyShape} & set(said.get(rdf.type, ()))
-            if (typed or said.keys() & (_COMPILED | _LEFT | _TARGETS)) and node not in inner:
+            if (typed or said.keys() & (COMPILED | LEFT_TO_PYSHACL | TARGETS)) and node not in inner:
                 assert isinstance(node, NamedNode | BlankNode)
                 yield node
 
@@ -178,7 +164,7 @@ class ShapesGraph:
             if not predicate.value.startswith(sh.iri) and predicate != rdf.type:
                 continue
             for each in objects:
-                if predicate in _TARGETS or (predicate == rdf.type and each not in (sh.NodeShape, sh.PropertyShape)):
+                if predicate in TARGETS or (predicate == rdf.type and each not in (sh.NodeShape, sh.PropertyShape)):
                     continue
                 yield Triple(node, predicate, each)
                 if predicate in (sh.property, sh.node, sh.not_, NamedNode(sh.iri + "qualifiedValueShape")):
@@ -211,7 +197,7 @@ class ShapesGraph:
         self._check_terms(node, said)
         path, is_property, simple_path = self._path(node, said)
         draft = _Draft()
-        for parameter in sorted(said.keys() & (_COMPILED | _LEFT), key=str):
+        for parameter in sorted(said.keys() & (COMPILED | LEFT_TO_PYSHACL), key=str):
             for value in said[parameter]:
                 self._parameter(node, draft, parameter, value, is_property)
         off = self._is_deactivated(node, said)
@@ -238,7 +224,7 @@ class ShapesGraph:
             words=self._words(node, said),
             severity=self._severity(node, said),
             is_property=is_property,
-            is_simple=simple_path and not said.keys() & _LEFT and all(each.is_simple for each in children),
+            is_simple=simple_path and not said.keys() & LEFT_TO_PYSHACL and all(each.is_simple for each in children),
             paths=self._paths(said, path, is_property, children),
             own=draft.own,
             within=inner,
@@ -250,10 +236,10 @@ class ShapesGraph:
         self, said: Mapping[NamedNode, list[Term]], path: NamedNode | None, is_property: bool, draft: _Draft
     ) -> bool:
         """Whether a shape demands nothing but its bounds and those of the properties in it."""
-        told = said.keys() & (_COMPILED | _LEFT) - {sh.property}
+        told = said.keys() & (COMPILED | LEFT_TO_PYSHACL) - {sh.property}
         return (
             (not is_property or path is not None)
-            and told <= (_BOUNDS if is_property else frozenset[NamedNode]())
+            and told <= (BOUNDS if is_property else frozenset[NamedNode]())
             and all(len(said[each]) == 1 for each in told)
             and all(isinstance(each, Literal) for chosen in said.get(sh.in_, ()) for each in self._list(chosen))
             and all(each.is_bounds for each in draft.parts)
@@ -265,7 +251,7 @@ class ShapesGraph:
     ) -> frozenset[NamedNode] | None:
         """The predicates that a shape looks at from the focus node; None where there are more than these."""
         pairs = frozenset(
-            each for pair in said.keys() & _PAIRS for each in said[pair] if isinstance(each, NamedNode)
+            each for pair in said.keys() & PAIRS for each in said[pair] if isinstance(each, NamedNode)
         )  # fmt: skip
         if is_property:
             return None if path is None else pairs | {path}
@@ -279,13 +265,15 @@ class ShapesGraph:
     def _check_terms(self, node: Node, said: Mapping[NamedNode, list[Term]]) -> None:
         """What is not known might have been meant to hold something back: it is refused, not passed over."""
         for predicate in said:
-            if not predicate.value.startswith(sh.iri) or predicate in _COMPILED | _LEFT | _TARGETS | _ABOUT:
-                if len(said[predicate]) > 1 and predicate.value.startswith(sh.iri) and predicate not in _SEVERAL:
+            if not predicate.value.startswith(sh.iri) or predicate in COMPILED | LEFT_TO_PYSHACL | TARGETS | ABOUT:
+                if len(said[predicate]) > 1 and predicate.value.startswith(sh.iri) and predicate not in REPEATABLE:
                     raise self._wrong(node, predicate, "is there more than once")
                 continue
-            if predicate in _BEYOND_CORE:
-                raise ValueError(f"{self.name(node)} uses {local(predicate)}: only SHACL Core is judged here")
-            raise ValueError(f"{self.name(node)} says {local(predicate)}, which is no term of SHACL Core for a shape")
+            if predicate in BEYOND_CORE:
+                raise ValueError(f"{self.name(node)} uses {prefixed(predicate)}: only SHACL Core is judged here")
+            raise ValueError(
+                f"{self.name(node)} says {prefixed(predicate)}, which is no term of SHACL Core for a shape"
+            )
 
     def _path(self, node: Node, said: Mapping[NamedNode, list[Term]]) -> tuple[NamedNode | None, bool, bool]:
         """The path where it is a predicate, whether there is one at all, whether it is compiled."""
@@ -309,61 +297,61 @@ class ShapesGraph:
         """Take one parameter of a constraint into the draft."""
         try:
             self._constraint(node, draft, parameter, value, is_property)
-        except _Fault as fault:
+        except ParameterFault as fault:
             raise self._wrong(node, parameter, str(fault)) from fault
 
     def _constraint(self, node: Node, draft: _Draft, parameter: NamedNode, value: Term, is_property: bool) -> None:
         match parameter:
             case sh.class_:
-                draft.of_value.append(components.class_(_iri(value)))
+                draft.of_value.append(components.class_(checked_iri(value)))
             case sh.datatype:
-                draft.of_value.append(components.datatype(_iri(value)))
+                draft.of_value.append(components.datatype(checked_iri(value)))
             case sh.nodeKind:
                 if value not in components.NODE_KINDS:
-                    raise _Fault(f"is {value}, which is no kind of node: sh:IRI, sh:Literal, sh:BlankNode, ...")
-                draft.of_value.append(components.node_kind(_iri(value)))
+                    raise ParameterFault(f"is {value}, which is no kind of node: sh:IRI, sh:Literal, sh:BlankNode, ...")
+                draft.of_value.append(components.node_kind(checked_iri(value)))
             case sh.minCount | sh.maxCount:
                 self._count(draft, parameter, value, is_property)
             case sh.minInclusive | sh.maxInclusive | sh.minExclusive | sh.maxExclusive:
                 self._range(draft, parameter, value)
             case sh.minLength | sh.maxLength:
-                length = _cardinal(value)
+                length = checked_cardinal(value)
                 draft.of_value.append(components.length(parameter, length))
                 is_least = parameter == sh.minLength
                 draft.demand(Bounds(min_length=length) if is_least else Bounds(max_length=length))
             case sh.pattern:
                 self._pattern(node, draft, value)
             case sh.flags:
-                _text(value)
+                checked_text(value)
             case sh.in_:
                 members = self._list(value)
-                draft.of_value.append(components.in_([_known(each) for each in members]))
+                draft.of_value.append(components.in_([checked_term(each) for each in members]))
                 draft.demand(Bounds(choices=tuple(each for each in members if isinstance(each, Literal))))
             case sh.hasValue:
-                draft.of_set.append(components.has_value(_known(value)))
+                draft.of_set.append(components.has_value(checked_term(value)))
                 draft.demand(Bounds(choices=(value,)) if isinstance(value, Literal) else UNBOUNDED)
-            case _ if parameter in _LEFT:
+            case _ if parameter in LEFT_TO_PYSHACL:
                 self._left(draft, parameter, value)
             case _:
                 self._shapes_of(draft, parameter, value)
 
     def _left(self, draft: _Draft, parameter: NamedNode, value: Term) -> None:
         """What is left to pyshacl, which would only stumble over a wrong value when it comes to it."""
-        match local(parameter):
+        match prefixed(parameter):
             case "sh:qualifiedValueShape":
                 self._part(draft, value)
             case "sh:qualifiedMinCount" | "sh:qualifiedMaxCount":
-                _cardinal(value)
+                checked_cardinal(value)
             case "sh:languageIn":
                 for each in self._list(value):
-                    _text(each)
+                    checked_text(each)
             case "sh:ignoredProperties":
                 for each in self._list(value):
-                    _iri(each)
+                    checked_iri(each)
             case "sh:closed" | "sh:uniqueLang" | "sh:qualifiedValueShapesDisjoint":
-                _truth(value)
+                checked_truth(value)
             case _:
-                _iri(value)
+                checked_iri(value)
 
     def _shapes_of(self, draft: _Draft, parameter: NamedNode, value: Term) -> None:
         """The parameters whose values are shapes."""
@@ -371,13 +359,13 @@ class ShapesGraph:
             case sh.property:
                 shape = self._part(draft, value)
                 if not shape.is_property:
-                    raise _Fault("leads to a shape without a sh:path")
+                    raise ParameterFault("leads to a shape without a sh:path")
                 draft.properties.append(shape)
                 draft.include(shape)
             case sh.node:
                 shape = self._part(draft, value)
                 if shape.is_property:
-                    raise _Fault("leads to a property shape: it must be a node shape")
+                    raise ParameterFault("leads to a property shape: it must be a node shape")
                 draft.of_value.append(components.node(shape))
                 draft.include(shape)
             case sh.not_:
@@ -385,7 +373,7 @@ class ShapesGraph:
             case sh.and_ | sh.or_ | sh.xone:
                 shapes = [self._part(draft, each) for each in self._list(value)]
                 if not shapes:
-                    raise _Fault("is an empty list")
+                    raise ParameterFault("is an empty list")
                 logic = {sh.and_: components.and_, sh.or_: components.or_, sh.xone: components.xone}
                 draft.of_value.append(logic[parameter](shapes))
                 for shape in shapes if parameter == sh.and_ else ():
@@ -393,29 +381,29 @@ class ShapesGraph:
 
     def _part(self, draft: _Draft, value: Term) -> Shape:
         if not isinstance(value, NamedNode | BlankNode):
-            raise _Fault(f"is {value}, which is no shape")
+            raise ParameterFault(f"is {value}, which is no shape")
         shape = self.shape(value)
         draft.parts.append(shape)
         return shape
 
     def _count(self, draft: _Draft, parameter: NamedNode, value: Term, is_property: bool) -> None:
         if not is_property:
-            raise _Fault("is for property shapes only: this shape has no sh:path")
+            raise ParameterFault("is for property shapes only: this shape has no sh:path")
         if not isinstance(value, Literal) or value.datatype != xsd.integer:
-            raise _Fault(f"is {value}, where an xsd:integer is needed")
-        count = _cardinal(value)
+            raise ParameterFault(f"is {value}, where an xsd:integer is needed")
+        count = checked_cardinal(value)
         is_least = parameter == sh.minCount
         draft.of_set.append(components.min_count(count) if is_least else components.max_count(count))
 
     def _range(self, draft: _Draft, parameter: NamedNode, value: Term) -> None:
         if not isinstance(value, Literal):
-            raise _Fault(f"is {value}, where a literal is needed")
+            raise ParameterFault(f"is {value}, where a literal is needed")
         if value.language is None and value.datatype != xsd.string:
-            _known(value)
+            checked_term(value)
         try:
             draft.of_value.append(components.value_range(parameter, value))
         except ValueError as error:
-            raise _Fault(str(error)) from error
+            raise ParameterFault(str(error)) from error
         match parameter:
             case sh.minInclusive:
                 draft.demand(Bounds(minimum=value))
@@ -427,7 +415,7 @@ class ShapesGraph:
                 draft.demand(Bounds(exclusive_maximum=value))
 
     def _pattern(self, node: Node, draft: _Draft, value: Term) -> None:
-        flags = "".join(_text(each) for each in self._said[node].get(sh.flags, ()))
+        flags = "".join(checked_text(each) for each in self._said[node].get(sh.flags, ()))
         found = self._taken(value, flags)
         self._longest[node] = min(found.max_length, self._longest.get(node, sys.maxsize))
         draft.of_value.append(components.pattern_(found))
@@ -436,18 +424,18 @@ class ShapesGraph:
 
     def _taken(self, value: Term, flags: str) -> SafePattern:
         try:
-            return compile_pattern(_text(value), flags)
-        except _Fault:
+            return compile_pattern(checked_text(value), flags)
+        except ParameterFault:
             raise
         except ValueError as error:
-            raise _Fault(f"cannot be used: {error}") from error
+            raise ParameterFault(f"cannot be used: {error}") from error
 
     # What is said about a shape
 
     def _is_deactivated(self, node: Node, said: Mapping[NamedNode, list[Term]]) -> bool:
         try:
-            return any(map(_truth, said.get(sh.deactivated, ())))
-        except _Fault as fault:
+            return any(map(checked_truth, said.get(sh.deactivated, ())))
+        except ParameterFault as fault:
             raise self._wrong(node, sh.deactivated, str(fault)) from fault
 
     def _severity(self, node: Node, said: Mapping[NamedNode, list[Term]]) -> NamedNode | None:
@@ -472,53 +460,11 @@ class ShapesGraph:
             said = self._said.get(head, {})
             first, rest = said.get(rdf.first, []), said.get(rdf.rest, [])
             if len(first) != 1 or len(rest) != 1 or head in seen:
-                raise _Fault("is no well-formed list: write its members in round brackets")
+                raise ParameterFault("is no well-formed list: write its members in round brackets")
             seen.add(head)
             members.append(first[0])
             head = rest[0]
         return members
 
     def _wrong(self, node: Term, parameter: NamedNode, words: str) -> ValueError:
-        return ValueError(f"{self.name(node)}: {local(parameter)} {words}")
-
-
-class _Fault(ValueError):
-    """What is wrong with the value of a parameter."""
-
-
-def _iri(value: Term) -> NamedNode:
-    if not isinstance(value, NamedNode):
-        raise _Fault(f"is {value}, where an IRI is needed")
-    return value
-
-
-def _text(value: Term) -> str:
-    if not isinstance(value, Literal) or value.datatype != xsd.string:
-        raise _Fault(f"is {value}, where a string is needed")
-    return value.value
-
-
-def _truth(value: Term) -> bool:
-    if not isinstance(value, Literal) or value.datatype != xsd.boolean or value.value not in _TRUTH:
-        raise _Fault(f"is {value}, where true or false is needed")
-    return _TRUTH[value.value]
-
-
-def _cardinal(value: Term) -> int:
-    if isinstance(value, Literal) and value.datatype in _CARDINAL:
-        found = number(value)
-        if isinstance(found, int) and found >= 0:
-            return found
-    raise _Fault(f"is {value}, where an integer from 0 is needed")
-
-
-def _known(value: Term) -> Term:
-    """A term that can be compared with. Raises _Fault for triple terms, for markup, and for ill-typed numbers."""
-    if isinstance(value, Triple):
-        raise _Fault("is a triple term, which SHACL does not know")
-    if isinstance(value, Literal):
-        if value.datatype in _XML:
-            raise _Fault("is XML or HTML, which is not compared here")
-        if is_numeric(value.datatype) and number(value) is None:
-            raise _Fault(f"is {value}, which is no number")
-    return value
+        return ValueError(f"{self.name(node)}: {prefixed(parameter)} {words}")

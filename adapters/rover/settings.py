@@ -24,12 +24,6 @@ class Declaration:
     choices: Mapping[str, str] | None = None
     is_read_only: bool = False
 
-    def has_in_range(self, value: object) -> bool:
-        """Whether a value lies within the range; true where there is none."""
-        if self.least is None or self.greatest is None:
-            return True
-        return isinstance(value, float | int) and self.least <= value <= self.greatest
-
     @property
     def constraints(self) -> str:
         """What no range can say, in words."""

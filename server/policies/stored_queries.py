@@ -67,10 +67,6 @@ class StoredQueries:
                 yield self._space.query(name), query
         yield from kept.items()
 
-    def is_shipped(self, path: str) -> bool:
-        """Whether rosld ships the query that has this path."""
-        return self._space.base + path in map(self._space.query, self.shipped)
-
     def outline(self, record: Record) -> StoredQuery:
         """What a kept query says of itself; of one that is none (any more) the purpose says why. In any thread."""
         assert record.blob is not None

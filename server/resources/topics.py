@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import re
 import time
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import replace
@@ -14,7 +13,7 @@ from pyoxigraph import Triple
 from starlette.responses import Response
 
 from rosld.adapters.base import Watch
-from rosld.adapters.model import Graph, Kind, MessageSchema, Operation, Ref, RosError, Sample, Topic
+from rosld.adapters.model import Graph, Kind, MessageSchema, RosError, Sample, Topic
 from rosld.ontology.describe_topics import topic_document
 from rosld.ontology.document import Document
 from rosld.ontology.lift import lifter
@@ -24,14 +23,13 @@ from rosld.server.html import DeleteForm, Form, MessageForm
 from rosld.server.html.inputs import Json
 from rosld.server.http.conditional import digest, require_if_match
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.data_schema import message_schema
-from rosld.server.hypermedia.json_schema import ANYTHING, OBJECT, nullable, patch_schema
+from rosld.server.hypermedia.json_schema import ANYTHING, nullable
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.pictures.form import can_draw
 from rosld.server.pictures.picture_cache import PictureCache
 from rosld.server.resources.accepted_shape import message_shape, shape_query
 from rosld.server.resources.command import CommandResource
-from rosld.server.resources.holds import create_hold, hold_form, hold_parameters, hold_schema
+from rosld.server.resources.holds import create_hold, hold_form
 from rosld.server.resources.limit_checks import LimitChecks
 from rosld.server.resources.memento import (
     SETTLED_NS,
@@ -65,11 +63,11 @@ from rosld.server.resources.point_clouds import (
 )
 from rosld.server.resources.publisher import Publisher
 from rosld.server.resources.series import PARAMETERS, read_time, require_history, series_of
-from rosld.server.resources.strictness import STRICT
+from rosld.server.resources.topic_methods import topic_methods, topic_writes, write_refusal
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH, RDF_BODIES, SPARQL_UPDATE
 from rosld.server.rest.motion import Motion
-from rosld.server.rest.path_item import FIELD, FIELD_READS, FORMAT, PathItem, QueryParameter, WriteMethod
+from rosld.server.rest.path_item import FIELD, FIELD_READS, FORMAT, PathItem
 from rosld.server.rest.plan import Plan, RobotWrite
 from rosld.server.rest.resource import READ, Answer, Resource
 from rosld.server.rest.state import State
@@ -78,12 +76,8 @@ from rosld.server.robot.publication import publish
 from rosld.server.robot.session import Session
 from rosld.server.robot.topic_view import TopicView
 from rosld.server.robot.velocity import is_velocity_topic
-from rosld.server.robot.write_policy import RESERVED, denied_reason, resources_only_reason
 from rosld.server.runtime.signals import combine_watches
 from rosld.server.runtime.version_cache import IdentityKey, VersionCache
-
-_LEGAL = re.compile(r"(/[A-Za-z][A-Za-z0-9_]*)+")
-_LATCH = QueryParameter("latch", "Whether subscribers that come later get the message.", {"type": "boolean"})
 
 
 class TopicResource(CommandResource):
@@ -134,29 +128,6 @@ class TopicResource(CommandResource):
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         topic = self.topic
         schema = None if topic is None else schemas.message(topic.type)
-        sent = schemas.write(schema)
-        publishes = "Publishes a message."
-        if topic is None:
-            publishes = "Makes a topic that is not there yet: RDF that states the type of the message."
-        writes = {
-            "PUT": WriteMethod(publishes, sent, done=(200, 201, 202, 204), query=(STRICT, _LATCH)),
-            "PATCH": WriteMethod(
-                "Publishes the latest message with changes.",
-                OBJECT if schema is None else patch_schema(message_schema(schema)),
-                done=(200, 202, 204),
-                query=(_LATCH,),
-            ),
-            "POST": WriteMethod(
-                "Holds the topic: publishes the message `rate` times a second while the lease is renewed.",
-                sent,
-                done=(201,),
-                shows=hold_schema(schemas, schema),
-                query=(STRICT, *hold_parameters(required="" if self._publishing.commands_velocity else "rate")),
-            ),
-            "DELETE": WriteMethod(
-                "Stops to advertise the topic; 405 while this server does not advertise it.", done=(204,)
-            ),
-        }
         methods = self.methods()
         return PathItem(
             "A topic that may be made" if topic is None else f"The topic {self.name}",
@@ -165,7 +136,7 @@ class TopicResource(CommandResource):
             (PICTURE_FORMAT, FIELD, *PARAMETERS, TIMEMAP, *PICTURE_PARAMETERS)
             if self.is_picture
             else (*(CLOUD_PARAMETERS if self.is_cloud else (FORMAT,)), FIELD, *PARAMETERS, TIMEMAP),
-            writes,
+            topic_writes(topic, schema, schemas, commands_velocity=self._publishing.commands_velocity),
             has_shape=topic is not None and topic.type is not None,
             methods=methods | {"DELETE"} if "PUT" in methods else methods,  # once rosld publishes
         )
@@ -197,40 +168,9 @@ class TopicResource(CommandResource):
         """The verbs and the refusal in the graph as it is: found once a graph."""
         graph = self.session.graph
         if self._allowed is None or self._allowed[0] is not graph:
-            denied_reason = self._refusal()
-            self._allowed = (graph, self._verbs(denied_reason), denied_reason)
+            refusal = write_refusal(self.session, self.name)
+            self._allowed = (graph, topic_methods(self.session, self.name, can_write=refusal is None), refusal)
         return self._allowed
-
-    def _verbs(self, denied_reason: str | None) -> frozenset[str]:
-        """The verbs of a topic that is there; of one that is not, what makes it: nothing can be read of it."""
-        verbs = READ if denied_reason else self._writing()
-        is_there = (
-            self.topic is not None
-            or redirect_to_namespace(self.session.space, self.session.graph, "topics", self.name) is not None
-        )
-        return verbs if is_there else verbs - {"GET", "HEAD"}
-
-    def _writing(self) -> frozenset[str]:
-        topic = self.topic
-        if topic is None:
-            return READ | {"PUT"}
-        own = any(endpoint.node == self.session.graph.own_node for endpoint in topic.publishers)
-        verbs = READ | {"PUT", "PATCH", "POST"} if topic.type is not None else READ | {"PUT", "PATCH"}
-        return verbs | {"DELETE"} if own else verbs
-
-    def _refusal(self) -> str | None:
-        topic = self.topic
-        if self.session.settings.read_only:
-            return "This server is read-only."
-        if self.session.is_resources_only(self.name):
-            return resources_only_reason(self.name)
-        if Operation.PUBLISH not in self.session.adapter.allows(Ref(Kind.TOPIC, self.name)):
-            return f"Nothing can be published on {self.name} of a {self.session.adapter.capabilities.system}."
-        if topic is not None:
-            return denied_reason(topic, self.session.graph, self.session.settings.allow_publish)
-        if self.name in RESERVED and self.name not in self.session.settings.allow_publish:
-            return f"{self.name} belongs to ROS itself."
-        return None if _LEGAL.fullmatch(self.name) else f"{self.name!r} is no legal name for a new topic."
 
     def deny_reason(self, method: str) -> str:
         if method == "DELETE" and self.unwritable_reason() is None:

@@ -101,13 +101,6 @@ def available_bytes(pid: int | None = None) -> int | None:
     return min(found) if found else None
 
 
-def resident_bytes() -> int:
-    """The bytes of memory that this process has; 0 where that cannot be told."""
-    with contextlib.suppress(OSError, ValueError):
-        return int(Path("/proc/self/statm").read_bytes().split()[1]) * os.sysconf("SC_PAGE_SIZE")
-    return 0
-
-
 def trim() -> None:
     """Return to the system what this process has freed and its allocator still holds."""
     if sys.platform == "linux":

@@ -11,6 +11,17 @@ const chart = {
     return [axis, { ...axis, size: 64 }];
   },
 
+  /* Numbers that are all the same lie in the middle: uPlot's own range of zeros goes up to 100. */
+  scales: {
+    y: {
+      range(_, least, most) {
+        if (least === null) return [null, null];
+        const room = Math.abs(least) / 10 || 1;
+        return least === most ? [least - room, most + room] : uPlot.rangeNum(least, most, 0.1, true);
+      },
+    },
+  },
+
   /* The series of uPlot: the time, and a line for each label. */
   series: (root, labels) => [{ label: "Time" }, ...labels.map((label, at) => ({
     label,

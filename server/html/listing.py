@@ -42,6 +42,7 @@ class ContainerTable:
     namespaces: tuple[Anchor, ...]
     total: int
     groups: tuple[NameGroup[ListingRow], ...] = ()
+    note: str = ""
 
 
 def container_table(document: Document, site: Site, listing: MemberColumns | None) -> ContainerTable | None:
@@ -70,7 +71,7 @@ def container_table(document: Document, site: Site, listing: MemberColumns | Non
     )
     namespaces = tuple(anchors[url] for url in urls if url in containers)
     groups = group_names(members, lambda row: row.anchor.text)
-    return ContainerTable(columns, members, namespaces, total, groups)
+    return ContainerTable(columns, members, namespaces, total, groups, listing.note if listing and members else "")
 
 
 def _seen(cell: Cell, site: Site) -> Cell:

@@ -68,11 +68,13 @@ def _roles(document: Document) -> Mapping[str, NamedNode]:
 
 def _section(document: Document, site: Site, each: LiftedMessage, role: NamedNode, query: str) -> MessageSection:
     schema = each.lifter.schema
+    picture = picture_view(schema, each.message, query, moves=role == ros.latest) if role in _DRAWN else None
     body = message_view(
         schema,
         each.message,
         simulated_time=document.simulated_time,
         octets="?field=" if each.node == NEWEST else None,
+        has_heads=picture is None or bool(picture.refused),
         plots=plot_prefix(document.url, site) if each.node == NEWEST else None,
     )
     envelope = each.envelope
@@ -86,7 +88,7 @@ def _section(document: Document, site: Site, each: LiftedMessage, role: NamedNod
         sequence=envelope.sequence if envelope else None,
         publisher=iri_view(publisher, site) if publisher else None,
         aside=role == ros.latestFrom,
-        picture=picture_view(schema, each.message, query, moves=role == ros.latest) if role in _DRAWN else None,
+        picture=picture,
         space=topic_view(schema.ref.name, document.url, site) if role == ros.latest and not query else "",
         is_cloud=schema.ref.name == POINT_CLOUD,
     )

@@ -24,6 +24,10 @@ DIAGNOSTIC_STATUS = "diagnostic_msgs/msg/DiagnosticStatus"
 _LEVELS = {0: ("OK", "good"), 1: ("WARN", "warning"), 2: ("ERROR", "error"), 3: ("STALE", "warning")}
 """The words of diagnostic levels, as the definition of DiagnosticStatus names its constants, and their tones."""
 
+_INTEGERS = frozenset(
+    {"byte", "char", "octet", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))}
+)
+
 _HEAD = 8
 _SHORT = 4
 _SHOWN = 2_000
@@ -40,6 +44,7 @@ class _Drawing:
     simulated: bool
     octets: str | None
     plots: str | None
+    has_heads: bool
     left: int = field(default=_ROWS)
 
 
@@ -51,13 +56,14 @@ def message_view(
     simulated_time: bool = False,
     octets: str | None = None,
     plots: str | None = None,
+    has_heads: bool = True,
 ) -> TableView:
     """The table of a message, or of some of its `fields`.
 
     `octets` is the reference of a field's bytes but for the field's path, `plots` that of a number's plot; None: there
-    are none.
+    are none. `has_heads`: of arrays of bytes the first are shown; they say nothing beside the picture that they are.
     """
-    drawing = _Drawing(schema.types, simulated_time, octets, plots)
+    drawing = _Drawing(schema.types, simulated_time, octets, plots, has_heads)
     kind = schema.type if fields is None else replace(schema.type, fields=fields)
     return _rows(kind, message, "", 0, drawing)
 
@@ -78,8 +84,29 @@ def _rows(kind: MessageType, message: Message, path: str, depth: int, drawing: _
             value = level_view(int(content))
         else:
             value = _value(each, content, f"{path}{each.name}", depth, drawing)
+            if isinstance(value, TextView) and (word := constant_name(kind, each, content)):
+                value = replace(value, hint=word)
         rows.append(TableRow(each.name, (value,), hint=type_name(each.type)))
     return TableView(tuple(rows), kind.name, short=depth > 0 and _is_short(kind))
+
+
+def constant_name(kind: MessageType, field: Field, value: object) -> str:
+    """What the definition of a message calls the value of an integer field; empty where it has no one word for it.
+
+    Its constants are of the field that their names begin with (`POWER_SUPPLY_STATUS_FULL`); where they begin with none,
+    two or more are of the only field of their type (`PENDING` in `actionlib_msgs/GoalStatus`).
+    """
+    if not isinstance(field.type, Primitive) or field.type.name not in _INTEGERS:
+        return ""
+    numbers = [each for each in kind.constants if each.type in _INTEGERS]
+    prefix = f"{field.name.upper()}_"
+    own = [each for each in numbers if each.name.startswith(prefix)]
+    if not own and sum(each.type == field.type for each in kind.fields) == 1:
+        prefixes = tuple(f"{each.name.upper()}_" for each in kind.fields)
+        own = [each for each in numbers if each.type == field.type.name and not each.name.startswith(prefixes)]
+        own = own if len(own) > 1 else []
+    found = {each.name.removeprefix(prefix) for each in own if each.value == value}
+    return found.pop() if len(found) == 1 else ""
 
 
 def _is_short(kind: MessageType) -> bool:
@@ -149,7 +176,8 @@ def _messages(kind: Nested, values: Sequence[object], path: str, depth: int, dra
 
 def _octets(values: npt.NDArray[Any], path: str, drawing: _Drawing) -> View:
     href = f"{drawing.octets}{quote(path, safe='')}" if drawing.octets is not None and len(values) else None
-    return BytesView(len(values), bytes(values[:16].tobytes()).hex(" "), href)
+    head = bytes(values[:16].tobytes()).hex(" ") if drawing.has_heads else ""
+    return BytesView(len(values), head, href)
 
 
 def scalar_view(kind: Primitive, value: object) -> View:

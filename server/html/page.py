@@ -125,6 +125,7 @@ class MemberColumns:
     What is told of here without being a direct member (a name in a namespace below) gets a row of its own.
     `total` is the number of members, or of the names told of, where the table may not have them all. `names` are what
     members are called whose URLs end in an identifier, `failed` the URLs of those that did not do what they were to do.
+    `note` is a sentence below the table.
     """
 
     columns: tuple[str, ...] = ()
@@ -132,6 +133,7 @@ class MemberColumns:
     total: int | None = None
     names: Mapping[str, str] = field(default_factory=dict)
     failed: frozenset[str] = frozenset()
+    note: str = ""
 
 
 @dataclass(frozen=True, slots=True)

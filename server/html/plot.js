@@ -185,6 +185,7 @@ tells which numbers there are. */
         ...size(),
         series: chart.series(root, lines.map(({ label }) => label)),
         axes: chart.axes(root),
+        scales: chart.scales,
         cursor: { drag: { x: true, y: false, setScale: false } },
         hooks: { setSelect: [zoom] },
       }, [[], ...lines.map(() => [])], figure);

@@ -61,7 +61,7 @@ const queryViews = (() => {
       root.append(figure);
       this.yasr.resultsEl.append(root);
       const size = () => ({ width: figure.clientWidth, height: HEIGHT });
-      this.plot = new uPlot({ ...size(), series: chart.series(root, labels), axes: chart.axes(root) }, data, figure);
+      this.plot = new uPlot({ ...size(), series: chart.series(root, labels), axes: chart.axes(root), scales: chart.scales }, data, figure);
       figure.dataset.points = data[0].length;
       this.onResize = () => this.plot.setSize(size());
       addEventListener("resize", this.onResize);

@@ -67,7 +67,10 @@ _NOTICED = (
     (ros.uncallable, "Cannot be called"),
     (ros.lifecycleUnknown, "Lifecycle not known"),
 )
-_DRAWN = (ldp.contains, ros.hasEndpoint, ros.stopStep, ros.warning, td.hasActionAffordance, td.hasEventAffordance)
+_DRAWN = (
+    *(ldp.contains, ros.hasEndpoint, ros.stopStep, ros.warning, td.hasActionAffordance, td.hasEventAffordance),
+    ros.shape,
+)
 """What a page shows as a table or a form, and keeps folded beside that."""
 _STEPS = {"first": "First", "prev": "Previous", "next": "Next", "last": "Last"}
 _FORMATS = (

@@ -20,6 +20,9 @@ from rosld.server.robot.write_policy import RESERVED
 from rosld.server.runtime.version_cache import VersionCache
 from rosld.server.space.drawing import can_place
 
+_COCKPIT = "What the robot is like and can do, on one page of panels."
+_DIAGNOSTICS = "What the parts of the robot say of themselves."
+_SPACE = "Scans, maps, paths and frames, seen from above."
 _FIRST = "What the robot is like now, and what it can do: values to read and to set, actions, links."
 
 
@@ -64,30 +67,20 @@ class EntryResource(Resource):
         }
         first = EntryCount(SECTIONS["resources"], None, space.container("resources"), _FIRST, first=True)
         goals = ("goals",) if graph.actions else ()
-        counts = (
-            first,
-            *(
-                EntryCount(SECTIONS[route], number, space.container(route))
-                for route, number in numbers.items()
-                if number
-            ),
-            *(
-                EntryCount(SECTIONS[route], None, space.container(route))
-                for route in ("types", "mappings", "data", "calls", *goals, "holds", "queries")
-            ),
-        )
+        counts = [first, EntryCount("Cockpit", None, space.cockpit("default"), _COCKPIT)]
         if any(ref.name == DIAGNOSTIC_ARRAY for topic in graph.topics.values() for ref in topic.types):
-            told = "What the parts of the robot say of themselves."
-            counts = (*counts, EntryCount("Diagnostics", None, f"{space.base}diagnostics", told))
+            counts.append(EntryCount("Diagnostics", None, f"{space.base}diagnostics", _DIAGNOSTICS))
         if any(can_place(ref.name) for topic in graph.topics.values() for ref in topic.types):
-            seen = "Scans, maps, paths and frames, seen from above."
-            counts = (*counts, EntryCount("Space", None, f"{space.base}space", seen))
-        told = "What the robot is like and can do, on one page of panels."
-        counts = (*counts, EntryCount("Cockpit", None, space.cockpit("default"), told))
-        counts = (*counts, EntryCount("Graph", None, f"{space.base}graph", "Who talks to whom, drawn."))
-        counts = tuple(each for each in counts if site.may("GET", each.url))
+            counts.append(EntryCount("Space", None, f"{space.base}space", _SPACE))
+        counts.append(EntryCount("Graph", None, f"{space.base}graph", "Who talks to whom, drawn."))
+        routes = ("types", "mappings", "data", "calls", *goals, "holds", "queries")
+        counts += [
+            *(EntryCount(SECTIONS[each], number, space.container(each)) for each, number in numbers.items() if number),
+            *(EntryCount(SECTIONS[each], None, space.container(each)) for each in routes),
+        ]
+        shown = tuple(each for each in counts if site.may("GET", each.url))
         troubles = (Notice(problem, NoticeLevel.ERROR) for problem in self.storage_problems())
-        return render_entry(EntryPage(site, state.document, counts, self._example(site), (*troubles, *notices)))
+        return render_entry(EntryPage(site, state.document, shown, self._example(site), (*troubles, *notices)))
 
     def _example(self, site: Site) -> str | None:
         """The URL of a topic worth trying: a small one that somebody publishes."""

@@ -45,6 +45,7 @@ _HIDDEN = QueryParameter(
     "hidden", "Whether names with a segment that begins with `_` are told, too.", {"type": "boolean"}
 )
 
+_VALUES_NOTE = "Values and rates are there of topics that somebody looks at: a list subscribes to none."
 _V = TypeVar("_V")
 _namespaces: IdentityCache[Mapping[str, object], Namespaces] = IdentityCache(members_of, 24)
 
@@ -299,13 +300,12 @@ class NamespaceContainer(Resource):
         if self.route == "topics":
             told, total = self._below(graph.topics, members)
             topics = {name: graph.topics[name] for name in told}
+            latest = {name: self.latest_values.of_topic(name) for name in topics}
             return MemberColumns(
                 ("type", "latest value", "rate", "publishers", "subscribers"),
-                {
-                    space.topic(name): topic_cells(topic, self.latest_values.of_topic(name), space)
-                    for name, topic in topics.items()
-                },
+                {space.topic(name): topic_cells(topic, latest[name], space) for name, topic in topics.items()},
                 total,
+                note=_VALUES_NOTE if None in latest.values() else "",
             )
         if self.route == "services":
             told, total = self._below(graph.services, members)

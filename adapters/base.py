@@ -384,7 +384,8 @@ class AdapterOptions:
     """The options of `rosld serve` that concern adapters; each adapter takes what applies to it.
 
     `qos` are profiles for topics by glob: the first that fits holds, where it says something. `message_limit` are the
-    most bytes that a message or a response may have which a robot's node announces and rosld then reads.
+    most bytes that a message or a response may have which a robot's node announces and rosld then reads,
+    `recording_index_limit` the most memory that the index of a recording may take, where strangers may have made it.
     """
 
     types: tuple[Path, ...] = ()
@@ -394,6 +395,7 @@ class AdapterOptions:
     rate: float = 1.0
     once: bool = False
     message_limit: int = MESSAGE_LIMIT
+    recording_index_limit: int | None = None
 
 
 Factory: TypeAlias = Callable[[str, AdapterOptions], Adapter]

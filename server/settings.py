@@ -298,7 +298,16 @@ class Settings:
     )
     body_limit: int = setting(10 * 1024 * 1024, "The largest request body.", unit="bytes", minimum=1024)
     upload_limit: int = setting(
-        1024 * 1024 * 1024, "The largest file that is kept under /data/.", unit="bytes", minimum=1024
+        1024 * 1024 * 1024,
+        "The largest file that is kept under /data/, or sent to /bags/, inflated.",
+        unit="bytes",
+        minimum=1024,
+    )
+    upload_index_limit: int = setting(
+        256 * 1024 * 1024,
+        "The most memory that the index of a recording which is sent may take: 40 bytes a message.",
+        unit="bytes",
+        minimum=1024 * 1024,
     )
     message_limit: int = setting(
         MESSAGE_LIMIT,

@@ -44,11 +44,14 @@ from rosld.adapters.model import (
 from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.recording.bag import Bag, log
 from rosld.adapters.recording.files import open_storage, recording_name
+from rosld.adapters.recording.open_budget import OpenBudget
 from rosld.adapters.recording.part import WHOLE, Part
 from rosld.adapters.recording.playback import Playback, Position
 from rosld.adapters.recording.player import PlayerSubscription, TopicPlayer
 from rosld.adapters.recording.storage import Damaged
 
+_UNFORESEEN = (ArithmeticError, AssertionError, LookupError, MemoryError, RecursionError, TypeError, ValueError)
+"""What reading a file may raise: it is a stranger's, and may be wrong in more ways than are thought of."""
 _READ_ONLY = "a recording cannot be written to"
 
 
@@ -104,10 +107,13 @@ class RecordingAdapter:
         if self._bag is not None:
             return
         remaining = deadline - asyncio.get_running_loop().time()
+        budget = OpenBudget(self._options.recording_index_limit)
         try:
-            bag = await asyncio.wait_for(_on_a_thread(self._open, lambda bag: bag.close()), remaining)
+            bag = await asyncio.wait_for(_on_a_thread(lambda: self._open(budget), lambda bag: bag.close()), remaining)
         except asyncio.TimeoutError:
             raise Unreachable(f"{str(self._path)!r} was not read in {max(remaining, 0):.0f} s") from None
+        finally:
+            budget.cancel()  # nobody waits any more
         for note in bag.notes:
             log.warning("the recording %s: %s", bag.name, note)
         self._bag = bag
@@ -197,14 +203,23 @@ class RecordingAdapter:
         """Raise NotFound: recordings have no parameters."""
         raise NotFound(f"there is no parameter {', '.join(names)}: a recording has none")
 
-    def _open(self) -> Bag:
-        storage = open_storage(self._path)
+    def _open(self, budget: OpenBudget) -> Bag:
+        try:
+            return self._read(budget)
+        except _UNFORESEEN as error:
+            words = " ".join(str(error).split()) or type(error).__name__
+            raise Unreachable(f"{str(self._path)!r} cannot be read as a recording: {words}") from error
+
+    def _read(self, budget: OpenBudget) -> Bag:
+        storage = open_storage(self._path, budget)
         self._library = TypeLibrary(ros_version=storage.ros_version, folders=self._options.types)
         self._encoding = Encoding.ROS1 if storage.ros_version == 1 else Encoding.CDR
         try:
             return Bag(recording_name(self._path), self._path, storage, self._library, self._part)
-        except Damaged as error:
+        except BaseException as error:
             storage.close()
+            if not isinstance(error, Damaged):
+                raise
             raise Unreachable(f"{str(self._path)!r} cannot be played: {error}") from error
 
     def _player(self, topic: str) -> TopicPlayer:

@@ -6,7 +6,7 @@ import bz2
 import sys
 import threading
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Protocol, cast
 
@@ -19,10 +19,13 @@ if sys.version_info >= (3, 14):
 else:
     from backports import zstd
 
-ZstdError = zstd.ZstdError
-ZstdFile = zstd.ZstdFile
-_MAX_INFLATED = 1 << 31
-"""Bytes that one chunk may claim to hold: what a real recorder never comes near."""
+MAX_PIECE = 256 << 20
+"""Bytes that one chunk or one message may have, which is as long as a message of a robot may be (`MESSAGE_LIMIT`).
+
+Recorders close a chunk at some megabytes, or at one message that is longer.
+"""
+_STEP = 1 << 20
+"""Bytes that are decompressed at a time: what is held is what there is, not what a header claims."""
 
 
 class ByteSource(Protocol):
@@ -42,6 +45,8 @@ def read_exactly(source: ByteSource, at: int, size: int) -> bytes:
     """`size` bytes from `at`. Raises Damaged where the source ends before."""
     if at < 0 or size < 0 or at + size > source.size:
         raise Damaged(f"{size} bytes are missing at {at}: it ends at {source.size}")
+    if size > MAX_PIECE:
+        raise Damaged(f"{size} bytes at {at} are more than the {MAX_PIECE} that are read at a time")
     data = source.read_up_to(at, size)
     if len(data) != size:
         raise Damaged(f"only {len(data)} of {size} bytes could be read at {at}")
@@ -84,6 +89,12 @@ class BytesSource:
 
 
 class _Decompressor(Protocol):
+    @property
+    def eof(self) -> bool: ...
+
+    @property
+    def needs_input(self) -> bool: ...
+
     def decompress(self, data: bytes, max_length: int = ...) -> bytes: ...
 
 
@@ -92,6 +103,7 @@ _DECOMPRESSORS: dict[str, Callable[[], _Decompressor]] = {
     "lz4": lambda: cast(_Decompressor, LZ4FrameDecompressor()),
     "zstd": lambda: cast(_Decompressor, zstd.ZstdDecompressor()),
 }
+_ERRORS = (OSError, EOFError, ValueError, RuntimeError, zstd.ZstdError)
 
 
 def decompress(compression: str, data: bytes, size: int) -> bytes:
@@ -100,11 +112,11 @@ def decompress(compression: str, data: bytes, size: int) -> bytes:
         return data
     if compression not in _DECOMPRESSORS:
         raise Damaged(f"the compression {compression!r} is not one of {', '.join(_DECOMPRESSORS)}")
-    if size > _MAX_INFLATED:
-        raise Damaged(f"a chunk claims to hold {size} bytes")
+    if size > MAX_PIECE:
+        raise Damaged(f"a chunk claims to hold {size} bytes, and {MAX_PIECE} are the most that are read")
     try:
-        inflated = _DECOMPRESSORS[compression]().decompress(data, max_length=size + 1)
-    except (OSError, EOFError, ValueError, RuntimeError, zstd.ZstdError) as error:
+        inflated = b"".join(_inflate(_DECOMPRESSORS[compression](), data, size + 1))
+    except _ERRORS as error:
         raise Damaged(f"a {compression} chunk cannot be decompressed: {error}") from error
     if len(inflated) != size:
         raise Damaged(f"a {compression} chunk holds other than the {size} bytes it claims")
@@ -115,12 +127,47 @@ def decompress_zstd(data: bytes) -> bytes:
     """What one zstd frame of unknown size was compressed from. Raises Damaged."""
     decompressor = zstd.ZstdDecompressor()
     try:
-        inflated: bytes = decompressor.decompress(data, max_length=_MAX_INFLATED)
+        inflated = b"".join(_inflate(cast(_Decompressor, decompressor), data, MAX_PIECE + 1))
     except zstd.ZstdError as error:
         raise Damaged(f"it cannot be decompressed: {error}") from error
+    if len(inflated) > MAX_PIECE:
+        raise Damaged(f"it holds more than the {MAX_PIECE} bytes that are read")
     if not decompressor.eof:
-        raise Damaged("it is cut off, or larger than can be")
+        raise Damaged("it is cut off")
     return inflated
+
+
+def inflate_file(path: Path, target: Path, check: Callable[[int], None]) -> None:
+    """Write what a file compressed by zstd holds to another; `check` is given the size before each piece is written.
+
+    Raises Damaged, OSError, and what `check` does.
+    """
+    size = 0
+    try:
+        with zstd.ZstdFile(path) as packed, target.open("wb") as out:
+            while block := packed.read(_STEP):
+                size += len(block)
+                check(size)
+                out.write(block)
+    except (zstd.ZstdError, EOFError) as error:
+        raise Damaged(f"it cannot be decompressed: {error}") from error
+
+
+def _inflate(decompressor: _Decompressor, data: bytes, most: int) -> Iterator[bytes]:
+    """The first `most` bytes of one compressed stream, in pieces, as far as it goes.
+
+    Both sides go in steps: the decompressor of lz4 sets aside all that it is allowed to make, and copies what it has
+    not used of its input at each step.
+    """
+    at = 0
+    while most and not decompressor.eof:
+        piece = data[at : at + _STEP] if decompressor.needs_input else b""
+        at += len(piece)
+        found = decompressor.decompress(piece, max_length=min(_STEP, most))
+        if not found and not piece:
+            return
+        most -= len(found)
+        yield found
 
 
 class ChunkCache:

@@ -26,14 +26,15 @@ from rosld.adapters.recording.byte_source import (
     decompress,
     read_exactly,
 )
+from rosld.adapters.recording.open_budget import OpenBudget
 from rosld.adapters.recording.storage import (
     Contents,
     Damaged,
     MessageTable,
     RecordedConnection,
     RosVersion,
+    TableBuilder,
     concatenate,
-    message_table,
 )
 
 _HEADER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _MESSAGE_INDEX, _CHUNK_INDEX = 1, 3, 4, 5, 6, 7, 8
@@ -81,7 +82,8 @@ class _Fields(Fields):
 class _Scan:
     """What was found so far: schemas, channels as connections, chunks, and tables of messages."""
 
-    def __init__(self) -> None:
+    def __init__(self, budget: OpenBudget) -> None:
+        self.budget = budget
         self.schemas: dict[int, _Schema] = {}
         self.numbers: dict[int, int] = {}
         self.connections: list[RecordedConnection] = []
@@ -91,9 +93,11 @@ class _Scan:
 
     def describe(self, record: _Record, source: ByteSource) -> None:
         """Take in a schema or a channel."""
+        self.budget.spend(octets=record.size)
         fields = _Fields(read_exactly(source, record.data_at, record.size))
         number = fields.uint(2)
         if record.op == _SCHEMA:
+            self.budget.spend(parts=1)
             self.schemas.setdefault(number, _Schema(fields.text(), fields.text(), fields.text()))
         elif number not in self.numbers:
             self._add(number, _connection(self.schemas.get(fields.uint(2)), fields))
@@ -106,6 +110,7 @@ class _Scan:
         return self.numbers[number]
 
     def _add(self, number: int, connection: RecordedConnection) -> None:
+        self.budget.spend(parts=1)
         self.numbers[number] = len(self.connections)
         self.connections.append(connection)
 
@@ -113,10 +118,10 @@ class _Scan:
 class Mcap:
     """An open MCAP file: a `Storage`."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, budget: OpenBudget) -> None:
         self._file = RandomFile(path)
         try:
-            contents, self._chunks = _read(self._file)
+            contents, self._chunks = _read(self._file, budget)
         except BaseException:
             self._file.close()
             raise
@@ -144,15 +149,15 @@ class Mcap:
         return _inflate(self._file, self._chunks[chunk])
 
 
-def _read(file: RandomFile) -> tuple[Contents, list[_Chunk]]:
+def _read(file: RandomFile, budget: OpenBudget) -> tuple[Contents, list[_Chunk]]:
     header = _record_at(file, len(MAGIC))
     if header.op != _HEADER:
         raise Damaged("it does not begin with a header")
     profile = _Fields(read_exactly(file, header.data_at, header.size)).text()
     try:
-        scan = _by_summary(file)
+        scan = _by_summary(file, budget)
     except Damaged as damage:
-        scan = _by_walking(file, header.end)
+        scan = _by_walking(file, header.end, budget)
         scan.notes.append(f"its index cannot be used ({damage}), so it was read through")
         if not scan.connections:
             raise Damaged(f"{damage}, and no whole channel was found in it either") from damage
@@ -161,15 +166,17 @@ def _read(file: RandomFile) -> tuple[Contents, list[_Chunk]]:
     return Contents("MCAP", version, scan.connections, messages, 1 + len(scan.chunks), tuple(scan.notes)), scan.chunks
 
 
-def _by_summary(file: RandomFile) -> _Scan:
+def _by_summary(file: RandomFile, budget: OpenBudget) -> _Scan:
     at = _summary(file)
-    scan = _Scan()
+    scan = _Scan(budget)
     indexes: list[_Fields] = []
     counted: int | None = None
     for record in _records(file, at, file.size - _FOOTER_SIZE):
+        budget.check()
         if record.op in (_SCHEMA, _CHANNEL):
             scan.describe(record, file)
         elif record.op == _CHUNK_INDEX:
+            budget.spend(parts=1, octets=record.size)
             indexes.append(_Fields(read_exactly(file, record.data_at, record.size)))
         elif record.op == _STATISTICS:
             counted = _Fields(read_exactly(file, record.data_at, record.size)).uint(8)
@@ -211,6 +218,7 @@ def _index_table(file: RandomFile, record: _Record, place: int, scan: _Scan) -> 
     fields = _Fields(read_exactly(file, record.data_at, record.size))
     connection = scan.connection(fields.uint(2))
     data = fields.octets()
+    scan.budget.spend(messages=len(data) // _ENTRY.itemsize, parts=1)
     entries = np.frombuffer(data[: len(data) // _ENTRY.itemsize * _ENTRY.itemsize], _ENTRY)
     return MessageTable(
         entries["time"].astype(np.int64),
@@ -220,30 +228,31 @@ def _index_table(file: RandomFile, record: _Record, place: int, scan: _Scan) -> 
     )
 
 
-def _by_walking(file: RandomFile, at: int) -> _Scan:
-    scan = _Scan()
+def _by_walking(file: RandomFile, at: int, budget: OpenBudget) -> _Scan:
+    scan = _Scan(budget)
     _walk(file, at, 0, scan)
     return scan
 
 
 def _walk(source: ByteSource, at: int, place: int, scan: _Scan) -> None:
     """Find everything from `at` on; stops, with a note, where the records break off."""
-    rows: list[tuple[int, int, int, int]] = []
+    rows = TableBuilder()
     try:
         for record in _records(source, at, source.size):
+            scan.budget.check()
             if record.op == _DATA_END:
                 break
             if record.op in (_SCHEMA, _CHANNEL):
                 scan.describe(record, source)
             elif record.op == _MESSAGE:
                 channel, _, time, _ = _MESSAGE_HEAD.unpack(read_exactly(source, record.data_at, _MESSAGE_HEAD.size))
-                rows.append((time, scan.connection(channel), place, record.data_at - 9))
+                scan.budget.spend(messages=1)
+                rows.add(time, scan.connection(channel), place, record.data_at - 9)
             elif record.op == _CHUNK and place == 0:
                 _walk_chunk(source, record, scan)
     except Damaged as damage:
         scan.notes.append(f"it ends early: {damage}")
-    if rows:
-        scan.tables.append(message_table(*zip(*rows, strict=True)))
+    scan.tables.extend(rows.tables())
 
 
 def _walk_chunk(source: ByteSource, record: _Record, scan: _Scan) -> None:
@@ -251,6 +260,7 @@ def _walk_chunk(source: ByteSource, record: _Record, scan: _Scan) -> None:
     try:
         data = _inflate(source, scan.chunks[place - 1])
     except Damaged as damage:
+        scan.budget.spend(parts=1)
         scan.notes.append(f"a chunk of it is damaged: {damage}")
     else:
         _walk(BytesSource(data), 0, place, scan)
@@ -259,6 +269,7 @@ def _walk_chunk(source: ByteSource, record: _Record, scan: _Scan) -> None:
 def _place(source: ByteSource, record: _Record, scan: _Scan) -> int:
     if record.op != _CHUNK:
         raise Damaged("there is no chunk where the index says")
+    scan.budget.spend(parts=1)
     head = _Fields(source.read_up_to(record.data_at, min(record.size, 256)))
     head.uint(8), head.uint(8)
     inflated, crc, compression, size = head.uint(8), head.uint(4), head.text(), head.uint(8)

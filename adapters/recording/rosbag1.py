@@ -22,13 +22,14 @@ from rosld.adapters.recording.byte_source import (
     decompress,
     read_exactly,
 )
+from rosld.adapters.recording.open_budget import OpenBudget
 from rosld.adapters.recording.storage import (
     Contents,
     Damaged,
     MessageTable,
     RecordedConnection,
+    TableBuilder,
     concatenate,
-    message_table,
 )
 
 MAGIC = b"#ROSBAG V"
@@ -73,7 +74,8 @@ class _Chunk(NamedTuple):
 class _Scan:
     """What was found so far: connections by their number in the file, chunks, and tables of messages."""
 
-    def __init__(self) -> None:
+    def __init__(self, budget: OpenBudget) -> None:
+        self.budget = budget
         self.numbers: dict[int, int] = {}
         self.connections: list[RecordedConnection] = []
         self.chunks: list[_Chunk] = []
@@ -89,6 +91,7 @@ class _Scan:
 
     def add(self, number: int, connection: RecordedConnection) -> None:
         if number not in self.numbers:
+            self.budget.spend(parts=1, octets=len(connection.definition))
             self.numbers[number] = len(self.connections)
             self.connections.append(connection)
 
@@ -96,10 +99,10 @@ class _Scan:
 class Rosbag1:
     """An open ROS 1 bag: a `Storage`."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, budget: OpenBudget) -> None:
         self._file = RandomFile(path)
         try:
-            self._contents, self._chunks = _read(self._file)
+            self._contents, self._chunks = _read(self._file, budget)
         except BaseException:
             self._file.close()
             raise
@@ -133,7 +136,7 @@ class Rosbag1:
         return _inflate(self._file, self._chunks[chunk])
 
 
-def _read(file: RandomFile) -> tuple[Contents, list[_Chunk]]:
+def _read(file: RandomFile, budget: OpenBudget) -> tuple[Contents, list[_Chunk]]:
     line = file.read_up_to(0, 32).partition(b"\n")[0] + b"\n"
     version = line.strip()[len(MAGIC) :].decode("ascii", "replace")
     if version != "2.0":
@@ -142,9 +145,9 @@ def _read(file: RandomFile) -> tuple[Contents, list[_Chunk]]:
     if header.header.get(b"encryptor"):
         raise Damaged("it is encrypted")
     try:
-        scan = _by_index(file, header)
+        scan = _by_index(file, header, budget)
     except Damaged as damage:
-        scan = _by_walking(file, header.end)
+        scan = _by_walking(file, header.end, budget)
         scan.notes.append(f"its index cannot be used ({damage}), so it was read through")
         if not scan.connections:
             raise Damaged(f"{damage}, and it holds no whole chunk either") from damage
@@ -156,16 +159,18 @@ def _read(file: RandomFile) -> tuple[Contents, list[_Chunk]]:
     )
 
 
-def _by_index(file: RandomFile, header: _Record) -> _Scan:
+def _by_index(file: RandomFile, header: _Record, budget: OpenBudget) -> _Scan:
     at = header.uint64(b"index_pos")
     if at == 0:
         raise Damaged("the recording was never finished")
-    scan = _Scan()
+    scan = _Scan(budget)
     chunk_infos: list[_Record] = []
     for record in _records(file, at):
+        budget.check()
         if record.op == _CONNECTION:
             scan.add(*_connection(file, record))
         elif record.op == _CHUNK_INFO:
+            budget.spend(parts=1)
             chunk_infos.append(record)
     if len(chunk_infos) < header.uint32(b"chunk_count"):
         raise Damaged(f"it lists {len(chunk_infos)} of {header.uint32(b'chunk_count')} chunks")
@@ -193,6 +198,7 @@ def _chunk_by_index(file: RandomFile, info: _Record, scan: _Scan) -> None:
 
 
 def _index_table(file: RandomFile, index: _Record, place: int, base: int, scan: _Scan) -> MessageTable:
+    scan.budget.spend(messages=index.size // _ENTRY.itemsize, parts=1)
     entries = np.frombuffer(read_exactly(file, index.data_at, index.size), _ENTRY)
     return MessageTable(
         entries["sec"].astype(np.int64) * 10**9 + entries["nsec"],
@@ -202,10 +208,11 @@ def _index_table(file: RandomFile, index: _Record, place: int, base: int, scan: 
     )
 
 
-def _by_walking(file: RandomFile, at: int) -> _Scan:
-    scan = _Scan()
+def _by_walking(file: RandomFile, at: int, budget: OpenBudget) -> _Scan:
+    scan = _Scan(budget)
     try:
         for record in _records(file, at):
+            budget.check()
             if record.op == _CONNECTION:
                 scan.add(*_connection(file, record))
             elif record.op == _CHUNK:
@@ -219,6 +226,7 @@ def _place(file: RandomFile, record: _Record, scan: _Scan) -> tuple[int, int]:
     """The place of a chunk, and what to add to its offsets: messages that lie there as they are count from place 0."""
     if record.op != _CHUNK:
         raise Damaged(f"there is no chunk where the index says, at {record.data_at}")
+    scan.budget.spend(parts=1)
     compression = _text(record.header, b"compression")
     if compression == "none":
         return 0, record.data_at
@@ -228,22 +236,24 @@ def _place(file: RandomFile, record: _Record, scan: _Scan) -> tuple[int, int]:
 
 def _walk_chunk(file: RandomFile, record: _Record, place: int, base: int, scan: _Scan) -> None:
     """Find the messages and connections of one chunk by walking through it; a damaged one is left, with a note."""
-    rows: list[tuple[int, int, int, int]] = []
+    rows = TableBuilder()
     try:
         data = _inflate(file, scan.chunks[place - 1]) if place else read_exactly(file, record.data_at, record.size)
         source = BytesSource(data)
         at = 0
         while at < source.size:
+            scan.budget.check()
             inner = _record_at(source, at)
             if inner.op == _CONNECTION:
                 scan.add(*_connection(source, inner))
             elif inner.op == _MESSAGE:
-                rows.append((inner.time(), scan.connection(inner.uint32(b"conn")), place, at + base))
+                scan.budget.spend(messages=1)
+                rows.add(inner.time(), scan.connection(inner.uint32(b"conn")), place, at + base)
             at = inner.end
     except Damaged as damage:
+        scan.budget.spend(parts=1)
         scan.notes.append(f"a chunk of it is damaged: {damage}")
-    if rows:
-        scan.tables.append(message_table(*zip(*rows, strict=True)))
+    scan.tables.extend(rows.tables())
 
 
 def _inflate(file: RandomFile, chunk: _Chunk) -> bytes:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import tempfile
 from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
@@ -12,10 +13,13 @@ import numpy as np
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
-from rosld.adapters.recording.byte_source import ZstdError, ZstdFile, decompress_zstd
+from rosld.adapters.recording.byte_source import decompress_zstd, inflate_file
+from rosld.adapters.recording.open_budget import OpenBudget
 from rosld.adapters.recording.storage import Damaged, MessageTable, RecordedConnection, RosVersion, Storage, concatenate
 
 METADATA = "metadata.yaml"
+_RESERVE = 256 << 20
+"""Bytes of the disk of the temporary files that are left to others."""
 _SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 
 
@@ -30,7 +34,7 @@ class Metadata(NamedTuple):
 class Rosbag2:
     """An open folder of ROS 2 files: a `Storage` whose places are those of its files, one after the other."""
 
-    def __init__(self, folder: Path, open_file: Callable[[Path], Storage]) -> None:
+    def __init__(self, folder: Path, open_file: Callable[[Path, OpenBudget], Storage], budget: OpenBudget) -> None:
         metadata, notes = _metadata(folder)
         self._per_message = metadata.compression == "message"
         self._inflated: tempfile.TemporaryDirectory[str] | None = None
@@ -40,9 +44,13 @@ class Rosbag2:
             raise Damaged(f"it holds neither {METADATA} nor .mcap nor .db3 files")
         for path in paths:
             try:
-                self._files.append(open_file(self._plain(path)))
+                budget.spend(parts=1)
+                self._files.append(open_file(self._plain(path, budget), budget))
             except (Damaged, OSError) as error:
                 notes.append(f"{path.name} is left out: {error}")
+            except BaseException:
+                self.close()
+                raise
         if not self._files:
             self.close()
             raise Damaged("; ".join(notes))
@@ -78,7 +86,7 @@ class Rosbag2:
             first += len(file.connections)
         return concatenate(tables)
 
-    def _plain(self, path: Path) -> Path:
+    def _plain(self, path: Path, budget: OpenBudget) -> Path:
         """The file itself, or where it was compressed as a whole, a decompressed copy of it."""
         if path.suffix != ".zstd":
             return path
@@ -86,12 +94,21 @@ class Rosbag2:
             self._inflated = tempfile.TemporaryDirectory(prefix="rosld-")
         plain = Path(self._inflated.name) / path.stem
         try:
-            with ZstdFile(path) as packed, plain.open("wb") as out:
-                while block := packed.read(1 << 20):
-                    out.write(block)
-        except (ZstdError, EOFError) as error:
-            raise Damaged(f"it cannot be decompressed: {error}") from error
+            inflate_file(path, plain, lambda _: _require_room(plain.parent, budget))
+        except BaseException:
+            plain.unlink(missing_ok=True)
+            raise
         return plain
+
+
+def _require_room(folder: Path, budget: OpenBudget) -> None:
+    """Raise Damaged before what a file inflates to fills the disk of the temporary files."""
+    budget.check()
+    if shutil.disk_usage(folder).free < _RESERVE:
+        raise Damaged(
+            f"it inflates to more than there is room for in {tempfile.gettempdir()}: give the environment variable "
+            "TMPDIR a folder on a larger disk"
+        )
 
 
 def _metadata(folder: Path) -> tuple[Metadata, list[str]]:

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from rosld.adapters.model import Encoding
 
 RosVersion: TypeAlias = Literal[1, 2]
+_LAST_TIME = (1 << 63) - 1
+_PACKED = 1 << 16
 
 
 class Damaged(Exception):
@@ -64,6 +66,32 @@ def message_table(
         np.asarray(places, np.int32),
         np.asarray(offsets, np.int64),
     )
+
+
+class TableBuilder:
+    """Rows that are found one by one, as tables: they are packed now and then, for a row as a tuple is larger."""
+
+    def __init__(self) -> None:
+        self._rows: list[tuple[int, int, int, int]] = []
+        self._tables: list[MessageTable] = []
+
+    def add(self, time: int, connection: int, place: int, offset: int) -> None:
+        """Take a row. Raises Damaged for a time that is none."""
+        if time > _LAST_TIME:
+            raise Damaged(f"the time {time} ns is later than can be")
+        self._rows.append((time, connection, place, offset))
+        if len(self._rows) >= _PACKED:
+            self._pack()
+
+    def tables(self) -> list[MessageTable]:
+        """All rows so far."""
+        if self._rows:
+            self._pack()
+        return self._tables
+
+    def _pack(self) -> None:
+        self._tables.append(message_table(*zip(*self._rows, strict=True)))
+        self._rows.clear()
 
 
 def concatenate(tables: Iterable[MessageTable]) -> MessageTable:

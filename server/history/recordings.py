@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-import re
 import tempfile
 import time
 from collections import Counter
@@ -13,23 +12,23 @@ from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable, 
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
+from typing import NamedTuple
 
 from rosld.adapters.base import Adapter, AdapterOptions, NullSink, Recording
 from rosld.adapters.model import RosError, TypeRef
-from rosld.adapters.model.mcap import MAGIC
 from rosld.adapters.registry import adapter_for
 from rosld.server.history.history import NAME as HISTORY
 from rosld.server.history.history import History
 from rosld.server.history.history_writer import require_room
 from rosld.server.history.live_recorder import LiveRecorder
 from rosld.server.history.recording_writer import RecordingWriter, complete_active
+from rosld.server.history.uploads import NAME as FILE_NAME
+from rosld.server.history.uploads import SUFFIXES, NotTaken, receive_file, remove_drafts
 from rosld.server.settings import Settings
 
 log = logging.getLogger("rosld.history")
 FOLDER = "bags"
 SUFFIX = ".mcap"
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
-_SUFFIXES = {b"#ROSBAG ": ".bag", MAGIC: SUFFIX, b"SQLite f": ".db3"}
 _OPEN_SECONDS = 60.0
 _REVISION_SECONDS = 5.0
 """How old what a query is told of a recording that is being made may be."""
@@ -40,11 +39,15 @@ _MAX_RUNNING = 16
 
 
 class RecordingRefused(Exception):
-    """What cannot be recorded or taken; `taken` where its name is another's, else it makes no sense as it is."""
+    """What cannot be recorded or taken; `taken` where its name is another's, else it makes no sense as it is.
 
-    def __init__(self, words: str, *, taken: bool = False) -> None:
+    `is_too_large` where it makes sense, but is more than may be kept.
+    """
+
+    def __init__(self, words: str, *, taken: bool = False, is_too_large: bool = False) -> None:
         super().__init__(words)
         self.taken = taken
+        self.is_too_large = is_too_large
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +74,13 @@ class RecordingOrder:
     before: float = 0.0
     duration: float | None = None
     trigger: Trigger | None = None
+
+
+class UnreadableFile(NamedTuple):
+    """A file of recordings that cannot be opened, and why."""
+
+    path: Path
+    problem: str
 
 
 class RunningRecording:
@@ -125,6 +135,10 @@ class Recordings:
         self._running: dict[str, RunningRecording] = {}
         self._armed: dict[str, ArmedRecording] = {}
         self._opened: dict[str, tuple[Adapter, Recording]] = {}
+        self._unreadable: dict[str, UnreadableFile] = {}
+        self._receiving: set[str] = set()
+        self._one_at_a_time = asyncio.Lock()
+        self._settings = settings
 
     @property
     def revision(self) -> Hashable:
@@ -144,6 +158,11 @@ class Recordings:
         return {**own, **self.finished, **self._adapter.recordings}
 
     @property
+    def unreadable(self) -> Mapping[str, UnreadableFile]:
+        """Files that cannot be opened, by the name that they have taken."""
+        return self._unreadable
+
+    @property
     def running(self) -> Mapping[str, RunningRecording]:
         """Those that are being made, by name."""
         return self._running
@@ -154,17 +173,15 @@ class Recordings:
         return self._armed
 
     async def start(self) -> None:
-        """Begin the history, and open what is there. What cannot be read is left out, with a warning."""
+        """Begin the history, and open what is there. What cannot be read keeps its name, with a warning."""
         await self.history.start()
         if self._folder is None or not self._folder.is_dir():
             return
+        await asyncio.to_thread(remove_drafts, self._folder)
         await asyncio.to_thread(complete_active, self._folder)
         for path in sorted(self._folder.iterdir()):
-            if path.suffix in _SUFFIXES.values():
-                try:
-                    await self._open(path.stem, path)
-                except RecordingRefused as error:
-                    log.warning("%s", error)
+            if path.suffix in SUFFIXES.values():
+                await self._open_or_keep(path.stem, path)
 
     def begin(self, order: RecordingOrder, may_record: Callable[[str], bool]) -> RunningRecording:
         """Begin a recording of the topics that may be recorded. Raises RecordingRefused, and OSError for the disk."""
@@ -237,7 +254,7 @@ class Recordings:
 
     def can_be_named(self, name: str) -> bool:
         """Whether a recording may be called this: it is a name, and nobody's."""
-        return _NAME.fullmatch(name) is not None and not self._is_taken(name)
+        return FILE_NAME.fullmatch(name) is not None and not self._is_taken(name)
 
     async def end(self, name: str) -> None:
         """End a recording, which can then be read. Nothing happens where there is none of this name."""
@@ -248,27 +265,32 @@ class Recordings:
     async def receive(self, name: str, chunks: AsyncIterator[bytes]) -> None:
         """Take a file: a ROS 1 bag, MCAP, or a ROS 2 database. Raises RecordingRefused, OSError."""
         self._require_free(name)
-        draft = self._path(f".{name}", ".part")
+        self._receiving.add(name)
         try:
-            with draft.open("wb") as file:
-                async for chunk in chunks:
-                    await asyncio.to_thread(_write, file.write, draft.parent, chunk)
-            path = self._path(name, await asyncio.to_thread(_suffix, draft))
-            self._require_free(name)
-            draft.replace(path)
-        finally:
-            draft.unlink(missing_ok=True)
-        try:
+            folder = self._path(name, SUFFIX).parent
+            draft, suffix = await receive_file(folder, name, chunks, self._settings.upload_limit)
+            try:
+                # under its name it is opened again, without a limit
+                await self._close_at_once(name, draft)
+                path = draft.replace(self._path(name, suffix))
+            finally:
+                draft.unlink(missing_ok=True)
             await self._open(name, path)
-        except RecordingRefused:
-            path.unlink()
-            raise
+        except NotTaken as error:
+            raise RecordingRefused(f"{name} is not taken: {error}", is_too_large=error.is_too_large) from error
+        finally:
+            self._receiving.discard(name)
 
     async def delete(self, name: str) -> bool:
         """End and delete a recording, or what waits for its trigger; whether there was one."""
         if self.disarm(name):
             return True
         await self.end(name)
+        file = self._unreadable.pop(name, None)
+        if file is not None:
+            self._changes += 1
+            await asyncio.to_thread(file.path.unlink, True)
+            return True
         found = self._opened.pop(name, None)
         if found is None:
             return False
@@ -310,15 +332,36 @@ class Recordings:
     async def _end(self, one: RunningRecording) -> None:
         await self._live.remove(one.writer)
         if one.writer.path.exists():
-            try:
-                await self._open(one.name, one.writer.path)
-            except RecordingRefused as error:
-                log.warning("%s", error)
+            await self._open_or_keep(one.name, one.writer.path)
         del self._running[one.name]
         self._changes += 1
 
+    async def _open_or_keep(self, name: str, path: Path) -> None:
+        """Open a file; one that cannot be opened, or whose name another file has, is known by its name."""
+        try:
+            if name in self._opened:
+                raise RecordingRefused(f"{path.name} is not opened: {self._opened[name][1].path.name} has its name")
+            await self._open(name, path)
+        except RecordingRefused as error:
+            log.warning("%s", error)
+            if name not in self._opened:
+                self._unreadable[name] = UnreadableFile(path, str(error))
+
     async def _open(self, name: str, path: Path) -> None:
-        adapter = adapter_for(f"recording:{path}", AdapterOptions())
+        adapter, recording = await self._opened_adapter(name, path, AdapterOptions())
+        self._opened[name] = adapter, recording
+        self._unreadable.pop(name, None)
+        self._changes += 1
+
+    async def _close_at_once(self, name: str, path: Path) -> None:
+        """Have a file opened that anybody may have made, to see whether that can be. Raises RecordingRefused."""
+        options = AdapterOptions(recording_index_limit=self._settings.upload_index_limit)
+        async with self._one_at_a_time:
+            adapter, _ = await self._opened_adapter(name, path, options)
+            await adapter.close()
+
+    async def _opened_adapter(self, name: str, path: Path, options: AdapterOptions) -> tuple[Adapter, Recording]:
+        adapter = adapter_for(f"recording:{path}", options)
         deadline = asyncio.get_running_loop().time() + _OPEN_SECONDS
         try:
             await adapter.open(NullSink(), deadline=deadline)
@@ -327,8 +370,7 @@ class Recordings:
                 await adapter.close()
             raise RecordingRefused(f"{name} is no recording that can be read: {error.sentence}") from error
         (recording,) = adapter.recordings.values()
-        self._opened[name] = adapter, recording
-        self._changes += 1
+        return adapter, recording
 
     def _free_name(self, wanted: str | None) -> str:
         if wanted is not None:
@@ -342,15 +384,24 @@ class Recordings:
         return name
 
     def _require_free(self, name: str) -> None:
-        if _NAME.fullmatch(name) is None:
+        if FILE_NAME.fullmatch(name) is None:
             raise RecordingRefused(
                 f"{name[:100]!r} is no name of a recording: letters, digits, dots, dashes and underscores, 100 at most"
+            )
+        if name in self._unreadable:
+            file = self._unreadable[name]
+            raise RecordingRefused(
+                f"there is a file {file.path.name} already, which cannot be opened: DELETE it, or take another name",
+                taken=True,
             )
         if self._is_taken(name):
             raise RecordingRefused(f"there is a recording {name} already: DELETE it, or take another name", taken=True)
 
     def _is_taken(self, name: str) -> bool:
-        known = (self._running, self._armed, self._opened, self._adapter.recordings)
+        known = (
+            *(self._running, self._armed, self._opened, self._unreadable, self._receiving),
+            self._adapter.recordings,
+        )
         return name == HISTORY or any(name in each for each in known)
 
     def _path(self, name: str, suffix: str) -> Path:
@@ -359,18 +410,3 @@ class Recordings:
             self._folder = Path(self._temporary.name)
         self._folder.mkdir(parents=True, exist_ok=True)
         return self._folder / f"{name}{suffix}"
-
-
-def _write(write: Callable[[bytes], object], folder: Path, data: bytes) -> None:
-    require_room(folder)
-    write(data)
-
-
-def _suffix(path: Path) -> str:
-    """What a file is, by its first bytes. Raises RecordingRefused."""
-    with path.open("rb") as file:
-        head = file.read(8)
-    for magic, suffix in _SUFFIXES.items():
-        if head == magic:
-            return suffix
-    raise RecordingRefused("this is neither a ROS 1 bag nor an MCAP file nor a ROS 2 database")

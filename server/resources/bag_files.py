@@ -97,7 +97,9 @@ class BagUpload(Resource):
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         put = WriteMethod(
-            "Sends a recording: a ROS 1 bag, an MCAP file or a ROS 2 database.", done=(201,), accepts=(ANY_TYPE,)
+            "Sends a recording: a ROS 1 bag, an MCAP file or a ROS 2 database, or one compressed by zstd.",
+            done=(201,),
+            accepts=(ANY_TYPE,),
         )
         return PathItem("Where a recording is sent to", writes={"PUT": put}, also=(308, 507))
 
@@ -119,13 +121,41 @@ class BagUpload(Resource):
         try:
             await self.recordings.receive(self.name, chunks)
         except RecordingRefused as error:
-            raise Problem(409 if error.taken else 422, f"{error}.") from error
+            status = 409 if error.taken else 413 if error.is_too_large else 422
+            raise Problem(status, f"{error}.") from error
         except OSError as error:
             raise Problem(507, f"The recording cannot be stored: {error.strerror or error}.") from error
         resource = BagResource(
             self.space, self.settings, self.states, self.recordings, self.recordings.readable[self.name]
         )
         return CreatedAnswer(resource.url, resource, await resource.state())
+
+
+class UnreadableBag(Resource):
+    """`/bags/NAME/` of a file that cannot be opened: it has taken the name, until DELETE removes it."""
+
+    kind = "File that cannot be opened"
+    is_cacheable = False
+
+    def __init__(self, space: Space, settings: Settings, recordings: Recordings, name: str) -> None:
+        super().__init__(space.bag(name))
+        self.settings = settings
+        self.recordings = recordings
+        self.name = name
+
+    def methods(self) -> frozenset[str]:
+        return ABSENT if self.settings.read_only else ABSENT | {"DELETE"}
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        return PathItem(f"The file {self.name}, which cannot be opened")
+
+    async def state(self) -> State:
+        raise Problem(404, f"{self.recordings.unreadable[self.name].problem}. DELETE removes its file.")
+
+    async def delete(self, exchange: Exchange) -> Answer:
+        """Delete the file."""
+        await self.recordings.delete(self.name)
+        return Response(status_code=204)
 
 
 def _file_status(path: Path) -> os.stat_result | None:

@@ -10,7 +10,7 @@ from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.mappings import Mappings
 from rosld.server.pictures.picture_cache import PictureCache
 from rosld.server.resources.bag_container import BagContainer
-from rosld.server.resources.bag_files import BagFile, BagUpload
+from rosld.server.resources.bag_files import BagFile, BagUpload, UnreadableBag
 from rosld.server.resources.bag_messages import BagMessage, BagMessages
 from rosld.server.resources.bag_moment import bag_moment
 from rosld.server.resources.bags import BagResource
@@ -45,6 +45,8 @@ def bag_route(
             return BagUpload(session.space, session.settings, states, recordings, name)
         case (name,) if name in recordings.armed:
             return ArmedBag(session.space, session.settings, recordings, recordings.armed[name])
+        case (name,) if name in recordings.unreadable:
+            return UnreadableBag(session.space, session.settings, recordings, name)
         case (name,):
             running = recordings.running.get(name)
             return (

@@ -1,0 +1,103 @@
+"""Takes a file that a client sends as a recording: stores it under another name until it is known to be one."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+import sys
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+
+from rosld.adapters.model.mcap import MAGIC
+from rosld.server.history.history_writer import require_room
+
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
+
+SUFFIXES = {b"#ROSBAG ": ".bag", MAGIC: ".mcap", b"SQLite f": ".db3"}
+"""By the first 8 bytes of a file."""
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+_ZSTD = b"\x28\xb5\x2f\xfd"
+_STEP = 1 << 20
+_DRAFT, _INFLATED = ".part", ".inflated"
+
+
+class NotTaken(Exception):
+    """A file that is not taken as a recording; `is_too_large` where it is more than may be kept."""
+
+    def __init__(self, words: str, *, is_too_large: bool = False) -> None:
+        super().__init__(words)
+        self.is_too_large = is_too_large
+
+
+async def receive_file(folder: Path, name: str, chunks: AsyncIterator[bytes], limit: int) -> tuple[Path, str]:
+    """Write what comes to a hidden file: where that is, and the suffix it should have.
+
+    What is compressed by zstd is inflated to at most `limit` bytes. Raises NotTaken, OSError, and what `chunks` does.
+    """
+    draft = folder / f".{name}{_DRAFT}"
+    try:
+        with draft.open("wb") as file:
+            async for chunk in chunks:
+                await asyncio.to_thread(_write, file.write, folder, chunk)
+        return await asyncio.to_thread(_recognize, draft, folder / f".{name}{_INFLATED}", limit)
+    except BaseException:
+        draft.unlink(missing_ok=True)
+        raise
+
+
+def remove_drafts(folder: Path) -> None:
+    """Remove what was being received when rosld was ended by force. Nobody else may have the folder."""
+    for path in folder.glob(".*"):
+        name = path.name[1:]
+        for suffix in (_DRAFT, _INFLATED):
+            if name.endswith(suffix) and NAME.fullmatch(name.removesuffix(suffix)) and path.is_file():
+                path.unlink(missing_ok=True)
+
+
+def _write(write: Callable[[bytes], object], folder: Path, data: bytes) -> None:
+    require_room(folder)
+    write(data)
+
+
+def _recognize(draft: Path, inflated: Path, limit: int) -> tuple[Path, str]:
+    """What a file is, by its first bytes; one that is compressed is inflated first."""
+    if _head(draft)[: len(_ZSTD)] != _ZSTD:
+        return draft, _suffix(draft)
+
+    try:
+        _inflate(draft, inflated, limit)
+        suffix = _suffix(inflated)
+    except BaseException:
+        inflated.unlink(missing_ok=True)
+        raise
+    draft.unlink()
+    return inflated, suffix
+
+
+def _inflate(packed: Path, target: Path, limit: int) -> None:
+    size = 0
+    try:
+        with zstd.ZstdFile(packed) as source, target.open("wb") as out:
+            while block := source.read(_STEP):
+                size += len(block)
+                if size > limit:
+                    words = f"it inflates to more than the {limit} bytes that the setting `upload_limit` allows"
+                    raise NotTaken(words, is_too_large=True)
+                _write(out.write, target.parent, block)
+    except (zstd.ZstdError, EOFError) as error:
+        raise NotTaken(f"it cannot be decompressed: {error}") from error
+
+
+def _head(path: Path) -> bytes:
+    with path.open("rb") as file:
+        return file.read(8)
+
+
+def _suffix(path: Path) -> str:
+    head = _head(path)
+    if head not in SUFFIXES:
+        raise NotTaken("this is neither a ROS 1 bag nor an MCAP file nor a ROS 2 database, nor one compressed by zstd")
+    return SUFFIXES[head]

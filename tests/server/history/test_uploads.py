@@ -1,0 +1,157 @@
+"""Files that are sent as recordings: compressed, hostile, cut off, sent twice at a time, or over one that is broken."""
+
+from __future__ import annotations
+
+import os
+import queue
+import resource
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.adapters.recording.recorder import lines, write_rosbag1, write_rosbag2
+from tests.adapters.recording.test_hostile_files import CHANNEL, END, HEADER, chunk, messages
+from tests.server.robots.made_up import MadeUp, served
+from tests.waiting import until
+
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
+
+JSON = {"Accept": "application/json"}
+PROBLEM = {"Accept": "application/problem+json"}
+MIB = 1 << 20
+UPLOAD_LIMIT = 8 * MIB
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of data in which there is a file of each kind that rosld left, or that cannot be opened."""
+    folder = tmp_path_factory.mktemp("data")
+    bags = folder / "bags"
+    bags.mkdir()
+    (bags / ".cut.part").write_bytes(b"#ROSBAG V2.0\n")
+    (bags / ".cut.inflated").write_bytes(b"#ROSBAG V2.0\n")
+    (bags / ".somebody's").write_bytes(b"not ours")
+    (bags / ".no name.part").write_bytes(b"not ours")
+    (bags / "notes.part").write_bytes(b"not ours")
+    (bags / "broken.mcap").write_bytes(b"\x89MCAP0\r\n" + b"\xff" * 100)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def http(data: Path) -> Iterator[Any]:
+    """A client of a robot that takes small files only."""
+    with served(MadeUp(), data=data, upload_limit=UPLOAD_LIMIT, upload_index_limit=2 * MIB) as client:
+        yield client
+
+
+def refused(answer: Any, status: int) -> str:
+    """The sentence of a refusal."""
+    assert answer.status_code == status, answer.text
+    return str(answer.json()["detail"])
+
+
+def left(data: Path) -> list[str]:
+    return sorted(path.name for path in (data / "bags").iterdir())
+
+
+def test_what_a_killed_server_was_receiving_is_removed_at_the_next_start_and_nothing_else(
+    http: Any, data: Path
+) -> None:
+    assert left(data) == [".no name.part", ".somebody's", "broken.mcap", "notes.part"]
+
+
+def test_the_name_of_a_file_that_cannot_be_opened_is_taken_until_it_is_deleted(
+    http: Any, data: Path, tmp_path: Path
+) -> None:
+    whole = write_rosbag1(tmp_path / "talk.bag", lines()).read_bytes()
+    words = refused(http.put("/bags/broken", content=whole, headers=PROBLEM), 409)
+    assert "broken.mcap already, which cannot be opened: DELETE it" in words
+    assert not (data / "bags" / "broken.bag").exists()
+    assert "cut off" in refused(http.get("/bags/broken/", headers=PROBLEM), 404)
+    assert http.delete("/bags/broken/").status_code == 204
+    assert not (data / "bags" / "broken.mcap").exists()
+    assert http.put("/bags/broken", content=whole).status_code == 201
+    assert http.get("/bags/broken/messages/3", headers=JSON).json() == {"data": "3"}
+    assert http.delete("/bags/broken/").status_code == 204
+
+
+@pytest.mark.parametrize("kind", ["bag", "mcap", "db3"])
+def test_a_recording_compressed_by_zstd_is_inflated_and_read(http: Any, tmp_path: Path, kind: str) -> None:
+    if kind == "bag":
+        sent = write_rosbag1(tmp_path / "talk.bag", lines())
+    else:
+        folder = write_rosbag2(tmp_path / "talk", lines(), storage="mcap" if kind == "mcap" else "sqlite3")
+        sent = next(folder.glob(f"*.{kind}"))
+    assert http.put("/bags/packed", content=zstd.compress(sent.read_bytes())).status_code == 201
+    assert http.get("/bags/packed/messages/3", headers=JSON).json() == {"data": "3"}
+    assert http.get("/bags/packed/file").content == sent.read_bytes()
+    assert http.delete("/bags/packed/").status_code == 204
+
+
+def test_what_inflates_beyond_the_limit_of_uploads_is_refused_and_the_setting_is_named(http: Any, data: Path) -> None:
+    before = left(data)
+    bomb = zstd.compress(b"#ROSBAG V2.0\n" + bytes(16 * UPLOAD_LIMIT))
+    assert len(bomb) < 64 << 10
+    words = refused(http.put("/bags/bomb", content=bomb, headers=PROBLEM), 413)
+    assert f"more than the {UPLOAD_LIMIT} bytes that the setting `upload_limit` allows" in words
+    for body, reason in (
+        (zstd.compress(b"nothing that is a recording"), "neither a ROS 1 bag"),
+        (zstd.compress(b"#ROSBAG V2.0\n" * 1000)[:-5], "cannot be decompressed"),
+        (zstd.compress(zstd.compress(b"#ROSBAG V2.0\n")), "neither a ROS 1 bag"),
+    ):
+        assert reason in refused(http.put("/bags/bomb", content=body, headers=PROBLEM), 422)
+    assert left(data) == before
+
+
+def test_no_hostile_file_ends_the_server_or_fills_its_memory(http: Any, data: Path) -> None:
+    before, peak = left(data), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    inner = messages(100_000)
+    many = HEADER + CHANNEL + chunk(zstd.compress(inner), "zstd", len(inner)) * 100 + END
+    liar = HEADER + CHANNEL + chunk(zstd.compress(b"x"), "zstd", 1 << 40) + END
+    deep = HEADER + CHANNEL.replace(b"string data\n", b"[" * 12) + END
+    assert "its index takes more than" in refused(http.put("/bags/many", content=many, headers=PROBLEM), 422)
+    for body in (liar, deep):
+        answer = http.put("/bags/odd", content=body)
+        assert answer.status_code in (201, 422), answer.text
+        if answer.status_code == 201:
+            assert http.get("/bags/odd/messages/").status_code < 500
+            assert http.delete("/bags/odd/").status_code == 204
+    assert http.get("/topics/").status_code == 200
+    assert left(data) == before
+    grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - peak) * 1024
+    assert grown < 256 * MIB, "the chunks hold 300 MB, and the index of all messages 400 MB"
+
+
+def test_two_that_send_a_recording_of_one_name_at_a_time_do_not_write_into_one_file(http: Any, tmp_path: Path) -> None:
+    whole = write_rosbag1(tmp_path / "talk.bag", lines()).read_bytes()
+    rest: queue.Queue[bytes] = queue.Queue()
+    answers: list[Any] = []
+
+    def body() -> Iterator[bytes]:
+        yield whole[:100]
+        yield rest.get(timeout=60)
+
+    first = threading.Thread(target=lambda: answers.append(http.put("/bags/twice", content=body())))
+    first.start()
+    until(lambda: http.put("/bags/twice", content=b"nothing").status_code == 409, "the name is taken by the first")
+    rest.put(whole[100:])
+    first.join()
+    assert answers[0].status_code == 201, answers[0].text
+    assert http.get("/bags/twice/file").content == whole
+    assert http.delete("/bags/twice/").status_code == 204
+
+
+def test_two_files_of_one_name_are_not_both_opened(tmp_path: Path) -> None:
+    bags = tmp_path / "bags"
+    bags.mkdir()
+    write_rosbag1(bags / "talk.bag", lines())
+    os.link(next(write_rosbag2(tmp_path / "talk", lines(count=3)).glob("*.mcap")), bags / "talk.mcap")
+    with served(MadeUp(), data=tmp_path) as client:
+        assert client.get("/bags/talk/messages/9", headers=JSON).json() == {"data": "9"}

@@ -23,6 +23,7 @@ NAMES = {
     "backports": "backports-zstd",
     "jwt": "pyjwt",
     "mcap_ros1": "mcap-ros1-support",
+    "re2": "google-re2",
     "ruamel": "ruamel-yaml",
     "xdist": "pytest-xdist",
     "SPARQLWrapper": "sparqlwrapper",

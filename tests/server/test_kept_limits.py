@@ -148,7 +148,7 @@ def test_limits_are_part_of_what_resources_say_of_themselves(plane: httpx.Client
         (SLOW.replace("sh:targetNode", "sh:targetSubjectsOf"), "a limit is told by sh:targetNode"),
         (SLOW.replace("sh:maxInclusive 100", 'sh:sparql [ sh:select "SELECT $this {}" ]'), ""),
         (SLOW.replace("sh:maxInclusive 100", "sh:maxInclusive <x:y>"), ""),
-        (SLOW.replace("sh:maxInclusive 100", 'sh:pattern "(a+)+$"'), ""),
+        (SLOW.replace("sh:maxInclusive 100", 'sh:pattern "(?=a)"'), ""),
         (SLOW.replace("sh:maxInclusive 100", "sh:node <#slow>"), ""),
         (SHORT.replace("std:String ;", "<x:Strange> ;"), "which is no message type"),
         (

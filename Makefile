@@ -5,13 +5,14 @@
 
 PYTHON ?= python3
 BIN := .venv/bin
+INSTALLED := .venv/.installed
 READY := .venv/.ready
 PORT ?= 8080
 HEADERS := import sysconfig; print(sysconfig.get_path("include") + "/Python.h")
 
 .PHONY: demo test interop check bench clean venv debian ros2
 
-demo: $(READY)
+demo: $(INSTALLED)
 	$(BIN)/rosld serve aircraft --port $(PORT)
 
 # Tests wait as much as they work, so three run side by side, file by file; the real ROS 2 are made meanwhile. They start
@@ -44,13 +45,18 @@ bench: $(READY)
 
 venv: $(READY)
 
-$(READY): pyproject.toml
+# What rosld itself needs is a third of what its tests need: the demo does not wait for that.
+$(READY): $(INSTALLED)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@touch $@
+
+$(INSTALLED): pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' || \
 		{ echo "rosld needs Python 3.10 or newer: make PYTHON=python3.12 ..." >&2; exit 1; }
 	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || \
 		{ echo "$(PYTHON) has no venv: install it (on Debian: apt-get install python3-venv)" >&2; exit 1; }
 	$(PYTHON) -m venv --clear .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
 	@touch $@
 
 # What the tests use beside Python, from Debian: a real ROS 1, a browser, Node, and a C compiler for ROS 2. Without them

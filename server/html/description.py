@@ -54,10 +54,13 @@ class _Walk:
     left: int = 4_000
 
 
-def describe(document: Document, site: Site, *, without: Iterable[NamedNode] = ()) -> tuple[Section, ...]:
+def describe(
+    document: Document, site: Site, *, without: Iterable[NamedNode] = (), apart: Iterable[NamedNode] = ()
+) -> tuple[Section, ...]:
     """The sections of a document.
 
-    `without` are predicates of the resource itself that are shown elsewhere, with the parts that they lead to.
+    `without` are predicates of the resource itself that are shown elsewhere, with the parts that they lead to; `apart`
+    are other subjects that are.
     """
     found = outline(document.triples)
     main = main_subject(document, found)
@@ -70,7 +73,7 @@ def describe(document: Document, site: Site, *, without: Iterable[NamedNode] = (
         walk.drawn.add(main)
         rows = _rows(walk, {predicate: own[predicate] for predicate in own if predicate not in skipped}, 0)
         sections.append(Section("Description", TableView(rows)))
-    hidden = _shown_elsewhere(found, main, skipped)
+    hidden = _shown_elsewhere(found, main, skipped) | set(apart)
     sections.extend(_others(walk, hidden))
     return tuple(section for section in sections if section.body.rows)
 

@@ -74,6 +74,28 @@ def container_table(document: Document, site: Site, listing: MemberColumns | Non
     return ContainerTable(columns, members, namespaces, total, groups, listing.note if listing and members else "")
 
 
+def parameters_below(document: Document) -> tuple[NamedNode, ...]:
+    """The parameters and trees of parameters that a document about such a tree tells of."""
+    told = {each.subject for each in document.triples if each.predicate == rdf.type and each.object == ros.Parameter}
+    own = NamedNode(document.url)
+    is_tree = own in told and ldp.Container in objects_of(document, rdf.type)
+    return tuple(each for each in told - {own} if isinstance(each, NamedNode)) if is_tree else ()
+
+
+def parameter_columns(document: Document, listing: MemberColumns | None) -> MemberColumns | None:
+    """The values of all parameters of a tree, for its table; None of what is no tree of parameters."""
+    below = set(parameters_below(document))
+    if not below:
+        return None
+    cells: dict[str, tuple[Cell, ...]] = {
+        each.subject.value: (each.object,)
+        for each in document.triples
+        if each.predicate == ros.value and each.subject in below and isinstance(each.object, Literal | NamedNode)
+        if isinstance(each.subject, NamedNode)
+    }
+    return MemberColumns(("value",), dict(sorted(cells.items())), None if listing is None else listing.total)
+
+
 def _seen(cell: Cell, site: Site) -> Cell:
     """A cell without what the reader may not know of."""
     url = cell.value if isinstance(cell, NamedNode) else cell.url if isinstance(cell, Thumbnail) else None

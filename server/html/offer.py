@@ -12,6 +12,7 @@ from typing import ClassVar, TypeAlias
 from pyoxigraph import NamedNode
 
 from rosld.ontology.vocab import ros
+from rosld.server.html.brief import brief_text
 from rosld.server.html.forms import Form
 from rosld.server.html.labels import label
 from rosld.server.html.name_groups import NameGroup, group_names
@@ -22,7 +23,8 @@ from rosld.server.html.timestamps import time_view
 from rosld.server.html.units import unit_symbol
 from rosld.server.html.values import value_view
 from rosld.server.html.view import LinkView, TableRow, TableView, TextView, View, escape_controls
-from rosld.server.hypermedia.value import Reading
+from rosld.server.hypermedia.brief_value import brief_json
+from rosld.server.hypermedia.value import Reading, Value
 from rosld.server.hypermedia.views import (
     ActionAffordance,
     ActionView,
@@ -34,6 +36,8 @@ from rosld.server.hypermedia.views import (
 )
 from rosld.shapes.value import MessageShape, OpenShape, ScalarShape, ValueShape
 
+_MOST_ROWS = 4
+"""Rows of a message that a table of properties shows unfolded."""
 _KINDS = {"topics": "topic", "services": "service", "parameters": "parameter"}
 
 
@@ -55,6 +59,8 @@ class PropertyValueView:
     read_at: View | None = None
     message: str = ""
     failed: bool = False
+    brief: str = ""
+    """A large message in a line, under which a table folds it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,10 +249,21 @@ def value_of(affordance: PropertyAffordance, reading: Reading, field: str | None
     """The value of a property, or one field of it, with its unit and when it was read."""
     read = time_view(reading.read_ns) if reading.read_ns is not None else None
     if reading.value is not None:
-        return PropertyValueView(value_view(reading.value, site, field), _unit(affordance, site), read)
+        view = value_view(reading.value, site, field)
+        return PropertyValueView(view, _unit(affordance, site), read, brief=_brief(reading.value, view))
     if reading.failure is not None:
         return PropertyValueView(None, read_at=read, message=escape_controls(reading.failure), failed=True)
     return PropertyValueView(None, read_at=read, message="no value yet" if affordance.read else "can only be written")
+
+
+def _brief(value: Value, view: View) -> str:
+    """A message of many fields, or of nested ones, in a line; empty for all else."""
+    if not isinstance(view, TableView) or not (len(view.rows) > _MOST_ROWS or any(row.nested for row in view.rows)):
+        return ""
+    try:
+        return brief_text(brief_json(value)) or "its fields"
+    except ValueError:
+        return "its fields"
 
 
 def _unit(affordance: PropertyAffordance, site: Site) -> Anchor | None:

@@ -14,7 +14,7 @@ from rosld.ontology.describe_search import SearchResult
 from rosld.ontology.document import Document
 from rosld.ontology.modules import home_of_terms, module_url
 from rosld.ontology.neutral_message import COMMANDS
-from rosld.ontology.vocab import PREFIXES, ldp, ros, td
+from rosld.ontology.vocab import PREFIXES, ldp, rdf, ros, td
 from rosld.server.html.auto_refresh import is_refreshed
 from rosld.server.html.brief import brief_text
 from rosld.server.html.cockpit import CockpitPage
@@ -24,7 +24,7 @@ from rosld.server.html.endpoints import endpoint_table
 from rosld.server.html.environment import render_template
 from rosld.server.html.forms import Form, ValueForm
 from rosld.server.html.frame import page_frame
-from rosld.server.html.listing import container_table
+from rosld.server.html.listing import container_table, parameter_columns, parameters_below
 from rosld.server.html.message_sections import message_sections
 from rosld.server.html.offer import FormTarget, form_targets, offer_view
 from rosld.server.html.page import (
@@ -61,6 +61,8 @@ from rosld.server.hypermedia.views import ComplexView, PropertyView
 from rosld.server.robot.diagnostic_states import Level
 from rosld.server.space.drawing import PLACED_TYPES
 
+_FAILED_GOALS = frozenset({ros.Aborted, ros.Rejected, ros.Lost})
+_GOAL_VERBS = {"succeeded": "has", **dict.fromkeys(("accepted", "rejected", "aborted", "canceled", "lost"), "was")}
 _NOTICED = (
     (ros.unreachable, "Unreachable"),
     (ros.unreadable, "Unreadable"),
@@ -154,7 +156,9 @@ def _body(page: Page, posted: tuple[FormTarget, ...]) -> dict[str, object]:
     messages = message_sections(document, site, page.query)
     own = {each.predicate for each in document.triples if each.subject == NamedNode(document.url)}
     left = own.intersection(_DRAWN[1:])
-    sections = describe(document, site, without=_DRAWN)
+    parameters = parameter_columns(document, page.listing)
+    apart = () if parameters is None else parameters_below(document)
+    sections = describe(document, site, without=_DRAWN, apart=apart)
     groups = group_sections(sections[1:])
     return {
         "offer": None,
@@ -164,7 +168,7 @@ def _body(page: Page, posted: tuple[FormTarget, ...]) -> dict[str, object]:
         "has_cloud": any(each.is_cloud for each in messages),
         "messages": [each for each in messages if not each.aside],
         "asides": [each for each in messages if each.aside],
-        "contents": container_table(document, site, page.listing),
+        "contents": container_table(document, site, parameters or page.listing),
         "sections": sections[:1] if groups else sections,
         "groups": groups,
         "endpoints": endpoint_table(document, site),
@@ -177,10 +181,23 @@ def _own_notices(page: Page) -> tuple[Notice, ...]:
     """What the description itself says is wrong with the resource; what is on offer tells that by itself."""
     if page.offer is not None:
         return ()
+    outcome = _goal_notice(page.document)
     found = ((words, first_text(page.document, predicate)) for predicate, words in _NOTICED)
     notices = tuple(Notice(f"{words}: {text}", NoticeLevel.WARNING) for words, text in found if text)
     warning = "" if page.site.stop_warning else first_text(page.document, ros.warning)  # which every page shows
-    return (Notice(warning, NoticeLevel.ERROR), *notices) if warning else notices
+    return (Notice(warning, NoticeLevel.ERROR), *outcome, *notices) if warning else (*outcome, *notices)
+
+
+def _goal_notice(document: Document) -> tuple[Notice, ...]:
+    """What has become of a goal, which its page is opened for; nothing of what is no goal."""
+    word, about = first_text(document, ros.statusWord), first_text(document, ros.words)
+    if not word or ros.Goal not in objects_of(document, rdf.type):
+        return ()
+    status = objects_of(document, ros.status)
+    told = f"The goal {_GOAL_VERBS.get(word, 'is')} {word}{f': {about}' if about else ''}"
+    is_failed = not _FAILED_GOALS.isdisjoint(status)
+    level = NoticeLevel.ERROR if is_failed else NoticeLevel.GOOD if ros.Succeeded in status else NoticeLevel.INFO
+    return (Notice(told, level),)
 
 
 def _curl(url: str, accept: str) -> str:

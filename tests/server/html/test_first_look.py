@@ -9,7 +9,9 @@ from typing import Any
 import httpx
 import pytest
 
-HTML = {"Accept": "text/html"}
+from tests.waiting import until
+
+HTML, JSON = {"Accept": "text/html"}, {"Accept": "application/json"}
 
 
 @pytest.fixture(scope="module")
@@ -52,6 +54,38 @@ def test_a_picture_has_no_bytes_in_hexadecimal_beside_it(rover: httpx.Client) ->
 def test_a_list_of_topics_says_why_it_has_no_values(rover: httpx.Client) -> None:
     assert "a list subscribes to none" in rover.get("/topics/", headers=HTML).text
     assert "a list subscribes to none" not in rover.get("/services/", headers=HTML).text
+
+
+def test_a_tree_of_parameters_is_a_table_of_their_values(rover: httpx.Client) -> None:
+    text = rover.get("/parameters/", headers=HTML).text
+    rows = re.findall(r'<tr data-key="/parameters/([^"]+)".*?<td[^>]*>(.*?)</td></tr>', text, re.DOTALL)
+    values = {name: re.sub("<[^>]+>", "", value).strip() for name, value in rows}
+    assert values["rover/max_speed"] == "0.5"
+    assert values["rover/drive_mode"] == "normal"
+    assert text.count("<h2") == 2  # what it contains, and its description
+
+
+def test_a_goal_says_first_what_has_become_of_it(rover: httpx.Client) -> None:
+    pose = {"position": {"x": 50.0, "y": 50.0}, "orientation": {"w": 1.0}}
+    goal = {"pose": {"header": {"frame_id": "map"}, "pose": pose}}
+    url = rover.post("/actions/navigate_to", json=goal).headers["location"]
+    until(lambda: rover.get(url, headers=JSON).json()["status"] == "aborted", "the end of the goal")
+    seen = rover.get(url, headers=HTML).text
+    assert re.search(r'<div class="notice error" role="alert">\s*<p><bdi>The goal was aborted', seen)
+    rover.post("/actions/navigate_to", json={"pose": {"header": {"frame_id": "map"}}})
+    url = rover.post("/actions/navigate_to", json={"pose": {"header": {"frame_id": "map"}}}).headers["location"]
+    until(lambda: rover.get(url, headers=JSON).json()["status"] == "succeeded", "the end of the goal")
+    assert "The goal has succeeded" in rover.get(url, headers=HTML).text
+
+
+def test_resources_are_a_line_each_and_unfolded_at_will(rover: httpx.Client) -> None:
+    for topic in ("odom", "battery_state"):
+        rover.get(f"/topics/{topic}")
+    seen = rover.get("/resources/", headers=HTML).text
+    assert re.search(r'<details class="many"><summary><bdi>voltage [0-9.]+, temperature 25, ', seen)
+    assert re.search(r'<details class="many"><summary><bdi>child_frame_id base_link, pose.pose.position.x ', seen)
+    lights = seen.partition('<tr data-key="/resources/lights">')[2].partition("</tr>")[0]
+    assert "<details" not in lights
 
 
 def test_what_is_found_has_the_width_of_a_phone(tab: Any, rover: httpx.Client) -> None:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import subprocess
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
 
 import pytest
 from pyoxigraph import BlankNode, NamedNode, RdfFormat, parse
@@ -18,6 +18,8 @@ PATIENCE = 200.0
 NTRIPLES = {"Accept": "application/n-triples"}
 JSON = {"Accept": "application/json"}
 COUNT = 230
+SOSA = "http://www.w3.org/ns/sosa/"
+TREE_NODE = "https://w3id.org/tree#node"
 
 
 @pytest.fixture(scope="module")
@@ -29,11 +31,36 @@ def recorded(start_server: Callable[..., Any], tmp_path_factory: pytest.TempPath
     return server
 
 
-def copied(url: str, order: str = "none") -> list[dict[str, Any]]:
-    """The members that the client finds, in the order in which it tells them."""
-    done = subprocess.run(node("ldes.mjs", url, order), capture_output=True, text=True, timeout=PATIENCE, check=False)
+class Copy(NamedTuple):
+    """What the client found: members, in the order in which it tells them, and the pages that it read."""
+
+    members: list[dict[str, Any]]
+    pages: set[str]
+
+
+def copied(url: str, order: str = "none", prefer: str = "") -> Copy:
+    """What the client finds in a stream; no member twice."""
+    command = node("ldes.mjs", url, order, prefer)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
     assert done.returncode == 0, done.stderr[-3000:]
-    return [json.loads(line) for line in done.stdout.splitlines() if line.startswith('{"id"')]
+    lines = done.stdout.splitlines()
+    members = [json.loads(line) for line in lines if line.startswith('{"id"')]
+    (pages,) = (json.loads(line)["pages"] for line in lines if line.startswith('{"pages"'))
+    assert len({one["id"] for one in members}) == len(members), "each member once"
+    return Copy(members, set(pages))
+
+
+def pages_of(http: Any, url: str, headers: Mapping[str, str] | None = None) -> set[str]:
+    """The pages of a stream, as the relations of each link to more."""
+    found, unread = set[str](), [url]
+    while unread:
+        at = unread.pop()
+        if at not in found:
+            found.add(at)
+            answer = http.get(at, headers={**NTRIPLES, **(headers or {})}).raise_for_status()
+            nodes = (each for each in parse(answer.content, RdfFormat.N_TRIPLES) if each.predicate.value == TREE_NODE)
+            unread += (each.object.value for each in nodes)
+    return found
 
 
 def said(text: str) -> list[str]:
@@ -53,7 +80,9 @@ def said(text: str) -> list[str]:
 
 @pytest.mark.parametrize("order", ["none", "ascending"])
 def test_the_members_of_a_recording_are_its_messages_whole(recorded: Any, order: str) -> None:
-    found = copied(f"{recorded.url}bags/talk/ldes", order)
+    found, pages = copied(f"{recorded.url}bags/talk/ldes", order)
+    assert pages == pages_of(recorded.http, f"{recorded.url}bags/talk/ldes")
+    assert len(pages) > 2, "more than one page of messages"
     urls = [f"{recorded.url}bags/talk/messages/{number}" for number in range(COUNT)]
     ids = [one["id"] for one in found]
     assert (ids if order == "ascending" else sorted(ids)) == (urls if order == "ascending" else sorted(urls))
@@ -66,17 +95,23 @@ def test_the_members_of_a_history_are_its_messages_whole(recorded: Any) -> None:
     listing = "/bags/history/messages/?limit=1000"
     until(lambda: len(recorded.http.get(listing, headers=JSON).json().get("messages", ())) > 250, "a past")
     before = [one["url"] for one in recorded.http.get(listing, headers=JSON).json()["messages"]]
-    found = {one["id"]: one for one in copied(f"{recorded.url}bags/history/ldes")}
+    pages = pages_of(recorded.http, f"{recorded.url}bags/history/ldes")
+    copy = copied(f"{recorded.url}bags/history/ldes")
+    assert pages <= copy.pages, "and those that have been begun since"
+    found = {one["id"]: one for one in copy.members}
     assert set(before) <= found.keys(), "and those that have come since"
+    numbers = sorted(int(url.rpartition("/")[2]) for url in found)
+    assert numbers == list(range(numbers[0], numbers[0] + len(numbers))), "none is left out between two"
     for url in before[:: len(before) // 5]:
         assert sorted(found[url]["said"]) == said(recorded.http.get(url, headers=NTRIPLES).text)
 
 
-def test_members_are_observations_where_that_profile_is_asked_for(recorded: Any) -> None:
-    found = copied(f"{recorded.url}bags/talk/ldes?_profile=sosa", "ascending")
+@pytest.mark.parametrize(("query", "prefer"), [("?_profile=sosa", ""), ("", f'profile="{SOSA}"')])
+def test_members_are_observations_where_that_profile_is_asked_for(recorded: Any, query: str, prefer: str) -> None:
+    found, pages = copied(f"{recorded.url}bags/talk/ldes{query}", "ascending", prefer)
+    assert pages == pages_of(recorded.http, f"{recorded.url}bags/talk/ldes{query}", {"Prefer": prefer})
     assert [one["id"] for one in found] == [f"{recorded.url}bags/talk/messages/{number}" for number in range(COUNT)]
-    sosa = "http://www.w3.org/ns/sosa/"
     for number, one in enumerate(found):
-        assert f"<{one['id']}> <http://www.w3.org/1999/02/22-rdf-syntax-ns#type> <{sosa}Observation>" in one["said"]
+        assert f"<{one['id']}> <http://www.w3.org/1999/02/22-rdf-syntax-ns#type> <{SOSA}Observation>" in one["said"]
         value = json.dumps([str(number), "http://www.w3.org/2001/XMLSchema#string", ""], separators=(",", ":"))
-        assert f"<{one['id']}> <{sosa}hasSimpleResult> {value}" in one["said"]
+        assert f"<{one['id']}> <{SOSA}hasSimpleResult> {value}" in one["said"]

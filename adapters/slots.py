@@ -78,19 +78,19 @@ class Slot:
         if kept is None:
             kept = self._kept[sample.publisher] = deque(maxlen=self._depth)
         kept.append(sample)
-        self._changed()
+        self._on_change()
 
     def drop(self, publisher: str) -> None:
         """Forget what a publisher sent; nothing happens where it sent nothing."""
         if self._kept.pop(publisher, None) is not None:
-            self._changed()
+            self._on_change()
 
     def latest(self, depth: int = 1) -> Sequence[Sample]:
         """The newest `depth` samples of each publisher in order of receipt; the same object until one arrives."""
         view = self._views.get(depth)
         if view is None:
             newest = [sample for kept in self._kept.values() for sample in tuple(kept)[-depth:]]
-            view = self._views[depth] = tuple(sorted(newest, key=_received))
+            view = self._views[depth] = tuple(sorted(newest, key=_received_ns))
         return view
 
     def subscribe(self, depth: int = 1) -> SlotSubscription:
@@ -119,12 +119,12 @@ class Slot:
             self._kept = {publisher: deque(kept, maxlen=depth) for publisher, kept in self._kept.items()}
             self._views.clear()
 
-    def _changed(self) -> None:
+    def _on_change(self) -> None:
         self._views.clear()
         self.watches.notify()
 
 
-def _received(sample: Sample) -> int:
+def _received_ns(sample: Sample) -> int:
     return sample.received_ns
 
 

@@ -106,7 +106,7 @@ def parse_body(data: bytes, media_type: str, base: str, *, alone: bool = False) 
     `MEDIA_TYPES`. The caller checks the size.
     """
     form = _form(media_type)
-    with _told():
+    with _parser_errors():
         return index_quads(_quads(data, form, base), base, alone=alone)
 
 
@@ -114,7 +114,7 @@ def parse_dataset(data: bytes, media_type: str, base: str) -> dict[str, list[Tri
     """The graphs of `data` by their names. Raises as `parse_body`, and BodyError for a triple in no named graph."""
     form = _form(media_type)
     graphs: dict[str, list[Triple]] = {}
-    with _told():
+    with _parser_errors():
         for quad in _quads(data, form, base, relabelled=True):
             if not isinstance(quad.graph_name, NamedNode):
                 raise BodyError(f"{quad.triple} stands in no graph that has an IRI: name the graph that is to say it")
@@ -133,14 +133,14 @@ def read_ntriples(data: bytes, media_type: str, base: str) -> bytes:
     Blank nodes have new labels, which no other document has: labels mean nothing beyond their document (RDF 1.1, 3.4).
     """
     form = _form(media_type)
-    with _told():
+    with _parser_errors():
         quads = _quads(data, form, base, relabelled=True)
         triples = _of_graph(quads, base) if form.supports_datasets else quads
         return serialize(triples, format=RdfFormat.N_TRIPLES) or b""
 
 
 @contextmanager
-def _told() -> Iterator[None]:
+def _parser_errors() -> Iterator[None]:
     """Raises a BodyError for what the parser says is wrong."""
     try:
         yield

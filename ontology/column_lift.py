@@ -81,7 +81,7 @@ def column_lifter(lifter: Lifter, only: frozenset[str], topic: str, node: str) -
         _DOCUMENT: _DOCUMENT,
         date_time(0, 0): "received",
         str(_SEQUENCE): "sequence",
-        **{_written(mark): str(mark) for mark in probe.found},
+        **{_mark_text(mark): str(mark) for mark in probe.found},
     }
     parts: list[str] = []
     order: list[str] = []
@@ -93,7 +93,7 @@ def column_lifter(lifter: Lifter, only: frozenset[str], topic: str, node: str) -
     return ColumnLifter([*parts, text[at:]], order, {str(mark): path for mark, path in probe.found.items()})
 
 
-def _written(mark: float | str) -> str:
+def _mark_text(mark: float | str) -> str:
     """A mark as a lifter writes it: a string comes with the quotes of JSON."""
     return f'"{mark}"' if isinstance(mark, str) else scalar_texts(np.array([mark], np.float32))[0]
 

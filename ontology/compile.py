@@ -218,7 +218,7 @@ class _Function:
         if isinstance(field.type, Primitive):
             written, after = self._primitive(field.type, value, node)
         elif isinstance(field.type, Nested):
-            written, after = self._nested(field.type.name, value, node)
+            written, after = self._nested_message(field.type.name, value, node)
         elif isinstance(field.type.element, Primitive):
             written, after = self._array(field.type.element, field.type.length, value, node)
         else:
@@ -241,7 +241,7 @@ class _Function:
             self._exact[name] = f"wide({value})" if is_wide else value
         return self._notation.literal(DATATYPES[kind.name], f"{{{name}}}"), ""
 
-    def _nested(self, name: str, value: str, node: str) -> tuple[str, str]:
+    def _nested_message(self, name: str, value: str, node: str) -> tuple[str, str]:
         if self._module.inlined(name):
             text = self._block(self._module.types[name], self._new(value, "m"), node)
         else:

@@ -41,7 +41,7 @@ def topic_document(
     """
     url = space.topic(topic.name)
     subject = NamedNode(url)
-    named = _named(messages, space)
+    named = _with_fragments(messages, space)
     nodes = [NamedNode(url + message.node) for message in named]
     several = len(nodes) > 1 or len(topic.publishers) > 1
     triples = [
@@ -67,7 +67,7 @@ def _described_hold(topic: Topic, space: Space) -> tuple[Triple, ...]:
     return tuple(holdable_at(space.topic(topic.name), shape, commands_velocity=name in COMMANDS))
 
 
-def _named(messages: Sequence[LiftedMessage], space: Space) -> tuple[LiftedMessage, ...]:
+def _with_fragments(messages: Sequence[LiftedMessage], space: Space) -> tuple[LiftedMessage, ...]:
     """The messages under fragments of their own: the newest is `#message`, the others are called by publisher."""
     if len(messages) < 2:
         return tuple(messages)
@@ -151,8 +151,8 @@ def endpoints_of(
             continue
         met[endpoint.node] += 1
         path, ordinal = (role, *endpoint.node[1:].split("/")), met[endpoint.node]
-        node = NamedNode(_numbered(space.fragment(url, *path), ordinal))
-        qos = NamedNode(_numbered(space.fragment(url, "qos", *path), ordinal)) if endpoint.qos else None
+        node = NamedNode(_numbered_fragment(space.fragment(url, *path), ordinal))
+        qos = NamedNode(_numbered_fragment(space.fragment(url, "qos", *path), ordinal)) if endpoint.qos else None
         yield (
             node,
             triples_about(
@@ -170,7 +170,7 @@ def endpoints_of(
         )
 
 
-def _numbered(fragment: str, ordinal: int) -> str:
+def _numbered_fragment(fragment: str, ordinal: int) -> str:
     """The fragment of a node's endpoint; where it has several of one role on a topic, they are counted from 2 on."""
     return f"{fragment};{ordinal}" if ordinal > 1 else fragment
 

@@ -85,7 +85,7 @@ def _message_type(kind: MessageType, space: Space) -> list[Triple]:
     triples = triples_about(subject, *statements(ros.hasField, fields), *statements(ros.hasConstant, constants))
     for position, (node, field) in enumerate(zip(fields, kind.fields, strict=True)):
         triples += triples_about(node, *_field(field, position, subject, space))
-        if (nested := _nested(field.type)) is not None:
+        if (nested := _nested_type(field.type)) is not None:
             triples += triples_about(
                 NamedNode(space.class_of(nested)), (rdfs.isDefinedBy, NamedNode(space.type(nested)))
             )  # fmt: skip
@@ -95,7 +95,7 @@ def _message_type(kind: MessageType, space: Space) -> list[Triple]:
 
 
 def _field(field: Field, position: int, kind: NamedNode, space: Space) -> list[Statement]:
-    nested = _nested(field.type)
+    nested = _nested_type(field.type)
     array = field.type if isinstance(field.type, Array) else None
     element = array.element if array else field.type
     return [
@@ -155,7 +155,7 @@ def constant_value(constant: Constant) -> Literal | None:
     return Literal(double(value).value if isinstance(value, float) else str(value), datatype=datatype)
 
 
-def _nested(kind: FieldType) -> str | None:
+def _nested_type(kind: FieldType) -> str | None:
     """The name of the message type within a field's type."""
     element = kind.element if isinstance(kind, Array) else kind
     return element.name if isinstance(element, Nested) else None

@@ -308,7 +308,7 @@ def _from_json(value: object, path: str, depth: int) -> ParameterValue:
         case list():
             return [_from_json(each, f"{path}.{index}".lstrip("."), depth + 1) for index, each in enumerate(value)]
         case {"@value": inner, "@type": str(kind), **rest} if not rest:
-            return _typed(inner, kind, path, depth)
+            return _typed_value(inner, kind, path, depth)
         case dict():
             return _members(value.items(), path, depth)
         case _:
@@ -326,7 +326,7 @@ def _text(value: str, path: str) -> str:
     return value
 
 
-def _typed(inner: object, kind: str, path: str, depth: int) -> ParameterValue:
+def _typed_value(inner: object, kind: str, path: str, depth: int) -> ParameterValue:
     if kind == "@json" and isinstance(inner, dict):
         return _members(inner.items(), path, depth)
     if not isinstance(inner, str):

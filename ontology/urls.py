@@ -138,7 +138,7 @@ class Space:
         """The URL of the container of a namespace: `topics/` and its segments, ending in a slash."""
         return self.url(kind, namespace) + "/"
 
-    def _named(self, kind: str, name: str) -> str:
+    def _leaf_url(self, kind: str, name: str) -> str:
         if not name.startswith("/"):
             raise ValueError(f"{name!r} is no global ROS name: it must begin with '/'")
         # Not names.segments: as a leaf, "/" is one empty segment, so that it never shares the URL of the container.
@@ -146,21 +146,21 @@ class Space:
 
     def node(self, name: str) -> str:
         """`/talker` -> `nodes/talker`."""
-        return self._named("nodes", name)
+        return self._leaf_url("nodes", name)
 
     def topic(self, name: str) -> str:
         """`/camera/image_raw` -> `topics/camera/image_raw`."""
-        return self._named("topics", name)
+        return self._leaf_url("topics", name)
 
     def service(self, name: str) -> str:
         """`/aircraft/start` -> `services/aircraft/start`."""
-        return self._named("services", name)
+        return self._leaf_url("services", name)
 
     def parameter(self, name: str, node: str | None = None) -> str:
         """A parameter; where parameters belong to nodes (ROS 2), its whole name is one segment below its node."""
         if node is None:
-            return self._named("parameters", name)
-        return self._named("parameters", node) + "/" + encode_segment(name)
+            return self._leaf_url("parameters", name)
+        return self._leaf_url("parameters", node) + "/" + encode_segment(name)
 
     def type(self, ref: TypeRef | str) -> str:
         """`geometry_msgs/msg/Twist` -> `types/geometry_msgs/msg/Twist`; a hash makes it that variant."""
@@ -185,7 +185,7 @@ class Space:
 
     def action(self, name: str) -> str:
         """`/aircraft/fly` -> `actions/aircraft/fly`."""
-        return self._named("actions", name)
+        return self._leaf_url("actions", name)
 
     def goal(self, id: str) -> str:
         """One goal of an action."""

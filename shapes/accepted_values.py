@@ -83,7 +83,7 @@ class AcceptedValues:
     def scalar(self, kind: Primitive) -> NamedNode:
         """The shape of a scalar."""
         bound = "" if kind.bound is None else f"-{kind.bound}"
-        return self._named(f"{kind.name}{bound}", lambda: self._scalar(kind))
+        return self._node_shape(f"{kind.name}{bound}", lambda: self._scalar(kind))
 
     def array(self, kind: Array, element: Primitive) -> NamedNode:
         """The shape of an array of primitives: one literal, or a list of literals."""
@@ -91,26 +91,26 @@ class AcceptedValues:
         parts += [] if element.bound is None else [f"of-{element.bound}"]
         parts += [] if kind.length is None else [f"{kind.length}"]
         parts += [] if kind.bound is None else [f"at-most-{kind.bound}"]
-        return self._named("-".join(parts), lambda: self._array(kind, element))
+        return self._node_shape("-".join(parts), lambda: self._array(kind, element))
 
     def parameter(self, type: ParameterType) -> NamedNode:
         """The shape of a scalar that is a parameter's: its text is no octets."""
         if type is ParameterType.STRING:
-            return self._named("text", lambda: [(sh.datatype, xsd.string)])
+            return self._node_shape("text", lambda: [(sh.datatype, xsd.string)])
         return self.scalar(PARAMETERS[type])
 
     def parameter_array(self, type: ParameterType) -> NamedNode:
         """The shape of an array that is a parameter's: one literal."""
         if type is ParameterType.BYTE_ARRAY:
             octets = [(sh.datatype, xsd.base64Binary), (sh.pattern, text(base64_pattern()))]
-            return self._named("octets", lambda: octets)
+            return self._node_shape("octets", lambda: octets)
         element = PARAMETER_ARRAYS[type]
         array = [(sh.datatype, rdf.JSON), (sh.pattern, text(parameter_array_pattern(element)))]
-        return self._named(f"{element.name}-array", lambda: array)
+        return self._node_shape(f"{element.name}-array", lambda: array)
 
     def open_parameter(self, kind: OpenParameter) -> NamedNode:
         """The shape of the value of a parameter of which nothing is declared: what it may be, by datatype."""
-        return self._named("parameter", lambda: [self._open(kind)])
+        return self._node_shape("parameter", lambda: [self._open(kind)])
 
     def list(self, elements: Sequence[Statement], kind: Array) -> Sequence[Statement]:
         """What a list is, each element of which fulfils `elements`."""
@@ -163,9 +163,9 @@ class AcceptedValues:
 
     def _not_a_number(self) -> NamedNode:
         values = [Literal("NaN", datatype=datatype) for datatype in _FLOATS]
-        return self._named("not-a-number", lambda: [(sh.in_, self._writer.list_of(values))])
+        return self._node_shape("not-a-number", lambda: [(sh.in_, self._writer.list_of(values))])
 
-    def _named(self, name: str, write: Callable[[], Sequence[Statement]]) -> NamedNode:
+    def _node_shape(self, name: str, write: Callable[[], Sequence[Statement]]) -> NamedNode:
         node = self._writer.node(name)
         if name not in self._written:
             self._written.add(name)

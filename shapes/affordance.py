@@ -66,7 +66,7 @@ def _scalar(
         (qudt.hasQuantityKind, measure.quantity_kind),
     )
     if bounds.choices:
-        head, cells = _listed(within(node, "in"), bounds.choices)
+        head, cells = _list_triples(within(node, "in"), bounds.choices)
         triples += [*triples_about(node, (sh.in_, head)), *cells]
     return triples
 
@@ -80,7 +80,7 @@ def _message(shape: MessageShape, node: NamedNode, space: Space) -> list[Triple]
     else:
         parts = [within(NamedNode(type_shape), field.name) for field in kind.fields if field.name in shape.fields]
         said = [(sh.nodeKind, sh.BlankNodeOrIRI), *statements(sh.property, parts)]
-    return triples_about(node, *said) + _bounded(node, kind.name, shape.schema, _tree(shape.bounds), space)
+    return triples_about(node, *said) + _bounds_triples(node, kind.name, shape.schema, _tree(shape.bounds), space)
 
 
 class _Bounded(dict[str, "_Bounded"]):
@@ -99,7 +99,7 @@ def _tree(bounds: Mapping[str, Bounds]) -> _Bounded:
     return root
 
 
-def _bounded(node: NamedNode, kind: str, schema: MessageSchema, tree: _Bounded, space: Space) -> list[Triple]:
+def _bounds_triples(node: NamedNode, kind: str, schema: MessageSchema, tree: _Bounded, space: Space) -> list[Triple]:
     """Property shapes within `node` that lead to the bounds; those of an array of messages hold for each element."""
     triples: list[Triple] = []
     for field in schema.types[kind].fields:
@@ -112,7 +112,7 @@ def _bounded(node: NamedNode, kind: str, schema: MessageSchema, tree: _Bounded, 
             element = element.element
             # A path is a blank node: an IRI would be a predicate (SHACL 2.3.1).
             rest = BlankNode(_label(inner) + "-rest")
-            head, cells = _listed(within(inner, "path"), (property, rest, rdf.first))
+            head, cells = _list_triples(within(inner, "path"), (property, rest, rdf.first))
             triples += [
                 *triples_about(inner, (sh.path, head)),
                 *triples_about(rest, (sh.zeroOrMorePath, rdf.rest)),
@@ -121,7 +121,7 @@ def _bounded(node: NamedNode, kind: str, schema: MessageSchema, tree: _Bounded, 
         else:
             triples += triples_about(inner, (sh.path, property))
         if isinstance(element, Nested):
-            triples += _bounded(inner, element.name, schema, tree[field.name], space)
+            triples += _bounds_triples(inner, element.name, schema, tree[field.name], space)
         else:
             primitive = element if isinstance(element, Primitive) else None
             datatype = None if primitive is None else _datatype(primitive)
@@ -129,7 +129,7 @@ def _bounded(node: NamedNode, kind: str, schema: MessageSchema, tree: _Bounded, 
     return triples
 
 
-def _listed(name: NamedNode, elements: Iterable[NamedNode | BlankNode | Literal]) -> tuple[Value, list[Triple]]:
+def _list_triples(name: NamedNode, elements: Iterable[NamedNode | BlankNode | Literal]) -> tuple[Value, list[Triple]]:
     """An rdf:List, whose cells are blank: its head and its triples."""
     cells: list[Triple] = []
     rest: Value = rdf.nil

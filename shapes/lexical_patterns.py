@@ -80,13 +80,13 @@ def parameter_array_pattern(element: Primitive) -> str:
 def _parameter_element(kind: Primitive) -> str:
     if kind.name in RANGES:
         number = integer_pattern(*RANGES[kind.name])
-        return f"{number}|{_typed(number, 'integer')}"
+        return f"{number}|{_typed_object(number, 'integer')}"
     if kind.name in _FLOATS:
-        return f"-?({'|'.join(_FLOATS[kind.name])})|{_typed('(NaN|-?INF)', 'double')}"
+        return f"-?({'|'.join(_FLOATS[kind.name])})|{_typed_object('(NaN|-?INF)', 'double')}"
     return _json_element(kind) if kind.name == "bool" else rf'"{_CHARACTER}*"'
 
 
-def _typed(value: str, datatype: str) -> str:
+def _typed_object(value: str, datatype: str) -> str:
     """An object of a value, as text, and its datatype."""
     members = rf'"@value"{_SPACE}:{_SPACE}"{value}"', rf'"@type"{_SPACE}:{_SPACE}"xsd:{datatype}"'
     comma = f"{_SPACE},{_SPACE}"

@@ -55,10 +55,10 @@ def read_limits(data: bytes, base: str, document: str | None = None) -> tuple[Tr
                 if isinstance(subject, Triple) or isinstance(each, Triple):
                     raise ValueError("a shapes graph has no triple terms")
                 triples.append(Triple(subject, predicate, each))
-    return tuple(triples if document is None else (_renamed(triple, f"{base}#", f"{document}#") for triple in triples))
+    return tuple(triples if document is None else (_rename(triple, f"{base}#", f"{document}#") for triple in triples))
 
 
-def _renamed(triple: Triple, old: str, new: str) -> Triple:
+def _rename(triple: Triple, old: str, new: str) -> Triple:
     """A triple whose IRIs that begin with `old` begin with `new`."""
     subject, value = triple.subject, triple.object
     if isinstance(subject, NamedNode) and subject.value.startswith(old):
@@ -140,7 +140,7 @@ class Limits:
         """What is demanded of single scalars of the message that is a resource's value of a predicate."""
         shape, space = self.by_url.get(url), Space("http://0/", self.types)
         found = {} if shape is None else {way[1:]: each for way, each in shape.within.items() if way[0] == predicate}
-        paths = {way: _dotted(schema, schema.ref.name, way, space) for way in found if way}
+        paths = {way: _dotted_path(schema, schema.ref.name, way, space) for way in found if way}
         return {path: found[way] for way, path in paths.items() if path is not None}
 
     def demand_of_message(self, schema: MessageSchema) -> Demand:
@@ -306,7 +306,7 @@ class _MessageCheck:
         while more := {
             name
             for name, kind in types.items()
-            if name not in found and any(_nested(each.type) in {*found, *self._shapes} for each in kind.fields)
+            if name not in found and any(_nested_type(each.type) in {*found, *self._shapes} for each in kind.fields)
         }:
             found |= more
         return found
@@ -316,11 +316,11 @@ class _MessageCheck:
         return tuple(
             (each.attribute, each.name, nested, isinstance(each.type, Array))
             for each in self._schema.types[name].fields
-            if (nested := _nested(each.type)) is not None and nested in wanted
+            if (nested := _nested_type(each.type)) is not None and nested in wanted
         )
 
 
-def _nested(kind: object) -> str | None:
+def _nested_type(kind: object) -> str | None:
     """The message type within a field's type."""
     element = kind.element if isinstance(kind, Array) else kind
     return element.name if isinstance(element, Nested) else None
@@ -420,18 +420,18 @@ def _bounds_of(limits: Limits, schema: MessageSchema, name: str, space: Space) -
     own: dict[str, Bounds] = {}
     if shape is not None:
         for way, bounds in shape.within.items():
-            path = _dotted(schema, name, way, space)
+            path = _dotted_path(schema, name, way, space)
             if path is not None:
                 own[path] = bounds
     inner = (
         {f"{each.name}.{path}": bounds for path, bounds in _bounds_of(limits, schema, nested, space).items()}
         for each in schema.types[name].fields
-        if (nested := _nested(each.type)) is not None
+        if (nested := _nested_type(each.type)) is not None
     )
     return merge_bounds(own, *inner)
 
 
-def _dotted(schema: MessageSchema, name: str, way: Sequence[NamedNode], space: Space) -> str | None:
+def _dotted_path(schema: MessageSchema, name: str, way: Sequence[NamedNode], space: Space) -> str | None:
     """The dotted path of the scalar that predicates lead to; None where they lead to none."""
     kind: object = Nested(name)
     steps = []

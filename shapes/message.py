@@ -178,7 +178,7 @@ class _Said:
         length = writer.blank((sh.path, ros.elidedLength), *count, *one)
         place = writer.blank((sh.path, ros.bytes), (sh.nodeKind, sh.IRI), *one)
         writer.add(
-            self._elided,
+            self._elided_node,
             (rdf.type, sh.NodeShape),
             (rdfs.label, text("What stands for a value that is too large to be written")),
             (sh.class_, ros.Elided),
@@ -186,11 +186,11 @@ class _Said:
         )
 
     @property
-    def _elided(self) -> NamedNode:
+    def _elided_node(self) -> NamedNode:
         return self._writer.node("elided")
 
     def _or_elided(self, *shapes: Value) -> list[Statement]:
-        return [self._writer.either([*shapes, self._elided])]
+        return [self._writer.either([*shapes, self._elided_node])]
 
     def primitive(self, kind: Primitive) -> Sequence[Statement]:
         datatype = NamedNode(xsd.iri + DATATYPES[kind.name])

@@ -124,12 +124,12 @@ def _choices(range: Range | None) -> tuple[Literal, ...]:
     """All whole numbers of a range with a step, where they are few; none where SHACL Core cannot say them."""
     match range:
         case Range(int(least), int(greatest), int(step)) if step > 1 and (greatest - least) // step < _MAX_CHOICES:
-            values = dict.fromkeys((*_counted(least, greatest, step), greatest))
+            values = dict.fromkeys((*_count_up(least, greatest, step), greatest))
             return tuple(found for value in values if (found := integer(value)) is not None)
     return ()
 
 
-def _counted(least: int, greatest: int, step: int) -> Iterator[int]:
+def _count_up(least: int, greatest: int, step: int) -> Iterator[int]:
     while least <= greatest:
         yield least
         least += step

@@ -134,7 +134,7 @@ class ShapesGraph:
             raise self._deep()
         self._open.append(node)
         try:
-            shape = self._shapes[node] = self._compiled(node, self._said[node])
+            shape = self._shapes[node] = self._compile(node, self._said[node])
         finally:
             self._open.pop()
         return shape
@@ -193,7 +193,7 @@ class ShapesGraph:
 
     # One shape
 
-    def _compiled(self, node: Node, said: Mapping[NamedNode, list[Term]]) -> Shape:
+    def _compile(self, node: Node, said: Mapping[NamedNode, list[Term]]) -> Shape:
         self._check_terms(node, said)
         path, is_property, simple_path = self._path(node, said)
         draft = _Draft()
@@ -331,11 +331,11 @@ class ShapesGraph:
                 draft.of_set.append(components.has_value(checked_term(value)))
                 draft.demand(Bounds(choices=(value,)) if isinstance(value, Literal) else UNBOUNDED)
             case _ if parameter in LEFT_TO_PYSHACL:
-                self._left(draft, parameter, value)
+                self._check_left_to_pyshacl(draft, parameter, value)
             case _:
                 self._shapes_of(draft, parameter, value)
 
-    def _left(self, draft: _Draft, parameter: NamedNode, value: Term) -> None:
+    def _check_left_to_pyshacl(self, draft: _Draft, parameter: NamedNode, value: Term) -> None:
         """What is left to pyshacl, which would only stumble over a wrong value when it comes to it."""
         match prefixed(parameter):
             case "sh:qualifiedValueShape":
@@ -416,13 +416,13 @@ class ShapesGraph:
 
     def _pattern(self, node: Node, draft: _Draft, value: Term) -> None:
         flags = "".join(checked_text(each) for each in self._said[node].get(sh.flags, ()))
-        found = self._taken(value, flags)
+        found = self._compile_regex(value, flags)
         self._longest[node] = min(found.max_length, self._longest.get(node, sys.maxsize))
         draft.of_value.append(components.pattern_(found))
         if not flags:
             draft.demand(Bounds(pattern=found.text))
 
-    def _taken(self, value: Term, flags: str) -> SafePattern:
+    def _compile_regex(self, value: Term, flags: str) -> SafePattern:
         try:
             return compile_pattern(checked_text(value), flags)
         except ParameterFault:

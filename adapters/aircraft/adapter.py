@@ -133,7 +133,7 @@ class Aircraft:
             self._timer = None
         if self._fly is not None:
             words = "the aircraft is no longer there"
-            self._told(self._fly, GoalEvent(time.time_ns(), GoalStatus.LOST, words, own=True))
+            self._tell_goal(self._fly, GoalEvent(time.time_ns(), GoalStatus.LOST, words, own=True))
             self._fly = None
         for topic in tuple(self._topics.advertised):
             self._topics.unadvertise(topic)
@@ -214,7 +214,7 @@ class Aircraft:
             self._fly = accept(self._flight, self._fly, secrets.token_hex(16), distance, time.monotonic_ns())
         except Declined as declined:
             raise Refused(f"{action} rejected the goal: {declined}", words=str(declined)) from declined
-        self._told(self._fly, GoalEvent(time.time_ns(), GoalStatus.ACCEPTED, goal=goal, own=True))
+        self._tell_goal(self._fly, GoalEvent(time.time_ns(), GoalStatus.ACCEPTED, goal=goal, own=True))
         return GoalId(action, self._fly.id)
 
     async def cancel_goal(self, goal: GoalId, *, deadline: float) -> None:
@@ -224,7 +224,7 @@ class Aircraft:
         if self._fly is None or self._fly.id != goal.id:
             raise NotFound(f"the aircraft does not pursue the goal {goal.id}")
         self._fly = cancel(self._fly)
-        self._told(self._fly, GoalEvent(time.time_ns(), GoalStatus.CANCELING, own=True))
+        self._tell_goal(self._fly, GoalEvent(time.time_ns(), GoalStatus.CANCELING, own=True))
 
     async def cancel_goals(self, action: str, *, deadline: float) -> None:
         """Have the aircraft fly no further, if it pursues a goal."""
@@ -289,7 +289,7 @@ class Aircraft:
         assert isinstance(schema, ActionSchema)
         return schema
 
-    def _told(self, fly: FlyGoal, event: GoalEvent) -> None:
+    def _tell_goal(self, fly: FlyGoal, event: GoalEvent) -> None:
         if self._sink is not None:
             self._sink.goal_changed(GoalId(ACTION, fly.id), event)
 
@@ -308,7 +308,7 @@ class Aircraft:
             codec, values = schema.result.codec, {"message": end.message, "flown": flown}
             result = codec.encode(codec.build(schema.result.ref.name, values), Encoding.ROS1)
             event = replace(event, status=end.status, result=result)
-        self._told(fly, event)
+        self._tell_goal(fly, event)
 
     def _as_it_is(self, revision: int) -> Graph:
         return aircraft_graph(revision, self._types, self._topics.advertised, parameters.leaves(self._parameters))

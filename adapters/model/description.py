@@ -75,11 +75,11 @@ def definition_of(name: str, described: Iterable[IndividualTypeMessage]) -> str:
     if lacking:
         raise ValueError(f"the description of {name} lacks {lacking[0]}")
     whole = "\n---\n".join(_text(fields[part]) for part in parts)
-    nested = [each for each in _reached(parts, fields) if each not in parts]
+    nested = [each for each in _types_within(parts, fields) if each not in parts]
     return "\n".join([whole, *(f"{SEPARATOR}\nMSG: {_short(each)}\n{_text(fields[each])}" for each in nested)]) + "\n"
 
 
-def _reached(parts: Sequence[str], fields: Mapping[str, Sequence[FieldMessage]]) -> list[str]:
+def _types_within(parts: Sequence[str], fields: Mapping[str, Sequence[FieldMessage]]) -> list[str]:
     """The types that these are made of, themselves included. Raises ValueError where one is not described."""
     reached: dict[str, None] = {}
     wanted = list(parts)

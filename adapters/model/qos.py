@@ -156,8 +156,8 @@ def _unfit(offered: Qos, requested: Qos) -> Iterator[tuple[str, str, str]]:
     for policy in ("deadline", "lease"):
         one, other = getattr(offered, f"{policy}_ns"), getattr(requested, f"{policy}_ns")
         if other is not None and (one is None or one > other):
-            yield ("liveliness lease" if policy == "lease" else policy), _told(one), _told(other)
+            yield ("liveliness lease" if policy == "lease" else policy), _seconds_text(one), _seconds_text(other)
 
 
-def _told(nanoseconds: int | None) -> str:
+def _seconds_text(nanoseconds: int | None) -> str:
     return "for ever" if nanoseconds is None else f"{nanoseconds / 1e9:g} s"

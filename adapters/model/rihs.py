@@ -64,7 +64,7 @@ def message_hash(name: str, types: Mapping[str, MessageType]) -> str:
 
     Raises KeyError naming what lacks, RecursionError naming what is nested in itself.
     """
-    nested = {found: types[found] for found in _nested(name, types)}
+    nested = {found: types[found] for found in _nested_types(name, types)}
     described = {
         "type_description": describe_type(types[name]),
         "referenced_type_descriptions": [describe_type(nested[each]) for each in sorted(nested) if each != name],
@@ -110,14 +110,14 @@ def _service(name: str) -> Mapping[str, MessageType]:
     return {name: whole, events.name: events}
 
 
-def _nested(name: str, types: Mapping[str, MessageType], above: tuple[str, ...] = ()) -> Iterator[str]:
+def _nested_types(name: str, types: Mapping[str, MessageType], above: tuple[str, ...] = ()) -> Iterator[str]:
     if name in above:
         raise RecursionError(f"{name} is nested in itself")
     for field in types[name].fields:
         kind = field.type.element if isinstance(field.type, Array) else field.type
         if isinstance(kind, Nested):
             yield kind.name
-            yield from _nested(kind.name, types, (*above, name))
+            yield from _nested_types(kind.name, types, (*above, name))
 
 
 def describe_type(kind: MessageType) -> dict[str, object]:

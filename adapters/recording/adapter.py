@@ -151,7 +151,7 @@ class RecordingAdapter:
         if self._bag is None:
             return 0
         playback = self._playback(self._bag)
-        return playback.since(Position(sample.epoch, sample.received_ns - self._bag.start_ns), self._elapsed())
+        return playback.since(Position(sample.epoch, sample.received_ns - self._bag.start_ns), self._elapsed_ns())
 
     async def publish(
         self, topic: str, type: TypeRef, data: bytes, *, latch: bool = False, deadline: float
@@ -228,7 +228,7 @@ class RecordingAdapter:
         player = self._players.get(topic)
         if player is None:
             streams = [stream for stream in self._bag.streams if stream.topic == topic]
-            player = TopicPlayer(self._bag, streams, self._playback(self._bag), self._elapsed)
+            player = TopicPlayer(self._bag, streams, self._playback(self._bag), self._elapsed_ns)
             if streams:  # names that are not recorded are not worth keeping
                 self._players[topic] = player
         return player
@@ -236,7 +236,7 @@ class RecordingAdapter:
     def _playback(self, bag: Bag) -> Playback:
         return Playback(bag.end_ns - bag.start_ns, bag.count, self._options.rate, self._options.once)
 
-    def _elapsed(self) -> int:
+    def _elapsed_ns(self) -> int:
         return self._clock() - self._began
 
 

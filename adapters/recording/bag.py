@@ -50,7 +50,7 @@ class Bag:
         self.first = 0
         self._storage = storage
         self._library = library
-        self._connections = tuple(map(_named, storage.connections))
+        self._connections = tuple(map(_with_global_names, storage.connections))
         learnt = [learn(library, each, storage.ros_version) for each in self._connections]
         self._types = [ref for ref, _ in learnt]
         self._unreadable = [words for _, words in learnt]
@@ -176,7 +176,7 @@ class Bag:
         counts = np.bincount(np.asarray(stream_of, np.int64)[self._table.connections], minlength=len(numbers))
         parts = np.split(order, np.cumsum(counts)[:-1]) if len(numbers) else []
         streams = tuple(
-            Stream(*key, self._types_of(number, stream_of), self._latched(number, stream_of), positions)
+            Stream(*key, self._types_of(number, stream_of), self._is_latched(number, stream_of), positions)
             for (key, number), positions in zip(numbers.items(), parts, strict=True)
         )
         return streams, stream_of
@@ -185,7 +185,7 @@ class Bag:
         refs = (ref for ref, each in zip(self._types, stream_of, strict=True) if each == stream and ref.name)
         return tuple(dict.fromkeys(refs))
 
-    def _latched(self, stream: int, stream_of: list[int]) -> bool:
+    def _is_latched(self, stream: int, stream_of: list[int]) -> bool:
         return any(said.latched for said, each in zip(self._connections, stream_of, strict=True) if each == stream)
 
     def _as_topics(self) -> dict[str, RecordedTopic]:
@@ -201,7 +201,7 @@ class Bag:
         return RecordedTopic(name, self._types[shown], count, None if readable else self._unreadable[shown])
 
 
-def _named(connection: RecordedConnection) -> RecordedConnection:
+def _with_global_names(connection: RecordedConnection) -> RecordedConnection:
     """With global names, as a master would have them: old recordings leave the slash out."""
     publisher = global_name(connection.publisher) if connection.publisher else ""
     return connection._replace(topic=global_name(connection.topic or "unnamed"), publisher=publisher)

@@ -190,12 +190,12 @@ class ChunkCache:
             if found is not None:
                 self._chunks.move_to_end(chunk)
         if found is None:
-            found = self._keep(chunk, self._loaded(chunk))
+            found = self._keep(chunk, self._load_chunk(chunk))
         if isinstance(found, Damaged):
             raise Damaged(str(found))
         return found
 
-    def _loaded(self, chunk: int) -> BytesSource | Damaged:
+    def _load_chunk(self, chunk: int) -> BytesSource | Damaged:
         try:
             return BytesSource(self._load(chunk))
         except Damaged as damage:

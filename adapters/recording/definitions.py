@@ -33,7 +33,7 @@ def learn(library: TypeLibrary, connection: RecordedConnection, ros_version: Ros
         return named, connection.odd
     try:
         if not connection.definition.strip() and ros_version == 2:
-            return _found(library, named), None
+            return _message_ref(library, named), None
         # RIHS01 also hashes what a text does not hold, so that only an MD5 proves the text beside it
         proof = connection.hash if ros_version == 1 else None
         return library.learn_message(name, _text(name, connection), proof).ref, None
@@ -41,7 +41,7 @@ def learn(library: TypeLibrary, connection: RecordedConnection, ros_version: Ros
         return named, f"its type {name or '(none)'} cannot be used: {error}"
 
 
-def _found(library: TypeLibrary, named: TypeRef) -> TypeRef:
+def _message_ref(library: TypeLibrary, named: TypeRef) -> TypeRef:
     schema = library.find(named)
     if not isinstance(schema, MessageSchema):
         raise ValueError("it is no message type")

@@ -46,7 +46,7 @@ class Part(NamedTuple):
         if self.end is not None:
             beyond = int(np.searchsorted(table.times, self.end.at(start, last), "right"))
         if first >= beyond:
-            raise Damaged(f"it has no messages in that time: it is from {_written(start)} to {_written(last)}")
+            raise Damaged(f"it has no messages in that time: it is from {_utc_text(start)} to {_utc_text(last)}")
         times, connections, places, offsets = table
         rows = slice(first, beyond)
         return MessageTable(times[rows], connections[rows], places[rows], offsets[rows])
@@ -100,5 +100,5 @@ def _moment(said: Mapping[str, str], name: str) -> Moment | None:
     return Moment(int(whole.timestamp()) * _SECOND + aware.microsecond * 1000, is_absolute=True)
 
 
-def _written(time_ns: int) -> str:
+def _utc_text(time_ns: int) -> str:
     return datetime.fromtimestamp(time_ns // _SECOND, timezone.utc).strftime("%Y-%m-%dT%H:%M:%SZ")

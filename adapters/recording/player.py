@@ -85,11 +85,11 @@ class TopicPlayer:
             return None
 
     def _due(self, position: Position, depth: int) -> tuple[_Due, ...]:
-        passed = self._passed(position)
+        passed = self._count_passed(position)
         due = [each for stream in self._streams for each in _of_stream(stream, position.epoch, passed, depth)]
         return tuple(sorted(due))
 
-    def _passed(self, position: Position) -> int:
+    def _count_passed(self, position: Position) -> int:
         """How many messages of the whole bag lie at or before a position."""
         now = min(self._bag.start_ns + position.offset_ns, self._bag.end_ns)
         return int(np.searchsorted(self._bag.times, now, "right"))
@@ -97,7 +97,7 @@ class TopicPlayer:
     def _next_change(self, now: int) -> int:
         """When, in elapsed ns after `now`, the topic's next message is due or the next loop begins."""
         position = self._playback.position(now)
-        following = int(np.searchsorted(self._positions, self._passed(position)))
+        following = int(np.searchsorted(self._positions, self._count_passed(position)))
         if following < len(self._positions):
             offset = int(self._bag.times[self._positions[following]]) - self._bag.start_ns
             return max(self._playback.elapsed_at(Position(position.epoch, offset)), now + 1)

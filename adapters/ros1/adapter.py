@@ -107,7 +107,7 @@ class Ros1Adapter:
         thread.start()
         self._thread = thread
 
-        left = _left(deadline)
+        left = _seconds_left(deadline)
 
         async def begin() -> Client:
             client = Client(self._master, self._graph.own_node, self._options, self._library, sink)
@@ -162,7 +162,7 @@ class Ros1Adapter:
         """The schema of a type. Raises UnknownType."""
         thread, client = self._running()
         try:
-            return await asyncio.wait_for(thread.run(client.types.schema(ref)), max(_left(deadline), 0.0))
+            return await asyncio.wait_for(thread.run(client.types.schema(ref)), max(_seconds_left(deadline), 0.0))
         except asyncio.TimeoutError as error:
             raise TimedOut(f"the definition of {ref.name} was not found in time") from error
 
@@ -360,8 +360,8 @@ class _Following:
 
 def _until(deadline: float) -> float:
     """A deadline of the running loop as a time of the thread's loop, whose clock is the monotonic one."""
-    return time.monotonic() + _left(deadline)
+    return time.monotonic() + _seconds_left(deadline)
 
 
-def _left(deadline: float) -> float:
+def _seconds_left(deadline: float) -> float:
     return deadline - asyncio.get_running_loop().time()

@@ -69,34 +69,34 @@ class MasterApi:
 
     async def lookup_node(self, node: str, timeout: float = LOOK) -> str:
         """A node's own URI. Raises NotFound."""
-        return str(await self._told("lookupNode", node, timeout=timeout))
+        return str(await self._call("lookupNode", node, timeout=timeout))
 
     async def lookup_service(self, service: str, timeout: float = LOOK) -> str:
         """A service's URI (`rosrpc://host:port`). Raises NotFound."""
-        return str(await self._told("lookupService", service, timeout=timeout))
+        return str(await self._call("lookupService", service, timeout=timeout))
 
     async def register_publisher(self, topic: str, type_name: str, uri: str, timeout: float) -> list[str]:
         """Register ourselves as a publisher; the URIs of the topic's subscribers."""
-        value = await self._told("registerPublisher", topic, type_name, uri, timeout=timeout)
+        value = await self._call("registerPublisher", topic, type_name, uri, timeout=timeout)
         return [str(each) for each in value] if isinstance(value, list) else []
 
     async def unregister_publisher(self, topic: str, uri: str, timeout: float, *, node: str | None = None) -> None:
         """Take back a registration of ours, or that of another `node` at this URI. Nothing happens where it is gone."""
-        await self._told("unregisterPublisher", topic, uri, timeout=timeout, caller=node)
+        await self._call("unregisterPublisher", topic, uri, timeout=timeout, caller=node)
 
     async def get_parameter(self, name: str, timeout: float) -> ParameterValue:
         """A parameter's value, or a tree. Raises NotFound."""
-        return await self._told("getParam", name, timeout=timeout)
+        return await self._call("getParam", name, timeout=timeout)
 
     async def set_parameter(self, name: str, value: ParameterValue, timeout: float) -> None:
         """Set a parameter."""
-        await self._told("setParam", name, value, timeout=timeout)
+        await self._call("setParam", name, value, timeout=timeout)
 
     async def delete_parameter(self, name: str, timeout: float) -> None:
         """Delete a parameter or a tree. Raises NotFound."""
-        await self._told("deleteParam", name, timeout=timeout)
+        await self._call("deleteParam", name, timeout=timeout)
 
-    async def _told(
+    async def _call(
         self, method: str, *arguments: ParameterValue, timeout: float, caller: str | None = None
     ) -> ParameterValue:
         answer = await self._client.call(method, caller or self._caller, *arguments, timeout=timeout)

@@ -218,7 +218,7 @@ class Parameters:
         self.check(values)
         for name, value in values.items():
             with _Writing(self):
-                await self._master.set_parameter(name, value, _left(until))
+                await self._master.set_parameter(name, value, _seconds_left(until))
                 self._see(assign(self.leaves, name, value))
 
     def check(self, values: Mapping[str, ParameterValue]) -> None:
@@ -246,7 +246,7 @@ class Parameters:
 
     async def _delete(self, name: str, until: float) -> None:
         try:
-            await self._master.delete_parameter(name, _left(until))
+            await self._master.delete_parameter(name, _seconds_left(until))
         except NotFound as error:
             raise NotFound(f"there is no parameter {name}", words=error.words) from error
 
@@ -258,13 +258,13 @@ class Parameters:
 
     async def _get(self, name: str, until: float) -> ParameterValue | None:
         try:
-            return await self._master.get_parameter(_plain_name(name), _left(until))
+            return await self._master.get_parameter(_plain_name(name), _seconds_left(until))
         except (NotFound, Refused):
             pass
         if not self._may_be_odd(name):
             return None
         try:
-            return find(await self._master.get_parameter("/", _left(until)), name[1:])
+            return find(await self._master.get_parameter("/", _seconds_left(until)), name[1:])
         except NotFound:
             return None
 
@@ -309,7 +309,7 @@ class _Writing:
         self._parameters.note_write()
 
 
-def _left(until: float) -> float:
+def _seconds_left(until: float) -> float:
     """The seconds left. Raises TimedOut where there are none, for then nothing was sent."""
     left = until - asyncio.get_running_loop().time()
     if left <= 0:

@@ -156,10 +156,10 @@ class Reconfigurables:
         self._describe()
 
     def _describe(self) -> None:
-        self._parameters = dict(self._declared())
+        self._parameters = dict(self._declared_parameters())
         self._described()
 
-    def _declared(self) -> Iterator[tuple[str, Parameter]]:
+    def _declared_parameters(self) -> Iterator[tuple[str, Parameter]]:
         for namespace, followed in self._followed.items():
             for own, descriptor in followed.descriptors.items():
                 name = f"{namespace}/{own}"

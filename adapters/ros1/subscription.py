@@ -119,7 +119,7 @@ class TopicSubscription:
         if not _same(values, self._seen):
             self._seen = values
             newest = [value for each in values for value in each[-self.depth :]]
-            newest.sort(key=_received)
+            newest.sort(key=_received_ns)
             samples = [value.sample() for value in newest]
             if not _same(samples, self._latest):
                 self._latest = tuple(samples)
@@ -140,7 +140,7 @@ class TopicSubscription:
             self._release(self)
 
 
-def _received(value: Value) -> int:
+def _received_ns(value: Value) -> int:
     return value.received_ns
 
 

@@ -73,7 +73,7 @@ class _Line:
     @property
     def is_needed(self) -> bool:
         """Whether somebody follows it or a goal of ours has not ended."""
-        return self.followers > 0 or any(goal.own and not _ended(goal) for goal in self.goals.values())
+        return self.followers > 0 or any(goal.own and not _is_over(goal) for goal in self.goals.values())
 
 
 class Actions:
@@ -101,7 +101,7 @@ class Actions:
         id = secrets.token_bytes(_UUID)
         line.goals[id.hex()] = known = _Goal(own=True, held=[])
         try:
-            await self._matched(line, min(until, self._loop.time() + _MATCHED))
+            await self._wait_for_server(line, min(until, self._loop.time() + _MATCHED))
             fields: dict[str, object] = {"goal_id": _uuid(id), "goal": asked}
             request = make_message(f"{type}_SendGoal", fields, "Request")
             answer = cast(
@@ -157,7 +157,7 @@ class Actions:
         """Tell of all goals of an action until what is returned is called. Waits for what is known of them now."""
         line = self._listen(action.name, _type_of(action))
         line.followers += 1
-        await self._matched(line, until)
+        await self._wait_for_server(line, until)
         enough = min(until, self._loop.time() + _TOLD)
         while self._loop.time() < (until if line.heard else enough):
             if line.heard and not any(goal.ending for goal in line.goals.values()):
@@ -176,7 +176,7 @@ class Actions:
             action = actions.get(line.name)
             if action is None or not action.servers:
                 for id, goal in line.goals.items():
-                    if not goal.own and not _ended(goal) and not goal.ending:
+                    if not goal.own and not _is_over(goal) and not goal.ending:
                         goal.status = GoalStatus.LOST
                         words = "its action server went away"
                         self._event(line, id, GoalEvent(time.time_ns(), GoalStatus.LOST, words))
@@ -212,7 +212,7 @@ class Actions:
             self._waiter.disarm(reader.handle)
             reader.close()
 
-    async def _matched(self, line: _Line, until: float) -> None:
+    async def _wait_for_server(self, line: _Line, until: float) -> None:
         """Wait for the server's topics, so that nothing it says of a goal is missed."""
         while not (line.status.publishers() and line.feedback.publishers()) and self._loop.time() < until:  # noqa: ASYNC110
             await asyncio.sleep(_PAUSE)
@@ -222,11 +222,11 @@ class Actions:
 
     def _ready(self, line: _Line, reader: Reader, take: Callable[[_Line], None]) -> None:
         try:
-            self._loop.call_soon_threadsafe(self._taken, line, reader, take)
+            self._loop.call_soon_threadsafe(self._take_and_rearm, line, reader, take)
         except RuntimeError:
             pass  # the thread's loop has ended
 
-    def _taken(self, line: _Line, reader: Reader, take: Callable[[_Line], None]) -> None:
+    def _take_and_rearm(self, line: _Line, reader: Reader, take: Callable[[_Line], None]) -> None:
         if self._lines.get(line.name) is line:
             take(line)
             self._arm(line, reader, take)
@@ -241,9 +241,9 @@ class Actions:
         for each in cast(Any, deserialize(_STATUS, taken.data)).status_list:
             status = _STATUSES.get(each.status)
             if status is not None:
-                self._heard(line, bytes(each.goal_info.goal_id.uuid).hex(), status)
+                self._note_status(line, bytes(each.goal_info.goal_id.uuid).hex(), status)
 
-    def _heard(self, line: _Line, id: str, status: GoalStatus) -> None:
+    def _note_status(self, line: _Line, id: str, status: GoalStatus) -> None:
         goal = line.goals.get(id)
         if goal is None:
             if not line.followers:
@@ -251,7 +251,7 @@ class Actions:
             if len(line.goals) >= _MAX_REMEMBERED:
                 del line.goals[next(iter(line.goals))]
             goal = line.goals[id] = _Goal(own=False)
-        if _ended(goal) or goal.ending or goal.status is status:
+        if _is_over(goal) or goal.ending or goal.status is status:
             return
         if not status.is_final:
             goal.status = status
@@ -263,7 +263,7 @@ class Actions:
         while (taken := line.feedback.take()) is not None:
             id = taken.data[_HEAD : _HEAD + _UUID].hex()
             goal = line.goals.get(id)
-            if goal is not None and not _ended(goal):
+            if goal is not None and not _is_over(goal):
                 feedback = taken.data[:_HEAD] + taken.data[_HEAD + _UUID :]  # 16 bytes in, nothing is aligned otherwise
                 self._event(line, id, GoalEvent(taken.received_ns, feedback=feedback, own=goal.own))
 
@@ -299,7 +299,7 @@ class Actions:
         task.add_done_callback(self._tasks.discard)
 
 
-def _ended(goal: _Goal) -> bool:
+def _is_over(goal: _Goal) -> bool:
     return goal.status is not None and goal.status.is_final
 
 

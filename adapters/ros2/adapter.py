@@ -171,7 +171,7 @@ class Ros2Adapter:
         thread, system = self._running()
         looking = system.types.schema(type_in_use(self.graph, ref), nodes_using(self.graph, ref), _until(deadline))
         try:
-            return await asyncio.wait_for(thread.run(looking), max(_left(deadline), 0.0))
+            return await asyncio.wait_for(thread.run(looking), max(_seconds_left(deadline), 0.0))
         except asyncio.TimeoutError as error:
             raise TimedOut(f"the definition of {ref.name} was not found in time") from error
 
@@ -347,10 +347,10 @@ class Ros2Adapter:
 
 def _until(deadline: float) -> float:
     """A deadline of the running loop as a time of the thread's loop, whose clock is the monotonic one."""
-    return time.monotonic() + _left(deadline)
+    return time.monotonic() + _seconds_left(deadline)
 
 
-def _left(deadline: float) -> float:
+def _seconds_left(deadline: float) -> float:
     return deadline - asyncio.get_running_loop().time()
 
 

@@ -48,7 +48,7 @@ class Calls:
         line = self._line(service, type)
         line.users += 1
         try:
-            await self._matched(service, line, until)
+            await self._wait_for_server(service, line, until)
             return await self._answer(service, line, request, until)
         finally:
             line.users -= 1
@@ -95,7 +95,7 @@ class Calls:
             line = self._lines[service, type] = _Line(client, used=self._loop.time())
         return line
 
-    async def _matched(self, service: str, line: _Line, until: float) -> None:
+    async def _wait_for_server(self, service: str, line: _Line, until: float) -> None:
         """Wait for a server, and once more as long as that took for the server to know of us.
 
         A server that does not know the client yet has nobody to send its answer to, and the middleware drops it.

@@ -112,8 +112,8 @@ class _Streams:
         """The newest `depth` samples of each publisher, in order of receipt; the same object until one arrives."""
         view = self._views.get(depth)
         if view is None:
-            newest = [sample for stream in self._heard(publishers) for sample in tuple(stream.kept)[-depth:]]
-            view = self._views[depth] = tuple(sorted(newest, key=_received))
+            newest = [sample for stream in self._current_streams(publishers) for sample in tuple(stream.kept)[-depth:]]
+            view = self._views[depth] = tuple(sorted(newest, key=_received_ns))
         return view
 
     def deepen(self, depth: int) -> None:
@@ -141,7 +141,7 @@ class _Streams:
             stream = self._by_publisher[name] = _Stream(epoch, deque(maxlen=self.depth))
         return stream
 
-    def _heard(self, publishers: Publishers) -> list[_Stream]:
+    def _current_streams(self, publishers: Publishers) -> list[_Stream]:
         """The streams of those who publish, and of others only the one who spoke last, until somebody speaks after."""
         here = {*publishers.nodes, self.own}
         present = [stream for name, stream in self._by_publisher.items() if name in here and stream.kept]
@@ -287,9 +287,9 @@ class Feed:
             self._waiter.arm(reader.handle, "reader", self._ready)
 
     def _ready(self) -> None:
-        self._soon(self._arrived)
+        self._soon(self._on_message)
 
-    def _arrived(self) -> None:
+    def _on_message(self) -> None:
         if not len(self.watches):
             return
         if self._drain():
@@ -332,7 +332,7 @@ class TopicSubscription:
             self._release(self)
 
 
-def _received(sample: Sample) -> int:
+def _received_ns(sample: Sample) -> int:
     return sample.received_ns
 
 

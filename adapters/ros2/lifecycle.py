@@ -84,7 +84,7 @@ class Lifecycles:
         for node in there:
             one = self._managed.get(node)
             if one is None:
-                one = self._managed[node] = self._found(node)
+                one = self._managed[node] = self._begin_following(node)
             if not one.asking and now >= one.ask_at:
                 self._ask_soon(node, one)
         self._list_anew()
@@ -140,7 +140,7 @@ class Lifecycles:
 
     # What nodes tell by themselves
 
-    def _found(self, node: str) -> _Managed:
+    def _begin_following(self, node: str) -> _Managed:
         """A managed node that appeared: followed from now on, where its types are known here."""
         problem = class_problem(_STATE)
         if problem is not None:
@@ -165,7 +165,7 @@ class Lifecycles:
 
     def _take(self, node: str, one: _Managed) -> None:
         """Hear of transitions: one that is being made is told at once, for the node may answer nothing meanwhile."""
-        if _heard(one):
+        if _take_events(one):
             if one.is_underway:
                 self._list_anew()
             if not one.asking:
@@ -209,14 +209,14 @@ class Lifecycles:
     async def _learn(self, node: str, one: _Managed, until: float) -> None:
         """Ask a node for its state and its transitions, as of one moment. Raises what calls raise."""
         for _ in range(_TRIES):
-            _heard(one)
+            _take_events(one)
             now, possible = await asyncio.gather(
                 self._call(node, "get_state", _STATE, {}, until),
                 self._call(node, "get_available_transitions", _TRANSITIONS, {}, until),
             )
             state = _state(now.current_state)
             offered = list(possible.available_transitions)[:_MAX_TRANSITIONS]
-            if not _heard(one) and all(each.start_state.id == state.id for each in offered):
+            if not _take_events(one) and all(each.start_state.id == state.id for each in offered):
                 break
         legal = {} if state.is_underway else {each.transition.label: each for each in reversed(offered)}
         transitions = tuple(
@@ -243,7 +243,7 @@ def _is_managed(node: str, services: Names) -> bool:
     )
 
 
-def _heard(one: _Managed) -> bool:
+def _take_events(one: _Managed) -> bool:
     """Take what a node told of its transitions; whether it told of any."""
     heard = False
     while one.reader is not None and (taken := one.reader.take()) is not None:

@@ -378,12 +378,12 @@ def _no_events(name: str) -> Any:
 
 def _endpoints(ask: Any, topic: str) -> tuple[SeenEndpoint, ...]:
     try:
-        return tuple(map(_seen, ask(topic)))
+        return tuple(map(_endpoint, ask(topic)))
     except Exception:  # as for `counts`
         return ()
 
 
-def _seen(info: Any) -> SeenEndpoint:
+def _endpoint(info: Any) -> SeenEndpoint:
     stated = str(getattr(info, "topic_type_hash", ""))
     known = info.node_name != _UNKNOWN
     return SeenEndpoint(

@@ -227,7 +227,7 @@ class Parameters:
         response = await self._ask(node, "set_parameters_atomically", {"parameters": messages}, until)
         if not response.result.successful:
             names = ", ".join(name for name, _ in given.values())
-            raise _refused(names, node, response.result.reason)
+            raise _refusal(names, node, response.result.reason)
         self._note(node, set=given.keys())
 
     async def _delete(self, node: str, given: Sequence[str], until: float) -> None:
@@ -235,11 +235,11 @@ class Parameters:
         response = await self._ask(node, "set_parameters", {"parameters": messages}, until)
         for parameter, result in zip(given, response.results, strict=False):
             if not result.successful:
-                raise _refused(f"{node}/{parameter}", node, result.reason)
+                raise _refusal(f"{node}/{parameter}", node, result.reason)
         left = await self._names(node, until)
         for parameter in given:
             if parameter in left:
-                raise _refused(f"{node}/{parameter}", node, "it was declared by its node, which keeps it")
+                raise _refusal(f"{node}/{parameter}", node, "it was declared by its node, which keeps it")
         self._note(node, deleted=given)
 
     async def _tags(self, node: str, parameters: Sequence[str], until: float) -> dict[str, int]:
@@ -416,6 +416,6 @@ def _parameter(name: str, fields: dict[str, object]) -> object:
     return make_message("rcl_interfaces/msg/Parameter", {"name": name, "value": value})
 
 
-def _refused(name: str, node: str, reason: str) -> Refused:
+def _refusal(name: str, node: str, reason: str) -> Refused:
     words = reason or "it gave no reason"
     return Refused(f"{node} refuses the parameter {name}: {words}", words=reason or None, sent=Sent.YES)

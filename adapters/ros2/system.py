@@ -189,7 +189,7 @@ class System:
         self._refreshing = False
         seen = self._discovery.seen
         has_robot = any(self._is_robots(name) for name in foreign_nodes(seen, self._participant.hidden_name))
-        self._graph.update(seen, self._known(), has_robot=has_robot)
+        self._graph.update(seen, self._graph_inputs(), has_robot=has_robot)
         self._readers.follow_all(self.graph, lambda topic: seen.publishers.get(topic, ()))
 
     def refresh_soon(self) -> None:
@@ -209,7 +209,7 @@ class System:
                 self._graph.mark_stale(f"the system cannot be looked at: {error}")
                 await asyncio.sleep(_EVERY)
 
-    def _known(self) -> GraphInputs:
+    def _graph_inputs(self) -> GraphInputs:
         return GraphInputs(
             self._participant.hidden_name,
             self.graph.own_node,

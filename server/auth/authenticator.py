@@ -83,7 +83,7 @@ class Authenticator:
         claims = await self._claims(token)
         if claims is None:
             raise invalid_token("That token is not known.")
-        return self._auth_context(self._named(claims), lambda: self._named(claims), claims.expires)
+        return self._auth_context(self._agent_of(claims), lambda: self._agent_of(claims), claims.expires)
 
     def permissions(self, agent: Agent) -> Permissions:
         """What an agent may do now."""
@@ -147,7 +147,7 @@ class Authenticator:
         except InvalidToken as error:
             raise invalid_token(f"{error}.") from error
 
-    def _named(self, claims: Claims) -> Agent:
+    def _agent_of(self, claims: Claims) -> Agent:
         """The agent of a subject: the one that the file names, else one called by issuer and subject."""
         name = self.config.subjects.get((claims.issuer, claims.subject))
         if name is not None:

@@ -62,20 +62,20 @@ class Glob:
 
     def matches(self, path: Path) -> bool:
         """Whether it is about this path."""
-        return len(self._parts) in self._reached(path)
+        return len(self._parts) in self._states_after(path)
 
     def overlaps_subtree(self, path: Path) -> bool:
         """Whether it is about this path, or about anything that may lie below."""
-        return bool(self._reached(path))
+        return bool(self._states_after(path))
 
     def covers_subtree(self, path: Path) -> bool:
         """Whether it is about this path and everything that may lie below."""
         last = len(self._parts) - 1
-        return last >= 0 and self._parts[last] is None and last in self._reached(path)
+        return last >= 0 and self._parts[last] is None and last in self._states_after(path)
 
-    def _reached(self, path: Path) -> frozenset[int]:
+    def _states_after(self, path: Path) -> frozenset[int]:
         """How many parts of the glob may be used up once the path is: where in the glob one may stand then."""
-        states = self._skipped({0})
+        states = self._skip_any({0})
         for segment in path:
             after = set()
             for state in states:
@@ -86,12 +86,12 @@ class Glob:
                     after.add(state)
                 elif part.fullmatch(segment):
                     after.add(state + 1)
-            states = self._skipped(after)
+            states = self._skip_any(after)
             if not states:
                 break
         return frozenset(states)
 
-    def _skipped(self, states: set[int]) -> set[int]:
+    def _skip_any(self, states: set[int]) -> set[int]:
         """These places, and those behind each `**`, which may stand for nothing."""
         found = set(states)
         for state in sorted(states):

@@ -102,20 +102,20 @@ class TokenVerifier:
             known = self._keys.get(issuer)
             now = time.monotonic()
             age = float("inf") if known is None else now - known.fetched
-            if known is None or age > _KEPT_SECONDS or (_found(known, key_id) is None and age > _AGAIN_SECONDS):
+            if known is None or age > _KEPT_SECONDS or (_find_key(known, key_id) is None and age > _AGAIN_SECONDS):
                 try:
                     known = _Keys(await asyncio.to_thread(_fetch, issuer), now)
                 except (OSError, ValueError) as error:
                     if known is None:
                         raise InvalidToken("The issuer's keys cannot be had now") from error
                 self._keys[issuer] = known
-        found = _found(known, key_id)
+        found = _find_key(known, key_id)
         if found is None:
             raise InvalidToken("The issuer has no such key")
         return found
 
 
-def _found(keys: _Keys, key_id: object) -> object | None:
+def _find_key(keys: _Keys, key_id: object) -> object | None:
     if key_id is None and len(keys.by_id) == 1:
         return next(iter(keys.by_id.values()))
     return keys.by_id.get(key_id) if isinstance(key_id, str) else None

@@ -27,7 +27,7 @@ def lock(folder: Path) -> Iterator[None]:
     folder.mkdir(parents=True, exist_ok=True)
     lock = FileLock(folder / LOCK)
     try:
-        if not _taken(lock):
+        if not _acquire(lock):
             raise ValueError(
                 f"{folder} is served by another rosld (process {lock.read() or 'unknown'}): "
                 "end that one first, or give this one another folder with --data"
@@ -39,7 +39,7 @@ def lock(folder: Path) -> Iterator[None]:
         lock.close()
 
 
-def _taken(lock: FileLock) -> bool:
+def _acquire(lock: FileLock) -> bool:
     end = time.monotonic() + _MOMENT
     while not lock.acquire():
         if time.monotonic() > end:

@@ -55,7 +55,7 @@ class Lifting:
     def messages(self) -> Iterator[DescribedMessage]:
         """Every message in recorded order."""
         for recorded in self.recording.messages():
-            told = self._told(recorded)
+            told = self._describe(recorded)
             if told.unreadable is not None:
                 self.unread[f"{recorded.topic}: {told.unreadable}"] += 1
             yield told
@@ -71,7 +71,7 @@ class Lifting:
         """The document of one message without its triples: its URL, and how times are told."""
         return Document(f"{self._messages}{told.recorded.index}", (), (), self._simulated_time)
 
-    def _told(self, recorded: RecordedMessage) -> DescribedMessage:
+    def _describe(self, recorded: RecordedMessage) -> DescribedMessage:
         sample = recorded.sample
         reader = self._readers.get(sample.schema) or self._reader(sample.schema)
         if isinstance(reader, str):

@@ -73,18 +73,18 @@ class Endpoint:
         A kept connection that turns out to be closed is made anew, and the request sent again: it must be one that may
         be carried out twice.
         """
-        return self._sent("POST", body, {**self._headers, "Content-Type": content_type, "Accept": accept})
+        return self._send("POST", body, {**self._headers, "Content-Type": content_type, "Accept": accept})
 
     def get(self, accept: str) -> Response:
         """What is there, if the answer is a success (2xx). Raises Unreachable, Refused."""
-        return self._sent("GET", None, {**self._headers, "Accept": accept})
+        return self._send("GET", None, {**self._headers, "Accept": accept})
 
     def close(self) -> None:
         """Let go of the connection. Idempotent."""
         with self._turn:
             self._drop()
 
-    def _sent(self, method: str, body: bytes | None, headers: dict[str, str]) -> Response:
+    def _send(self, method: str, body: bytes | None, headers: dict[str, str]) -> Response:
         with self._turn:
             kept = self._connection is not None
             try:
@@ -114,13 +114,13 @@ class Endpoint:
 
     def _exchange(self, method: str, body: bytes | None, headers: dict[str, str]) -> Response:
         connection = self._connection or self._connect()
-        with _limited(lambda: self._socket, self.seconds):
+        with _time_limit(lambda: self._socket, self.seconds):
             connection.request(method, self._target, body, headers)
             answer = connection.getresponse()
             stated = answer.getheader("Content-Type") or ""
             media_type = stated.partition(";")[0].strip().lower()
             if not 200 <= answer.status < 300:
-                raise self._refused(answer)
+                raise self._refusal(answer)
             read = answer.read(self._limit + 1)
             if answer.length and len(read) <= self._limit:
                 raise HTTPException("the answer broke off")
@@ -134,13 +134,13 @@ class Endpoint:
     def _connect(self) -> HTTPConnection:
         self.connections += 1
         connection = self._connection = self._new(min(_CONNECT, self.seconds))
-        with _limited(lambda: connection.sock, self.seconds):
+        with _time_limit(lambda: connection.sock, self.seconds):
             connection.connect()
         self._socket = connection.sock  # its own name: http.client forgets it while the answer is still being read
         connection.sock.settimeout(self.seconds)
         return connection
 
-    def _refused(self, answer: HTTPResponse) -> StoreRefused:
+    def _refusal(self, answer: HTTPResponse) -> StoreRefused:
         """What it answered in one line. The connection is kept only where no more comes on it."""
         words = _words(answer.read(16 * _WORDS).decode("utf-8", "replace"))
         if answer.will_close or not answer.isclosed():
@@ -167,7 +167,7 @@ def _opener(scheme: str, host: str, port: int | None) -> Callable[[float], HTTPC
 
 
 @contextlib.contextmanager
-def _limited(waited: Callable[[], socket.socket | None], seconds: float) -> Iterator[None]:
+def _time_limit(waited: Callable[[], socket.socket | None], seconds: float) -> Iterator[None]:
     """Within it the socket ends after so many seconds, however slowly its bytes come. Then TimeoutError."""
     late = threading.Event()
 

@@ -150,10 +150,10 @@ class MemoryStore:
         try:
             self.replace(graphs, edits)
         except ValueError:
-            return [*self._refused(graphs, edits)]
+            return [*self._replace_one_by_one(graphs, edits)]
         return []
 
-    def _refused(self, graphs: Mapping[str, str | None], edits: Sequence[Edit]) -> Iterator[tuple[str, str]]:
+    def _replace_one_by_one(self, graphs: Mapping[str, str | None], edits: Sequence[Edit]) -> Iterator[tuple[str, str]]:
         for name, text in graphs.items():
             try:
                 self.replace({name: text})
@@ -240,12 +240,12 @@ class MemoryStore:
                 use_default_graph_as_union=not chosen and not is_merged,
                 default_graph=default if chosen else None,
                 named_graphs=[*map(NamedNode, named_graphs)] if chosen else None,
-                custom_functions=self._named(functions),
+                custom_functions=self._functions_by_node(functions),
             )
         except (SyntaxError, ValueError, RuntimeError) as error:
             raise QueryError(str(error)) from error
 
-    def _named(self, functions: Mapping[str, Function]) -> dict[NamedNode, Function]:
+    def _functions_by_node(self, functions: Mapping[str, Function]) -> dict[NamedNode, Function]:
         """The functions by node; the last mapping asked for is kept, as it is nearly always the same."""
         known, named = self._functions
         if known is not functions:

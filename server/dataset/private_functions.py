@@ -79,7 +79,7 @@ def _first(number: Term, packed: Term, precedes: Callable[[str, str], bool]) -> 
     return number if precedes(sort_key(number), packed.value) else _unpack(packed)
 
 
-def _typed(text: Term, datatype: Term) -> Term | None:
+def _typed_literal(text: Term, datatype: Term) -> Term | None:
     if not isinstance(text, Literal) or text.datatype != xsd.string or not isinstance(datatype, NamedNode):
         return None
     if datatype == rdf.langString:
@@ -95,6 +95,6 @@ FUNCTIONS: Mapping[str, Function] = {
     GREATER: _greater,
     LESS: _less,
     VALUE: decode_term,
-    TYPED: _typed,
+    TYPED: _typed_literal,
 }
 """The functions by IRI."""

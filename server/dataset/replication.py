@@ -189,19 +189,19 @@ class Mirror:
         while True:
             begun = time.monotonic()
             try:
-                await self._refreshed()
+                await self._refresh_or_warn()
                 self._round = _in_thread(self._tell_round)
                 more = await asyncio.shield(self._round)
             except StoreError as error:
-                self._failed(error)
+                self._note_failure(error)
                 await asyncio.sleep(pause_after(self._failures, self._first_pause))
                 continue
             except Exception as error:
                 _log.exception("telling %s failed", self._target.url)
-                self._failed(StoreError(f"{type(error).__name__}: {error}."))
+                self._note_failure(StoreError(f"{type(error).__name__}: {error}."))
                 await asyncio.sleep(pause_after(self._failures, self._first_pause))
                 continue
-            self._succeeded()
+            self._note_success()
             if not more:
                 await asyncio.sleep(max(0.0, begun + self._interval - time.monotonic()))
 
@@ -220,7 +220,7 @@ class Mirror:
             if not ended.done() or ended.exception() is not None:
                 _log.warning("%s keeps graphs of this server that are true no more", self._target.url)
 
-    async def _refreshed(self) -> None:
+    async def _refresh_or_warn(self) -> None:
         """What the robot does not say now must not keep back what else there is."""
         try:
             await self._refresh()
@@ -231,14 +231,14 @@ class Mirror:
         else:
             self._unrefreshed = False
 
-    def _failed(self, error: StoreError) -> None:
+    def _note_failure(self, error: StoreError) -> None:
         self._failures += 1
         self._seen = -1
         if self._failure is None:
             _log.warning("the store is behind from now on: %s It is tried again.", error)
         self._failure = str(error)
 
-    def _succeeded(self) -> None:
+    def _note_success(self) -> None:
         if self._failure is not None:
             _log.warning("the store at %s takes what it is told again", self._target.url)
         self._failure, self._failures = None, 0

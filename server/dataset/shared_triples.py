@@ -63,7 +63,7 @@ class SharedTriples:
     def copies(self, store: Store) -> Iterator[Quad]:
         """The quads of each but one."""
         for triple in self._counts:
-            yield from _found(triple, store)[1:]
+            yield from _quads_of(triple, store)[1:]
 
     def drop(self, graph: NamedNode, store: Store) -> None:
         """Note that a graph is about to be dropped."""
@@ -104,7 +104,7 @@ class SharedTriples:
         triple = quad.triple
         count = self._counts.get(triple)
         if count is None:
-            graphs = [each.graph_name for each in _found(triple, store)]
+            graphs = [each.graph_name for each in _quads_of(triple, store)]
             if not graphs or quad.graph_name in graphs:
                 return False
             self._counts[triple] = 1 + len(graphs)
@@ -129,7 +129,7 @@ class SharedTriples:
                 del self._keys[key]
 
 
-def _found(triple: Triple, store: Store) -> list[Quad]:
+def _quads_of(triple: Triple, store: Store) -> list[Quad]:
     """The quads of a triple."""
     return [*store.quads_for_pattern(triple.subject, triple.predicate, triple.object, None)]
 

@@ -239,7 +239,7 @@ class Broadcasters:
         True where it was done. What was not is cancelled, and has ended when this returns.
         """
         working = asyncio.ensure_future(work)
-        listening = asyncio.ensure_future(_gone(receive))
+        listening = asyncio.ensure_future(_wait_for_disconnect(receive))
         self._held.add(working)
         try:
             await asyncio.wait({working, listening}, timeout=seconds, return_when=asyncio.FIRST_COMPLETED)
@@ -269,7 +269,7 @@ def _address_of(client: tuple[str, int] | Address | None) -> str | None:
     return client_name(client[0], loopback=True) if client else None
 
 
-async def _gone(receive: Receive) -> None:
+async def _wait_for_disconnect(receive: Receive) -> None:
     """Returns when the client has gone (ASGI http.disconnect)."""
     while (await receive())["type"] != "http.disconnect":
         pass

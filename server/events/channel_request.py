@@ -73,7 +73,7 @@ def read_subscription(data: bytes, media_type: str, service: str, channel_type: 
     _check_type(body, channel, channel_type)
     start_at, end_at = (_date_time(_text(body, channel, term)) for term in (notify.startAt, notify.endAt))
     if end_at is not None and end_at <= max(now, start_at or now):
-        raise _refused(f"endAt {_text(body, channel, notify.endAt)} is over before anything begins: name a later time.")
+        raise _refusal(f"endAt {_text(body, channel, notify.endAt)} is over before anything begins: name a later time.")
     return ChannelRequest(
         topic=_topic(body, channel),
         accept=_accept(_text(body, channel, notify.accept)),
@@ -95,14 +95,14 @@ def with_known_contexts(data: bytes) -> bytes:
     except orjson.JSONDecodeError as error:
         raise BodyError(f"this is no JSON: {error.msg}", error.lineno, error.colno) from error
     if not isinstance(root, dict | list):
-        raise _refused("A subscription is a JSON object.")
+        raise _refusal("A subscription is a JSON object.")
     if isinstance(root, dict):
         root.setdefault("@context", DEFINITIONS)
     for part in _objects(root):
         if "@import" in part:
             raise _unknown_context(part["@import"])
         if "@context" in part:
-            part["@context"] = _known(part["@context"])
+            part["@context"] = _known_context(part["@context"])
     return orjson.dumps(root)
 
 
@@ -117,9 +117,9 @@ def _objects(root: object) -> Iterator[dict[str, object]]:
             waiting += value
 
 
-def _known(context: object) -> object:
+def _known_context(context: object) -> object:
     if isinstance(context, list):
-        return [_known(one) for one in context]
+        return [_known_context(one) for one in context]
     if not isinstance(context, str):
         return context
     if context not in KNOWN_CONTEXTS:
@@ -128,7 +128,7 @@ def _known(context: object) -> object:
 
 
 def _unknown_context(context: object) -> Problem:
-    return _refused(
+    return _refusal(
         f"The JSON-LD context {str(context)[:_MAX_LENGTH]!r} is unknown, and nothing is fetched here: send "
         f"{sorted(KNOWN_CONTEXTS)[0]} or write the context itself in its place."
     )
@@ -137,32 +137,32 @@ def _unknown_context(context: object) -> Problem:
 def _channel(body: RdfBody) -> Subject:
     found = [subject for subject, properties in body.subjects.items() if notify.topic in properties]
     if len(found) != 1:
-        raise _refused(f"A subscription has one channel with a {notify.topic.value}; this has {len(found)}.")
+        raise _refusal(f"A subscription has one channel with a {notify.topic.value}; this has {len(found)}.")
     return found[0]
 
 
 def _check_type(body: RdfBody, channel: Subject, wanted: str) -> None:
     types = [one.value for one in body.objects(channel, rdf.type) if isinstance(one, NamedNode)]
     if not types:
-        raise _refused(f"A subscription has a type: {notify.iri}{wanted} here.")
+        raise _refusal(f"A subscription has a type: {notify.iri}{wanted} here.")
     for one in types:
         if type_named(one) != wanted:
-            raise _refused(f"The type {one[:_MAX_LENGTH]!r} is not made here: this service makes {notify.iri}{wanted}")
+            raise _refusal(f"The type {one[:_MAX_LENGTH]!r} is not made here: this service makes {notify.iri}{wanted}")
 
 
 def _topic(body: RdfBody, channel: Subject) -> str:
     found = body.objects(channel, notify.topic)
     if len(found) > 1:
-        raise _refused(f"A channel has one topic here; this has {len(found)}: subscribe once for each.")
+        raise _refusal(f"A channel has one topic here; this has {len(found)}: subscribe once for each.")
     topic = found[0]
     if not isinstance(topic, NamedNode):
-        raise _refused(f"The topic {str(topic)[:_MAX_LENGTH]} is no URL: send it as an IRI.")
+        raise _refusal(f"The topic {str(topic)[:_MAX_LENGTH]} is no URL: send it as an IRI.")
     try:
         fragment = urlsplit(topic.value).fragment
     except ValueError as error:
-        raise _refused(f"The topic {topic.value[:_MAX_LENGTH]!r} is no URL: {error}.") from error
+        raise _refusal(f"The topic {topic.value[:_MAX_LENGTH]!r} is no URL: {error}.") from error
     if fragment or topic.value.endswith("#"):
-        raise _refused(
+        raise _refusal(
             f"The topic {topic.value[:_MAX_LENGTH]!r} is a part of a resource: name the resource, without #."
         )
     return topic.value
@@ -172,21 +172,21 @@ def _text(body: RdfBody, channel: Subject, term: NamedNode) -> str | None:
     found = body.objects(channel, term)
     name = term.value.removeprefix(notify.iri)
     if len(found) > 1:
-        raise _refused(f"{name} is given {len(found)} times: once is enough.")
+        raise _refusal(f"{name} is given {len(found)} times: once is enough.")
     if not found:
         return None
     value = found[0]
     if not isinstance(value, Literal):
-        raise _refused(f"{name} {str(value)[:_MAX_LENGTH]} is no literal.")
+        raise _refusal(f"{name} {str(value)[:_MAX_LENGTH]} is no literal.")
     if len(value.value) > _MAX_LENGTH:
-        raise _refused(f"{name} {value.value[:_MAX_LENGTH]!r}... is longer than {_MAX_LENGTH} characters.")
+        raise _refusal(f"{name} {value.value[:_MAX_LENGTH]!r}... is longer than {_MAX_LENGTH} characters.")
     return value.value
 
 
 def _accept(accept: str | None) -> str:
     found = negotiation.choose(accept, MESSAGE_TYPES)
     if found is None:
-        raise _refused(f"accept {accept!r}: notifications are written in {', '.join(MESSAGE_TYPES)}.")
+        raise _refusal(f"accept {accept!r}: notifications are written in {', '.join(MESSAGE_TYPES)}.")
     return found
 
 
@@ -196,13 +196,13 @@ def _interval(rate: str | None) -> float:
         return DEFAULT_INTERVAL
     match = _DURATION.fullmatch(rate.strip().upper())
     if match is None or not any(part is not None for part in match.groups()):
-        raise _refused(
+        raise _refusal(
             f"rate {rate!r} is no xsd:duration of days, hours, minutes and seconds, such as PT10S or PT0.5S."
         )
     days, hours, minutes, seconds = (Decimal(part or 0) for part in match.groups())
     wanted = float(((days * 24 + hours) * 60 + minutes) * 60 + seconds)
     if wanted > MAX_INTERVAL:
-        raise _refused(f"rate {rate!r} is longer than a day ({MAX_INTERVAL:g} s), the longest here.")
+        raise _refusal(f"rate {rate!r} is longer than a day ({MAX_INTERVAL:g} s), the longest here.")
     return max(wanted, MIN_INTERVAL)
 
 
@@ -212,7 +212,7 @@ def _date_time(text: str | None) -> int | None:
         return None
     match = _DATE_TIME.fullmatch(text.strip())
     if match is None:
-        raise _refused(f"{text!r} is no xsd:dateTime such as 2030-01-31T12:00:00Z.")
+        raise _refusal(f"{text!r} is no xsd:dateTime such as 2030-01-31T12:00:00Z.")
     *parts, fraction, zone = match.groups()
     try:
         year, month, day, hour, minute, second = map(int, parts)
@@ -220,9 +220,9 @@ def _date_time(text: str | None) -> int | None:
         whole = datetime.fromisoformat(f"{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{second:02}{offset}")
         since = whole - _EPOCH
     except (ValueError, OverflowError) as error:
-        raise _refused(f"{text!r} is no moment that there is: {error}.") from error
+        raise _refusal(f"{text!r} is no moment that there is: {error}.") from error
     return (since.days * 86_400 + since.seconds) * 1_000_000_000 + int((fraction or "0").ljust(9, "0")[:9])
 
 
-def _refused(words: str) -> Problem:
+def _refusal(words: str) -> Problem:
     return Problem(422, words)

@@ -164,7 +164,7 @@ class Channels:
             return Activity("Create", topic, state=name), now
         if query_params.is_state(told.name, name):
             return None, now
-        return _changed(topic, told.container, now, channel.auth.permissions), now
+        return _activity_of_change(topic, told.container, now, channel.auth.permissions), now
 
     def _make_room(self) -> None:
         if len(self._kept) < self._limit:
@@ -187,7 +187,7 @@ def _is_absent(problem: Problem) -> bool:
     return problem.status in (404, 410) or problem.status < 400
 
 
-def _changed(topic: str, before: State | None, now: ReceiverState, permissions: Permissions) -> Activity:
+def _activity_of_change(topic: str, before: State | None, now: ReceiverState, permissions: Permissions) -> Activity:
     """Which member came or went, where it is one that may be known; else that the topic changed."""
     if before is not None and now.container is not None:
         old, new = _members(before), _members(now.container)

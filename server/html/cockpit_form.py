@@ -66,7 +66,7 @@ class EditForm:
         """The inputs of its panels, and of some that may be added."""
         if self.submitted is not None:
             given = _rows(self.submitted)
-            return tuple(_typed(number, given[number]) for number in sorted(given))
+            return tuple(_panel_inputs(number, given[number]) for number in sorted(given))
         there = [_inputs(number, panel, self.base) for number, panel in enumerate(self.cockpit.panels, 1)]
         return (*there, *(_empty(len(there) + 1 + number) for number in range(ADDED)))
 
@@ -222,7 +222,7 @@ def _empty(number: int) -> PanelInputs:
     return PanelInputs(f"panel.{number}.", 0, PanelKind.VALUE.value, "", "", "", "", "", "", "4", "3")
 
 
-def _typed(number: int, said: Mapping[str, str]) -> PanelInputs:
+def _panel_inputs(number: int, said: Mapping[str, str]) -> PanelInputs:
     names = ("kind", "type", "shows", "fields", "title", "column", "row", "width", "height")
     given = {name: escape_controls(said.get(name, "")) for name in names}
     return PanelInputs(f"panel.{number}.", number, is_removed=bool(said.get("remove")), **given)

@@ -119,7 +119,7 @@ def _others(walk: _Walk, hidden: set[Subject]) -> Iterator[Section]:
 
 def _kind(said: Statements) -> str:
     """What a subject is, in words: the first of its types that tells something."""
-    types = _ordered(rdf.type, said.get(rdf.type, []))
+    types = _order_types(rdf.type, said.get(rdf.type, []))
     return label(types[0].value) if types and isinstance(types[0], NamedNode) else ""
 
 
@@ -145,7 +145,7 @@ def _rows(walk: _Walk, statements: Statements, depth: int) -> tuple[TableRow, ..
     for predicate in sorted(statements, key=_rank):
         if walk.left <= 0:
             break
-        terms = _ordered(predicate, statements[predicate])
+        terms = _order_types(predicate, statements[predicate])
         walk.left -= len(terms)
         rows.append(_row(walk, predicate, terms, depth))
     return tuple(rows)
@@ -155,7 +155,7 @@ def _rank(predicate: NamedNode) -> tuple[int, str]:
     return (_RANK.get(predicate, _LAST.get(predicate, len(_RANK))), label(predicate.value))
 
 
-def _ordered(predicate: NamedNode, terms: list[Term]) -> list[Term]:
+def _order_types(predicate: NamedNode, terms: list[Term]) -> list[Term]:
     """Telling types before LDP's, everything else as it came."""
     if predicate != rdf.type:
         return terms

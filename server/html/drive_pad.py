@@ -77,11 +77,11 @@ def drive_pad(
     if found is None:
         return None
     prefix, ahead, left = found
-    first, second = (_bounded(axis, prefix, schema, bounds) for axis in (ahead, left))
+    first, second = (_bound_axis(axis, prefix, schema, bounds) for axis in (ahead, left))
     return DrivePad(topic, first, second, zero, min(RATE, max_rate), LEASE)
 
 
-def _bounded(axis: Axis, prefix: str, schema: MessageSchema, bounds: Mapping[str, Bounds]) -> Axis:
+def _bound_axis(axis: Axis, prefix: str, schema: MessageSchema, bounds: Mapping[str, Bounds]) -> Axis:
     path = prefix + axis.path
     demanded, is_single = bounds.get(path, UNBOUNDED), _is_single(schema, path)
     lower = [bound for bound in (_value(demanded.minimum), _within(demanded.exclusive_minimum)) if bound is not None]

@@ -52,7 +52,9 @@ def container_table(document: Document, site: Site, listing: MemberColumns | Non
         return None
     columns, cells = (listing.columns, listing.cells) if listing and listing.columns else _columns(document, urls)
     if site.is_restricted:
-        cells = {url: tuple(_seen(cell, site) for cell in row) for url, row in cells.items() if site.may("GET", url)}
+        cells = {
+            url: tuple(_redact_cell(cell, site) for cell in row) for url, row in cells.items() if site.may("GET", url)
+        }
     counted = len(cells.keys() | {url for url in urls if not url.endswith("/")} if listing and listing.cells else urls)
     total = listing.total if listing and listing.total is not None and not site.is_restricted else counted
     urls += [url for url in cells if url not in set(urls) and listing is not None and url in listing.cells]
@@ -96,7 +98,7 @@ def parameter_columns(document: Document, listing: MemberColumns | None) -> Memb
     return MemberColumns(("value",), dict(sorted(cells.items())), None if listing is None else listing.total)
 
 
-def _seen(cell: Cell, site: Site) -> Cell:
+def _redact_cell(cell: Cell, site: Site) -> Cell:
     """A cell without what the reader may not know of."""
     url = cell.value if isinstance(cell, NamedNode) else cell.url if isinstance(cell, Thumbnail) else None
     return cell if url is None or site.may("GET", url) else ""

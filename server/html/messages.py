@@ -118,13 +118,13 @@ def _is_short(kind: MessageType) -> bool:
 
 def _value(each: Field, value: object, path: str, depth: int, drawing: _Drawing) -> View:
     if isinstance(each.type, Primitive):
-        return _plotted(scalar_view(each.type, value), each.type, path, drawing)
+        return _with_plot_link(scalar_view(each.type, value), each.type, path, drawing)
     if isinstance(each.type, Nested):
-        return _nested(each.type, cast(Message, value), f"{path}.", depth, drawing)
+        return _nested_view(each.type, cast(Message, value), f"{path}.", depth, drawing)
     return _array(each.type, value, path, depth, drawing)
 
 
-def _plotted(view: View, kind: Primitive, path: str, drawing: _Drawing) -> View:
+def _with_plot_link(view: View, kind: Primitive, path: str, drawing: _Drawing) -> View:
     """The view with a link to its plot, where it is a number that has one."""
     if drawing.plots is None or kind.name in STRINGS or not isinstance(view, TextView):
         return view
@@ -139,7 +139,7 @@ def level_view(level: int) -> View:
     return TextView(word, str(level), tone=tone)
 
 
-def _nested(kind: Nested, message: Message, path: str, depth: int, drawing: _Drawing) -> View:
+def _nested_view(kind: Nested, message: Message, path: str, depth: int, drawing: _Drawing) -> View:
     if kind.name in (TIME, DURATION):
         return _time(kind.name, message, drawing)
     return _rows(drawing.types[kind.name], message, path, depth + 1, drawing)
@@ -169,7 +169,7 @@ def _messages(kind: Nested, values: Sequence[object], path: str, depth: int, dra
     for index, message in enumerate(islice(values, _ITEMS)):
         if drawing.left <= 0:
             break
-        view = _nested(kind, cast(Message, message), f"{path}.{index}.", depth, drawing)
+        view = _nested_view(kind, cast(Message, message), f"{path}.{index}.", depth, drawing)
         items.append(view if isinstance(view, TableView) else TableView((TableRow(str(index), (view,)),)))
     return TableListView(len(values), tuple(items), kind.name)
 

@@ -161,10 +161,10 @@ def form_targets(forms: Iterable[Form], allow: Iterable[str], csrf: Csrf, site: 
     read-only.
     """
     allowed = frozenset(allow)
-    return tuple(_posted(forms, allowed, csrf, site))
+    return tuple(_form_targets(forms, allowed, csrf, site))
 
 
-def _posted(forms: Iterable[Form], allowed: frozenset[str], csrf: Csrf, site: Site) -> Iterator[FormTarget]:
+def _form_targets(forms: Iterable[Form], allowed: frozenset[str], csrf: Csrf, site: Site) -> Iterator[FormTarget]:
     for form in forms:
         if not form.action:
             if form.method in allowed:
@@ -204,7 +204,7 @@ def _complex(view: ComplexView, site: Site, posted: Mapping[str, FormTarget]) ->
         tuple(_action_row(action, site, posted) for action in view.actions),
         tuple(_link_rows(view.links, site)),
         tuple(
-            _named(child, readable_path(child.removeprefix(view.url)), site)
+            _named_link(child, readable_path(child.removeprefix(view.url)), site)
             for child in view.children
             if child not in linked
         ),
@@ -213,7 +213,7 @@ def _complex(view: ComplexView, site: Site, posted: Mapping[str, FormTarget]) ->
     )
 
 
-def _named(url: str, name: str, site: Site) -> Anchor:
+def _named_link(url: str, name: str, site: Site) -> Anchor:
     """A link to a resource under a name of its own."""
     found = site.anchor(url) or Anchor("", "", url)
     return Anchor(found.href, escape_controls(name), url, found.external)
@@ -225,7 +225,7 @@ def _term(term: NamedNode | None, site: Site) -> Anchor | None:
 
 def _property_row(member: Member, site: Site, posted: Mapping[str, FormTarget]) -> PropertyRow:
     one = member.affordance
-    anchor = _named(one.url, one.title or one.name, site)
+    anchor = _named_link(one.url, one.title or one.name, site)
     own = posted.get(one.url) if member.field is None else None
     change = anchor if one.write and own is None else None
     return PropertyRow(
@@ -234,7 +234,7 @@ def _property_row(member: Member, site: Site, posted: Mapping[str, FormTarget]) 
 
 
 def _action_row(action: ActionAffordance, site: Site, posted: Mapping[str, FormTarget]) -> ActionRow:
-    anchor = _named(action.url, site.short_name(action.url), site)
+    anchor = _named_link(action.url, site.short_name(action.url), site)
     return ActionRow(anchor, _term(action.relation, site), posted.get(action.url))
 
 

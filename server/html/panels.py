@@ -217,7 +217,7 @@ def _view(filled: FilledPanel, number: int, site: Site, csrf: Csrf, plot: str, *
         case FormsContent(forms):
             return replace(view, part="forms", body=form_targets(forms, (), csrf, site))
         case DriveContent(form):
-            return replace(view, part="drive", body=form_targets((_aimed(form, site),), (), csrf, site))
+            return replace(view, part="drive", body=form_targets((_aim_pad(form, site),), (), csrf, site))
         case TableContent(results):
             return replace(view, part="table", body=results_table(results, site))
         case SpaceContent(reference):
@@ -232,7 +232,7 @@ def _default_title(panel: Panel, site: Site) -> str:
     return ", ".join(site.short_name(each) for each in panel.shows) or "A panel"
 
 
-def _aimed(form: HoldForm, site: Site) -> HoldForm:
+def _aim_pad(form: HoldForm, site: Site) -> HoldForm:
     """The form with a pad that knows where its topic is."""
     path = site.href(form.action) or ""
     return form if form.pad is None else replace(form, pad=replace(form.pad, path=path))

@@ -26,7 +26,7 @@ def value_view(value: Value, site: Site, field: str | None = None) -> View:
     except ValueError as error:
         return TextView(escape_controls(str(error)), tone="none")
     if scalar is not None:
-        return _plotted(cell_view(scalar, site), value, field, site)
+        return _with_plot_link(cell_view(scalar, site), value, field, site)
     if isinstance(value, MessageValue):
         octets = f"{site.href(value.origin)}?field="
         plots = plot_prefix(value.origin, site)
@@ -34,7 +34,7 @@ def value_view(value: Value, site: Site, field: str | None = None) -> View:
     return text_view(editable_json(plain_value(value), indent=2))
 
 
-def _plotted(view: View, value: Value, field: str | None, site: Site) -> View:
+def _with_plot_link(view: View, value: Value, field: str | None, site: Site) -> View:
     """The view with a link to its plot, where it is a number of a topic."""
     if not isinstance(value, MessageValue) or not isinstance(view, TextView) or view.tone != "number":
         return view

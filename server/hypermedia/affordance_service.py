@@ -26,13 +26,7 @@ from rosld.server.hypermedia.mapping import Condition, MappingSet
 from rosld.server.hypermedia.mappings import Mappings
 from rosld.server.hypermedia.property_reader import PropertyReader
 from rosld.server.hypermedia.property_writer import current_writer
-from rosld.server.hypermedia.resource_tree import (
-    ActionPlan,
-    ComplexPlan,
-    MemberPlan,
-    PropertyPlan,
-    ResourceTree,
-)
+from rosld.server.hypermedia.resource_tree import ActionPlan, ComplexPlan, MemberPlan, PropertyPlan, ResourceTree
 from rosld.server.hypermedia.value import Reading
 from rosld.server.hypermedia.value_shape import field_shape, value_shape, with_descriptor
 from rosld.server.hypermedia.views import (
@@ -113,9 +107,9 @@ class AffordanceService(Generic[T]):
         if found is not None:
             return found
         async with self._making:
-            return self.cached_tree() or await self._made()
+            return self.cached_tree() or await self._build_tree()
 
-    async def _made(self) -> ResourceTree:
+    async def _build_tree(self) -> ResourceTree:
         session = self._session
         graph, mapping_set = session.graph, self._mappings.mapping_set
         await self._learn(needed_types(graph, self.conventions))
@@ -312,7 +306,7 @@ class AffordanceService(Generic[T]):
         url = url_of(plan.url_name or own.name, session.space)
         measure = mapped.measure if mapped else NO_MEASURE
         shape = value_shape(own.kind, self._limits(), url, measure)
-        declared = self._declared(own)
+        declared = self._declared_descriptor(own)
         if declared is not None:
             shape = with_descriptor(shape, declared)
         if plan.field is not None:
@@ -336,7 +330,7 @@ class AffordanceService(Generic[T]):
                 return self._session.space.topic(name)
         return None
 
-    def _declared(self, own: Property) -> Descriptor | None:
+    def _declared_descriptor(self, own: Property) -> Descriptor | None:
         """What its node declares of the parameter that a property is written by before anything else."""
         first = own.writers[0] if own.writers else None
         parameter = self._session.graph.parameters.get(first.name) if isinstance(first, ParameterSource) else None

@@ -26,7 +26,7 @@ _HEADERS = frozenset({"std_msgs/msg/Header", "roslib/msg/Header"})
 def brief_json(value: Value, limit: int = MAX_CHARACTERS) -> str:
     """The value as plain JSON, shortened to about so many characters. Raises ValueError for one nested too deep."""
     if isinstance(value, StoredValue):
-        return _stored(value.value, limit)
+        return _parameter_text(value.value, limit)
     return _members(value.schema, value.fields, value.message, limit) or f"{{{_MARK}}}"
 
 
@@ -97,7 +97,7 @@ def _fitting(text: str, room: int) -> str | None:
     return text if len(text) <= room else None
 
 
-def _stored(value: ParameterValue, room: int) -> str:
+def _parameter_text(value: ParameterValue, room: int) -> str:
     """The value of a parameter where it fits, of a long string its beginning."""
     text = _string(value) if isinstance(value, str) else parameter_json(value).decode()
     return text if len(text) <= room else f'"{MORE}"'

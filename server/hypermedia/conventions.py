@@ -171,7 +171,7 @@ def _patterns(templates: tuple[str, ...]) -> tuple[tuple[re.Pattern[str], bool],
     return tuple(found)
 
 
-def _proposed(templates: tuple[str, ...], service: str) -> tuple[str, int] | None:
+def _propose_name(templates: tuple[str, ...], service: str) -> tuple[str, int] | None:
     """The property that the first template to fit proposes for a service, and which template that is."""
     for rank, (pattern, capital) in enumerate(_patterns(templates)):
         fit = pattern.fullmatch(service)
@@ -290,7 +290,7 @@ def _by_property(
     """What could read (or write) each property, the first choice first. A service of unknown type is not judged."""
     found: dict[str, list[tuple[int, str, _S]]] = {}
     for service, schema in services.items():
-        proposed = _proposed(templates, service)
+        proposed = _propose_name(templates, service)
         if proposed is None or schema is None:
             continue
         name, rank = proposed
@@ -326,9 +326,9 @@ def _property(
     getter = next((one for one in getters if is_convertible(value_kind(one.schema.response, one.fields), kind)), None)
     if getter is not None and isinstance(kind, OpenKind):
         kind = value_kind(getter.schema.response, getter.fields)
-    setter = next((one for one in setters if is_convertible(kind, _asked(one))), None)
+    setter = next((one for one in setters if is_convertible(kind, _requested_kind(one))), None)
     if setter is not None and isinstance(kind, OpenKind):
-        kind = _asked(setter)
+        kind = _requested_kind(setter)
     writable = topic if topic is not None and topic.schema is not None else None
     readers: tuple[Reader | None, ...] = (topic, getter, parameter)
     writers: tuple[Writer | None, ...] = (setter, parameter, writable)
@@ -340,6 +340,6 @@ def _property(
     )
 
 
-def _asked(setter: Setter) -> ValueKind:
+def _requested_kind(setter: Setter) -> ValueKind:
     request = setter.schema.request
     return value_kind(request, request.type.fields)

@@ -50,7 +50,7 @@ def value_schema(shape: ValueShape, lifting: LiftSettings = _SETTINGS, *, sent: 
         fields = [field for field in shape.schema.type.fields if field.name in shape.fields]
         return _Schemas(shape.schema, shape.bounds, lifting, sent).fields(fields)
     if isinstance(shape, ScalarShape) and shape.is_parameter:
-        return _stored(shape) | _unit(shape.measure)
+        return _parameter_schema(shape) | _unit(shape.measure)
     return _scalar(shape.kind if isinstance(shape, ScalarShape) else None, shape.bounds) | _unit(shape.measure)
 
 
@@ -110,7 +110,9 @@ class _Schemas:
             found = _octets(kind)
         else:
             found = {"type": "array", "items": self._element(kind.element, path)}
-            found |= _given(minItems=kind.length, maxItems=kind.length if kind.length is not None else kind.bound)
+            found |= _without_none(
+                minItems=kind.length, maxItems=kind.length if kind.length is not None else kind.bound
+            )
         return {"oneOf": [found, _ELIDED]} if self._may_be_elided(kind) else found
 
     def _element(self, kind: Primitive | Nested, path: tuple[str, ...]) -> DataSchema:
@@ -139,7 +141,7 @@ def _octets(kind: Array) -> DataSchema:
     return {
         "type": "string",
         "contentEncoding": "base64",
-        **_given(
+        **_without_none(
             minLength=None if kind.length is None else (kind.length + 2) // 3 * 4,
             maxLength=None if count is None else (count + 2) // 3 * 4,
         ),
@@ -158,7 +160,7 @@ def _scalar(kind: Primitive | None, bounds: Bounds) -> DataSchema:
         longest = [count for count in (bounds.max_length, kind.bound) if count is not None]
         return {
             "type": "string",
-            **_given(
+            **_without_none(
                 minLength=bounds.min_length,
                 maxLength=min(longest, default=None),
                 pattern=None if bounds.pattern is None else _ecma(bounds.pattern),
@@ -174,14 +176,18 @@ def _scalar(kind: Primitive | None, bounds: Bounds) -> DataSchema:
     return {"type": "number", **limits} if limits else {"oneOf": [{"type": "number"}, _SPECIALS]}
 
 
-def _stored(shape: ScalarShape) -> DataSchema:
+def _parameter_schema(shape: ScalarShape) -> DataSchema:
     """The scalar of a parameter, whose numbers are JSON's."""
     name, limits, step = shape.kind.name, _limits(shape.bounds), _number(shape.bounds.step)
     if shape.bounds.choices or not (name in RANGES or name.startswith("float")):
         return _scalar(shape.kind, shape.bounds)
     ends = (limits.get("minimum"), limits.get("maximum"))
     even = isinstance(step, int) and all(isinstance(each, int) and each % step == 0 for each in ends)
-    return {"type": "integer" if name in RANGES else "number", **limits, **_given(multipleOf=step if even else None)}
+    return {
+        "type": "integer" if name in RANGES else "number",
+        **limits,
+        **_without_none(multipleOf=step if even else None),
+    }
 
 
 def _type(kind: Primitive | None) -> DataSchema:
@@ -205,7 +211,7 @@ def _integer(kind: Primitive, limits: DataSchema) -> DataSchema:
 
 def _limits(bounds: Bounds) -> DataSchema:
     """The ends of a range of numbers."""
-    return _given(
+    return _without_none(
         minimum=_number(bounds.minimum),
         maximum=_number(bounds.maximum),
         exclusiveMinimum=_number(bounds.exclusive_minimum),
@@ -250,7 +256,7 @@ def _unit(measure: Measure) -> DataSchema:
     return {} if measure.unit is None else {"unit": measure.unit.value}
 
 
-def _given(**keywords: int | float | str | None) -> DataSchema:
+def _without_none(**keywords: int | float | str | None) -> DataSchema:
     """The keywords that have a value."""
     return {name: value for name, value in keywords.items() if value is not None}
 

@@ -392,7 +392,7 @@ class _Places:
         while isinstance(node, BlankNode) and node in self._above and node not in passed:
             passed.add(node)
             above, leading = self._above[node]
-            steps += [self._told(node), prefixed_name(leading.value)[0]]
+            steps += [self._distinguishing_text(node), prefixed_name(leading.value)[0]]
             node = above
         return " ".join(step for step in (self._name(node), *reversed(steps)) if step)
 
@@ -403,7 +403,7 @@ class _Places:
             return f"<{node.value.removeprefix(self._url)}>"
         return prefixed_name(node.value)[0]
 
-    def _told(self, node: BlankNode) -> str:
+    def _distinguishing_text(self, node: BlankNode) -> str:
         """What tells a node in brackets from its neighbours, "" where nothing does."""
         said = self._said.get(node, {})
         telling = (each for predicate in _TELLING for each in said.get(predicate, ()) if isinstance(each, Literal))

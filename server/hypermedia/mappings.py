@@ -180,7 +180,7 @@ def _components(mapping_set: MappingSet, concerned: Mapping[str, Iterable[str]])
     found: dict[str, frozenset[str]] = {}
     for start in neighbours:
         if start not in found:
-            together = set(_reached(start, neighbours))
+            together = set(_reachable(start, neighbours))
             paths = frozenset(each for each in together if each.endswith("/"))
             found |= dict.fromkeys(together, paths)
     return found
@@ -191,7 +191,7 @@ def _home(name: str) -> str:
     return name.rpartition("/")[0] + "/"
 
 
-def _reached(start: str, neighbours: Mapping[str, Iterable[str]]) -> Iterator[str]:
+def _reachable(start: str, neighbours: Mapping[str, Iterable[str]]) -> Iterator[str]:
     waiting, seen = [start], {start}
     while waiting:
         place = waiting.pop()

@@ -148,7 +148,7 @@ class PropertyReader:
                 others.append(one)
         if stored or others:
             one_by_one = asyncio.gather(*(self._one(one, attempt) for one in others))
-            together, single = await asyncio.gather(self._stored(stored, attempt), one_by_one)
+            together, single = await asyncio.gather(self._read_parameters(stored, attempt), one_by_one)
             readings |= together | {one.name: one for one in single}
         return readings
 
@@ -180,7 +180,7 @@ class PropertyReader:
             elif isinstance(reader, Getter):
                 result = await self._call(property.name, reader, attempt)
             elif isinstance(reader, GoalSource):
-                part, result = await self._pursued(property.name, reader, attempt)
+                part, result = await self._read_goal(property.name, reader, attempt)
             else:
                 result = (await self._get({property.name: reader.name}, attempt))[property.name]
             if (standing := self._standing(property, attempt.since)) is not None:
@@ -190,7 +190,7 @@ class PropertyReader:
                 break
         return self._keep(property, view, results, part)
 
-    async def _stored(self, properties: Sequence[Property], attempt: _Attempt) -> dict[str, Reading]:
+    async def _read_parameters(self, properties: Sequence[Property], attempt: _Attempt) -> dict[str, Reading]:
         """Properties that are nothing but parameters, fetched together."""
         results = await self._get({one.name: one.readers[0].name for one in properties}, attempt)
         return {
@@ -224,7 +224,7 @@ class PropertyReader:
         schema = self._schemas.find_cached(view.newest.schema) if view is not None and view.newest is not None else None
         failure = None
         if not isinstance(schema, MessageSchema):
-            (question,) = self._looks.fetch((topic,), self._seen, nullcontext())
+            (question,) = self._looks.fetch((topic,), self._read_topics, nullcontext())
             answers = await question.wait(attempt.deadline)
             if answers is None:
                 return None, _Result(ReadResult(None, timeout_message(topic, attempt.seconds), None), 0.0)
@@ -239,7 +239,7 @@ class PropertyReader:
         found = decode_value(topic, newest, schema, self._space.topic(topic))
         return view, _Result(found, inf) if found.value is not None else self._for_now(found)
 
-    async def _pursued(self, name: str, source: GoalSource, attempt: _Attempt) -> tuple[object, _Result]:
+    async def _read_goal(self, name: str, source: GoalSource, attempt: _Attempt) -> tuple[object, _Result]:
         """What is told of the goal of an action, and the part of the goal that it is."""
         with suppress(asyncio.TimeoutError, TimeoutError):
             await asyncio.wait_for(self._goals.follow(source.name, deadline=attempt.deadline), attempt.seconds)
@@ -250,7 +250,7 @@ class PropertyReader:
     def _for_now(self, found: ReadResult) -> _Result:
         return _Result(found, asyncio.get_running_loop().time() + self._freshness)
 
-    async def _seen(self, topics: Sequence[str]) -> Mapping[str, TopicLook]:
+    async def _read_topics(self, topics: Sequence[str]) -> Mapping[str, TopicLook]:
         return {topic: await self._sources.read_topic(topic) for topic in topics}
 
     async def _call(self, name: str, getter: Getter, attempt: _Attempt) -> _Result:
@@ -260,7 +260,7 @@ class PropertyReader:
             return {name: await self._sources.call_getter(getter, self._space.url("resources", names.segments(name)))}
 
         room = self._rooms.setdefault(getter.name, asyncio.Semaphore(_CALLS))
-        return (await self._asked(self._getters, {name: getter.name}, ask, room, attempt))[name]
+        return (await self._fetch(self._getters, {name: getter.name}, ask, room, attempt))[name]
 
     async def _get(self, sources: Mapping[str, str], attempt: _Attempt) -> Mapping[str, _Result]:
         """The values of parameters (the names of properties lead to theirs)."""
@@ -269,9 +269,9 @@ class PropertyReader:
             found = await self._sources.read_parameters([sources[key] for key in keys])
             return {key: found[sources[key]] for key in keys}
 
-        return await self._asked(self._parameters, sources, ask, self._parameter_room, attempt)
+        return await self._fetch(self._parameters, sources, ask, self._parameter_room, attempt)
 
-    async def _asked(
+    async def _fetch(
         self,
         answers: SingleFlightCache[str, ReadResult],
         sources: Mapping[str, str],

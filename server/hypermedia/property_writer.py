@@ -38,14 +38,7 @@ from rosld.server.hypermedia.catalogue import (
     ValueKind,
     Writer,
 )
-from rosld.server.hypermedia.value import (
-    MessageValue,
-    StoredValue,
-    Value,
-    refusal_text,
-    scalar_field,
-    select_fields,
-)
+from rosld.server.hypermedia.value import MessageValue, StoredValue, Value, refusal_text, scalar_field, select_fields
 from rosld.server.robot.calls import UnreadableResponse
 from rosld.server.robot.declared_parameters import has_other_values
 from rosld.server.robot.publication import Publication, publish
@@ -151,9 +144,9 @@ def plan_write(session: Session, property: Property, content: object, *, default
     writer = current_writer(session, property)
     match writer:
         case Setter(schema=service):
-            return _planned(session, property, writer, service.request, content, defaults)
+            return _plan_message(session, property, writer, service.request, content, defaults)
         case TopicSource(schema=schema) if schema is not None:
-            return _planned(session, property, writer, schema, content, defaults)
+            return _plan_message(session, property, writer, schema, content, defaults)
         case ParameterSource():
             parameter = session.graph.parameters.get(writer.name)
             if isinstance(content, Literal):
@@ -168,14 +161,14 @@ def _parameter_value(kind: ValueKind, content: object) -> ParameterValue:
     value = lower_term(content) if isinstance(content, Literal) else lower_json(content)
     match kind:
         case ScalarKind(primitive=primitive):
-            fitted = _fitted(primitive, content)
+            fitted = _fit(primitive, content)
             return fitted if isinstance(fitted, bool | int | float) else value
         case MessageKind(schema=schema, fields=fields):
             lowerer(select_fields(schema, fields)).from_json(content)
     return value
 
 
-def _fitted(kind: Primitive, content: object) -> object:
+def _fit(kind: Primitive, content: object) -> object:
     """A content as a primitive. Raises LoweringError where it does not fit."""
     try:
         return term_leaf(kind)(content) if isinstance(content, Literal) else json_leaf(kind)(content)
@@ -183,7 +176,7 @@ def _fitted(kind: Primitive, content: object) -> object:
         raise LoweringError(Violation("", misfit.words, brief_value(misfit.value))) from misfit
 
 
-def _planned(
+def _plan_message(
     session: Session, property: Property, writer: Writer, schema: MessageSchema, content: object, defaults: bool
 ) -> PlannedWrite:
     message = lower_content(schema, content, session.lifting, defaults=defaults)
@@ -215,7 +208,7 @@ def _from_literal(schema: MessageSchema, field: Field | None, content: Literal, 
     if field is None:
         expected = f"expected a node of type <{lifting.types}{schema.ref.name}>"
         raise LoweringError(Violation("", expected, brief_value(content)))
-    value = _fitted(cast(Primitive, field.type), content)
+    value = _fit(cast(Primitive, field.type), content)
     return schema.codec.build(schema.ref.name, {field.attribute: value})
 
 

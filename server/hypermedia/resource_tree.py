@@ -216,15 +216,15 @@ class ResourceTree:
 
     def complex(self, path: str) -> ComplexPlan | None:
         """The complex resource at a path, None where there is none."""
-        return _kept(self._complexes, path, self._complex)
+        return _get_or_make(self._complexes, path, self._complex)
 
     def property(self, name: str) -> PropertyPlan | None:
         """The property of a name, None where there is none."""
-        return _kept(self._properties, name, self._property)
+        return _get_or_make(self._properties, name, self._property)
 
     def action(self, name: str) -> ActionPlan | None:
         """The action of a name, None where there is none."""
-        return _kept(self._actions, name, self._action)
+        return _get_or_make(self._actions, name, self._action)
 
     def replacement(self, service: str) -> str | None:
         """The action that a mapping offers a service as, None where no mapping speaks of it."""
@@ -260,7 +260,7 @@ class ResourceTree:
 
         Nothing where no condition hangs together with them.
         """
-        paths = {path for name in names for path in self._concerned(name)}
+        paths = {path for name in names for path in self._affected_resources(name)}
         components = (connected_paths(self.mapping_set, path) for path in paths)
         return tuple(sorted({min(found) for found in components if len(found) > 1 or _has_conditions(self, found)}))
 
@@ -280,7 +280,7 @@ class ResourceTree:
     def _find_affected(self, kind: Kind, name: str) -> frozenset[str]:
         ways = {Kind.TOPIC: self.catalogue.by_topic, Kind.SERVICE: self.catalogue.by_service}
         own = ways.get(kind, self.catalogue.by_parameter).get(name, name)
-        paths = {parent_of_name(name), *self._concerned(own)}
+        paths = {parent_of_name(name), *self._affected_resources(own)}
         if kind is Kind.SERVICE:
             paths |= {resource.path for resource, _ in self._claimed.get(name, ())}
         paths |= {path for each in (*paths, own) for path in dependents(self.mapping_set, each)}
@@ -294,7 +294,7 @@ class ResourceTree:
         if mapped is not None:
             yield from mapped.conditions()
 
-    def _concerned(self, name: str) -> frozenset[str]:
+    def _affected_resources(self, name: str) -> frozenset[str]:
         """The complex resources that a property or action belongs to, and those with conditions about it."""
         mapping = {resource.path for resource in self.mapping_set.resources.values() if name in members_of(resource)}
         return frozenset({parent_of_name(name), *mapping, *dependents(self.mapping_set, name)})
@@ -455,7 +455,7 @@ def _once(conditions: Iterable[Condition]) -> tuple[Condition, ...]:
     return tuple({condition.iri: condition for condition in conditions}.values())
 
 
-def _kept(kept: dict[str, _P | None], key: str, make: Callable[[str], _P | None]) -> _P | None:
+def _get_or_make(kept: dict[str, _P | None], key: str, make: Callable[[str], _P | None]) -> _P | None:
     """What is kept under a key, made when it is not; what is not there is not kept, for its names are endless."""
     found = kept.get(key)
     if found is None:

@@ -133,7 +133,10 @@ class SourceReader:
             values = await asyncio.wait_for(asked, self._patience)
         except Exception as error:
             return {name: ReadResult(None, self._failure(name, error), time.time_ns()) for name in names}
-        return {name: _stored(name, values[name]) if name in values else _gone(name) for name in names}
+        return {
+            name: _parameter_result(name, values[name]) if name in values else _missing_parameter(name)
+            for name in names
+        }
 
     def _failure(self, name: str, error: Exception) -> str:
         match error:
@@ -149,7 +152,7 @@ class SourceReader:
         return f"{name} cannot be read"
 
 
-def _stored(name: str, value: ParameterValue) -> ReadResult:
+def _parameter_result(name: str, value: ParameterValue) -> ReadResult:
     try:
         parameter_json(value)
     except (ValueError, TypeError) as error:  # nested too deep, or a string that is no Unicode
@@ -157,5 +160,5 @@ def _stored(name: str, value: ParameterValue) -> ReadResult:
     return ReadResult(StoredValue(value), None, time.time_ns())
 
 
-def _gone(name: str) -> ReadResult:
+def _missing_parameter(name: str) -> ReadResult:
     return ReadResult(None, f"there is no parameter {name} any more", time.time_ns())

@@ -71,7 +71,7 @@ def thing_description(
         "@type": "Thing",
         "id": url,
         "title": title,
-        **_given(description=description),
+        **_without_none(description=description),
         "securityDefinitions": _SECURITY,
         "security": list(_SECURITY),
         "properties": {one.name: _property(one, lifting) for one in properties if one.read or one.write},
@@ -100,7 +100,7 @@ def _property(one: PropertyAffordance, lifting: LiftSettings) -> orjson.Fragment
     measure = one.shape.measure if isinstance(one.shape, ScalarShape | OpenShape) else NO_MEASURE
     return _fragment(
         {
-            **_given(title=one.title, description=one.description),
+            **_without_none(title=one.title, description=one.description),
             **value_schema(one.shape, lifting, sent=one.write),
             "readOnly": not one.write,
             "writeOnly": not one.read,
@@ -126,7 +126,7 @@ def _action(one: ActionAffordance, lifting: LiftSettings) -> orjson.Fragment:
         schema = message_schema(one.request, lifting, sent=True)
     return _fragment(
         {
-            **_given(title=one.title, input=schema),
+            **_without_none(title=one.title, input=schema),
             "output": {"type": "object"},
             "safe": False,
             "idempotent": False,
@@ -191,7 +191,7 @@ def _form(url: str, operation: str | Sequence[str], method: str, **more: str) ->
 
 def _link(link: ThingLink) -> Members:
     """A link (5.3.4.1)."""
-    return {"rel": link.relation, "href": link.target, **_given(type=link.media_type)}
+    return {"rel": link.relation, "href": link.target, **_without_none(type=link.media_type)}
 
 
 def _led_to(term: str, value: NamedNode | None) -> Members:
@@ -199,7 +199,7 @@ def _led_to(term: str, value: NamedNode | None) -> Members:
     return {} if value is None else {term: {"@id": value.value}}
 
 
-def _given(**members: object) -> Members:
+def _without_none(**members: object) -> Members:
     """The members that have a value."""
     return {name: value for name, value in members.items() if value is not None}
 

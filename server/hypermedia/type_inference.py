@@ -83,7 +83,8 @@ def is_convertible(value: ValueKind, into: ValueKind) -> bool:
         return families[0] == families[1] or families == ("integer", "float")
     if isinstance(value, MessageKind) and isinstance(into, MessageKind):
         return _tree(value.fields) == _tree(into.fields) and all(
-            _tree(value.schema.types[name].fields) == _tree(into.schema.types[name].fields) for name in _nested(value)
+            _tree(value.schema.types[name].fields) == _tree(into.schema.types[name].fields)
+            for name in _nested_types(value)
         )
     return False
 
@@ -101,7 +102,7 @@ def _tree(fields: tuple[Field, ...]) -> dict[str, object]:
     return {field.name: field.type for field in fields}
 
 
-def _nested(kind: MessageKind) -> Iterator[str]:
+def _nested_types(kind: MessageKind) -> Iterator[str]:
     """The types that a value holds, outermost first, each once."""
     seen: set[str] = set()
     waiting = list(kind.fields)

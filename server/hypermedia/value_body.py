@@ -40,7 +40,7 @@ def content_from_rdf(
     That is a literal, or a node whose type is that of messages which the property is read as or written with. Raises
     LoweringError where there is nothing, more than one value, or a value of another kind.
     """
-    term = _stated(body, subject, predicate)
+    term = _single_object(body, subject, predicate)
     if isinstance(term, Literal):
         return term
     if not isinstance(term, NamedNode | BlankNode):
@@ -48,7 +48,7 @@ def content_from_rdf(
     return _describe(body, term, property, lifting, subject.value)
 
 
-def _stated(body: RdfBody, subject: NamedNode, predicate: NamedNode) -> Term:
+def _single_object(body: RdfBody, subject: NamedNode, predicate: NamedNode) -> Term:
     terms = body.objects(subject, predicate)
     if len(terms) > 1:
         raise LoweringError(Violation("", f"expected one value, and there are {len(terms)}: {predicate} is said twice"))

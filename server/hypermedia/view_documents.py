@@ -25,13 +25,7 @@ from rosld.ontology.triples import CONTAINER, RDF_SOURCE, boolean, statements, t
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import dcterms, ldp, mapping, qudt, rdf, rdfs, ros, td
 from rosld.server.hypermedia.value import MessageValue, Reading, field_json, lift_value, plain_json, value_literal
-from rosld.server.hypermedia.views import (
-    ActionAffordance,
-    ActionView,
-    ComplexView,
-    PropertyAffordance,
-    PropertyView,
-)
+from rosld.server.hypermedia.views import ActionAffordance, ActionView, ComplexView, PropertyAffordance, PropertyView
 from rosld.shapes.affordance import value_shape_triples
 from rosld.shapes.value import NO_MEASURE, MessageShape, OpenShape, ScalarShape
 
@@ -144,7 +138,7 @@ def complex_document(
         values += triples_about(subject, (action.relation, NamedNode(action.url))) if action.relation else ()
         affordances += _action_affordance(action, subject, fragment_of("actions", action.name), space)
     values += [Triple(subject, link.relation, NamedNode(link.target)) for link in view.links]
-    values += triples_about(subject, *statements(ldp.contains, map(NamedNode, _contained(view))))
+    values += triples_about(subject, *statements(ldp.contains, map(NamedNode, _contents(view))))
     values += triples_about(subject, *statements(dcterms.hasPart, map(NamedNode, view.children)))
     return Document(view.url, (*triples, *values, *affordances), tuple(messages), simulated_time)
 
@@ -175,7 +169,7 @@ def _complex(url: str, path: str, title: str | None, arranged_by: str | None, pa
     )
 
 
-def _contained(view: ComplexView) -> Iterable[str]:
+def _contents(view: ComplexView) -> Iterable[str]:
     """The members, actions and children that lie in it; a member that a mapping takes from elsewhere does not."""
     used = (*(member.affordance.url for member in view.members), *(action.url for action in view.actions))
     own = (url for url in used if url.startswith(view.url) and "/" not in url[len(view.url) :])

@@ -185,11 +185,11 @@ def _body(path: DescribedPath, method: str) -> Json:
     if not accepted:
         return None
     sent = path.write(method).sends
-    told: dict[str, Json] = {"content": {kind: {"schema": _sent(kind, sent)} for kind in accepted}}
+    told: dict[str, Json] = {"content": {kind: {"schema": _body_schema(kind, sent)} for kind in accepted}}
     return {"required": True, **told} if path.write(method).is_body_required else told
 
 
-def _sent(media_type: str, sent: Schema | None) -> Schema:
+def _body_schema(media_type: str, sent: Schema | None) -> Schema:
     if media_type in _BY_SCHEMA:
         return ANYTHING if sent is None else sent
     return schema_of(media_type)
@@ -204,7 +204,7 @@ def _answers(path: DescribedPath, method: str) -> dict[str, Json]:
     if method == "GET":
         unmet = {"204": reference("responses", "unmet")} if path.item.has_value else {}
         return {"200": _read(path), **unmet, **refusals((*READING, *_ways(path)))}
-    done = {str(status): _done(path, method, status) for status in path.write(method).done or _DONE[method]}
+    done = {str(status): _success_response(path, method, status) for status in path.write(method).done or _DONE[method]}
     return {**done, **refusals((*WRITING, *path.item.also))}
 
 
@@ -222,7 +222,7 @@ def _read(path: DescribedPath) -> dict[str, Json]:
     return representation((*path.item.reads, EVENT_STREAM) if path.item.streams else path.item.reads, plain)
 
 
-def _done(path: DescribedPath, method: str, status: int) -> dict[str, Json]:
+def _success_response(path: DescribedPath, method: str, status: int) -> dict[str, Json]:
     """The answer to a write that was done."""
     if status in (202, 204):
         return reference("responses", str(status))

@@ -72,7 +72,7 @@ class PathCollector:
         yield from self._resources()
         yield from self._types()
         yield from self._bags()
-        yield from self._kept()
+        yield from self._stored_paths()
         yield from self._queries()
         yield from self._channels()
         yield from self._activities()
@@ -120,7 +120,7 @@ class PathCollector:
         return url[len(self.session.space.base) - 1 :]
 
     @property
-    def _listed(self) -> Graph:
+    def _listed_graph(self) -> Graph:
         """What is listed of the computation graph."""
         return self.session.graph if self.hidden else listed_graph(self.session)
 
@@ -130,7 +130,7 @@ class PathCollector:
     # The computation graph
 
     def _graph(self) -> Iterator[DescribedPath]:
-        graph, space = self._listed, self.session.space
+        graph, space = self._listed_graph, self.session.space
         for route in ("nodes", "topics", "services", "actions"):
             for namespace in namespaces(graph, route):
                 yield self._path(self._of(space.container(route, namespace)))
@@ -152,7 +152,7 @@ class PathCollector:
         yield self._template("/activity/{id}", "/activity/any", id="As in the URL of the receipt.")
 
     def _parameters(self) -> Iterator[DescribedPath]:
-        graph, space = self._listed, self.session.space
+        graph, space = self._listed_graph, self.session.space
         trees = dict.fromkeys([(), *namespaces(graph, "parameters")])
         for namespace in islice((each for each in trees if "" not in each), MAX_SINGLE):
             yield self._path(self._of(space.container("parameters", namespace)))
@@ -230,7 +230,7 @@ class PathCollector:
                 first, last = recording.first, recording.first + recording.count - 1
                 yield self._template(f"{path}{{index}}", f"{path}{first}", index=f"From {first} to {last}.")
 
-    def _kept(self) -> Iterator[DescribedPath]:
+    def _stored_paths(self) -> Iterator[DescribedPath]:
         """What clients keep. What one URL answers depends on what is there: the template tells of all of it."""
         yield self._path("/cockpit/default")
         for route in ("mappings", "data", "cockpit"):

@@ -102,7 +102,7 @@ def _subject(document: Formula) -> Node:
         )
     subject = next(iter(subjects))
     if not isinstance(subject, NamedNode | BlankNode):
-        raise _malformed(f"A patch is named by an IRI or a blank node, not by {_shown(subject)}")
+        raise _malformed(f"A patch is named by an IRI or a blank node, not by {_node_text(subject)}")
     if Statement(subject, rdf.type, _PATCH) not in document.statements:
         raise _malformed(f"The patch {subject} does not say its type: add `a solid:InsertDeletePatch`")
     return subject
@@ -116,7 +116,7 @@ def _formula(document: Formula, patch: Node, predicate: NamedNode) -> Sequence[S
     if not objects:
         return ()
     if not isinstance(objects[0], Formula):
-        raise _malformed(f"What {_name(predicate)} names is a formula in braces, not {_shown(objects[0])}")
+        raise _malformed(f"What {_name(predicate)} names is a formula in braces, not {_node_text(objects[0])}")
     return objects[0].statements
 
 
@@ -133,9 +133,11 @@ def _pattern(one: Statement, place: NamedNode, unnamed: dict[BlankNode, Variable
         found.append(node)
     subject, predicate, _ = found
     if isinstance(subject, Literal):
-        raise _malformed(f"{_shown(subject)} is the subject of a triple in {_name(place)}, and no literal can be")
+        raise _malformed(f"{_node_text(subject)} is the subject of a triple in {_name(place)}, and no literal can be")
     if not isinstance(predicate, NamedNode | Variable):
-        raise _malformed(f"{_shown(predicate)} is the predicate of a triple in {_name(place)}, and only an IRI can be")
+        raise _malformed(
+            f"{_node_text(predicate)} is the predicate of a triple in {_name(place)}, and only an IRI can be"
+        )
     return Pattern(*found)
 
 
@@ -157,7 +159,7 @@ def _name(predicate: NamedNode) -> str:
     return predicate.value.replace(_SOLID, "solid:")
 
 
-def _shown(node: Node | Term) -> str:
+def _node_text(node: Node | Term) -> str:
     return "a formula" if isinstance(node, Formula) else str(node)[:200]
 
 

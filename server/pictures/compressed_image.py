@@ -40,7 +40,7 @@ def draw_compressed(format: str, data: bytes, shown: DepthRange, width: int | No
     found = _open(data)
     if found.format == "JPEG" and width is not None:
         found.draft(None, (width, max(1, width * found.height // found.width)))
-    picture = _loaded(found)
+    picture = _load_pixels(found)
     if not picture.mode.startswith("I"):
         return picture
     scale = depth_scale(_encoding(format))
@@ -61,7 +61,7 @@ def _draw_depth_file(format: str, data: bytes, shown: DepthRange) -> Image.Image
         raise UnknownPicture(f"The format {format[:60]!r} is not drawn: distances are, as compressedDepth png")
     _, scale, offset = _DEPTH_HEADER.unpack_from(data)
     picture = _open(data[_DEPTH_HEADER.size :])
-    values = np.asarray(_loaded(picture))
+    values = np.asarray(_load_pixels(picture))
     if values.ndim != 2:
         raise CannotDraw("The file of a compressedDepth image has colours, so no distances")
     if not _encoding(format).startswith("32FC1"):
@@ -87,7 +87,7 @@ def _open(data: bytes) -> Image.Image:
     return found
 
 
-def _loaded(picture: Image.Image) -> Image.Image:
+def _load_pixels(picture: Image.Image) -> Image.Image:
     """The pixels in mode L, RGB, RGBA or one of those of 16 bits."""
     try:
         picture.load()

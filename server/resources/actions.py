@@ -180,7 +180,7 @@ class ActionResource(CommandResource):
 
     async def send(self, exchange: Exchange, schema: ActionSchema, message: Message) -> CreatedAnswer:
         """Send a goal: it is created if it is accepted. Raises whatever else becomes of it."""
-        sending = await self._sent(exchange, schema, message)
+        sending = await self._submit(exchange, schema, message)
         problem = _failure(self.session.space, self.name, sending)
         if problem is not None or sending.goal is None:
             raise problem or Problem(502, f"{self.name} did not take the goal.")
@@ -201,7 +201,7 @@ class ActionResource(CommandResource):
         answers = [await _cancel(self.session, goal) for goal in asked]
         return answers[-1]
 
-    async def _sent(self, exchange: Exchange, schema: ActionSchema, message: Message) -> GoalSubmission:
+    async def _submit(self, exchange: Exchange, schema: ActionSchema, message: Message) -> GoalSubmission:
         """What became of a goal that was sent, once only for each Idempotency-Key."""
         goals, deadline = self.session.goals, self.session.deadline(self.session.settings.call_deadline)
         key = exchange.header("idempotency-key")

@@ -79,7 +79,7 @@ class ActivityResource(Resource):
             kept = self.settings.receipts_kept
             sentence = f"There is no receipt {self.id}: it never was, or it is older than the {kept} that are kept."
             raise Problem(404, sentence) from error
-        return self.states.get_or_make(self.url, entry.number, lambda: _shown(self.space, entry))
+        return self.states.get_or_make(self.url, entry.number, lambda: _receipt_state(self.space, entry))
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
         return self.receipts.changes.watch(wake)
@@ -197,13 +197,13 @@ class NewestReceipt(Resource):
         entry = next(self.receipts.newest_first(), None)
         if entry is None:
             return State(lambda: container_document(self.url, (), TITLE), lambda: b"null", "nothing")
-        return _shown(self.space, entry)
+        return _receipt_state(self.space, entry)
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
         return self.receipts.changes.watch(wake)
 
 
-def _shown(space: Space, entry: JournalEntry) -> State:
+def _receipt_state(space: Space, entry: JournalEntry) -> State:
     receipt = entry.receipt
     return State(lambda: activity_document(receipt, space), lambda: _json(receipt), receipt.id)
 

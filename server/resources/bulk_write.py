@@ -71,11 +71,13 @@ def changes_in_graph(
 ) -> tuple[MemberChange, ...]:
     """The changes between what is said of the members now and what `body` says. Raises LoweringError."""
     seen = {one.affordance.name: one for one in view.members}
-    found = (_changed(body, one, seen[one.name], view.url, lifting) for one in plan.members)
+    found = (_member_change(body, one, seen[one.name], view.url, lifting) for one in plan.members)
     return tuple(change for change in found if change is not None)
 
 
-def _changed(body: RdfBody, plan: MemberPlan, seen: Member, url: str, lifting: LiftSettings) -> MemberChange | None:
+def _member_change(
+    body: RdfBody, plan: MemberPlan, seen: Member, url: str, lifting: LiftSettings
+) -> MemberChange | None:
     relation = seen.affordance.predicate
     subject = NamedNode(url if relation else seen.affordance.url)
     predicate = relation or rdf.value

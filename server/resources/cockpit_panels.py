@@ -116,7 +116,7 @@ class PanelReader:
 
     async def read(self, cockpit: Cockpit) -> tuple[tuple[FilledPanel, ...], int]:
         """The panels as they are now, and the number of those that the agent may not know of."""
-        found = await asyncio.gather(*map(self._filled, cockpit.panels))
+        found = await asyncio.gather(*map(self._fill, cockpit.panels))
         there = tuple(each for each in found if each is not None)
         return there, len(found) - len(there)
 
@@ -133,7 +133,7 @@ class PanelReader:
                 continue  # the panel says why
         return combine_watches(*watches)
 
-    async def _filled(self, panel: Panel) -> FilledPanel | None:
+    async def _fill(self, panel: Panel) -> FilledPanel | None:
         try:
             content, version = await asyncio.wait_for(self._content(panel), _PATIENCE)
         except Hidden:
@@ -285,7 +285,7 @@ class PanelReader:
         found: list[Form] = []
         versions: list[str] = []
         for url in urls:
-            forms, version = await self._offered(url)
+            forms, version = await self._forms_at(url)
             found += forms
             versions.append(version)
         may = [each for each in found if self._permissions.may(each.method, each.action)]
@@ -297,7 +297,7 @@ class PanelReader:
             raise Problem(404, "Nothing can be sent there now.")
         return FormsContent(tuple(may)), repr(versions)
 
-    async def _offered(self, url: str) -> tuple[Sequence[Form], str]:
+    async def _forms_at(self, url: str) -> tuple[Sequence[Form], str]:
         """What can be sent to a resource now, each with the URL that it is sent to, and the version of that."""
         location = self._session.space.location(url)
         if location is None or location.kind not in _COMMANDED:
@@ -312,7 +312,7 @@ class PanelReader:
                 raise Problem(404, f"There is nothing at {resource.url}.")
             forms = [each for each in await resource.forms() if not isinstance(each, HoldForm)]
             version = f"{[(each.method, each.title) for each in forms]}"
-        aimed = [_aimed(each, resource.url, location) for each in forms if each.method not in resource.withheld]
+        aimed = [_with_action(each, resource.url, location) for each in forms if each.method not in resource.withheld]
         return aimed, f"{version}{len(aimed)}"
 
     # Tables
@@ -348,7 +348,7 @@ class PanelReader:
         return shipped
 
 
-def _aimed(form: Form, url: str, location: Location) -> Form:
+def _with_action(form: Form, url: str, location: Location) -> Form:
     """A form that posts to a URL wherever it stands, and tells what it does there."""
     if form.action or isinstance(form, EditForm):
         return form

@@ -152,10 +152,10 @@ class ComplexResource(CommandResource):
     async def state(self) -> State:
         tree, plan = await self._plan()
         return await self.affordances.cached_state(
-            self.url, tree, plan.reads, lambda snapshot: self._shown(plan, snapshot)
+            self.url, tree, plan.reads, lambda snapshot: self._state_of(plan, snapshot)
         )
 
-    def _shown(self, plan: ComplexPlan, snapshot: Snapshot) -> State:
+    def _state_of(self, plan: ComplexPlan, snapshot: Snapshot) -> State:
         view = self.affordances.complex_view(plan, snapshot)
         own = tuple(member.reading for member in view.members)
         times = [one.read_ns for one in own if one.read_ns is not None and one.fresh_until is not None]

@@ -26,7 +26,7 @@ _SPACE = "Scans, maps, paths and frames, seen from above."
 _FIRST = "What the robot is like now, and what it can do: values to read and to set, actions, links."
 
 
-def _seen(names: Collection[str], url: Callable[[str], str], site: Site) -> int:
+def _count_readable(names: Collection[str], url: Callable[[str], str], site: Site) -> int:
     """How many of these the reader may read."""
     return sum(site.may("GET", url(name)) for name in names) if site.is_restricted else len(names)
 
@@ -58,12 +58,12 @@ class EntryResource(Resource):
     def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
         graph, space = listed_graph(self.session), self.session.space
         numbers = {
-            "topics": _seen(graph.topics, space.topic, site),
-            "services": _seen(graph.services, space.service, site),
-            "actions": _seen(graph.actions, space.action, site),
-            "nodes": _seen(graph.nodes, space.node, site),
-            "parameters": _seen(graph.parameters, space.parameter, site),
-            "bags": _seen(self.recordings.readable, space.bag, site),
+            "topics": _count_readable(graph.topics, space.topic, site),
+            "services": _count_readable(graph.services, space.service, site),
+            "actions": _count_readable(graph.actions, space.action, site),
+            "nodes": _count_readable(graph.nodes, space.node, site),
+            "parameters": _count_readable(graph.parameters, space.parameter, site),
+            "bags": _count_readable(self.recordings.readable, space.bag, site),
         }
         first = EntryCount(SECTIONS["resources"], None, space.container("resources"), _FIRST, first=True)
         goals = ("goals",) if graph.actions else ()

@@ -160,7 +160,7 @@ class FindResource(Resource):
         if not self._text:
             return State(self.document, self._plain)
         hits, self._total = await self._finder.find(terms_of(self._text), self._permissions, MAX_RESULTS)
-        self._results = await self._told(hits)
+        self._results = await self._results_of(hits)
         plain = self._plain()
         describe = partial(search_document, self.url, self._text, self._total, self._results, self.session.space)
         return State(describe, lambda: plain, digest(plain))
@@ -169,7 +169,7 @@ class FindResource(Resource):
         """The search itself, while nothing is searched for."""
         return unasked_document(self.url, self.session.space)
 
-    async def _told(self, hits: Sequence[Hit]) -> Sequence[SearchResult]:
+    async def _results_of(self, hits: Sequence[Hit]) -> Sequence[SearchResult]:
         """The results, each with its latest value where that is at hand."""
         values = await self._values([hit.entry for hit in hits])
         small = {url: thumbnail(latest, url) for url, latest in values.items()}

@@ -69,10 +69,10 @@ def parse_graph_selection(query_string: bytes, base: str) -> GraphSelection:
 
     Raises a 400 Problem for several of them at once, and for what is no IRI.
     """
-    return _remembered(query_string, base) if len(query_string) <= _LONGEST_CACHED else _named(query_string, base)
+    return _remembered(query_string, base) if len(query_string) <= _LONGEST_CACHED else _parse_query(query_string, base)
 
 
-def _named(query_string: bytes, base: str) -> GraphSelection:
+def _parse_query(query_string: bytes, base: str) -> GraphSelection:
     try:
         pairs = parse_qsl(
             query_string.decode("ascii"), keep_blank_values=True, errors="strict", max_num_fields=_MAX_PARAMETERS
@@ -90,7 +90,7 @@ def _named(query_string: bytes, base: str) -> GraphSelection:
     return GraphSelection(_resolved(graphs[0], base) if graphs else None, defaults == 1, all == 1, others)
 
 
-_remembered = lru_cache(maxsize=256)(_named)
+_remembered = lru_cache(maxsize=256)(_parse_query)
 
 
 def _resolved(iri: str, base: str) -> str:

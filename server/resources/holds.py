@@ -259,10 +259,10 @@ class HoldResource(Resource):
         if self.session.settings.read_only:
             raise Problem(403, "This server is read-only.")
         require_holder(exchange, self.hold)
-        return self._kept(exchange, self.hold.lease)
+        return self._keep(exchange, self.hold.lease)
 
     @contextlib.contextmanager
-    def _kept(self, exchange: Exchange, lease: float) -> Iterator[float]:
+    def _keep(self, exchange: Exchange, lease: float) -> Iterator[float]:
         _notice_silence(exchange, lease)
         with self.holds.keep_alive(self.id):
             yield lease / 2
@@ -275,7 +275,7 @@ class HoldResource(Resource):
         hold = self.hold
         require_holder(exchange, hold)
         publishing = Publisher(self.session, self.limit_checks, hold.topic)
-        asked = await self._changed(exchange, publishing, hold)
+        asked = await self._changed_message(exchange, publishing, hold)
         then, then_asked = hold.release_message, hold.release_requested
         if "then" in exchange.query or (asked is not hold.message and then_asked == ZERO):
             words = exchange.query.get("then", then_asked)
@@ -297,7 +297,7 @@ class HoldResource(Resource):
         self.holds.renew(self.id, changed)
         return Response(status_code=204)
 
-    async def _changed(self, exchange: Exchange, publishing: Publisher, hold: Hold) -> HeldMessage:
+    async def _changed_message(self, exchange: Exchange, publishing: Publisher, hold: Hold) -> HeldMessage:
         """The command after the change that a body asks for."""
         data = await exchange.body()
         if not data.strip():

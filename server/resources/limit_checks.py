@@ -123,13 +123,13 @@ class LimitChecks:
 
     async def require_parameter(self, name: str, value: ParameterValue) -> None:
         """Raise LoweringError where the value of a parameter, or of one in a tree, breaks limits or its declaration."""
-        broken = self._undeclared(name, value)
+        broken = self._declaration_violations(name, value)
         if self.limits and not broken:
             broken = await self._of_parameter(name, value)
         if broken:
             raise LoweringError(*broken)
 
-    def _undeclared(self, name: str, value: ParameterValue) -> list[Violation]:
+    def _declaration_violations(self, name: str, value: ParameterValue) -> list[Violation]:
         """What a value, or one in a tree, breaks of what the nodes declare."""
         parameter = self._session.graph.parameters.get(name)
         if parameter is not None:
@@ -138,7 +138,7 @@ class LimitChecks:
             )
         if not isinstance(value, dict):
             return []
-        inner = (self._undeclared(f"{name.rstrip('/')}/{key}", each) for key, each in value.items())
+        inner = (self._declaration_violations(f"{name.rstrip('/')}/{key}", each) for key, each in value.items())
         return [violation for found in inner for violation in found]
 
     async def _of_parameter(self, name: str, value: ParameterValue) -> list[Violation]:

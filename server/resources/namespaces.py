@@ -270,12 +270,12 @@ class NamespaceContainer(Resource):
 
     def _members(self) -> Members:
         """The members; a Problem where there is no such namespace."""
-        members = self._found()
+        members = self._members_listed()
         if members is None:
             raise self._missing()
         return members
 
-    def _found(self) -> Members | None:
+    def _members_listed(self) -> Members | None:
         return listed_members(self.session, self.route, self.namespace, hidden=self._hidden)
 
     def _page(self, place: PagePosition, members: Members) -> tuple[LdpPage, Members]:
@@ -289,14 +289,14 @@ class NamespaceContainer(Resource):
         return "&".join(parts if self._place is None else [*parts, page_query(self._place.token)])
 
     def navigation_links(self) -> tuple[SequenceLink, ...]:
-        members = self._found()
+        members = self._members_listed()
         return () if self._place is None or members is None else self._page(self._place, members)[0].neighbours()
 
     def listing(self) -> MemberColumns | None:
         """Everything below, or below what a page tells of, with types and endpoints."""
         whole = self._hidden or names.is_hidden(names.join(self.namespace))
         graph, space = self.session.graph if whole else listed_graph(self.session), self.session.space
-        members = self._found()
+        members = self._members_listed()
         if self.route == "topics":
             told, total = self._below(graph.topics, members)
             topics = {name: graph.topics[name] for name in told}

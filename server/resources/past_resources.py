@@ -131,7 +131,7 @@ class PastMember(_PastResource, MemberResource):
         view = self.affordances.property_view(plan, snapshot)
         view = replace(view, affordance=replace(view.affordance, write=False, observe=False))
         return replace(
-            self._shown(plan, snapshot),
+            self._state_of(plan, snapshot),
             describe=lambda: property_document(
                 view, self.session.space, self.session.lifting, simulated_time=self.session.graph.simulated_time
             ),
@@ -160,7 +160,7 @@ class PastComplex(_PastResource, ComplexResource):
         )
         view = replace(view, members=members, actions=())
         return replace(
-            self._shown(plan, snapshot),
+            self._state_of(plan, snapshot),
             describe=lambda: complex_document(
                 view, self.session.space, self.session.lifting, simulated_time=self.session.graph.simulated_time
             ),

@@ -217,7 +217,7 @@ class MemberResource(CommandResource):
         plan = tree.property(self.name)
         if plan is not None:
             return await self.affordances.cached_state(
-                self.url, tree, plan.reads, lambda snapshot: self._shown(plan, snapshot)
+                self.url, tree, plan.reads, lambda snapshot: self._state_of(plan, snapshot)
             )
         action = tree.action(self.name)
         if action is not None:
@@ -226,7 +226,7 @@ class MemberResource(CommandResource):
             )
         raise self._missing(tree)
 
-    def _shown(self, plan: PropertyPlan, snapshot: Snapshot) -> State:
+    def _state_of(self, plan: PropertyPlan, snapshot: Snapshot) -> State:
         view = self.affordances.property_view(plan, snapshot)
         shape = shape_url(view.reading, view.field, self.session.space)
         return State(
@@ -333,7 +333,7 @@ class MemberResource(CommandResource):
         if triples is None:
             raise Problem(403, f"{self.name} is there for as long as the robot has it: it cannot be dropped.")
         body = index_triples(triples)
-        written = await self._write(tree, plan, await self._stated(plan, body))
+        written = await self._write(tree, plan, await self._content_of(plan, body))
 
         async def carried_out() -> bool:
             return await carry_out(self.session, written) is not WriteOutcome.UNHEARD
@@ -375,9 +375,9 @@ class MemberResource(CommandResource):
     async def _content(self, exchange: Exchange, plan: PropertyPlan, data: bytes) -> object:
         if exchange.media_type == JSON:
             return parse_json(data)
-        return await self._stated(plan, parse_body(data, exchange.media_type, self.url))
+        return await self._content_of(plan, parse_body(data, exchange.media_type, self.url))
 
-    async def _stated(self, plan: PropertyPlan, body: RdfBody) -> object:
+    async def _content_of(self, plan: PropertyPlan, body: RdfBody) -> object:
         """What RDF states the value to be: by rdf:value, or by the relation that a mapping gives it."""
         subject, predicate = NamedNode(self.url), rdf.value
         home = NamedNode(url_of(plan.parent, self.session.space))
@@ -394,7 +394,7 @@ class MemberResource(CommandResource):
         if exchange.media_type == MERGE_PATCH:
             return merge_patch(parse_json(property_json(view, self.session.lifting.unelided)), parse_json(data))
         before = property_document(view, self.session.space, self.session.lifting.unelided)
-        return await self._stated(plan, apply_update(data, before.all_triples(), self.url, by_value=True))
+        return await self._content_of(plan, apply_update(data, before.all_triples(), self.url, by_value=True))
 
     async def post(self, exchange: Exchange) -> Answer:
         """Invoke the action: call its service, or send its goal.

@@ -71,7 +71,7 @@ class Publisher:
             schema = await self._schema()
             return schema, self._from_json(exchange, schema, data)
         body = parse_body(data, exchange.media_type, self.url)
-        schema = await (self._schema() if self._typed() else self._stated_schema(body))
+        schema = await (self._schema() if self._has_type() else self._stated_schema(body))
         return schema, await self._lower(schema, body)
 
     async def message_of(self, exchange: Exchange, schema: MessageSchema, url: str) -> Message:
@@ -97,7 +97,7 @@ class Publisher:
         An update may name `#message` without its type: that is the topic's.
         """
         body, node = index_triples(triples), NamedNode(f"{self.url}#message")
-        schema = await (self._schema() if self._typed() else self._stated_schema(body))
+        schema = await (self._schema() if self._has_type() else self._stated_schema(body))
         if node in body.subjects and not body.objects(node, rdf.type):
             class_ = NamedNode(self.session.space.class_of(schema.ref.name))
             body = index_triples([*triples, Triple(node, rdf.type, class_)])
@@ -146,7 +146,7 @@ class Publisher:
                 if getattr(term, "value", None) != value:
                     raise Problem(409, f"The {predicate.value} of {self.name} is {value!r} and cannot become {term}.")
 
-    def _typed(self) -> bool:
+    def _has_type(self) -> bool:
         return self.topic is not None and bool(self.topic.types)
 
     async def _schema(self) -> MessageSchema:

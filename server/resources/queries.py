@@ -363,12 +363,12 @@ class QueryContainer(ContainerResource):
         return await super().with_triples(record, clients, expected, said)
 
     def listing(self) -> MemberColumns:
-        listed = self._shipped() | {url: query.purpose for url, query in self._kept()}
+        listed = self._shipped() | {url: query.purpose for url, query in self._stored_queries()}
         return MemberColumns(("purpose",), {url: (purpose,) for url, purpose in listed.items()})
 
     def _with_shipped(self, document: Document) -> Document:
         shown_here = {one.object.value for one in document.triples if one.predicate == ldp.contains}  # type: ignore[union-attr]
-        kept = {url: query.purpose for url, query in self._kept() if url in shown_here}
+        kept = {url: query.purpose for url, query in self._stored_queries() if url in shown_here}
         shipped = self._shipped() if self._parts.containment else {}
         return _list(document, shipped, kept, titled=self._parts.minimal)
 
@@ -376,7 +376,7 @@ class QueryContainer(ContainerResource):
         """The purposes of the queries that come with rosld, on the page that tells of them: the first."""
         return _shipped(self.documents, self.queries) if self._place is None or self._place.after == 0 else {}
 
-    def _kept(self) -> list[tuple[str, StoredQuery]]:
+    def _stored_queries(self) -> list[tuple[str, StoredQuery]]:
         """The queries that this page tells of."""
         if self._place is None:
             records = list(self.queries.stored_records())

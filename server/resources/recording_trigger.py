@@ -65,7 +65,10 @@ async def trigger_of(
     permissions = exchange.permissions
     resource: Resource
     if trigger.resource is None:
-        resource, expression = _mapped(space, affordances, mappings, trigger.condition, permissions), "value = true"
+        resource, expression = (
+            _mapped_condition(space, affordances, mappings, trigger.condition, permissions),
+            "value = true",
+        )
     else:
         resource, expression = _resource(space, trigger.resource, find, permissions), trigger.condition
 
@@ -123,7 +126,7 @@ def _resource(space: Space, url: str, find: Find | None, permissions: Permission
         raise Problem(422, f"The trigger is about {url[:200]}: {problem.detail}") from problem
 
 
-def _mapped(
+def _mapped_condition(
     space: Space, affordances: AffordanceService[State], mappings: Mappings, iri: str, permissions: Permissions
 ) -> MappedCondition:
     for resource in mappings.mapping_set.resources.values():

@@ -150,7 +150,7 @@ class FieldValues:
 def columns(series: Series) -> dict[str, list[float | str]]:
     """A series as columns: time and value of each message, or what the intervals come to."""
     points: Sequence[Point] = series.points
-    times: list[float | str] = [_written(each.time_ns) for each in points]
+    times: list[float | str] = [_utc_text(each.time_ns) for each in points]
     if not series.is_reduced:
         return {"time": times, "value": [each.statistic.minimum for each in points]}
     return {
@@ -203,7 +203,7 @@ def read_time(text: str, now_ns: int) -> int:
         raise Problem(400, words) from error
 
 
-def _written(time_ns: int) -> str:
+def _utc_text(time_ns: int) -> str:
     seconds, rest = divmod(time_ns, 10**9)
     moment = datetime.fromtimestamp(seconds, timezone.utc)
     return f"{moment:%Y-%m-%dT%H:%M:%S}.{rest:09d}Z"

@@ -156,7 +156,7 @@ class SpaceResource(Resource):
         return _document(self.url, ())
 
     async def state(self) -> State:
-        names = self._asked() or self._all()[:MAX_SHOWN]
+        names = self._topics_to_show() or self._all()[:MAX_SHOWN]
         await asyncio.gather(*(self.session.topics.read(name) for name in names))
         buffer = await self.scene.frames.look() if self._may_read_frames else FrameBuffer()
         drawn = [await self.scene.drawings.newest(name) for name in names]
@@ -179,7 +179,7 @@ class SpaceResource(Resource):
         """The view as it changes, where an event stream is asked for."""
         if not stream_is_preferred(exchange.accept, OFFERS):
             return None
-        names = self._asked()
+        names = self._topics_to_show()
         if exchange.method == "HEAD":
             return RawResponse(200, b"", HEADERS)
         self._broadcasters.require_capacity(exchange.request.client)
@@ -187,7 +187,7 @@ class SpaceResource(Resource):
             self.session.topics,
             self.scene.drawings,
             self.scene.frames if self._may_read_frames else None,
-            lambda: [self._shown(name) for name in names or self._all()[:MAX_SHOWN]],
+            lambda: [self._shown_topic(name) for name in names or self._all()[:MAX_SHOWN]],
             exchange.auth.is_valid,
             self.is_3d,
         )
@@ -249,11 +249,11 @@ class SpaceResource(Resource):
         ]
         return [name for _, name in sorted(found)]
 
-    def _asked(self) -> list[str]:
+    def _topics_to_show(self) -> list[str]:
         """The topics that `show` names. Raises Problems."""
-        return [self._located(each) for each in self.references]
+        return [self._topic_of(each) for each in self.references]
 
-    def _located(self, reference: str) -> str:
+    def _topic_of(self, reference: str) -> str:
         space = self.session.space
         if len(reference) > _MAX_REFERENCE:
             raise Problem(400, f"?show={reference[:60]}... is too long.")
@@ -276,7 +276,7 @@ class SpaceResource(Resource):
         is_known = topic is not None and topic.type is not None and can_place(topic.type.name)
         return kind_label(topic.type.name) if topic and topic.type and is_known else ""
 
-    def _shown(self, name: str) -> ShownTopic:
+    def _shown_topic(self, name: str) -> ShownTopic:
         """A topic as the stream tells of it."""
         space, url = self.session.space, self.session.space.topic(name)
         topic = self.session.graph.topics.get(name)

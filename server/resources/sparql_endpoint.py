@@ -340,9 +340,9 @@ class SparqlResource(Resource):
         if isinstance(asked, QueryRequest):
             exchange.audit.mark_read_only()
             return await self._answer(asked, accept_of(exchange), exchange)
-        return await self._updated(asked, exchange)
+        return await self._update(asked, exchange)
 
-    async def _updated(self, request: UpdateRequest, exchange: Exchange) -> Response:
+    async def _update(self, request: UpdateRequest, exchange: Exchange) -> Response:
         if self._updates is None:
             raise self._no_updates()
         dry_run, permissions = exchange.query_flag("dry-run"), exchange.permissions

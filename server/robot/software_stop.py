@@ -111,8 +111,8 @@ class SoftwareStop:
             return tuple(self._steps.values())
         space = self._session.space
         return (
-            *(StopStep(_zero_on(topic.name), (space.topic(topic.name),)) for topic in self._commanded()),
-            *(StopStep(_words(each), self._touched(each, iri)) for each, iri in self._mapped()),
+            *(StopStep(_zero_on(topic.name), (space.topic(topic.name),)) for topic in self._commanded_topics()),
+            *(StopStep(_words(each), self._touched_urls(each, iri)) for each, iri in self._mapped()),
             *(StopStep(_end_of_all(action.name), (space.action(action.name),)) for action in self._ended_actions()),
         )
 
@@ -147,11 +147,11 @@ class SoftwareStop:
         session.interlock.engage(stop_state)
         self._count += 1
         deadline = session.deadline(session.settings.call_deadline)
-        space, commanded = session.space, self._commanded()
+        space, commanded = session.space, self._commanded_topics()
         for topic in commanded:
             self._begin(_zero_on(topic.name), self._publish_zero(topic), space.topic(topic.name))
         for each, iri in self._mapped():
-            self._begin(_words(each), self._carried_out(each, deadline), *self._touched(each, iri))
+            self._begin(_words(each), self._carried_out(each, deadline), *self._touched_urls(each, iri))
         silent = {topic.name for topic in commanded}
         for hold, ended in self._holds.end_all(stop_state.words, silent):
             tells = hold.release_message is not None and hold.topic not in silent
@@ -187,7 +187,7 @@ class SoftwareStop:
         self._session.changes.emit()
         return True
 
-    def _touched(self, mapped: StopCommand, iri: str) -> tuple[str, ...]:
+    def _touched_urls(self, mapped: StopCommand, iri: str) -> tuple[str, ...]:
         """The URLs of what a step of a mapping is about: what it calls or publishes on, and the mapping."""
         space = self._session.space
         if mapped.service is not None:
@@ -195,7 +195,7 @@ class SoftwareStop:
         assert mapped.topic is not None
         return space.topic(mapped.topic), iri
 
-    def _commanded(self) -> Sequence[Topic]:
+    def _commanded_topics(self) -> Sequence[Topic]:
         """The topics on which zero is published."""
         return commanded_topics(self._session.graph, self._session.settings.stop_zero)
 
@@ -210,7 +210,7 @@ class SoftwareStop:
 
     def _begin(self, does: str, work: Awaitable[Reached | str | None], *touches: str, tells: bool = True) -> None:
         self._steps[does] = StopStep(does, touches, StepStatus.RUNNING, tells=tells)
-        task = asyncio.ensure_future(self._followed(does, work))
+        task = asyncio.ensure_future(self._follow(does, work))
         self._running.add(task)
         task.add_done_callback(self._over)
 
@@ -218,11 +218,11 @@ class SoftwareStop:
         self._running.discard(task)
         self._revise()
 
-    async def _followed(self, does: str, work: Awaitable[Reached | str | None]) -> None:
+    async def _follow(self, does: str, work: Awaitable[Reached | str | None]) -> None:
         fate, words, reached = StepStatus.DONE, None, None
         try:
             found = await work
-            words, reached = (found, None) if isinstance(found, str) else (_missed(found), found)
+            words, reached = (found, None) if isinstance(found, str) else (_missed_subscribers(found), found)
         except (RosError, LoweringError, ValueError) as error:
             fate, words = StepStatus.FAILED, str(error)
             _log.error("while the robot was stopped: %s: %s", does, words)
@@ -251,7 +251,7 @@ class SoftwareStop:
         if reached is None or step is None or step.status is not StepStatus.FAILED:
             return
         words = f"told late, {self._session.deadline(0) - begun:.1f} s after the stop"
-        words = "; ".join(each for each in (words, _missed(reached)) if each)
+        words = "; ".join(each for each in (words, _missed_subscribers(reached)) if each)
         self._steps[step.description] = replace(
             step, status=StepStatus.DONE, words=words, subscribers=reached.subscribers
         )
@@ -315,7 +315,7 @@ def _zero_on(topic: str) -> str:
     return f"publish zero on {topic}"
 
 
-def _missed(reached: Reached | None) -> str | None:
+def _missed_subscribers(reached: Reached | None) -> str | None:
     """Which subscribers were not reached, in words; None where all were."""
     if reached is None:
         return None

@@ -132,18 +132,18 @@ class RobotGraphs:
         return [*stored, *found, *await self._of_topics(topics)]
 
     def _resources(self, needs: Needs) -> Sequence[Resource]:
-        """The resources of `_wanted`, kept for as long as they are the same: where needs name what they are about."""
+        """The resources that needs ask for, kept while they are the same: where needs name what they are about."""
         if any(demand.is_anything for demand in needs.demands):
-            return list(self._wanted(needs))
+            return list(self._needed_resources(needs))
         version = (self._session.graph.revision, self._session.schemas.count)
         known = self._found.get(needs)
         if known is None or known[0] != version:
             if len(self._found) >= _KEPT:
                 self._found.clear()
-            known = self._found[needs] = (version, list(self._wanted(needs)))
+            known = self._found[needs] = (version, list(self._needed_resources(needs)))
         return known[1]
 
-    def _wanted(self, needs: Needs) -> Iterator[Resource]:
+    def _needed_resources(self, needs: Needs) -> Iterator[Resource]:
         session = self._session
         if needs.needs_messages:
             at_hand = {*session.topics.subscribed(), *session.adapter.published}
@@ -164,7 +164,7 @@ class RobotGraphs:
         yield from self._named_listings(needs.graph_names)
         anything = any(demand.is_anything for demand in needs.demands)
         yield from (one for url, one in self._live.items() if anything or url in needs.documents)
-        yield from self._named(needs.documents)
+        yield from self._named_resources(needs.documents)
 
     def _named_listings(self, graph_names: frozenset[str]) -> Iterator[Resource]:
         """The listings that are named as graphs: only there they tell what their members say of themselves, too."""
@@ -203,7 +203,7 @@ class RobotGraphs:
     def _is_known(self, type: str) -> bool:
         return self._session.schemas.find_cached_by_name(type) is not None
 
-    def _named(self, documents: frozenset[str]) -> Iterator[Resource]:
+    def _named_resources(self, documents: frozenset[str]) -> Iterator[Resource]:
         """What is in the dataset only where it is named.
 
         Recorded messages, resources whose getters are called, types that nobody has asked for yet, the edges

@@ -25,7 +25,7 @@ _SHORT = 256
 _located = lru_cache(_MAX_CACHED)(locate)
 
 
-def _named(factory: ResourceFactory, kind: str, leaf: Callable[[str], Resource]) -> Route:
+def _named_route(factory: ResourceFactory, kind: str, leaf: Callable[[str], Resource]) -> Route:
     """A route of things with ROS names: leaves, and the containers of their namespaces."""
 
     def route(location: Location) -> Resource:
@@ -69,11 +69,11 @@ def robot_routes(factory: ResourceFactory) -> Mapping[str, Route]:
     space = factory.session.space
     return {
         "": single_route(factory.entry),
-        "nodes": _named(factory, "nodes", factory.node),
-        "topics": _named(factory, "topics", factory.topic),
-        "services": _named(factory, "services", factory.service),
+        "nodes": _named_route(factory, "nodes", factory.node),
+        "topics": _named_route(factory, "topics", factory.topic),
+        "services": _named_route(factory, "services", factory.service),
         "calls": _flat(space, "A call", factory.calls, factory.call),
-        "actions": _named(factory, "actions", factory.action),
+        "actions": _named_route(factory, "actions", factory.action),
         "goals": _flat(space, "A goal", factory.goals, factory.goal),
         "activity": _flat(space, "A receipt", factory.activities, factory.activity),
         "holds": _flat(space, "A hold", factory.holds, factory.hold),
@@ -96,7 +96,7 @@ def robot_routes(factory: ResourceFactory) -> Mapping[str, Route]:
 def _finding(factory: ResourceFactory, at: Callable[[str], Resource]) -> Mapping[str, Route]:
     """The routes where a request may name the URL of a message, with what finds that."""
     return {
-        "topics": _named(factory, "topics", partial(factory.topic, find=at)),
+        "topics": _named_route(factory, "topics", partial(factory.topic, find=at)),
         "holds": _flat(factory.session.space, "A hold", factory.holds, partial(factory.hold, find=at)),
         "bags": partial(factory.bag_at, find=at),
     }

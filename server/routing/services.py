@@ -110,7 +110,7 @@ class Services:
     async def start(self) -> None:
         """Open the session, and put into force what is kept. Raises what `Adapter.open` raises."""
         await self.session.open()
-        self.documents.records.watch(self._kept)
+        self.documents.records.watch(self._on_record_changes)
         self.receipts.start()
         await self.recordings.start()
         self.session.changes.watch(self.recordings.refresh)
@@ -134,7 +134,7 @@ class Services:
         await self.session.close()
         await self.documents.records.close()
 
-    def _kept(self, changes: Sequence[RecordChange]) -> None:
+    def _on_record_changes(self, changes: Sequence[RecordChange]) -> None:
         for each in changes:
             self.queries.on_record_change(each)
             self.documents.changes.emit(each.path)

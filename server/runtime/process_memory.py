@@ -71,16 +71,16 @@ class Memory:
         if needed * 4 < self._left and time.monotonic() < self._until:
             self._left -= needed
             return
-        left = self._measured()
+        left = self._refresh()
         if left is not None and needed > left:
             trim()
-            left = self._measured()
+            left = self._refresh()
         if left is not None and needed > left:
             sizes = f"{_mebibytes(needed)} of memory, and {_mebibytes(max(0, left))} are left"
             raise NotEnoughMemory(f"{what[0].upper()}{what[1:]} may need {sizes}; nothing was done.")
         self._left -= needed
 
-    def _measured(self) -> int | None:
+    def _refresh(self) -> int | None:
         """The bytes that may still be taken, less the margin; None where nothing is known."""
         found = self._measure()
         left = None if found is None else found - MARGIN

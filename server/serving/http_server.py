@@ -38,7 +38,7 @@ def bind(host: str, port: int) -> socket.socket:
         )[0]
         sock = socket.socket(family, kind, proto)
     except (OSError, UnicodeError) as error:
-        raise ValueError(_refused(host, port, error)) from error
+        raise ValueError(_bind_error(host, port, error)) from error
     try:
         if sys.platform != "win32":
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -46,11 +46,11 @@ def bind(host: str, port: int) -> socket.socket:
         sock.setblocking(False)
     except (OSError, OverflowError) as error:
         sock.close()
-        raise ValueError(_refused(host, port, error)) from error
+        raise ValueError(_bind_error(host, port, error)) from error
     return sock
 
 
-def _refused(host: str, port: int, error: Exception) -> str:
+def _bind_error(host: str, port: int, error: Exception) -> str:
     words = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
     return f"cannot listen on {host}:{port}: {words}. Choose another with --host and --port."
 

@@ -29,7 +29,7 @@ def find_changes(
     changes: dict[str, GraphChange] = {}
     if snapshot.revision != state.descriptions:
         changes.update(_changed_descriptions(snapshot, state))
-    changes.update(_vanished(snapshot, state, pinned, lasting))
+    changes.update(_vanished_graphs(snapshot, state, pinned, lasting))
     for entry in snapshot.entries:
         description = snapshot.described[entry.iri].token if entry.iri in snapshot.described else None
         held = state.held.get(entry.iri)
@@ -51,7 +51,7 @@ def _changed_descriptions(snapshot: Snapshot, state: TargetState) -> Iterator[tu
             yield iri, GraphChange(None, None, False, 0)
 
 
-def _vanished(
+def _vanished_graphs(
     snapshot: Snapshot, state: TargetState, pinned: Container[str], lasting: Sequence[str]
 ) -> Iterator[tuple[str, GraphChange]]:
     """What was there for an earlier query only, and values that a look at everything no longer finds."""

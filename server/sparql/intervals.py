@@ -319,7 +319,7 @@ def _sum(parts: Sequence[Part], now: Interval) -> _Sum | None:
         found = _single(part, now)
         if found is None:
             return None
-        total = _signed(found, sign) if total is None else _add(total, found, sign)
+        total = _apply_sign(found, sign) if total is None else _add(total, found, sign)
         if total is None:
             return None
         sign, is_operator_next = 1, True
@@ -387,7 +387,7 @@ def _is_whole(value: Value) -> bool:
     return value.literal.datatype == xsd.integer and str(int(value.literal.value or 0)) == value.literal.value
 
 
-def _signed(found: _Sum, sign: int) -> _Sum | None:
+def _apply_sign(found: _Sum, sign: int) -> _Sum | None:
     """A duration may be negative; a time with a sign is an error."""
     if sign > 0:
         return found

@@ -67,7 +67,7 @@ def needs_of(
     ]
     demands = [demand for part in parts if (demand := part.demand)]
     if any(demand.is_anything for demand in demands):
-        demands.extend(_named(query.constants, terms))
+        demands.extend(_demands_of_constants(query.constants, terms))
     unread = reduce(LiveKinds.__or__, (part.unread for part in parts), NEITHER)
     return Needs(
         tuple(remove_covered(demands)),
@@ -106,7 +106,7 @@ def _documents(query: Query) -> Iterator[str]:
                 yield term.value
 
 
-def _named(constants: Iterable[str], terms: VocabularyView) -> Iterator[Demand]:
+def _demands_of_constants(constants: Iterable[str], terms: VocabularyView) -> Iterator[Demand]:
     """The demands for what is named outside of patterns: where nothing else says so, it is looked at all the same."""
     for iri in constants:
         named = terms.type_named(iri)
@@ -225,7 +225,7 @@ def _parts(group: Group, terms: VocabularyView) -> Iterator[LivePart]:
 
 def _connect(patterns: Sequence[Pattern], terms: VocabularyView) -> Iterator[LivePart]:
     """The patterns by what they are about: a union-find over their subjects, constants going by their documents."""
-    rooted = _rooted(patterns)
+    rooted = _variables_with_triples(patterns)
     leaders: dict[str, str] = {}
 
     def leader(key: str) -> str:
@@ -250,7 +250,7 @@ def _connect(patterns: Sequence[Pattern], terms: VocabularyView) -> Iterator[Liv
     yield from parts.values()
 
 
-def _rooted(patterns: Sequence[Pattern]) -> set[Term]:
+def _variables_with_triples(patterns: Sequence[Pattern]) -> set[Term]:
     """The variables for nodes that have triples of their own: no literals, nor the empty list that all graphs share."""
     rooted: set[Term] = {each.subject for each in patterns if not each.empty and isinstance(each.subject, Variable)}
     empties = [each for each in patterns if each.empty and isinstance(each.subject, Variable)]

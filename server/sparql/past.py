@@ -107,11 +107,11 @@ class PastQuery:
     def __init__(self, query: Query, vocabulary: VocabularyView) -> None:
         self._where = query.where
         self._vocabulary = vocabulary
-        named = [each.predicates for group in _matched(query.where) for each in group.patterns]
+        named = [each.predicates for group in _groups_of_default_graph(query.where) for each in group.patterns]
         self.predicates = None if None in named else frozenset().union(*(each for each in named if each is not None))
         self.recordings = frozenset(_recordings(query, vocabulary.base))
         self.is_linked = True
-        self.covered: Mapping[int, frozenset[str]] = self._covered()
+        self.covered: Mapping[int, frozenset[str]] = self._message_variables_by_group()
         """The variables that stand for recorded messages or nodes in them, by the `id` of the group they are in."""
         self.end = self._end(query.slice)
 
@@ -145,7 +145,7 @@ class PastQuery:
         )
         return found if is_time else None
 
-    def _covered(self) -> Mapping[int, frozenset[str]]:
+    def _message_variables_by_group(self) -> Mapping[int, frozenset[str]]:
         found: dict[int, frozenset[str]] = {}
         for _ in self._of(self._where, _Context(), ANY_TIME, found):
             pass
@@ -161,7 +161,7 @@ class PastQuery:
         own = [each for each in group.patterns if _is_past(each)]
         ends = {each.object.name for each in own if isinstance(each.object, Variable)}
         below = self._spread(group, outer.covered | ends)
-        covered = self._spread(group, below | self._joined(group))
+        covered = self._spread(group, below | self._certain_of_children(group))
         if seen is not None:
             seen[id(group)] = covered
         for pattern in own:
@@ -180,7 +180,7 @@ class PastQuery:
             else:
                 inner = around.restrict(child.given)
             yield from self._of(child, inner, now, seen)
-        bound = _bound(group) | self._joined(group)
+        bound = _bound(group) | self._certain_of_children(group)
         for child in group.filters:
             yield from self._of(child, _Context(known, topics, covered).restrict(bound), now, seen)
 
@@ -275,10 +275,10 @@ class PastQuery:
         if group.graph is not None:
             return _NOTHING
         own = (each.object.name for each in group.patterns if _is_past(each) and isinstance(each.object, Variable))
-        found = self._spread(group, frozenset(own)) | self._joined(group)
+        found = self._spread(group, frozenset(own)) | self._certain_of_children(group)
         return found & group.visible
 
-    def _joined(self, group: Group) -> frozenset[str]:
+    def _certain_of_children(self, group: Group) -> frozenset[str]:
         inner = (each for each in group.children if (each.joined and not each.alternative) or each.scoped)
         return frozenset().union(*map(self._certain, inner))
 
@@ -306,7 +306,7 @@ def _groups(group: Group) -> Iterator[Group]:
         yield from _groups(inner if inner.graph is not None else replace(inner, graph=group.graph))
 
 
-def _matched(group: Group) -> Iterator[Group]:
+def _groups_of_default_graph(group: Group) -> Iterator[Group]:
     """The groups whose patterns are matched in the default graph."""
     return (each for each in _groups(group) if each.graph is None)
 

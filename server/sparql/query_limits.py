@@ -58,7 +58,7 @@ class StopReason(Enum):
 
 def out_of_time(seconds: float) -> Problem:
     """The query was at it for longer than it may be."""
-    return _stopped(
+    return _stop_problem(
         StopReason.TIME, f"The query took longer than {seconds:g} s, which is its limit here: ask for less at a time."
     )
 
@@ -66,19 +66,19 @@ def out_of_time(seconds: float) -> Problem:
 def out_of_memory(memory: int) -> Problem:
     """The query wanted more memory than it may have."""
     mebibytes = memory // _MIB
-    return _stopped(
+    return _stop_problem(
         StopReason.MEMORY, f"The query needed more than {mebibytes} MiB of memory, this server's limit: ask for less."
     )
 
 
 def too_many_rows(rows: int) -> Problem:
     """The answer has more rows than one may have."""
-    return _stopped(StopReason.ROWS, f"The answer has more than {rows} rows, this server's limit: ask with LIMIT.")
+    return _stop_problem(StopReason.ROWS, f"The answer has more than {rows} rows, this server's limit: ask with LIMIT.")
 
 
 def too_much_past(words: str) -> Problem:
     """More of the past would have to be read than one query may read."""
-    return _stopped(
+    return _stop_problem(
         StopReason.PAST,
         f"{words} Ask for less: name in the group of each ros:past a topic (or its ros:name, or a field of one message "
         'type) and a time, as in FILTER(?received > NOW() - "PT60S"^^xsd:dayTimeDuration). What is asked of a message '
@@ -115,5 +115,5 @@ def dataset_behind() -> Problem:
     return Problem(503, words, headers=_RETRY_AFTER, extra={"reason": "starting"})
 
 
-def _stopped(reason: StopReason, detail: str) -> Problem:
+def _stop_problem(reason: StopReason, detail: str) -> Problem:
     return Problem(503, detail, extra={"reason": reason.value})

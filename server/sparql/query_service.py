@@ -128,11 +128,11 @@ class QueryService:
         reaches a limit (its `reason` is time, memory or rows), too many are being answered, or the dataset is not there
         yet, 500 where it ended the process that answered it.
         """
-        limits, until = self._begun(request)
+        limits, until = self._limits_of(request)
         analysis = await self._analyse(request.text, limits, until)
         media_type = results.choose_media_type(results.QUADS if request.quads else analysis.form, accept)
         await self._process.wait_ready(until)
-        needs = await self._needed(analysis, request, permissions)
+        needs = await self._needs_of(analysis, request, permissions)
         unread = await self._unread(needs, permissions)
         is_counted = row_limit.has_counter(media_type)
         body: bytes | AsyncIterator[bytes] = b""
@@ -140,7 +140,7 @@ class QueryService:
             async with self._sync(needs, limits, _scope(analysis, request)):
                 query = self._query(analysis, request, permissions, self._hiding(past))
                 work = AnswerWork(query, media_type, limits.rows, least)
-                body = await self._done(work, analysis.text, limits, until, disconnected, permissions)
+                body = await self._run_work(work, analysis.text, limits, until, disconnected, permissions)
             if not least or (body := await _whole(body)):
                 break
         return QueryAnswer(media_type, body, unread)
@@ -153,16 +153,18 @@ class QueryService:
         permissions: Permissions = ALLOW_ALL,
     ) -> ResultRows:
         """At most `limit` rows of the results, as terms, for a page. Raises as `answer` does."""
-        limits, until = self._begun(request)
+        limits, until = self._limits_of(request)
         analysis = await self._analyse(request.text, limits, until)
         await self._process.wait_ready(until)
-        needs = await self._needed(analysis, request, permissions)
+        needs = await self._needs_of(analysis, request, permissions)
         whole = b""
         async for past, least in self._read_past(analysis, request, permissions, limits, until, True):
             async with self._sync(needs, limits, _scope(analysis, request)):
                 query = self._query(analysis, request, permissions, self._hiding(past))
                 work = FirstRows(query, limit, least)
-                whole = await _whole(await self._done(work, analysis.text, limits, until, disconnected, permissions))
+                whole = await _whole(
+                    await self._run_work(work, analysis.text, limits, until, disconnected, permissions)
+                )
             if whole:
                 break
         table: ResultRows = pickle.loads(whole)  # from our own process
@@ -196,7 +198,7 @@ class QueryService:
         request = QueryRequest(text, default_graphs, named_graphs)
         return self._query(self._analyser.analyse(text), request, ALLOW_ALL)._replace(names_graphs=True)
 
-    def _begun(self, request: QueryRequest) -> tuple[Limits, float]:
+    def _limits_of(self, request: QueryRequest) -> tuple[Limits, float]:
         """The limits of a request, and when its time is over."""
         limits = self.limits
         if request.timeout is not None:
@@ -218,7 +220,7 @@ class QueryService:
         finally:
             self._long -= 1
 
-    async def _needed(self, analysis: Analysis, request: QueryRequest, permissions: Permissions) -> Needs:
+    async def _needs_of(self, analysis: Analysis, request: QueryRequest, permissions: Permissions) -> Needs:
         """What the query needs, with all documents that it names, as far as it may be read."""
         return _readable(await self._materializer.resolve_documents(_needs(analysis, request)), permissions)
 
@@ -293,7 +295,7 @@ class QueryService:
             past,
         )
 
-    async def _done(
+    async def _run_work(
         self,
         work: Work,
         text: str,

@@ -30,7 +30,7 @@ class ReceiptGraphs:
         self._container = space.container("activity")
         self._told = 0
         self._gone: list[tuple[int, str]] = []
-        journal.on_dropped(self._dropped)
+        journal.on_dropped(self._note_dropped)
 
     @property
     def version(self) -> int:
@@ -65,7 +65,7 @@ class ReceiptGraphs:
     def _line(self, url: str) -> str:
         return f"<{self._container}> {ldp.contains} <{url}> .\n"
 
-    def _dropped(self, entry: JournalEntry) -> None:
+    def _note_dropped(self, entry: JournalEntry) -> None:
         if entry.number <= self._told:
             self._gone.append((self._journal.version, entry.id))
 

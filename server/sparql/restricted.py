@@ -37,7 +37,7 @@ class RestrictedDatasets:
         self._process = process
         self._revision = revision
         self._kept: OrderedDict[str, _Restricted] = OrderedDict()
-        process.on_change(self._changed)
+        process.on_change(self._note_changes)
 
     async def dataset_for(self, permissions: Permissions, limits: Limits, until: float) -> int:
         """The number of the dataset as the judge lets it be seen, of now: to be asked at once. Raises Problems."""
@@ -60,7 +60,7 @@ class RestrictedDatasets:
         if dropped.generation == self._process.generation:
             self._process.drop(dropped.number)
 
-    def _changed(self, graphs: Mapping[str, str | None], edits: Sequence[Edit]) -> None:
+    def _note_changes(self, graphs: Mapping[str, str | None], edits: Sequence[Edit]) -> None:
         for each in self._kept.values():
             each.behind.update(dict.fromkeys((*graphs, *(edit.graph for edit in edits))))
 
@@ -90,19 +90,20 @@ class _Restricted:
             try:
                 if readable:
                     texts |= pickle.loads(await self._process.result(DumpGraphs(readable), limits, until))
-                    texts = await asyncio.to_thread(self._seen, texts)
+                    texts = await asyncio.to_thread(self._redact_all, texts)
                 self._process.change(texts, dataset=self.number)
             except BaseException:
                 self.behind.update(dict.fromkeys(part))
                 raise
 
-    def _seen(self, texts: Mapping[str, str | None]) -> dict[str, str | None]:
+    def _redact_all(self, texts: Mapping[str, str | None]) -> dict[str, str | None]:
         return {
-            graph: None if text is None else _redacted(graph, text, self._permissions) for graph, text in texts.items()
+            graph: None if text is None else _redact_graph(graph, text, self._permissions)
+            for graph, text in texts.items()
         }
 
 
-def _redacted(graph: str, text: str, permissions: Permissions) -> str:
+def _redact_graph(graph: str, text: str, permissions: Permissions) -> str:
     """The N-Triples of a graph as they may be read."""
     triples = tuple(quad.triple for quad in parse(text.encode(), RdfFormat.N_TRIPLES))
     left = redact_document(Document(graph, triples), permissions).triples

@@ -119,7 +119,7 @@ def _outline(name: str, text: str) -> tuple[StoredQuery, Mapping[str, int]]:
             parameters.append(parameter)
             lines[parameter.name] = number
         elif parameters and line:
-            raise ValueError(f"{name}:{number}: {_told(line)} must stand before the parameters, with the purpose")
+            raise ValueError(f"{name}:{number}: {_brief(line)} must stand before the parameters, with the purpose")
         elif line:
             purpose.append(line)
     if not purpose:
@@ -140,15 +140,15 @@ def _comments(text: str) -> Iterable[str]:
 def _parameter(line: str, where: str) -> QueryParameterDeclaration:
     match = _PARAMETER.fullmatch(line)
     if match is None:
-        raise ValueError(f"{where}: {_told(line)} should look like '@param seconds double 5 -- what it is'")
+        raise ValueError(f"{where}: {_brief(line)} should look like '@param seconds double 5 -- what it is'")
     name, kind, default = match["name"], match["type"], match["default"]
     if not _NAME.fullmatch(name):
-        raise ValueError(f"{where}: the parameter {_told(name)} must be named with ASCII letters, digits, underscores")
+        raise ValueError(f"{where}: the parameter {_brief(name)} must be named with ASCII letters, digits, underscores")
     if name in OTHER_SETTINGS:
         raise ValueError(f"{where}: no parameter can be called {name}: it says {OTHER_SETTINGS[name]}")
     if kind not in (one.value for one in ParameterType):
         raise ValueError(
-            f"{where}: {_told(kind)} is no type of parameter: take {', '.join(one.value for one in ParameterType)}"
+            f"{where}: {_brief(kind)} is no type of parameter: take {', '.join(one.value for one in ParameterType)}"
         )
     return QueryParameterDeclaration(name, ParameterType(kind), "" if default == '""' else default, match["about"])
 
@@ -208,7 +208,7 @@ def bind_parameters(query: StoredQuery, given: Mapping[str, str], base: str) -> 
     parameters that are unknown, missing or no value of their type; it names them all and says what there is.
     """
     known = {parameter.name for parameter in query.parameters}
-    wrong = [f"there is no parameter {_told(name)}" for name in given if name not in known]
+    wrong = [f"there is no parameter {_brief(name)}" for name in given if name not in known]
     terms: dict[str, str] = {}
     for parameter in query.parameters:
         try:
@@ -216,7 +216,7 @@ def bind_parameters(query: StoredQuery, given: Mapping[str, str], base: str) -> 
         except ValueError as error:
             wrong.append(f"{parameter.name}: {error}")
     if wrong:
-        raise _refused(query, wrong)
+        raise _refusal(query, wrong)
     return "".join(_with_terms(query, terms))
 
 
@@ -239,11 +239,11 @@ def _bound(parameter: QueryParameterDeclaration, given: str | None, base: str) -
     if given is None:
         raise ValueError(f"must be given; it is {parameter.about}")
     if _SURROGATE.search(given):
-        raise ValueError(f"{_told(given)} holds a lone surrogate, which is no character")
+        raise ValueError(f"{_brief(given)} holds a lone surrogate, which is no character")
     return _TERMS[parameter.type](given, base)
 
 
-def _refused(query: StoredQuery, wrong: list[str]) -> Problem:
+def _refusal(query: StoredQuery, wrong: list[str]) -> Problem:
     return Problem(
         400,
         f"The query {query.name} cannot be run so: {'; '.join(wrong)}. {_offer(query.parameters)}",
@@ -262,7 +262,7 @@ def _offer(parameters: tuple[QueryParameterDeclaration, ...]) -> str:
     return f"Its parameters: {', '.join(f'{one.name} ({one.type.value})' for one in parameters)}."
 
 
-def _told(value: str) -> str:
+def _brief(value: str) -> str:
     return repr(value if len(value) <= _LONGEST_TOLD else value[:_LONGEST_TOLD] + "...")
 
 
@@ -287,9 +287,9 @@ def _integer(value: str, base: str = "") -> str:
     try:
         number = int(NUMBERS[xsd.integer](value))
     except Misfit as error:
-        raise ValueError(f"{_told(value)} is no whole number, such as 42") from error
+        raise ValueError(f"{_brief(value)} is no whole number, such as 42") from error
     if number not in _INT64:
-        raise ValueError(f"{_told(value)} is beyond the 64 bits of the store's integers")
+        raise ValueError(f"{_brief(value)} is beyond the 64 bits of the store's integers")
     return f'"{number}"^^<{xsd.integer.value}>'
 
 
@@ -297,7 +297,7 @@ def _double(value: str, base: str = "") -> str:
     try:
         return str(double(float(NUMBERS[xsd.double](value))))
     except Misfit as error:
-        raise ValueError(f"{_told(value)} is no number, such as 2.5") from error
+        raise ValueError(f"{_brief(value)} is no number, such as 2.5") from error
 
 
 def _iri(value: str, base: str) -> str:
@@ -306,7 +306,7 @@ def _iri(value: str, base: str) -> str:
         node = NamedNode(written)
     except ValueError as error:
         raise ValueError(
-            f"{_told(value)} is neither an absolute IRI nor a path such as /topics/x ({error})"
+            f"{_brief(value)} is neither an absolute IRI nor a path such as /topics/x ({error})"
         ) from error  # fmt: skip
     return f"<{node.value}>"
 
@@ -318,7 +318,7 @@ def _url(path: str, base: str) -> str:
     location = locate(match[1])
     space = Space(base)
     if location.kind not in SECTIONS and path != "/":
-        raise ValueError(f"{_told(path)} is no path of this server, such as /topics/x or /nodes/x")
+        raise ValueError(f"{_brief(path)} is no path of this server, such as /topics/x or /nodes/x")
     if not location.kind:
         return base
     written = space.url(location.kind, location.segments)

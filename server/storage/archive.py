@@ -137,7 +137,7 @@ class ArchiveReader:
         ):
             try:
                 with _sound():
-                    count, sizes, gone = self._checked(records)
+                    count, sizes, gone = self._check_records(records)
                     self._blobs(sizes, new, blobs)
                     moved = _Moved(self.base, base, new)
                     freed = _replace_all(connection, (moved.entry(_entry(line)) for line in records), gone)
@@ -147,7 +147,7 @@ class ArchiveReader:
                 raise
         return ArchiveCounts(count, len(new)), freed
 
-    def _checked(self, records: IO[bytes]) -> tuple[int, dict[str, int], list[str]]:
+    def _check_records(self, records: IO[bytes]) -> tuple[int, dict[str, int], list[str]]:
         """Copies and checks the records: how many, the sizes of blobs by id, the paths that are gone."""
         shutil.copyfileobj(self._member(_RECORDS), records)
         records.seek(0)
@@ -272,20 +272,22 @@ def _blob(told: Mapping[str, object]) -> Blob:
     size = told["size"]
     if type(size) is not int or not 0 <= size < _MAX_NUMBER:
         raise ValueError(f"{size!r} is no size")
-    return Blob(_matched(ID, told["id"], "an id"), size, _matched(_MEDIA_TYPE, told["media_type"], "a media type"))
+    return Blob(
+        _require_match(ID, told["id"], "an id"), size, _require_match(_MEDIA_TYPE, told["media_type"], "a media type")
+    )
 
 
 def _member(told: object) -> str:
-    return NO_MEMBER if told == NO_MEMBER else _matched(_IRI, told, "an IRI")
+    return NO_MEMBER if told == NO_MEMBER else _require_match(_IRI, told, "an IRI")
 
 
 def _membership(told: Mapping[str, object]) -> Membership:
     content = told["content"]
     return Membership(
-        _matched(_IRI, told["resource"], "an IRI"),
-        _matched(_IRI, told["relation"], "an IRI"),
+        _require_match(_IRI, told["resource"], "an IRI"),
+        _require_match(_IRI, told["relation"], "an IRI"),
         told["inverse"] is True,
-        None if content is None else _matched(_IRI, content, "an IRI"),
+        None if content is None else _require_match(_IRI, content, "an IRI"),
     )
 
 
@@ -306,10 +308,10 @@ def _check(record: Record, sizes: dict[str, int]) -> None:
 
 
 def _path(value: object) -> str:
-    return _matched(_PATH, value, "a path")
+    return _require_match(_PATH, value, "a path")
 
 
-def _matched(pattern: re.Pattern[str], value: object, what: str) -> str:
+def _require_match(pattern: re.Pattern[str], value: object, what: str) -> str:
     if not isinstance(value, str) or pattern.fullmatch(value) is None:
         raise ValueError(f"{value!r} is not {what}")
     return value

@@ -48,7 +48,7 @@ class Blobs:
         id = secrets.token_hex(16)
         part = self._folder / (id + _PART)
         try:
-            with _told():
+            with _disk_errors():
                 file = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
             try:
                 size = await _fill(file, chunks, limit)
@@ -67,7 +67,7 @@ class Blobs:
             part.rename(path)
             sync_folder(self._folder)
 
-        with _told():
+        with _disk_errors():
             if self._durable:
                 await _finish(settle)
             else:
@@ -166,7 +166,7 @@ def storage_error(error: OSError) -> StorageError:
 
 
 @contextmanager
-def _told() -> Iterator[None]:
+def _disk_errors() -> Iterator[None]:
     """Turns what the disk refuses into a StorageError."""
     try:
         yield
@@ -184,10 +184,10 @@ async def _fill(file: int, chunks: AsyncIterator[bytes], limit: int) -> int:
         waiting.append(chunk)
         held += len(chunk)
         if held > _AT_ONCE:
-            with _told():
+            with _disk_errors():
                 await _finish(_write, file, waiting)
             held, waiting = 0, []
-    with _told():
+    with _disk_errors():
         _write(file, waiting)
     return size
 

@@ -79,7 +79,7 @@ def require_unchanged(managed: Sequence[Triple], record: Record, url: str) -> No
         now = [one.object for one in present if one.predicate == each.predicate]
         if each.predicate in TIMES and _is_a_time_of(each, now, record):
             continue
-        raise _refused(each, now)
+        raise _refusal(each, now)
 
 
 def require_membership(membership: Membership, managed: Sequence[Triple], url: str) -> None:
@@ -89,7 +89,7 @@ def require_membership(membership: Membership, managed: Sequence[Triple], url: s
         is_default = each.predicate == ldp.insertedContentRelation and membership.content is None
         if each.predicate not in MEMBERSHIP or each in present or (is_default and each.object == ldp.MemberSubject):
             continue
-        raise _refused(each, [one.object for one in present if one.predicate == each.predicate])
+        raise _refusal(each, [one.object for one in present if one.predicate == each.predicate])
 
 
 def _is_a_time_of(said: Triple, now: Sequence[object], record: Record) -> bool:
@@ -106,6 +106,6 @@ def _milliseconds(value: object) -> int | None:
     return None if at is None else at // _MILLISECOND
 
 
-def _refused(said: Triple, now: Sequence[object]) -> Problem:
+def _refusal(said: Triple, now: Sequence[object]) -> Problem:
     is_so = f"is {' and '.join(map(str, now))} here" if now else "is not said here"
     return Problem(409, f"{said.predicate.value} {is_so}, and not a client's to change: leave {said.object} away.")

@@ -97,7 +97,7 @@ class _Times:
         certain = max((version for version in told.values() if version <= after), default=0)
         for line in [line for line, version in told.items() if version < certain]:
             del told[line]
-        now = _modified(record, self._base + record.path)
+        now = _modified_triples(record, self._base + record.path)
         told[now] = max(record.version, record.listed)
         return now, "".join(line for line in told if line != now)
 
@@ -276,7 +276,7 @@ def _managed_lines(record: Record, url: str) -> frozenset[str]:
     return frozenset(_text(without_statements(record, url), url, _nothing).splitlines(keepends=True))
 
 
-def _modified(record: Record, url: str) -> str:
+def _modified_triples(record: Record, url: str) -> str:
     """What it says of when it was modified."""
     said = tuple(each for each in managed_triples(record, url) if each.predicate == dcterms.modified)
     return serialize(Document(url, said), Syntax.N_TRIPLES).decode()

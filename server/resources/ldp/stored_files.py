@@ -56,12 +56,12 @@ class StoredFile(StoredResource):
         while True:
             record = self.require_record()
             try:
-                return await self._sent(exchange, record)
+                return await self._file_response(exchange, record)
             except FileNotFoundError:
                 if self.documents.records.get(self.path) is record:  # nobody has replaced it meanwhile
                     raise
 
-    async def _sent(self, exchange: Exchange, record: Record) -> Response:
+    async def _file_response(self, exchange: Exchange, record: Record) -> Response:
         """The answer with its bytes. Raises FileNotFoundError where they are no more."""
         assert record.blob is not None
         etag = ETag(f"{self.documents.records.identity}-{record.version}", "bin")

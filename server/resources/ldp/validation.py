@@ -78,7 +78,7 @@ class MappingValidator:
     async def validate(self, write: Write) -> Callable[[], None]:
         url = self._space.base + write.path
         if isinstance(write, Remove):
-            return self._told(lambda: self._mappings.remove(url))
+            return self._announce_after(lambda: self._mappings.remove(url))
         if write.model is not Model.RDF_SOURCE or "/" in write.path.removeprefix(MAPPINGS):
             container = self._space.base + MAPPINGS
             raise Problem(
@@ -86,9 +86,9 @@ class MappingValidator:
             )
         document = await asyncio.to_thread(stored_mapping, _unpack(write), url)  # a large one takes its time
         self._mappings.check(document)
-        return self._told(lambda: self._mappings.replace(document))
+        return self._announce_after(lambda: self._mappings.replace(document))
 
-    def _told(self, act: Callable[[], None]) -> Callable[[], None]:
+    def _announce_after(self, act: Callable[[], None]) -> Callable[[], None]:
         def sequel() -> None:
             act()
             self._announce()
@@ -164,7 +164,7 @@ class LimitsValidator:
     async def validate(self, write: Write) -> Callable[[], None]:
         limits, url = self._limits, self._space.base + write.path
         if isinstance(write, Remove):
-            return self._told(lambda: limits.remove(url))
+            return self._announce_after(lambda: limits.remove(url))
         if write.model is not Model.RDF_SOURCE or "/" in write.path.removeprefix(SHAPES):
             container = self._space.base + SHAPES
             raise Problem(409, f"Limits are an RDF source directly under {container}: nothing else has a place there.")
@@ -173,9 +173,9 @@ class LimitsValidator:
         except ValueError as error:
             words = f"These limits cannot be put in force: {error}. Relative IRIs are relative to {url}."
             raise Problem(422, words) from error
-        return self._told(lambda: limits.replace(url, graph))
+        return self._announce_after(lambda: limits.replace(url, graph))
 
-    def _told(self, act: Callable[[], None]) -> Callable[[], None]:
+    def _announce_after(self, act: Callable[[], None]) -> Callable[[], None]:
         def sequel() -> None:
             act()
             self._states.clear()  # bounds are part of what resources say of themselves

@@ -23,10 +23,12 @@ async def load_documents(
     Raises Problems: 403 for a document that is not `allowed`, 422 where no graph is named or no RDF is found, 502 where
     nothing is found; none for LOAD SILENT, which then does nothing.
     """
-    return [await _found(each, allowed, seconds, limit) if isinstance(each, Load) else each for each in operations]
+    return [
+        await _load_or_nothing(each, allowed, seconds, limit) if isinstance(each, Load) else each for each in operations
+    ]
 
 
-async def _found(load: Load, allowed: frozenset[str], seconds: float, limit: int) -> Modify:
+async def _load_or_nothing(load: Load, allowed: frozenset[str], seconds: float, limit: int) -> Modify:
     try:
         return await _insertion(load, allowed, seconds, limit)
     except Problem:

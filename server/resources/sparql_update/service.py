@@ -158,7 +158,9 @@ class UpdateService:
         more: frozenset[str] = frozenset()
         turns: frozenset[str] = frozenset()
         for _ in range(ATTEMPTS):
-            async with self._held(turns):  # where others write these graphs all the time, it is drawn in its turn
+            async with self._lock_graphs(
+                turns
+            ):  # where others write these graphs all the time, it is drawn in its turn
                 drawn = await self._evaluator.evaluate(operations, more)
                 unseen = self._unseen(drawn)
                 if unseen - more:
@@ -197,15 +199,15 @@ class UpdateService:
             return
         moved = [operation.source] if operation.verb is GraphVerb.MOVE else []
         for graph in (operation.target, *moved):
-            if isinstance(graph, str) and not isinstance(self._found(graph), StoredResource):
+            if isinstance(graph, str) and not isinstance(self._resource_of(graph), StoredResource):
                 words = f"{operation.verb.value} is for what clients keep, and <{graph}> is the robot's."
                 raise Problem(403, f"{words} Nothing was done.", extra={"graph": graph})
 
     def is_stored(self, graph: str) -> bool:
         """Whether clients keep the graph of this name, or may."""
-        return isinstance(self._found(graph), StoredResource)
+        return isinstance(self._resource_of(graph), StoredResource)
 
-    def _found(self, graph: str) -> Resource | None:
+    def _resource_of(self, graph: str) -> Resource | None:
         """The resource whose graph this is; None where nothing of this server has that URL."""
         base = self._session.space.base
         if not graph.startswith(base) or "?" in graph or "#" in graph:
@@ -217,7 +219,7 @@ class UpdateService:
         return resource if resource.url == graph else None
 
     def _resource(self, graph: str) -> Resource:
-        found = self._found(graph)
+        found = self._resource_of(graph)
         if found is None:
             base = self._session.space.base
             raise Problem(403, f"It is no graph that can be written here; {base}data/ and below keep what you like.")
@@ -240,7 +242,7 @@ class UpdateService:
                 )
             if not await self._holds(drawn, targets):
                 return None
-            return await self._done(plans)
+            return await self._carry_out(plans)
 
     async def _targets(self, changes: Sequence[GraphChange], permissions: Permissions) -> Sequence[Target]:
         """What is written; the Problem of all that cannot be written whatever they are to say, if any is."""
@@ -260,7 +262,7 @@ class UpdateService:
         return found
 
     @contextlib.asynccontextmanager
-    async def _held(self, graphs: Set[str]) -> AsyncIterator[None]:
+    async def _lock_graphs(self, graphs: Set[str]) -> AsyncIterator[None]:
         """Within it nobody else carries out a write that depends on what one of these graphs says."""
         async with contextlib.AsyncExitStack() as held:
             for graph in sorted(graphs):
@@ -271,7 +273,9 @@ class UpdateService:
     async def _turns(self, targets: Sequence[Target], held_already: Set[str]) -> AsyncIterator[None]:
         """Within it nobody else changes what the plans for these targets depend on."""
         async with contextlib.AsyncExitStack() as held:
-            await held.enter_async_context(self._held({target.resource.url for target in targets} - held_already))
+            await held.enter_async_context(
+                self._lock_graphs({target.resource.url for target in targets} - held_already)
+            )
             members = [each.resource for each in targets if isinstance(each.resource, MemberResource | ComplexResource)]
             if members:
                 tree = await self._affordances.tree()
@@ -315,7 +319,7 @@ class UpdateService:
         await resource.prepare()
         return await resource.plan_graph_write(change.after)
 
-    async def _done(self, plans: Sequence[PlannedGraph]) -> Response | None:
+    async def _carry_out(self, plans: Sequence[PlannedGraph]) -> Response | None:
         """Carry plans out: what is kept in one transaction, then what moves the robot, one after the other."""
         kept = [(graph, plan) for graph, plan in plans if isinstance(plan, StorageWrite)]
         moves = [(graph, plan) for graph, plan in plans if isinstance(plan, RobotWrite)]

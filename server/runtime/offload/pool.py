@@ -58,7 +58,7 @@ class WorkerPool:
 
         Raises Problems: 503 where too much waits or a worker ended early, 507 where its memory did not suffice.
         """
-        data = _pickled(work)
+        data = _pickle(work)
         if data is None:
             return await asyncio.to_thread(work)
         if self._waiting >= MAX_QUEUED:
@@ -84,7 +84,7 @@ class WorkerPool:
                 worker.end()
                 if worker.has_worked and not is_new and time.monotonic() - begun < _AT_ONCE_SECONDS:
                     continue  # it had ended since its last work: another one does it
-                raise _ended(self._seconds) from error
+                raise _too_much(self._seconds) from error
             except BaseException:
                 worker.end()
                 raise
@@ -164,7 +164,7 @@ class _Worker:
         asyncio.get_running_loop().run_in_executor(None, self._process.wait)
 
 
-def _pickled(work: Work[object]) -> bytes | None:
+def _pickle(work: Work[object]) -> bytes | None:
     """Work for another process; None where it must stay in this one."""
     if not HAS_PROCESSES:
         return None
@@ -200,6 +200,6 @@ def _result(outcome: Outcome, value: object) -> object:
     raise RuntimeError("a worker process failed")
 
 
-def _ended(seconds: float) -> Problem:
+def _too_much(seconds: float) -> Problem:
     words = f"This document takes more than {seconds:g} s to be worked on, or more memory than there is"
     return Problem(503, f"{words}: split it into several.", headers={"Retry-After": "60"})

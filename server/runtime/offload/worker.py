@@ -43,7 +43,7 @@ def main() -> None:
     with socket.socket(fileno=0) as connection:
         while (data := _read(connection)) is not None:
             signal.setitimer(signal.ITIMER_REAL, seconds)
-            reply = _done(data)
+            reply = _do(data)
             del data
             signal.setitimer(signal.ITIMER_REAL, 0)
             connection.sendall(LENGTH.pack(len(reply)))
@@ -67,7 +67,7 @@ def _take_limits(memory: int) -> None:
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
-def _done(data: bytes) -> bytes:
+def _do(data: bytes) -> bytes:
     """Do work: its outcome, pickled."""
     outcome: tuple[Outcome, object]
     try:

@@ -270,7 +270,7 @@ class QueryProcess:
     def _blame(self, status: int, number: int) -> None:
         """Fail all jobs: the one of this number, which it was at, where that ended it, all others with a 503."""
         guilty = None if status == -signal.SIGKILL else self._jobs.get(number)
-        what = "" if guilty is None else f" by {_shown(guilty.work)}"
+        what = "" if guilty is None else f" by {_brief_work(guilty.work)}"
         how = f"signal {-status}" if status < 0 else f"exit {status}"
         _log.error("the query process was ended%s (%s); it is started again", what, how)
         if guilty is not None and not guilty.first.done():
@@ -292,6 +292,6 @@ def _looked_at(future: asyncio.Future[ExitStatus]) -> None:
         future.exception()
 
 
-def _shown(work: Work) -> str:
+def _brief_work(work: Work) -> str:
     text = repr(work)
     return text if len(text) <= 2000 else text[:2000] + "..."

@@ -96,7 +96,7 @@ def join_plan(where: Group, words: Sequence[str], tokens: int) -> JoinPlan | Non
     steps = [*_steps(where)]
     if None in steps or not 0 < len(steps) <= _MAX_PATTERNS:
         return None
-    ordered = _ordered([step for step in steps if step is not None])
+    ordered = _join_order([step for step in steps if step is not None])
     graphs = graphs_around(where) or frozenset()
     graph = next(iter(graphs)) if len(graphs) == 1 else None
     return None if ordered is None and graph is None else JoinPlan(ordered or (), len(steps), graph, tokens)
@@ -127,13 +127,13 @@ def _slot(term: Term) -> str | None:
     return term.name or None if isinstance(term, Variable) else None
 
 
-def _ordered(steps: list[PlanStep]) -> tuple[PlanStep, ...] | None:
+def _join_order(steps: list[PlanStep]) -> tuple[PlanStep, ...] | None:
     """The steps as the store joins them, greedily; None where it must scan for one."""
     known: set[str] = set()
     ordered: list[PlanStep] = []
     while steps:
         connected = [step for step in steps if step.names & known] or steps
-        step = min(connected, key=lambda each: _ESTIMATES[_known(each, known)])
+        step = min(connected, key=lambda each: _ESTIMATES[_known_terms(each, known)])
         if not _is_anchored(step, known):
             return None
         steps.remove(step)
@@ -143,7 +143,7 @@ def _ordered(steps: list[PlanStep]) -> tuple[PlanStep, ...] | None:
 
 
 def _is_anchored(step: PlanStep, known: set[str]) -> bool:
-    subject, predicate, object = _known(step, known)
+    subject, predicate, object = _known_terms(step, known)
     return subject or (predicate and object and step.object is not None)
 
 
@@ -151,7 +151,7 @@ def _is_iri(slot: str) -> bool:
     return slot.startswith("<")
 
 
-def _known(step: PlanStep, known: set[str]) -> tuple[bool, bool, bool]:
+def _known_terms(step: PlanStep, known: set[str]) -> tuple[bool, bool, bool]:
     """Whether subject, predicate and object are known when it is looked up."""
     subject = _is_iri(step.subject) or step.subject in known
     object = step.object is None or _is_iri(step.object) or step.object in known

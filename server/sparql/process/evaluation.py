@@ -131,17 +131,17 @@ class Evaluation:
         """It takes a while: see whether the client hangs up."""
         if self._hung_up is not None and self._watch is None:
             self._watch = asyncio.ensure_future(self._hung_up())
-            self._watch.add_done_callback(self._left)
+            self._watch.add_done_callback(self._on_disconnect)
 
-    def _left(self, watch: asyncio.Future[None]) -> None:
+    def _on_disconnect(self, watch: asyncio.Future[None]) -> None:
         """The client has hung up, unless the watch was ended."""
         if watch.cancelled() or watch.exception() is not None:
             return
         self._process.cancel(self._number)
         if not self._pending.first.done():
-            self._pending.first.set_exception(_gone())
+            self._pending.first.set_exception(_client_gone())
         elif self._transport is not None:
-            self._reader.set_exception(_gone())
+            self._reader.set_exception(_client_gone())
 
     def _end(self) -> None:
         if self._watch is not None:
@@ -207,5 +207,5 @@ class Evaluation:
         return None
 
 
-def _gone() -> Problem:
+def _client_gone() -> Problem:
     return Problem(503, "The client has hung up.")

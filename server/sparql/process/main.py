@@ -151,7 +151,7 @@ class QueryProcessMain:
     def _begin(self, job: Job) -> None:
         store = self._stores[job.dataset]
         self._at_work.set_job(job.number)
-        is_done = not job.work.may_take_long(store) and self._done(job, store)
+        is_done = not job.work.may_take_long(store) and self._do_here(job, store)
         self._at_work.set_job(0)
         if is_done:
             return
@@ -163,7 +163,7 @@ class QueryProcessMain:
         else:
             self._send(Kind.RAISED, job.number, pickle_error(too_many_queries()))
 
-    def _done(self, job: Job, store: MemoryStore) -> bool:
+    def _do_here(self, job: Job, store: MemoryStore) -> bool:
         """Do a job here; False where it turns out to be too much."""
         output = _Few()
         signal.setitimer(signal.ITIMER_REAL, _SECONDS)

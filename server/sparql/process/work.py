@@ -97,14 +97,14 @@ class QueryWork(NamedTuple):
             self.text,
             base=self.base,
             prefixes=self.prefixes,
-            functions=self._known(),
+            functions=self._callable_functions(),
             default_graphs=self.default_graphs,
             named_graphs=self.named_graphs,
             is_merged=is_merged,
             has_past=self.past is not None,
         )
 
-    def _known(self) -> Mapping[str, Function]:
+    def _callable_functions(self) -> Mapping[str, Function]:
         """The functions that it may call, with those that nobody knows: calling one is an error of its expression."""
         known = _LASTING if self.ages is None else functions(self.ages.get)
         more = unknown_functions(self.functions) if self.functions else {}
@@ -141,12 +141,12 @@ class AnswerWork(NamedTuple):
         with _reaching_others():
             found = self.query.results(store)
             limited = row_limit.limit_rows(output, self.media_type, isinstance(found, QueryTriples), self.limit)
-            counted = _unlimited if limited is not output else row_limit.RowCounter(_unlimited, self.limit).count
+            counted = _never_stop if limited is not output else row_limit.RowCounter(_never_stop, self.limit).count
             if not self.least:
                 results.write_results(found, self.media_type, limited, counted, self.query.base)
                 return
             held = io.BytesIO()
-            results.write_results(found, self.media_type, held, _unlimited, self.query.base)
+            results.write_results(found, self.media_type, held, _never_stop, self.query.base)
             if row_limit.count_rows(held.getvalue(), self.media_type) >= self.least:
                 limited.write(held.getvalue())
 
@@ -163,7 +163,7 @@ class TableWork(NamedTuple):
 
     def __call__(self, store: MemoryStore, output: BinaryIO) -> None:
         with _reaching_others():
-            table = results.result_rows(self.query.results(store), self.limit, _unlimited)
+            table = results.result_rows(self.query.results(store), self.limit, _never_stop)
             if len(table.rows) >= min(self.least, self.limit):
                 output.write(pickle.dumps(table))
 
@@ -179,7 +179,7 @@ def _reaching_others() -> Iterator[None]:
         raise Problem(502, f"Another endpoint that the query asks failed: {error}.") from error
 
 
-def _unlimited() -> None:
+def _never_stop() -> None:
     """Nothing has to be looked at: a fork is killed in time."""
 
 

@@ -76,7 +76,7 @@ class ExpressionParser(TripleParser):
             return self._call_by_iri(token, self.expect_iri(), group)
         if token.kind is not Kind.WORD or self.key in ("TRUE", "FALSE"):
             self.fail_expecting(expected)
-        return self._named(group)
+        return self._builtin_call(group)
 
     def expression(self, group: Group) -> Expression:
         """Operands and the operators between them."""
@@ -140,7 +140,7 @@ class ExpressionParser(TripleParser):
         elif (literal := self.literal()) is not None:
             parts.append(literal)
         elif kind is Kind.WORD:
-            parts.append(self._named(group))
+            parts.append(self._builtin_call(group))
         else:
             self.fail_unknown(_EXPRESSION)
 
@@ -151,7 +151,7 @@ class ExpressionParser(TripleParser):
 
     # --- calls
 
-    def _named(self, group: Group) -> Operand:
+    def _builtin_call(self, group: Group) -> Operand:
         """EXISTS, an aggregate or a function that has a name of its own."""
         token, name = self.token, self.key
         if name in ("EXISTS", "NOT"):

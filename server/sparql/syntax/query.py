@@ -181,12 +181,12 @@ class QueryParser(ExpressionParser):
         group = self.group(graph)
         solutions = self._modifiers(asked)
         group.filters.extend(asked.filters)
-        group.visible = self._told(selection, group.visible, solutions)
+        group.visible = self._selected_variables(selection, group.visible, solutions)
         selected = (operand for _, operand in selection.items or () if operand is not None)
         is_grouped = solutions.grouped is not None or any(map(has_aggregate, (*solutions.operands, *selected)))
         return group, None if is_grouped else solutions.slice
 
-    def _told(self, selection: _Selection, visible: set[str], solutions: _Solutions) -> set[str]:
+    def _selected_variables(self, selection: _Selection, visible: set[str], solutions: _Solutions) -> set[str]:
         """The variables that a SELECT tells, its rules on scope and groups being kept (18.2.1, 18.2.4.1, 19.8)."""
         items, grouped = selection.items, solutions.grouped
         operands = (*solutions.operands, *(operand for _, operand in items or () if operand is not None))
@@ -226,7 +226,7 @@ class QueryParser(ExpressionParser):
         operands: list[Operand] = []
         if self.take("GROUP"):
             self.expect("BY", "after GROUP")
-            grouped = {name for name in self._grouped(asked) if name is not None}
+            grouped = {name for name in self._group_variables(asked) if name is not None}
         if self.take("HAVING"):
             while True:
                 operands.append(self.constraint(asked))
@@ -237,7 +237,7 @@ class QueryParser(ExpressionParser):
         if self.take("ORDER"):
             self.expect("BY", "after ORDER")
             is_descending = self.key == "DESC"
-            ordered = self._ordered(asked)
+            ordered = self._order_operands(asked)
             first = ordered[0]
             operands += ordered
         numbers: dict[str, int] = {}
@@ -254,7 +254,7 @@ class QueryParser(ExpressionParser):
             slice = Slice(numbers["LIMIT"], numbers.get("OFFSET", 0), first, is_descending)
         return _Solutions(None if grouped is None else frozenset(grouped), tuple(operands), slice)
 
-    def _grouped(self, asked: Group) -> list[str | None]:
+    def _group_variables(self, asked: Group) -> list[str | None]:
         """The variables of GROUP BY, None for what has no name."""
         names: list[str | None] = []
         while True:
@@ -269,7 +269,7 @@ class QueryParser(ExpressionParser):
             if not self._is_at_condition:
                 return names
 
-    def _ordered(self, asked: Group) -> list[Operand]:
+    def _order_operands(self, asked: Group) -> list[Operand]:
         operands: list[Operand] = []
         while True:
             start, direction = self.token.start, "ASC"

@@ -236,11 +236,11 @@ class TripleParser(Cursor):
             self.expect(")", "after the path")
             return path
         if self.take("!"):
-            self._negated()
+            self._negated_property_set()
             return Choice(())
         return PathStep(self._type_or_iri(_PREDICATE))
 
-    def _negated(self) -> None:
+    def _negated_property_set(self) -> None:
         """A negated property set, whose members say nothing of what may match."""
         if not self.take("("):
             self._negated_one()

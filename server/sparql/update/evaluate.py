@@ -55,32 +55,32 @@ class StagingDataset:
 
     def is_there(self, graph: str) -> bool:
         """Whether there is such a graph by now."""
-        return self._touched(graph) is not None
+        return self._triples_of(graph) is not None
 
     def remove(self, quads: Iterable[Quad]) -> None:
         """Take quads away, as far as they are there."""
         for quad in quads:
-            triples = self._touched(_name(quad))
+            triples = self._triples_of(_name(quad))
             if triples is not None:
                 triples.pop(quad.triple, None)
             if self._dataset is not None:
-                self._dataset.remove(_stored(quad))
+                self._dataset.remove(_encode_object(quad))
 
     def insert(self, quads: Iterable[Quad]) -> None:
         """Add quads, and with them graphs that were not there."""
         for quad in quads:
             self.create(_name(quad))[quad.triple] = None
             if self._dataset is not None:
-                self._dataset.add(_stored(quad))
+                self._dataset.add(_encode_object(quad))
 
     def quads(self, graph: str) -> list[Quad]:
         """The quads of a graph as it is by now."""
         name = NamedNode(graph)
-        return [Quad(each.subject, each.predicate, each.object, name) for each in self._touched(graph) or ()]
+        return [Quad(each.subject, each.predicate, each.object, name) for each in self._triples_of(graph) or ()]
 
     def create(self, graph: str) -> dict[Triple, None]:
         """The triples of a graph, which is there from now on."""
-        triples = self._touched(graph)
+        triples = self._triples_of(graph)
         if triples is None:
             triples = self._now[graph] = {}
         return triples
@@ -101,14 +101,14 @@ class StagingDataset:
                 found.append(GraphChange(graph, before is not None, None if now is None else tuple(now)))
         return tuple(found)
 
-    def _touched(self, graph: str) -> dict[Triple, None] | None:
+    def _triples_of(self, graph: str) -> dict[Triple, None] | None:
         if graph not in self._before:
             found = self._before[graph] = self._look(graph)
             self._now[graph] = None if found is None else dict.fromkeys(found)
         return self._now[graph]
 
 
-def _stored(quad: Quad) -> Quad:
+def _encode_object(quad: Quad) -> Quad:
     """The quad with its object as a dataset stores it."""
     if not isinstance(quad.object, Literal):
         return quad
@@ -148,10 +148,10 @@ def has_copy(operations: Sequence[Operation]) -> bool:
 
 def named_graphs(operations: Sequence[Operation]) -> frozenset[str]:
     """The graphs that operations change, or take triples from, by their names."""
-    return frozenset(_named(operations))
+    return frozenset(_named_graphs(operations))
 
 
-def _named(operations: Sequence[Operation]) -> Iterator[str]:
+def _named_graphs(operations: Sequence[Operation]) -> Iterator[str]:
     for operation in operations:
         match operation:
             case Modify(deletes, inserts):
@@ -175,14 +175,14 @@ def _modify(operation: Modify, canvas: StagingDataset, ask: WhereEvaluator) -> N
             )
     where = operation.where
     holes = () if where is None else where.variables
-    rows = [()] if where is None else list(_bounded(ask(where)))
+    rows = [()] if where is None else list(_limit_rows(ask(where)))
     removed = [quad for row in rows for quad in fill_templates(operation.deletes, dict(zip(holes, row, strict=True)))]
     added = [quad for row in rows for quad in fill_templates(operation.inserts, dict(zip(holes, row, strict=True)))]
     canvas.remove(dict.fromkeys(removed))
     canvas.insert(dict.fromkeys(added))
 
 
-def _bounded(rows: Iterable[Row]) -> Iterator[Row]:
+def _limit_rows(rows: Iterable[Row]) -> Iterator[Row]:
     for number, row in enumerate(rows):
         if number == MAX_ROWS:
             raise Problem(422, f"A WHERE has more than {MAX_ROWS} solutions, which is the most here: change less.")

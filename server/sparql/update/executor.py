@@ -55,7 +55,7 @@ class UpdateEvaluator:
 
         Raises Problems as a query does, and those of `drawing.draw`.
         """
-        asked = [self._asked(each) for each in _wheres(operations)]
+        asked = [self._ask_where(each) for each in _wheres(operations)]
         graphs = named_graphs(operations) | more
         needs = _together(asked, graphs)
         templates = sum(len(each.inserts) + len(each.deletes) for each in operations if isinstance(each, Modify))
@@ -72,7 +72,7 @@ class UpdateEvaluator:
         )
         return Delta(changes, _read(needs, seen), seen.stored, graphs | needs.documents)
 
-    def _asked(self, where: Where) -> _Asked:
+    def _ask_where(self, where: Where) -> _Asked:
         analysis = self._analyser.analyse(where.query)
         if analysis.past is not None:
             raise Problem(400, "ros:past is for queries, and this is an update: ask first, then write what you found.")

@@ -13,7 +13,8 @@ from rosld.ontology.cockpit import Panel, PanelKind
 from rosld.ontology.describe_plot import PlottedNumber
 from rosld.ontology.document import Document, LiftedMessage
 from rosld.ontology.fields import field_at
-from rosld.server.html.description import describe
+from rosld.ontology.vocab import rdf, ros
+from rosld.server.html.description import describe, objects_of
 from rosld.server.html.forms import Form, HoldForm
 from rosld.server.html.messages import message_view, scalar_view
 from rosld.server.html.offer import FormTarget, PropertyValueView, form_targets, value_of
@@ -203,6 +204,8 @@ def _view(filled: FilledPanel, number: int, site: Site, csrf: Csrf, plot: str, *
             return replace(view, part="words", body=escape_controls(words))
         case StatesContent(states):
             return replace(view, part="states", body=StatesBody(states[:MAX_STATES], max(0, len(states) - MAX_STATES)))
+        case ValueContent(document) if _is_silent(document):
+            return replace(view, part="words", body="No message has come yet.")
         case ValueContent():
             return replace(view, part="value", body=_values(filled.content, panel.fields, site))
         case PlotContent(numbers, references):
@@ -223,6 +226,12 @@ def _view(filled: FilledPanel, number: int, site: Site, csrf: Csrf, plot: str, *
         case SpaceContent(reference):
             href = f"{site.root}{reference}"
             return replace(view, part="space", body=href, anchor=Anchor(href, title, target))
+
+
+def _is_silent(document: Document) -> bool:
+    """Whether a document is that of a topic without a message: what else it says is no value of the robot."""
+    is_topic = ros.Topic in objects_of(document, rdf.type)
+    return is_topic and not document.messages and not objects_of(document, ros.unreadable)
 
 
 def _default_title(panel: Panel, site: Site) -> str:

@@ -101,6 +101,15 @@ def test_a_recording_that_does_not_tell_who_published_has_panels(
     assert [each.shows for each in panels] == [(f"{served.url}topics/walk/point",)]
 
 
+def test_a_topic_without_a_message_is_no_table_of_rdf() -> None:
+    robot = MadeUp()
+    robot.topic("/words", "std_msgs/msg/String")
+    with served(robot) as http:
+        page = http.get("/cockpit/default", headers={"Accept": "text/html"}).text
+    assert "No message has come yet." in page
+    assert "ros:Topic" not in page
+
+
 def test_a_page_without_scripts_has_pictures_values_and_forms(rover: httpx.Client) -> None:
     until(lambda: re.search(VOLTAGE, rover.get("/cockpit/default", headers=PAGE).text), "a voltage")
     answer = rover.get("/cockpit/default", headers=PAGE)

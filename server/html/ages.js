@@ -4,6 +4,7 @@ What comes to a page while it is looked at is told within a second. Without this
 "use strict";
 {
   const AGES = [[86400, "d"], [3600, "h"], [60, "min"], [1, "s"]]; // seconds of a unit, the longest first
+  const SIMULATED = Date.UTC(1980); // before it are clocks that began at zero: their times have no age by another one
   let ahead = null; // milliseconds by which the robot's clock is ahead of this one
 
   const times = () => document.querySelectorAll("main time[datetime]");
@@ -29,7 +30,9 @@ What comes to a page while it is looked at is told within a second. Without this
     if (found.length && ahead === null) await compareClocks();
     if (ahead === null || Number.isNaN(ahead)) return;
     for (const each of found) {
-      const since = Date.now() + ahead - Date.parse(each.getAttribute("datetime"));
+      const now = Date.now() + ahead, then = Date.parse(each.getAttribute("datetime"));
+      if (then < SIMULATED && now > SIMULATED) continue;
+      const since = now - then;
       const words = since > -5000 ? age(since) : null; // times to come are not told of
       if (words !== null && each.getAttribute("data-ago") !== words) each.setAttribute("data-ago", words);
     }

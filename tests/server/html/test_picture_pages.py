@@ -44,6 +44,14 @@ def test_a_picture_moves_while_it_is_looked_at(tab: Any, robot: Any, serving: An
     tab.until(blue(10))
 
 
+def test_a_time_of_a_simulated_clock_has_no_age(tab: Any, robot: Any, serving: Any) -> None:
+    robot.topic("/imu", "sensor_msgs/msg/Imu", {"header": {"stamp": {"sec": 78, "nanosec": 0}, "frame_id": ""}})
+    http: httpx.Client = serving(subscribe=("/imu",))
+    tab.open(f"{http.base_url}topics/imu")
+    tab.until("document.querySelector('.facts time[data-ago]')")
+    assert tab.run("document.querySelector('time[datetime^=\"1970\"]').hasAttribute('data-ago')") is False
+
+
 def test_an_encoding_that_is_no_text_stays_text(robot: Any, serving: Any) -> None:
     robot.topic("/camera", IMAGE, image(frame(1), "<script>alert(1)</script>"))
     http: httpx.Client = serving()

@@ -43,17 +43,8 @@ def bag_route(
             )
         case (name,) if not location.is_container:
             return BagUpload(session.space, session.settings, states, recordings, name)
-        case (name,) if name in recordings.armed:
-            return ArmedBag(session.space, session.settings, recordings, recordings.armed[name])
-        case (name,) if name in recordings.unreadable:
-            return UnreadableBag(session.space, session.settings, recordings, name)
         case (name,):
-            running = recordings.running.get(name)
-            return (
-                BagResource(session.space, session.settings, states, recordings, _recording(recordings, name))
-                if running is None
-                else RunningBag(session.space, session.settings, states, recordings, running)
-            )
+            return _bag(session, states, recordings, name)
         case (name, "file") if not location.is_container:
             return BagFile(session.space, _recording(recordings, name))
         case (name, "at") if not location.is_container:
@@ -67,14 +58,31 @@ def bag_route(
             return BagMessages(session, states, recording) if location.is_container else _slash(session.space, location)
         case (name, "messages", index) if not location.is_container:
             recording = _recording(recordings, name)
-            first, beyond = recording.first, recording.first + recording.count
-            is_number = index.isascii() and index.isdigit() and str(int(index)) == index
-            if is_number and first <= int(index) < beyond:
-                return BagMessage(session, states, pictures, recording, int(index))
-            if is_number and int(index) < first:
-                raise Problem(410, f"Message {index} of {name} was removed: the oldest is {first}.")
-            raise Problem(404, f"{name} has the messages {first} to {beyond - 1}, not {index}.")
+            return BagMessage(session, states, pictures, recording, _message_index(recording, index))
     raise Problem(404, "Under /bags/B/ there are messages/, ldes, at and file, and nothing else.")
+
+
+def _bag(session: Session, states: VersionCache[State], recordings: Recordings, name: str) -> Resource:
+    """The recording of a name, in whatever state it is. Raises a 404 Problem where there is none."""
+    if name in recordings.armed:
+        return ArmedBag(session.space, session.settings, recordings, recordings.armed[name])
+    if name in recordings.unreadable:
+        return UnreadableBag(session.space, session.settings, recordings, name)
+    running = recordings.running.get(name)
+    if running is not None:
+        return RunningBag(session.space, session.settings, states, recordings, running)
+    return BagResource(session.space, session.settings, states, recordings, _recording(recordings, name))
+
+
+def _message_index(recording: Recording, segment: str) -> int:
+    """The index of a message that is there; a 410 Problem for one that was removed, 404 for what never was one."""
+    first, beyond = recording.first, recording.first + recording.count
+    is_number = segment.isascii() and segment.isdigit() and str(int(segment)) == segment
+    if is_number and first <= int(segment) < beyond:
+        return int(segment)
+    if is_number and int(segment) < first:
+        raise Problem(410, f"Message {segment} of {recording.name} was removed: the oldest is {first}.")
+    raise Problem(404, f"{recording.name} has the messages {first} to {beyond - 1}, not {segment}.")
 
 
 def _slash(space: Space, location: Location) -> Resource:

@@ -102,6 +102,7 @@ def bag_document(
     dropped: Mapping[str, int] = MappingProxyType({}),
     problem: str | None = None,
     size: int | None = None,
+    status: str | None = None,
     order: RecordingOrder | None = None,
     triggered: int | None = None,
 ) -> Document:
@@ -109,8 +110,8 @@ def bag_document(
 
     `sha256` is the digest of its file in hexadecimal, where that is known.
     `dropped` are messages by topic that were sent and are not in it, `problem` says why it does not go on. `size` are
-    the bytes of its file, `order` says how it is being made: it has no messages that could be read yet. `triggered` is
-    how many recordings its trigger has begun, where it waits for that.
+    the bytes of its file, `status` is missing of one that is complete, `order` says how it is being made: it has no
+    messages that could be read yet. `triggered` is how many recordings its trigger has begun, where it waits for that.
     """
     url, messages = space.bag(bag.name), NamedNode(space.bag_messages(bag.name))
     tracks = _track_nodes(bag, space)
@@ -124,7 +125,9 @@ def bag_document(
         (ros.recordingProblem, text(problem)),
         (ros.recordedBytes, None if size is None else integer(size)),
         (ros.recordedFile, NamedNode(f"{url}file") if size is not None and order is None else None),
-        *(() if order is None else _order(order, space, triggered)),
+        (ros.recordingStatus, text(status)),
+        (ros.triggerCount, integer(triggered)),
+        *(() if order is None else _order(order, space)),
         (ros.start, date_time_literal(bag.start_ns) if bag.count else None),
         (ros.end, date_time_literal(bag.end_ns) if bag.count else None),
         (ldp.contains, messages if order is None else None),
@@ -160,9 +163,7 @@ def _checksum_triples(url: str, sha256: str) -> list[Triple]:
     )
 
 
-def _order(order: RecordingOrder, space: Space, triggered: int | None) -> Iterator[Statement]:
-    yield ros.recordingStatus, text("recording" if triggered is None else "armed")
-    yield ros.triggerCount, integer(triggered)
+def _order(order: RecordingOrder, space: Space) -> Iterator[Statement]:
     if order.trigger is not None:
         condition, resource = order.trigger.condition, order.trigger.resource
         yield ros.triggerShape, NamedNode(condition) if resource is None else None

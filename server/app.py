@@ -40,6 +40,7 @@ from rosld.server.resources.mirror import ReplicationResource
 from rosld.server.resources.mirror_setup import create_mirror
 from rosld.server.resources.near import near_urls
 from rosld.server.resources.plot import PlotResource
+from rosld.server.resources.recording_trigger import RecordingTriggers
 from rosld.server.resources.resource_types import types_at
 from rosld.server.resources.space import SpaceResource
 from rosld.server.resources.status import StatusResource
@@ -98,6 +99,8 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
     if authenticator is not None:
         authenticator.changed.watch(broadcasters.wake_all)
         router.add({"acl": single_route(partial(AclResource, space.base, authenticator))})
+    triggers = RecordingTriggers(session, services.affordances, services.mappings, router.at, authenticator)
+    router.add({"bags": partial(factory.bag_at, triggers=triggers)})
     dispatcher = Dispatcher(
         services.instance_id, pages, broadcasters, keyed_lock, large, partial(near_urls, session, services.affordances)
     )
@@ -118,20 +121,25 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
             services.stop,
             sparql.process,
             watchdog,
-            background_jobs(services, sparql, mirror, authenticator),
+            background_jobs(services, sparql, mirror, authenticator, triggers),
             [*(() if mirror is None else (mirror.close,)), large.close, scene.close],
         ),
     )
 
 
 def background_jobs(
-    services: Services, sparql: SparqlServices, mirror: Mirror | None, authenticator: Authenticator | None
+    services: Services,
+    sparql: SparqlServices,
+    mirror: Mirror | None,
+    authenticator: Authenticator | None,
+    triggers: RecordingTriggers,
 ) -> Sequence[Job]:
     """What runs beside requests from the start to the end."""
     return [
         sparql.queries.keep_materialized,
         partial(asyncio.to_thread, prepare_pages),
         partial(log_mapping_warnings, services.affordances, services.mappings),
+        partial(triggers.resume, services.recordings),
         *(() if mirror is None else (mirror.run,)),
         *(() if authenticator is None else (authenticator.watch_file,)),
     ]

@@ -95,6 +95,21 @@ class Authenticator:
             self._judges[agent] = found
         return found
 
+    def current_permissions(self, agent: Agent) -> Permissions | None:
+        """What an agent may do now who asked for something before; None where they could not ask any more."""
+        access = self.config
+        name: str | None = agent.name
+        if agent == ANONYMOUS:
+            return self.permissions(ANONYMOUS)
+        for issuer in access.issuers:
+            if agent.name.startswith(f"{issuer.url}#"):
+                name = access.subjects.get((issuer.url, agent.name.removeprefix(f"{issuer.url}#")))
+                if name is None:
+                    return self.permissions(agent)
+        if name not in {*access.tokens.agents.values(), *access.subjects.values()}:
+            return None
+        return self.permissions(access.policy.agents[name])
+
     async def watch_file(self) -> None:
         """Read the file again whenever it changes, for ever: to be cancelled. What cannot be read changes nothing."""
         while True:

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from rosld.server.storage.blobs import sync_folder
 from rosld.server.storage.file_lock import FileLock
+from rosld.server.storage.note import write_note
 
 NAME = "base-url"
 LOCK = "lock"
@@ -62,7 +62,7 @@ def bind_base(folder: Path, base: str) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     found = read_base(folder)
     if found is None:
-        _write(folder / NAME, base)
+        write_note(folder / NAME, f"{base}\n".encode())
     elif found != base:
         raise ValueError(f"the data in {folder} belongs to {found}, not {base}: start with --base-url {found}")
 
@@ -70,18 +70,3 @@ def bind_base(folder: Path, base: str) -> None:
 def unbind(folder: Path) -> None:
     """The folder, which holds nothing, belongs to no base any more."""
     (folder / NAME).unlink(missing_ok=True)
-
-
-def _write(note: Path, base: str) -> None:
-    """Whole or not at all, and durably: a note cut off by a crash would lock the folder for ever."""
-    draft = note.with_name(f"{NAME}.{os.getpid()}")
-    try:
-        with draft.open("w", encoding="utf-8") as file:
-            file.write(base + "\n")
-            file.flush()
-            os.fsync(file.fileno())
-        draft.replace(note)
-        sync_folder(note.parent)
-    except BaseException:
-        draft.unlink(missing_ok=True)
-        raise

@@ -106,6 +106,11 @@ class RecordingWriter:
         log.error("%s", self.problem)
 
 
+def active_recordings(folder: Path) -> list[str]:
+    """The names of the recordings in a folder that were being written when rosld was ended by force."""
+    return [path.name.removesuffix(ACTIVE).removesuffix(".mcap") for path in folder.glob(f"*{ACTIVE}")]
+
+
 def complete_active(folder: Path) -> None:
     """Complete the recordings in a folder that were being written when rosld was ended by force."""
     for path in folder.glob(f"*{ACTIVE}"):

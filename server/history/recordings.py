@@ -8,8 +8,7 @@ import logging
 import tempfile
 import time
 from collections import Counter
-from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable, Hashable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import AsyncIterator, Awaitable, Callable, Hashable, Mapping
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import NamedTuple
@@ -17,11 +16,16 @@ from typing import NamedTuple
 from rosld.adapters.base import Adapter, AdapterOptions, NullSink, Recording
 from rosld.adapters.model import RosError, TypeRef
 from rosld.adapters.registry import adapter_for
+from rosld.server.auth.agent import Agent
+from rosld.server.history.armed_recordings import ArmedRecording, ArmedRecordings, MayRecord, Occurrences
 from rosld.server.history.history import NAME as HISTORY
 from rosld.server.history.history import History
 from rosld.server.history.history_writer import require_room
+from rosld.server.history.interruptions import KILLED, STOPPED, Interruptions
 from rosld.server.history.live_recorder import LiveRecorder
-from rosld.server.history.recording_writer import RecordingWriter, complete_active
+from rosld.server.history.ordered_recording import RecordingOrder, RecordingRefused
+from rosld.server.history.recording_notes import RecordingNotes
+from rosld.server.history.recording_writer import RecordingWriter, active_recordings, complete_active
 from rosld.server.history.uploads import NAME as FILE_NAME
 from rosld.server.history.uploads import SUFFIXES, NotTaken, receive_file, remove_drafts
 from rosld.server.settings import Settings
@@ -32,48 +36,8 @@ SUFFIX = ".mcap"
 _OPEN_SECONDS = 60.0
 _REVISION_SECONDS = 5.0
 """How old what a query is told of a recording that is being made may be."""
-_MAX_ARMED = 16
-"""Recordings that wait for triggers at a time."""
 _MAX_RUNNING = 16
 """Recordings that are made at a time."""
-
-
-class RecordingRefused(Exception):
-    """What cannot be recorded or taken; `taken` where its name is another's, else it makes no sense as it is.
-
-    `is_too_large` where it makes sense, but is more than may be kept.
-    """
-
-    def __init__(self, words: str, *, taken: bool = False, is_too_large: bool = False) -> None:
-        super().__init__(words)
-        self.taken = taken
-        self.is_too_large = is_too_large
-
-
-@dataclass(frozen=True, slots=True)
-class Trigger:
-    """When a recording begins: as `condition` comes to hold of the value at the URL `resource`.
-
-    Without a resource the condition is the IRI of one of a mapping. `limit` is how often that begins a recording.
-    """
-
-    condition: str
-    resource: str | None = None
-    limit: int = 1
-
-
-@dataclass(frozen=True, slots=True)
-class RecordingOrder:
-    """What is to be recorded: topics by name or glob, from `before` seconds ago, for `duration` (None: until ended).
-
-    With a trigger it begins when that says so, and `before` counts from then.
-    """
-
-    topics: tuple[str, ...]
-    name: str | None = None
-    before: float = 0.0
-    duration: float | None = None
-    trigger: Trigger | None = None
 
 
 class UnreadableFile(NamedTuple):
@@ -95,17 +59,6 @@ class RunningRecording:
         self.dropped_before = dropped_before
         self.timer: asyncio.TimerHandle | None = None
         self.ending: asyncio.Task[None] | None = None
-
-
-class ArmedRecording:
-    """A recording that waits for its trigger, which has begun `count` recordings so far. `problem`: why it waits."""
-
-    def __init__(self, name: str, order: RecordingOrder) -> None:
-        self.name = name
-        self.order = order
-        self.count = 0
-        self.problem: str | None = None
-        self.task: asyncio.Task[None] | None = None
 
 
 class Recordings:
@@ -130,10 +83,11 @@ class Recordings:
         self._live = LiveRecorder(adapter, learn)
         self.history = History(adapter, self._live, settings, definition_of)
         self._definition_of = definition_of
-        self._folder = None if settings.data is None else settings.data / FOLDER
         self._temporary: tempfile.TemporaryDirectory[str] | None = None
         self._running: dict[str, RunningRecording] = {}
-        self._armed: dict[str, ArmedRecording] = {}
+        notes = RecordingNotes(None if settings.data is None else settings.data / FOLDER)
+        self._armed = ArmedRecordings(notes, self.begin, self.can_be_named)
+        self._interruptions = Interruptions(notes)
         self._opened: dict[str, tuple[Adapter, Recording]] = {}
         self._unreadable: dict[str, UnreadableFile] = {}
         self._receiving: set[str] = set()
@@ -141,10 +95,18 @@ class Recordings:
         self._settings = settings
 
     @property
+    def _folder(self) -> Path | None:
+        """Where they are; None as long as there is none."""
+        if self._settings.data is not None:
+            return self._settings.data / FOLDER
+        return None if self._temporary is None else Path(self._temporary.name)
+
+    @property
     def revision(self) -> Hashable:
         """Another one whenever another recording is there, or gone, and now and then while something is recorded."""
         is_recording = self.history.is_kept or bool(self._running)
-        return self._changes, int(time.monotonic() / _REVISION_SECONDS) if is_recording else 0
+        moment = int(time.monotonic() / _REVISION_SECONDS) if is_recording else 0
+        return self._changes, self._armed.revision, moment
 
     @property
     def finished(self) -> Mapping[str, Recording]:
@@ -170,7 +132,11 @@ class Recordings:
     @property
     def armed(self) -> Mapping[str, ArmedRecording]:
         """Those that wait for their triggers, by name."""
-        return self._armed
+        return self._armed.all
+
+    def interruption(self, name: str) -> str | None:
+        """Why a recording ends before it was to, in a sentence; None for one that is complete."""
+        return self._interruptions.reason(name)
 
     async def start(self) -> None:
         """Begin the history, and open what is there. What cannot be read keeps its name, with a warning."""
@@ -178,12 +144,20 @@ class Recordings:
         if self._folder is None or not self._folder.is_dir():
             return
         await asyncio.to_thread(remove_drafts, self._folder)
+        for name in active_recordings(self._folder):
+            await self._interruptions.add(name, KILLED)
         await asyncio.to_thread(complete_active, self._folder)
         for path in sorted(self._folder.iterdir()):
             if path.suffix in SUFFIXES.values():
                 await self._open_or_keep(path.stem, path)
+        self._interruptions.load({*self._opened, *self._unreadable})
+        self._armed.load()
 
-    def begin(self, order: RecordingOrder, may_record: Callable[[str], bool]) -> RunningRecording:
+    def resume(self, occurrences: Occurrences) -> None:
+        """Have those wait for their triggers that did before the server was restarted."""
+        self._armed.resume(occurrences)
+
+    def begin(self, order: RecordingOrder, may_record: MayRecord) -> RunningRecording:
         """Begin a recording of the topics that may be recorded. Raises RecordingRefused, and OSError for the disk."""
         if len(self._running) >= _MAX_RUNNING:
             raise RecordingRefused(f"{_MAX_RUNNING} recordings are being made already: end one first", taken=True)
@@ -203,54 +177,16 @@ class Recordings:
         self._changes += 1
         return one
 
-    def arm(
-        self,
-        order: RecordingOrder,
-        may_record: Callable[[str], bool],
-        occurrences: Callable[[ArmedRecording], AsyncGenerator[None, None]],
-    ) -> ArmedRecording:
-        """Have a recording wait for its trigger, each of whose `occurrences` begins one. Raises RecordingRefused."""
-        if len(self._armed) >= _MAX_ARMED:
-            raise RecordingRefused(f"{_MAX_ARMED} recordings wait for triggers already: delete one first", taken=True)
-        one = ArmedRecording(self._free_name(order.name), order)
-        self._armed[one.name] = one
-        one.task = asyncio.get_running_loop().create_task(self._wait(one, may_record, occurrences))
-        self._changes += 1
-        return one
+    async def arm(self, order: RecordingOrder, agent: Agent, occurrences: Occurrences) -> ArmedRecording:
+        """Have a recording wait for its trigger, by order of an agent. Raises RecordingRefused, OSError."""
+        name, trigger = self._free_name(order.name), order.trigger
+        if trigger is not None and trigger.limit > 1 and FILE_NAME.fullmatch(f"{name}-{trigger.limit}") is None:
+            raise RecordingRefused(f"{name[:100]!r} is too long a name for more than one recording: 96 letters at most")
+        return await self._armed.arm(name, order, agent, occurrences)
 
-    def disarm(self, name: str) -> bool:
-        """Have a recording wait no more; whether there was one that did. What it has begun goes on."""
-        one = self._armed.pop(name, None)
-        if one is None:
-            return False
-        self._changes += 1
-        if one.task is not None:
-            one.task.cancel()
-        return True
-
-    async def _wait(
-        self,
-        one: ArmedRecording,
-        may_record: Callable[[str], bool],
-        occurrences: Callable[[ArmedRecording], AsyncGenerator[None, None]],
-    ) -> None:
-        trigger = one.order.trigger
-        assert trigger is not None, "what is armed has a trigger"
-        async with contextlib.aclosing(occurrences(one)) as found:
-            async for _ in found:
-                one.count += 1
-                is_last = one.count >= trigger.limit
-                name = one.name if trigger.limit == 1 else f"{one.name}-{one.count}"
-                if is_last:
-                    del self._armed[one.name]
-                try:
-                    self.begin(replace(one.order, name=name), may_record)
-                except (RecordingRefused, OSError) as error:
-                    one.problem = f"The recording {name} could not be begun: {error}."
-                    log.error("%s", one.problem)
-                self._changes += 1
-                if is_last:
-                    return
+    async def disarm(self, name: str) -> bool:
+        """Have a recording wait no more; whether there was one that did. What it has begun goes on. Raises OSError."""
+        return await self._armed.disarm(name)
 
     def can_be_named(self, name: str) -> bool:
         """Whether a recording may be called this: it is a name, and nobody's."""
@@ -283,13 +219,14 @@ class Recordings:
 
     async def delete(self, name: str) -> bool:
         """End and delete a recording, or what waits for its trigger; whether there was one."""
-        if self.disarm(name):
+        if await self.disarm(name):
             return True
         await self.end(name)
         file = self._unreadable.pop(name, None)
         if file is not None:
             self._changes += 1
             await asyncio.to_thread(file.path.unlink, True)
+            await self._interruptions.remove(name)
             return True
         found = self._opened.pop(name, None)
         if found is None:
@@ -298,6 +235,7 @@ class Recordings:
         await found[0].close()
         self.history.digests.forget(found[1].path)
         await asyncio.to_thread(found[1].path.unlink, True)
+        await self._interruptions.remove(name)
         return True
 
     def refresh(self) -> None:
@@ -310,9 +248,10 @@ class Recordings:
 
     async def stop(self) -> None:
         """End all that are being made, and let go of the files."""
-        for name in list(self._armed):
-            self.disarm(name)
-        for name in list(self._running):
+        await self._armed.stop()
+        for name, one in list(self._running.items()):
+            if one.ending is None:
+                await self._interruptions.add(name, STOPPED)
             await self.end(name)
         await self._live.stop()
         self.history.close()
@@ -331,6 +270,8 @@ class Recordings:
 
     async def _end(self, one: RunningRecording) -> None:
         await self._live.remove(one.writer)
+        if one.writer.problem is not None:
+            await self._interruptions.add(one.name, one.writer.problem)
         if one.writer.path.exists():
             await self._open_or_keep(one.name, one.writer.path)
         del self._running[one.name]
@@ -399,7 +340,7 @@ class Recordings:
 
     def _is_taken(self, name: str) -> bool:
         known = (
-            *(self._running, self._armed, self._opened, self._unreadable, self._receiving),
+            *(self._running, self.armed, self._opened, self._unreadable, self._receiving),
             self._adapter.recordings,
         )
         return name == HISTORY or any(name in each for each in known)
@@ -407,6 +348,7 @@ class Recordings:
     def _path(self, name: str, suffix: str) -> Path:
         if self._folder is None:
             self._temporary = tempfile.TemporaryDirectory(prefix="rosld-bags-", ignore_cleanup_errors=True)
-            self._folder = Path(self._temporary.name)
-        self._folder.mkdir(parents=True, exist_ok=True)
-        return self._folder / f"{name}{suffix}"
+        folder = self._folder
+        assert folder is not None, "there is one now"
+        folder.mkdir(parents=True, exist_ok=True)
+        return folder / f"{name}{suffix}"

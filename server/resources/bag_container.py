@@ -7,17 +7,21 @@ from dataclasses import replace
 from functools import partial
 
 from rosld.ontology.describe_containers import container_document
-from rosld.server.auth.permissions import Permissions
-from rosld.server.history.recordings import RecordingOrder, RecordingRefused, Recordings
+from rosld.server.history.ordered_recording import RecordingOrder, RecordingRefused
+from rosld.server.history.recordings import Recordings
 from rosld.server.html import Form
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.affordance_service import AffordanceService
-from rosld.server.hypermedia.mappings import Mappings
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.bag_descriptions import bag_urls
 from rosld.server.resources.recording_form import recording_form
 from rosld.server.resources.recording_order import MEDIA_TYPES, SCHEMA, read_order
-from rosld.server.resources.recording_trigger import Find, trigger_of
+from rosld.server.resources.recording_trigger import (
+    NOTHING_IS_RECORDED,
+    RecordingTriggers,
+    can_record,
+    may_read_topic,
+    require_topics,
+)
 from rosld.server.resources.unfinished_bags import ArmedBag, RunningBag
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import PathItem, WriteMethod
@@ -37,20 +41,16 @@ class BagContainer(Resource):
     def __init__(
         self,
         session: Session,
-        affordances: AffordanceService[State],
         states: VersionCache[State],
-        mappings: Mappings,
         recordings: Recordings,
-        find: Find | None = None,
+        triggers: RecordingTriggers | None = None,
     ) -> None:
-        """`find` gives the resource at a path below the base, which a trigger may be about."""
+        """`triggers` follows what a recording may wait for; without it none can."""
         super().__init__(session.space.container("bags"))
         self.session = session
-        self.affordances = affordances
         self.states = states
-        self.mappings = mappings
         self.recordings = recordings
-        self._find = find
+        self._triggers = triggers
 
     async def forms(self) -> Sequence[Form]:
         if "POST" not in self.methods():
@@ -63,7 +63,7 @@ class BagContainer(Resource):
 
     def deny_reason(self, method: str) -> str:
         if method == "POST":
-            return "Nothing is recorded here: this server is read-only, or serves a recording."
+            return NOTHING_IS_RECORDED
         return super().deny_reason(method)
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
@@ -102,27 +102,17 @@ class BagContainer(Resource):
         slug = exchange.header("slug")
         if order.name is None and slug is not None and self.recordings.can_be_named(slug):
             order = replace(order, name=slug)
-        for topic in order.topics:
-            if not set(topic) & set("*?[") and not self._may_read(exchange.permissions, topic):
-                raise Problem(403, f"You may not read {topic}, so you may not record it.")
+        require_topics(order, exchange.permissions, self.session.space)
         return order
 
     async def _begin(self, order: RecordingOrder, exchange: Exchange) -> RunningBag | ArmedBag:
         """The recording that was begun, or that waits for its trigger. Raises RecordingRefused, OSError."""
         space, settings = self.session.space, self.session.settings
-        may_record = partial(self._may_read, exchange.permissions)
         if order.trigger is None:
+            may_record = partial(may_read_topic, space, exchange.permissions)
             return RunningBag(space, settings, self.states, self.recordings, self.recordings.begin(order, may_record))
-        changes = self.session.changes
-        occurrences = await trigger_of(
-            space, changes, self.affordances, self.mappings, order.trigger, self._find, exchange
-        )
-        return ArmedBag(space, settings, self.recordings, self.recordings.arm(order, may_record, occurrences))
-
-    def _may_read(self, permissions: Permissions, topic: str) -> bool:
-        return permissions.may_read(self.session.space.topic(topic))
-
-
-def can_record(session: Session) -> bool:
-    """Whether clients may have anything recorded here."""
-    return not session.settings.read_only and session.adapter.capabilities.system != "recording"
+        if self._triggers is None:
+            raise RecordingRefused("nothing waits for triggers here")
+        await self._triggers.follow(order, exchange.permissions)
+        armed = await self.recordings.arm(order, exchange.agent, self._triggers.occurrences)
+        return ArmedBag(space, settings, self.recordings, armed)

@@ -9,8 +9,8 @@ from rosld.adapters.base import RecordedTopic, Recording
 from rosld.ontology.describe_bags import bag_document
 from rosld.ontology.document import Document
 from rosld.ontology.urls import Space
-from rosld.server.history.history import History
-from rosld.server.history.recordings import ArmedRecording, Recordings, RunningRecording
+from rosld.server.history.armed_recordings import ArmedRecording
+from rosld.server.history.recordings import Recordings, RunningRecording
 
 
 class ArmedView:
@@ -46,24 +46,35 @@ def bag_urls(space: Space, recordings: Recordings) -> tuple[str, ...]:
     return tuple(map(space.bag, dict.fromkeys(names)))
 
 
-def describe_bag(space: Space, history: History, recording: Recording) -> Document:
+def describe_bag(space: Space, recordings: Recordings, recording: Recording) -> Document:
     """The document of a recording that can be read."""
+    history = recordings.history
     if recording is history.recording:
         return bag_document(recording, space, dropped=history.dropped(), problem=history.problem)
     size: int | None = None
     with contextlib.suppress(OSError):
         size = recording.path.stat().st_size if recording.path.is_file() else None
-    return bag_document(recording, space, history.digests.known(recording.path), size=size)
+    why = recordings.interruption(recording.name)
+    digest, status = history.digests.known(recording.path), None if why is None else "interrupted"
+    return bag_document(recording, space, digest, size=size, problem=why, status=status)
 
 
 def describe_running(space: Space, recordings: Recordings, one: RunningRecording) -> Document:
     """The document of a recording that is being made."""
-    writer, dropped = one.writer, recordings.dropped(one)
-    view = RunningView(one)
-    return bag_document(view, space, dropped=dropped, problem=writer.problem, size=writer.size, order=one.order)
+    writer = one.writer
+    return bag_document(
+        RunningView(one),
+        space,
+        dropped=recordings.dropped(one),
+        problem=writer.problem,
+        size=writer.size,
+        status="recording",
+        order=one.order,
+    )
 
 
 def describe_armed(space: Space, one: ArmedRecording) -> Document:
     """The document of a recording that waits for its trigger."""
+    status, problem = ("armed", one.problem) if one.suspended is None else ("suspended", one.suspended)
     view = ArmedView(one.name)
-    return bag_document(view, space, problem=one.problem, order=one.order, triggered=one.count)
+    return bag_document(view, space, problem=problem, status=status, order=one.order, triggered=one.count)

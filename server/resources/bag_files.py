@@ -10,7 +10,8 @@ from starlette.responses import Response
 
 from rosld.adapters.base import Recording
 from rosld.ontology.urls import Space
-from rosld.server.history.recordings import RecordingRefused, Recordings
+from rosld.server.history.ordered_recording import RecordingRefused
+from rosld.server.history.recordings import Recordings
 from rosld.server.http.conditional import ETag, check_preconditions, digest
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.message_schemas import MessageSchemas

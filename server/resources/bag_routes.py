@@ -6,8 +6,6 @@ from rosld.adapters.base import Recording
 from rosld.ontology.urls import Location, Space
 from rosld.server.history.recordings import Recordings
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.affordance_service import AffordanceService
-from rosld.server.hypermedia.mappings import Mappings
 from rosld.server.pictures.picture_cache import PictureCache
 from rosld.server.resources.bag_container import BagContainer
 from rosld.server.resources.bag_files import BagFile, BagUpload, UnreadableBag
@@ -15,7 +13,7 @@ from rosld.server.resources.bag_messages import BagMessage, BagMessages
 from rosld.server.resources.bag_moment import bag_moment
 from rosld.server.resources.bags import BagResource
 from rosld.server.resources.event_stream import EventStreamResource, event_stream_page
-from rosld.server.resources.recording_trigger import Find
+from rosld.server.resources.recording_trigger import RecordingTriggers
 from rosld.server.resources.unfinished_bags import ArmedBag, RunningBag
 from rosld.server.rest.resource import Resource, permanent_redirect
 from rosld.server.rest.state import State
@@ -25,19 +23,17 @@ from rosld.server.runtime.version_cache import VersionCache
 
 def bag_route(
     session: Session,
-    affordances: AffordanceService[State],
     states: VersionCache[State],
-    mappings: Mappings,
     recordings: Recordings,
     pictures: PictureCache,
     location: Location,
-    find: Find | None = None,
+    triggers: RecordingTriggers | None = None,
 ) -> Resource:
     """The resource at `/bags/` or below. Raises a 404 Problem where there is none, 308 where only the slash differs."""
     match location.segments:
         case ():
             return (
-                BagContainer(session, affordances, states, mappings, recordings, find)
+                BagContainer(session, states, recordings, triggers)
                 if location.is_container
                 else _slash(session.space, location)
             )

@@ -59,9 +59,10 @@ class BagResource(Resource):
         is_history = recording is history.recording
         digest = None if is_history else history.digests.get(recording.path)
         trouble = (history.problem, sum(history.dropped().values())) if is_history else None
-        version = recording.first, recording.count, recording.start_ns, trouble, digest
+        why = self.recordings.interruption(recording.name)
+        version = recording.first, recording.count, recording.start_ns, trouble, digest, why
         return self.states.get_or_make(
-            self.url, version, lambda: State(partial(describe_bag, self.space, self.recordings.history, recording))
+            self.url, version, lambda: State(partial(describe_bag, self.space, self.recordings, recording))
         )
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:

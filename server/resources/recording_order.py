@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import cast
 
 import orjson
@@ -11,7 +12,7 @@ from pyoxigraph import Literal, NamedNode
 from rosld.ontology.body import MEDIA_TYPES as RDF_TYPES
 from rosld.ontology.body import RdfBody, Subject, parse_body
 from rosld.ontology.vocab import ros
-from rosld.server.history.recordings import RecordingOrder, Trigger
+from rosld.server.history.ordered_recording import RecordingOrder, Trigger
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import DataSchema
 from rosld.server.hypermedia.json_schema import TEXT
@@ -49,7 +50,11 @@ SCHEMA: DataSchema = {
 def read_order(data: bytes, media_type: str, url: str, *, is_form: bool = False) -> RecordingOrder:
     """The order in a body that was sent to `url`. Raises BodyError, and a 422 Problem that names what is wrong."""
     said = _of_json(data) if media_type == JSON else _of_rdf(parse_body(data, media_type, url))
-    said = order_of_form(said) if is_form else said
+    return order_of(order_of_form(said) if is_form else said)
+
+
+def order_of(said: Mapping[str, object]) -> RecordingOrder:
+    """The order that these members are. Raises a 422 Problem that names what is wrong."""
     unknown = said.keys() - {"name", "topics", "before", "duration", "trigger"}
     if unknown:
         known = "name, topics, before, duration, trigger"
@@ -140,7 +145,7 @@ def _topics(value: object) -> tuple[str, ...]:
     return topics
 
 
-def _seconds(said: dict[str, object], key: str) -> float | None:
+def _seconds(said: Mapping[str, object], key: str) -> float | None:
     value = said.get(key)
     if value is None:
         return None

@@ -2,26 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator, Callable
+import contextlib
+from collections.abc import AsyncGenerator, Callable, Iterator, Sequence
+from functools import partial
 from urllib.parse import urljoin
 
 from rosld.adapters.base import Watch
+from rosld.adapters.model import RosError
 from rosld.ontology.document import Document
 from rosld.ontology.urls import Space
-from rosld.server.auth.permissions import Permissions
-from rosld.server.events.broadcaster import Broadcaster, Waiter
+from rosld.server.auth.authenticator import Authenticator
+from rosld.server.auth.permissions import ALLOW_ALL, Permissions
+from rosld.server.events.broadcaster import LOOK_AGAIN_SECONDS, Broadcaster, Waiter
 from rosld.server.events.until import Until
-from rosld.server.history.recordings import ArmedRecording, Trigger
+from rosld.server.history.armed_recordings import ArmedRecording, MayRecord
+from rosld.server.history.ordered_recording import RecordingOrder, order_to_json
+from rosld.server.history.recordings import Recordings
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.mapping import Condition
 from rosld.server.hypermedia.mappings import Mappings
-from rosld.server.rest.exchange import Exchange
+from rosld.server.resources.recording_order import order_of
 from rosld.server.rest.resource import Resource
+from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import State
-from rosld.server.runtime.signals import Signal
+from rosld.server.robot.session import Session
+from rosld.server.runtime.signals import call_every
 
+NOTHING_IS_RECORDED = "Nothing is recorded here: this server is read-only, or serves a recording."
 Find = Callable[[str], Resource]
 """The resource at a path below the base."""
 
@@ -34,71 +43,184 @@ class MappedCondition(Resource):
     def __init__(self, affordances: AffordanceService[State], condition: Condition) -> None:
         super().__init__(condition.iri)
         self._affordances = affordances
-        self._condition = condition
+        self.condition = condition
 
     async def state(self) -> State:
         offers = self._affordances
         tree = await offers.tree()
-        (holds,) = await offers.conditions_hold(tree, tree.properties_in([self._condition]), [self._condition])
+        (holds,) = await offers.conditions_hold(tree, tree.properties_in([self.condition]), [self.condition])
         data = b"true" if holds else b"false"
         return State(lambda: Document(self.url, ()), lambda: data, token=data.decode())
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:
         offers = self._affordances
         tree = await offers.tree()
-        return await offers.watch(tree.properties_in([self._condition]), wake)
+        return await offers.watch(tree.properties_in([self.condition]), wake)
 
 
-async def trigger_of(
-    space: Space,
-    changes: Signal,
-    affordances: AffordanceService[State],
-    mappings: Mappings,
-    trigger: Trigger,
-    find: Find | None,
-    exchange: Exchange,
-) -> Callable[[ArmedRecording], AsyncGenerator[None, None]]:
-    """What tells each time that a trigger's condition comes to hold, as who asks may see it. Raises 403, 422 Problems.
+class Followed:
+    """What a recording waits for: the resource, and whether its condition holds as an agent may see it."""
 
-    That it holds at the beginning counts as well.
+    def __init__(self, resource: Resource, expression: str, permissions: Permissions) -> None:
+        """Raises a 400 Problem for what is no condition."""
+        self.resource = resource
+        self.permissions = permissions
+        self.until = Until(expression, self._view)
+
+    def _view(self, state: State) -> State:
+        return state if self.permissions.is_unrestricted else self.resource.redact(state, self.permissions)
+
+
+class RecordingTriggers:
+    """Follows what recordings wait for, and judges who ordered them: when they do, at the start, and as it comes true.
+
+    `find` gives the resource at a path below the base. Without an `authenticator` everybody may do everything.
     """
-    permissions = exchange.permissions
-    resource: Resource
-    if trigger.resource is None:
-        resource, expression = (
-            _mapped_condition(space, affordances, mappings, trigger.condition, permissions),
-            "value = true",
-        )
-    else:
-        resource, expression = _resource(space, trigger.resource, find, permissions), trigger.condition
 
-    def view(state: State) -> State:
-        return state if permissions.is_unrestricted else resource.redact(state, permissions)
+    def __init__(
+        self,
+        session: Session,
+        affordances: AffordanceService[State],
+        mappings: Mappings,
+        find: Find,
+        authenticator: Authenticator | None = None,
+    ) -> None:
+        self._session = session
+        self._affordances = affordances
+        self._mappings = mappings
+        self._find = find
+        self._authenticator = authenticator
 
-    try:
-        until = Until(expression, view)
-        await resource.prepare()
-        until.holds(await resource.state())
-    except Problem as problem:
-        words = problem.detail.removeprefix("?until= ")
-        raise Problem(422, f"The trigger cannot be waited for: {words}") from problem
+    async def resume(self, recordings: Recordings) -> None:
+        """Have those wait that did before the server was restarted."""
+        recordings.resume(self.occurrences)
 
-    async def occurrences(one: ArmedRecording) -> AsyncGenerator[None, None]:
-        broadcaster, waiter, held = Broadcaster(resource, changes), Waiter(), False
+    async def follow(self, order: RecordingOrder, permissions: Permissions) -> Followed:
+        """What an order waits for. Raises 403, 422 Problems where it cannot be waited for with these permissions."""
+        trigger, space = order.trigger, self._session.space
+        assert trigger is not None, "what waits has a trigger"
+        try:
+            if trigger.resource is None:
+                resource = _mapped_condition(space, self._affordances, self._mappings, trigger.condition, permissions)
+                followed = Followed(resource, "value = true", permissions)
+            else:
+                found = _resource(space, trigger.resource, self._find, permissions)
+                followed = Followed(found, trigger.condition, permissions)
+            await followed.resource.prepare()
+            followed.until.holds(await followed.resource.state())
+        except Problem as problem:
+            if problem.status in (403, 422):
+                raise
+            words = problem.detail.removeprefix("?until= ")
+            raise Problem(422, f"The trigger cannot be waited for: {words}") from problem
+        return followed
+
+    async def occurrences(self, one: ArmedRecording) -> AsyncGenerator[MayRecord, None]:
+        """Yields each time that the condition comes to hold, with what who ordered it may record then.
+
+        That it holds at the beginning counts as well. While it cannot be waited for, the recording says why.
+        """
+        waiter = Waiter()
+        while True:
+            with self._woken_by_changes(waiter):
+                try:
+                    followed = await self.follow(one.order, self._require(one))
+                except (Problem, RosError) as error:
+                    one.suspend((error if isinstance(error, Problem) else problem_of(error)).detail)
+                    await waiter.sleep()
+                    continue
+            async with contextlib.aclosing(self._changes(one, followed)) as found:
+                async for _ in found:
+                    yield partial(may_read_topic, self._session.space, followed.permissions)
+
+    async def _changes(self, one: ArmedRecording, followed: Followed) -> AsyncGenerator[None, None]:
+        """Yields each time that the condition comes to hold; ends where it could not be ordered any more."""
+        broadcaster, waiter, held = Broadcaster(followed.resource, self._session.changes), Waiter(), False
+        watch = None if self._authenticator is None else self._authenticator.changed.watch(broadcaster.wake_all)
         broadcaster.start()
         try:
             while True:
                 version = broadcaster.version
                 state = (await broadcaster.observe()).state
-                holds, one.problem = _judge(until, state)
+                holds, problem = _judge(followed.until, state)
+                try:
+                    if not self._is_defined_so(followed.resource):
+                        return
+                    if (holds and not held) or self._permissions(one) is not followed.permissions:
+                        followed.permissions = self._require(one)
+                except Problem:
+                    return
+                one.suspend(problem)
                 if holds and not held:
                     yield
                 held = holds
                 await broadcaster.wait(waiter, version)
         finally:
             broadcaster.stop()
+            if watch is not None:
+                watch.close()
 
-    return occurrences
+    def _is_defined_so(self, resource: Resource) -> bool:
+        """Whether a condition is still the one that its mapping has. Raises a 422 Problem where none has it."""
+        if not isinstance(resource, MappedCondition):
+            return True
+        return _condition(self._mappings, resource.condition.iri) == resource.condition
+
+    def _permissions(self, one: ArmedRecording) -> Permissions | None:
+        """What who ordered a recording may do now; None where they could not ask any more."""
+        return ALLOW_ALL if self._authenticator is None else self._authenticator.current_permissions(one.agent)
+
+    def _require(self, one: ArmedRecording) -> Permissions:
+        """What who ordered a recording may do now. Raises 403, 422 Problems where it could not be ordered now."""
+        space, permissions = self._session.space, self._permissions(one)
+        if not can_record(self._session):
+            raise Problem(403, NOTHING_IS_RECORDED)
+        if permissions is None:
+            raise Problem(403, "Who ordered it is not known here any more.")
+        if not permissions.may("POST", space.container("bags")):
+            raise Problem(403, "Who ordered it may not have anything recorded any more.")
+        order_of(order_to_json(one.order))
+        resource, condition = one.trigger.resource, one.trigger.condition
+        if resource is None:
+            resource = url_of(_condition(self._mappings, condition).about, space)
+        for url in (resource, *map(space.topic, named_topics(one.order))):
+            if not permissions.may_read(urljoin(space.base, url)):
+                raise Problem(403, f"Who ordered it may not read {url[:200]} any more.")
+        return permissions
+
+    @contextlib.contextmanager
+    def _woken_by_changes(self, waiter: Waiter) -> Iterator[None]:
+        """Wake whoever sleeps when something may be otherwise: the robot, a mapping, the rights; and now and then."""
+        watches = [self._session.changes.watch(waiter.wake), call_every(LOOK_AGAIN_SECONDS, waiter.wake)]
+        if self._authenticator is not None:
+            watches.append(self._authenticator.changed.watch(waiter.wake))
+        try:
+            yield
+        finally:
+            for watch in watches:
+                watch.close()
+
+
+def can_record(session: Session) -> bool:
+    """Whether clients may have anything recorded here."""
+    return not session.settings.read_only and session.adapter.capabilities.system != "recording"
+
+
+def may_read_topic(space: Space, permissions: Permissions, topic: str) -> bool:
+    """Whether a topic may be read."""
+    return permissions.may_read(space.topic(topic))
+
+
+def named_topics(order: RecordingOrder) -> Sequence[str]:
+    """The topics that an order names; a glob takes those that may be read."""
+    return [topic for topic in order.topics if not set(topic) & set("*?[")]
+
+
+def require_topics(order: RecordingOrder, permissions: Permissions, space: Space) -> None:
+    """Raise a 403 Problem where an order names a topic that must not be read."""
+    for topic in named_topics(order):
+        if not may_read_topic(space, permissions, topic):
+            raise Problem(403, f"You may not read {topic}, so you may not record it.")
 
 
 def _judge(until: Until, state: State | Problem) -> tuple[bool, str | None]:
@@ -111,10 +233,10 @@ def _judge(until: Until, state: State | Problem) -> tuple[bool, str | None]:
         return False, f"It cannot be told whether its condition holds: {problem.detail}"
 
 
-def _resource(space: Space, url: str, find: Find | None, permissions: Permissions) -> Resource:
+def _resource(space: Space, url: str, find: Find, permissions: Permissions) -> Resource:
     base = space.base
     whole = urljoin(base, url)
-    if find is None or not whole.startswith(base) or "?" in whole or "#" in whole:
+    if not whole.startswith(base) or "?" in whole or "#" in whole:
         raise Problem(422, f"The trigger is about {url[:200]}: it is about the URL of a value below {base}.")
     if not permissions.may_read(whole):
         raise Problem(403, f"You may not read {url[:200]}, so you may not wait for it.")
@@ -129,10 +251,15 @@ def _resource(space: Space, url: str, find: Find | None, permissions: Permission
 def _mapped_condition(
     space: Space, affordances: AffordanceService[State], mappings: Mappings, iri: str, permissions: Permissions
 ) -> MappedCondition:
+    condition = _condition(mappings, iri)
+    if not permissions.may_read(url_of(condition.about, space)):
+        raise Problem(403, f"You may not read {condition.about}, so you may not wait for it.")
+    return MappedCondition(affordances, condition)
+
+
+def _condition(mappings: Mappings, iri: str) -> Condition:
     for resource in mappings.mapping_set.resources.values():
         for condition in resource.conditions():
             if condition.iri == iri:
-                if not permissions.may_read(url_of(condition.about, space)):
-                    raise Problem(403, f"You may not read {condition.about}, so you may not wait for it.")
-                return MappedCondition(affordances, condition)
+                return condition
     raise Problem(422, f"No mapping has a condition {iri[:200]}: a trigger on a value names its resource, too.")

@@ -8,7 +8,8 @@ from functools import partial
 from starlette.responses import Response
 
 from rosld.ontology.urls import Space
-from rosld.server.history.recordings import ArmedRecording, Recordings, RunningRecording
+from rosld.server.history.armed_recordings import ArmedRecording
+from rosld.server.history.recordings import Recordings, RunningRecording
 from rosld.server.html import ChoiceForm, DeleteForm, Form
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import DataSchema
@@ -121,5 +122,8 @@ class ArmedBag(UnfinishedBag):
 
     async def delete(self, exchange: Exchange) -> Answer:
         """Have it wait no more."""
-        self.recordings.disarm(self.one.name)
+        try:
+            await self.recordings.disarm(self.one.name)
+        except OSError as error:
+            raise Problem(507, f"That it waits no more cannot be stored: {error.strerror or error}.") from error
         return Response(status_code=204)

@@ -169,12 +169,11 @@ class GraphDescriptions:
         yield _container(space.container("bags"), urls, "Recordings")
         for recording in recordings.readable.values():
             digest = recordings.history.digests.known(recording.path)
-            size = recording.first, recording.count, recordings.history.problem, digest
-            yield _described(
-                space.bag(recording.name), size, partial(describe_bag, space, recordings.history, recording)
-            )
+            why = recordings.interruption(recording.name)
+            size = recording.first, recording.count, recordings.history.problem, digest, why
+            yield _described(space.bag(recording.name), size, partial(describe_bag, space, recordings, recording))
         for armed in recordings.armed.values():
-            waits = armed.count, armed.problem
+            waits = armed.count, armed.suspended, armed.problem
             yield _described(space.bag(armed.name), waits, partial(describe_armed, space, armed))
         for one in recordings.running.values():
             progress = one.writer.count, one.writer.problem

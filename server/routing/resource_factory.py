@@ -39,6 +39,7 @@ from rosld.server.resources.parameters import ParameterResource, ParameterTree
 from rosld.server.resources.past_resources import ComplexTimeGate, MemberTimeGate
 from rosld.server.resources.property_action import MemberResource
 from rosld.server.resources.queries import QueryRunner, query_route
+from rosld.server.resources.recording_trigger import RecordingTriggers
 from rosld.server.resources.services import CallResource, ServiceResource
 from rosld.server.resources.sparql_endpoint import SparqlResource
 from rosld.server.resources.stop import StopResource
@@ -208,18 +209,10 @@ class ResourceFactory:
 
     # Recordings, and what clients keep
 
-    def bag_at(self, location: Location, find: Find | None = None) -> Resource:
+    def bag_at(self, location: Location, triggers: RecordingTriggers | None = None) -> Resource:
+        """`triggers` follows what recordings may wait for."""
         services = self.services
-        return bag_route(
-            self.session,
-            self.affordances,
-            self.states,
-            services.mappings,
-            services.recordings,
-            services.pictures,
-            location,
-            find,
-        )
+        return bag_route(self.session, self.states, services.recordings, services.pictures, location, triggers)
 
     def bag_message(self, recording: Recording, index: int) -> BagMessage:
         return BagMessage(self.session, self.states, self.services.pictures, recording, index)

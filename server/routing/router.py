@@ -98,7 +98,6 @@ def _finding(factory: ResourceFactory, at: Callable[[str], Resource]) -> Mapping
     return {
         "topics": _named_route(factory, "topics", partial(factory.topic, find=at)),
         "holds": _flat(factory.session.space, "A hold", factory.holds, partial(factory.hold, find=at)),
-        "bags": partial(factory.bag_at, find=at),
     }
 
 

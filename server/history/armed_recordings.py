@@ -1,0 +1,241 @@
+"""Recordings that wait for their triggers: they begin others, and are kept over a restart where there is a folder."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+from collections.abc import AsyncGenerator, Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from typing import TypeAlias
+
+from rosld.server.auth.agent import Agent
+from rosld.server.history.ordered_recording import (
+    RecordingOrder,
+    RecordingRefused,
+    Trigger,
+    order_from_json,
+    order_to_json,
+)
+from rosld.server.history.recording_notes import ARMED, RecordingNotes
+
+log = logging.getLogger("rosld.history")
+MAX_ARMED = 16
+"""Recordings that wait for triggers at a time."""
+_RETRY_SECONDS = 5.0
+"""After which time what failed is tried again."""
+
+MayRecord: TypeAlias = Callable[[str], bool]
+"""Whether a topic may be recorded."""
+
+
+class ArmedRecording:
+    """A recording that waits for its trigger, which has begun `count` recordings so far, by order of `agent`.
+
+    `suspended`: why it waits for nothing just now. `problem`: why what it was to begin last could not be begun.
+    """
+
+    def __init__(self, name: str, order: RecordingOrder, agent: Agent, count: int = 0) -> None:
+        self.name = name
+        self.order = order
+        self.agent = agent
+        self.count = count
+        self.suspended: str | None = None
+        self.problem: str | None = None
+        self.task: asyncio.Task[None] | None = None
+        self._logged: str | None = None
+
+    @property
+    def trigger(self) -> Trigger:
+        """What it waits for."""
+        assert self.order.trigger is not None, "what is armed has a trigger"
+        return self.order.trigger
+
+    def suspend(self, why: str | None) -> None:
+        """It waits for nothing, and why; None: it waits. A reason other than the last one is logged."""
+        self.suspended = why
+        if why is not None and why != self._logged:
+            self._logged = why
+            log.warning("the recording %s, ordered by %s, is suspended: %s", self.name, self.agent.name, why)
+
+
+Occurrences: TypeAlias = Callable[[ArmedRecording], AsyncGenerator[MayRecord, None]]
+"""Yields each time that what a recording waits for comes to hold, with what may be recorded then."""
+
+
+class ArmedRecordings:
+    """The recordings that wait for triggers, by name. Belongs to one loop.
+
+    `begin` begins a recording, and raises RecordingRefused or OSError; `is_free` tells whether a name is nobody's.
+    """
+
+    def __init__(
+        self,
+        notes: RecordingNotes,
+        begin: Callable[[RecordingOrder, MayRecord], object],
+        is_free: Callable[[str], bool],
+        retry_seconds: float = _RETRY_SECONDS,
+    ) -> None:
+        self.all: dict[str, ArmedRecording] = {}
+        self._notes = notes
+        self._begin = begin
+        self._is_free = is_free
+        self._retry_seconds = retry_seconds
+        self._writer = ThreadPoolExecutor(1, "armed-recordings")
+        """One thread, so that notes are written and removed in the order in which that is asked for."""
+
+    @property
+    def revision(self) -> tuple[object, ...]:
+        """Another one whenever another recording waits, or one waits otherwise."""
+        return tuple((one.name, one.count, one.suspended, one.problem) for one in self.all.values())
+
+    def load(self) -> None:
+        """Take those that were kept; they wait once `resume` is called. What cannot be read is left out, and logged."""
+        for name, members in self._notes.read(ARMED).items():
+            try:
+                one = _from_note(name, members)
+            except (KeyError, TypeError, ValueError) as error:
+                log.warning("the recording %s, which waited for its trigger, cannot be read: %s", name, error)
+                continue
+            if one.trigger.limit == 1 and not self._is_free(name):
+                with contextlib.suppress(OSError):
+                    self._notes.remove(ARMED, name)  # rosld ended between the begin of the recording and that
+                continue
+            self.all[name] = one
+
+    def resume(self, occurrences: Occurrences) -> None:
+        """Have those that were kept wait."""
+        for one in self.all.values():
+            if one.task is None:
+                self._start(one, occurrences)
+
+    async def arm(self, name: str, order: RecordingOrder, agent: Agent, occurrences: Occurrences) -> ArmedRecording:
+        """Have a recording wait, durably where there is a folder. Raises RecordingRefused, OSError."""
+        if len(self.all) >= MAX_ARMED:
+            raise RecordingRefused(f"{MAX_ARMED} recordings wait for triggers already: delete one first", taken=True)
+        one = self.all[name] = ArmedRecording(name, order, agent)
+        try:
+            await self._write(one)
+        except BaseException:
+            self.all.pop(name, None)
+            raise
+        if self.all.get(name) is one:
+            self._start(one, occurrences)
+        return one
+
+    async def disarm(self, name: str) -> bool:
+        """Have a recording wait no more; whether there was one that did. What it has begun goes on. Raises OSError."""
+        one = self.all.pop(name, None)
+        if one is None:
+            return False
+        if one.task is not None:
+            one.task.cancel()
+        await self._remove(name)
+        return True
+
+    async def stop(self) -> None:
+        """Wait for nothing any more. What is kept stays so."""
+        tasks = [one.task for one in self.all.values() if one.task is not None]
+        self.all.clear()
+        for task in tasks:
+            task.cancel()
+        if tasks:
+            await asyncio.wait(tasks)
+        await asyncio.to_thread(self._writer.shutdown)
+
+    def _start(self, one: ArmedRecording, occurrences: Occurrences) -> None:
+        one.task = asyncio.get_running_loop().create_task(self._wait(one, occurrences))
+
+    async def _wait(self, one: ArmedRecording, occurrences: Occurrences) -> None:
+        """Begin what an order says until that is done. What fails leaves it waiting, and is tried again after a time.
+
+        What holds then still begins a recording, as it does at the beginning.
+        """
+        while True:
+            try:
+                if self._has_place(one) and await self._follow(one, occurrences):
+                    return
+            except (RecordingRefused, OSError) as error:
+                _fail(one, f"The recording could not be begun: {getattr(error, 'strerror', None) or error}.")
+            except Exception as error:  # whatever it is, the order is not lost by it
+                _fail(one, f"What it waits for could not be followed: {type(error).__name__}.", error)
+            await asyncio.sleep(self._retry_seconds)
+
+    def _has_place(self, one: ArmedRecording) -> bool:
+        """Whether it is among the first that may wait; more can have been kept by a rosld that had other limits."""
+        if list(self.all).index(one.name) < MAX_ARMED:
+            return True
+        one.suspend(f"{MAX_ARMED} recordings wait for triggers already, and no more may: delete one.")
+        return False
+
+    async def _follow(self, one: ArmedRecording, occurrences: Occurrences) -> bool:
+        """Begin a recording at each occurrence; True once that was the last. Raises what `begin` raises."""
+        async with contextlib.aclosing(occurrences(one)) as found:
+            async for may_record in found:
+                is_last = self._begin_next(one, may_record)
+                try:
+                    await (self._remove(one.name) if is_last else self._write(one))
+                except OSError as error:
+                    log.error("how often the recording %s was begun cannot be stored: %s", one.name, error)
+                if is_last:
+                    return True
+        return False
+
+    def _begin_next(self, one: ArmedRecording, may_record: MayRecord) -> bool:
+        """Begin the next recording of an order, which stays as it is where that fails; whether it is the last."""
+        is_last = one.count + 1 >= one.trigger.limit
+        kept = dict(self.all)
+        if is_last:
+            del self.all[one.name]  # a single recording has the name of its order
+        try:
+            self._begin(replace(one.order, name=self._next_name(one)), may_record)
+        except BaseException:
+            self.all.clear()
+            self.all.update(kept)
+            raise
+        one.count += 1
+        one.problem = None
+        return is_last
+
+    def _next_name(self, one: ArmedRecording) -> str:
+        if one.trigger.limit == 1:
+            return one.name
+        numbers = range(one.count + 1, one.count + 1000)
+        names = (f"{one.name}-{number}" for number in numbers)
+        return next(filter(self._is_free, names), f"{one.name}-{one.count + 1}")
+
+    async def _write(self, one: ArmedRecording) -> None:
+        await self._in_thread(lambda: self._notes.write(ARMED, one.name, _to_note(one)))
+
+    async def _remove(self, name: str) -> None:
+        await self._in_thread(lambda: self._notes.remove(ARMED, name))
+
+    async def _in_thread(self, work: Callable[[], None]) -> None:
+        """Do work after all that was asked for before, also where who waits for it is cancelled."""
+        await asyncio.shield(asyncio.get_running_loop().run_in_executor(self._writer, work))
+
+
+def _fail(one: ArmedRecording, problem: str, error: Exception | None = None) -> None:
+    """Have an order say what failed. What fails again and again is logged once."""
+    if problem != one.problem:
+        log.error("the recording %s, ordered by %s: %s", one.name, one.agent.name, problem, exc_info=error)
+    one.problem = problem
+
+
+def _to_note(one: ArmedRecording) -> dict[str, object]:
+    agent = {"name": one.agent.name, "webid": one.agent.webid}
+    return {"order": order_to_json(one.order), "agent": agent, "count": one.count}
+
+
+def _from_note(name: str, members: Mapping[str, object]) -> ArmedRecording:
+    """Raises KeyError, TypeError, ValueError."""
+    order, agent, count = members["order"], members["agent"], members["count"]
+    if not isinstance(order, dict) or not isinstance(agent, dict) or not isinstance(count, int):
+        raise TypeError("its order, its agent or its count is none")
+    if order.get("trigger") is None:
+        raise ValueError("it has no trigger")
+    called, webid = agent["name"], agent.get("webid")
+    if not isinstance(called, str) or not isinstance(webid, str | None):
+        raise TypeError("its agent is none")
+    return ArmedRecording(name, order_from_json(order), Agent(called, webid), count)

@@ -1,0 +1,215 @@
+"""Recordings that wait for triggers, on their own: what fails loses no order, what is kept comes back."""
+
+from __future__ import annotations
+
+import asyncio
+import shutil
+from collections.abc import AsyncGenerator
+from pathlib import Path
+
+import pytest
+
+from rosld.server.auth.agent import Agent
+from rosld.server.history.armed_recordings import MAX_ARMED, ArmedRecording, ArmedRecordings, MayRecord
+from rosld.server.history.ordered_recording import RecordingOrder, RecordingRefused, Trigger
+from rosld.server.history.recording_notes import ARMED, RecordingNotes
+
+ANNA = Agent("anna", "http://example.org/anna")
+ONCE = RecordingOrder(("/odom", "/camera/*"), "x", 10.0, 5.0, Trigger("x > 1", "/topics/odom"))
+TWICE = RecordingOrder(("/odom",), "x", 0.0, 5.0, Trigger("http://example.org/#low", None, 2))
+
+
+class Begun:
+    """Recordings that were begun, after so many failures."""
+
+    def __init__(self, *failures: Exception) -> None:
+        self.names: list[str] = []
+        self.failures = list(failures)
+        self._changed = asyncio.Event()
+
+    def begin(self, order: RecordingOrder, may_record: MayRecord) -> None:
+        if self.failures:
+            raise self.failures.pop(0)
+        assert order.name is not None
+        self.names.append(order.name)
+        self._changed.set()
+
+    async def reach(self, count: int) -> None:
+        """Until as many recordings were begun."""
+        while len(self.names) < count:
+            self._changed.clear()
+            await self._changed.wait()
+
+    def is_free(self, name: str) -> bool:
+        return name not in self.names
+
+
+async def once(one: ArmedRecording) -> AsyncGenerator[MayRecord, None]:
+    """It holds, and goes on."""
+    yield lambda topic: True
+    await asyncio.Event().wait()
+
+
+async def never(one: ArmedRecording) -> AsyncGenerator[MayRecord, None]:
+    await asyncio.Event().wait()
+    yield lambda topic: True
+
+
+def notes(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+async def finished(one: ArmedRecording) -> None:
+    """Until a recording waits no more."""
+    assert one.task is not None
+    await one.task
+
+
+def armed(folder: Path | None, begun: Begun) -> ArmedRecordings:
+    return ArmedRecordings(RecordingNotes(folder), begun.begin, begun.is_free, retry_seconds=0.0)
+
+
+@pytest.mark.parametrize("failure", [OSError(28, "No space left on device"), RecordingRefused("16 are made already")])
+def test_an_order_whose_last_recording_could_not_be_begun_says_so_waits_on_and_begins_it(
+    tmp_path: Path, failure: Exception
+) -> None:
+    async def run() -> None:
+        begun, seen = Begun(failure), []
+
+        async def looked_at(one: ArmedRecording) -> AsyncGenerator[MayRecord, None]:
+            seen.append((one.count, one.problem, notes(tmp_path), "x" in recordings.all))
+            yield lambda topic: True
+
+        recordings = armed(tmp_path, begun)
+        await finished(await recordings.arm("x", ONCE, ANNA, looked_at))
+        assert begun.names == ["x"]
+        assert not notes(tmp_path)
+        kept, words = [f"x{ARMED}"], failure.strerror if isinstance(failure, OSError) else str(failure)
+        assert seen == [(0, None, kept, True), (0, f"The recording could not be begun: {words}.", kept, True)]
+        assert not recordings.all
+        await recordings.stop()
+
+    asyncio.run(run())
+
+
+def test_an_exception_where_a_trigger_is_followed_is_logged_and_the_order_waits_on(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def run() -> None:
+        begun, failures = Begun(), [KeyError("odom"), KeyError("odom")]
+        problems: list[str | None] = []
+
+        async def failing(one: ArmedRecording) -> AsyncGenerator[MayRecord, None]:
+            problems.append(one.problem)
+            if failures:
+                raise failures.pop()
+            yield lambda topic: True
+
+        recordings = armed(tmp_path, begun)
+        await finished(await recordings.arm("x", ONCE, ANNA, failing))
+        assert begun.names == ["x"]
+        assert problems == [None, *["What it waits for could not be followed: KeyError."] * 2]
+        assert sum("could not be followed" in each.message for each in caplog.records) == 1, "the same is logged once"
+        await recordings.stop()
+
+    asyncio.run(run())
+
+
+def test_orders_are_kept_as_they_are_with_who_gave_them_and_how_often_they_began(tmp_path: Path) -> None:
+    async def run() -> None:
+        begun = Begun()
+        recordings = armed(tmp_path, begun)
+        await recordings.arm("x", TWICE, ANNA, once)
+        await recordings.arm("y", ONCE, ANNA, never)
+        await recordings.arm("z", ONCE, ANNA, never)
+        await begun.reach(1)
+        assert await recordings.disarm("z")
+        await recordings.stop()
+        again = armed(tmp_path, begun)
+        again.load()
+        found = {name: (one.order, one.agent, one.count) for name, one in again.all.items()}
+        assert found == {"x": (TWICE, ANNA, 1), "y": (ONCE, ANNA, 0)}
+        waiting = list(again.all.values())
+        again.resume(once)
+        for one in waiting:
+            await finished(one)
+        assert begun.names == ["x-1", "x-2", "y"]
+        assert not notes(tmp_path)
+        await again.stop()
+
+    asyncio.run(run())
+
+
+def test_an_order_that_began_its_recording_as_the_server_died_does_not_begin_it_again(tmp_path: Path) -> None:
+    async def run() -> None:
+        recordings = armed(tmp_path, Begun())
+        await recordings.arm("x", ONCE, ANNA, never)
+        await recordings.stop()
+        begun = Begun()
+        begun.names.append("x")
+        again = armed(tmp_path, begun)
+        again.load()
+        assert not again.all
+        assert not notes(tmp_path)
+
+    asyncio.run(run())
+
+
+def test_a_note_that_is_damaged_is_left_where_it_is_and_warned_of(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def run() -> None:
+        for number, text in enumerate(
+            ("{", "[]", "{}", '{"order": {"topics": 3}, "agent": {"name": "a"}, "count": 0}')
+        ):
+            (tmp_path / f"odd{number}{ARMED}").write_text(text)
+        recordings = armed(tmp_path, Begun())
+        recordings.load()
+        assert not recordings.all
+        assert len(notes(tmp_path)) == len([each for each in caplog.records if each.levelname == "WARNING"]) == 4
+
+    asyncio.run(run())
+
+
+def test_what_was_kept_beyond_the_limit_says_so_and_waits_once_there_is_room(tmp_path: Path) -> None:
+    async def run() -> None:
+        begun = Begun()
+        recordings = armed(tmp_path, begun)
+        for number in range(MAX_ARMED):
+            await recordings.arm(f"a{number:02}", ONCE, ANNA, never)
+        with pytest.raises(RecordingRefused, match="already"):
+            await recordings.arm("b", ONCE, ANNA, never)
+        await recordings.stop()
+        shutil.copy(tmp_path / f"a00{ARMED}", tmp_path / f"b{ARMED}")
+        again = armed(tmp_path, begun)
+        again.load()
+        last = again.all["b"]
+
+        async def only_the_last(one: ArmedRecording) -> AsyncGenerator[MayRecord, None]:
+            if one is not last:
+                await asyncio.Event().wait()
+            yield lambda topic: True
+
+        again.resume(only_the_last)
+        for _ in range(3):
+            await asyncio.sleep(0)  # a turn of the loop, in which it looks for its place
+        assert "16 recordings wait" in str(last.suspended)
+        assert begun.names == []
+        await again.disarm("a00")
+        await finished(last)
+        assert begun.names == ["b"]
+        await again.stop()
+
+    asyncio.run(run())
+
+
+def test_without_a_folder_nothing_is_kept() -> None:
+    async def run() -> None:
+        recordings = armed(None, Begun())
+        await recordings.arm("x", ONCE, ANNA, never)
+        await recordings.stop()
+        again = armed(None, Begun())
+        again.load()
+        assert not again.all
+
+    asyncio.run(run())

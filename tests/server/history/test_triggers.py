@@ -106,6 +106,28 @@ def test_a_condition_of_a_mapping_triggers_a_recording_also_when_ordered_in_rdf(
     power(http, is_on=False)
 
 
+EXTRA = """
+@prefix map: <https://w3id.org/rosld/mapping#> . @prefix av: <https://w3id.org/rosld/aircraft#> .
+@prefix sh: <http://www.w3.org/ns/shacl#> .
+<#extra> a map:ComplexResource ; map:path "/extra/" ; map:existsWhen <#odd> .
+<#odd> a sh:NodeShape ; map:about "/aircraft/" ; sh:property [ sh:path av:power ; sh:hasValue "odd" ] .
+"""
+
+
+def test_a_recording_whose_condition_no_mapping_has_any_more_says_so_and_waits_again_once_one_has(armed: Any) -> None:
+    http, turtle = armed.http, {"Content-Type": "text/turtle"}
+    for again in (False, True):
+        assert http.put("/mappings/extra", content=EXTRA, headers=turtle).status_code == 201
+        if not again:
+            made = order(http, "odd", trigger={"condition": f"{armed.url}mappings/extra#odd"})
+            assert made.status_code == 201, made.text
+        until(lambda: value(http, "/bags/odd/", "recordingStatus") == "armed", "the condition")
+        assert http.delete("/mappings/extra").status_code == 204
+        until(lambda: value(http, "/bags/odd/", "recordingStatus") == "suspended", "that the condition is gone")
+        assert "No mapping has a condition" in str(value(http, "/bags/odd/", "recordingProblem"))
+    assert http.delete("/bags/odd/").status_code == 204
+
+
 @pytest.mark.parametrize(
     "trigger",
     [

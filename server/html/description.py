@@ -113,6 +113,8 @@ def _others(walk: _Walk, hidden: set[Subject]) -> Iterator[Section]:
         if isinstance(subject, BlankNode) and subject in walk.outline.nested:
             continue
         walk.drawn.add(subject)
+        if walk.outline.subjects[subject].keys() == {rdfs.isDefinedBy}:
+            continue  # a class of messages: every link to it leads there
         body = TableView(_rows(walk, walk.outline.subjects[subject], 0))
         yield Section(_title(walk, subject), body, fragment(subject, walk.url), _kind(walk.outline.subjects[subject]))
 

@@ -160,7 +160,7 @@ class Resource:
         return Page(
             site,
             self.kind,
-            self.title or self.url.removeprefix(site.base),
+            _heading(self.title, self.url.removeprefix(site.base).partition("?")[0]),
             state.document,
             tuple(sorted(each for each in self.methods() - self.withheld if self._is_for(site, each))),
             tuple(forms),
@@ -257,6 +257,12 @@ Answer: TypeAlias = Response | CreatedAnswer | ShownAnswer
 
 def _not_there(resource: Resource, method: str) -> Problem:
     return Problem(405, resource.deny_reason(method), headers={"Allow": allow_field(resource)})
+
+
+def _heading(title: str, path: str) -> str:
+    """What the page at a path below the base is headed by: a container right there by its own name."""
+    route, slash, rest = path.partition("/")
+    return route.capitalize() if slash and not rest else title or path
 
 
 def permanent_redirect(url: str) -> Problem:

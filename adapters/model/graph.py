@@ -14,11 +14,16 @@ from typing import TypeVar
 
 from rosld.adapters.model.action import Action
 from rosld.adapters.model.lifecycle import Lifecycle
+from rosld.adapters.model.names import action_of
 from rosld.adapters.model.parameter import Descriptor
 from rosld.adapters.model.qos import Qos
 from rosld.adapters.model.schema import TypeRef
 
 _V = TypeVar("_V")
+
+
+_ACTIONLIB = frozenset({"goal", "cancel", "status", "feedback", "result"})
+"""The last segments of the topics that an action of ROS 1 is made of."""
 
 
 class Kind(Enum):
@@ -168,3 +173,13 @@ class Graph:
     services: Mapping[str, Service] = field(default_factory=dict)
     actions: Mapping[str, Action] = field(default_factory=dict)
     parameters: Mapping[str, Parameter] = field(default_factory=dict)
+
+    def is_of_action(self, name: str) -> bool:
+        """Whether a topic or a service is a part of an action: of one of ROS 2 by its name, or of one of actionlib.
+
+        The latter has five topics, whose siblings are all there.
+        """
+        if action_of(name) is not None:
+            return True
+        parent, _, last = name.rpartition("/")
+        return last in _ACTIONLIB and all(f"{parent}/{part}" in self.topics for part in _ACTIONLIB)

@@ -8,10 +8,9 @@ from __future__ import annotations
 
 from fnmatch import fnmatchcase
 
-from rosld.adapters.model import Graph, Topic, names
+from rosld.adapters.model import Graph, Topic
 
 RESERVED = frozenset({"/clock", "/tf", "/tf_static", "/rosout", "/rosout_agg", "/parameter_events"})
-_ACTION_PARTS = frozenset({"goal", "cancel", "status", "feedback", "result"})
 
 
 def denied_reason(
@@ -69,12 +68,4 @@ def type_conflict(topic: Topic) -> str | None:
 
 def is_reserved(name: str, graph: Graph) -> bool:
     """Whether a topic belongs to ROS itself, or to an action."""
-    return name in RESERVED or _of_action(name, graph)
-
-
-def _of_action(name: str, graph: Graph) -> bool:
-    """Whether the topic is one of an action: of ROS 2, or of the five of actionlib, whose siblings are all there."""
-    if names.action_of(name) is not None:
-        return True
-    parent, _, last = name.rpartition("/")
-    return last in _ACTION_PARTS and all(f"{parent}/{part}" in graph.topics for part in _ACTION_PARTS)
+    return name in RESERVED or graph.is_of_action(name)

@@ -91,6 +91,14 @@ def test_what_is_wrong_is_said_in_words() -> None:
     }  # fmt: skip
 
 
+def test_the_topics_of_an_action_of_ros_1_are_drawn_as_the_action_alone() -> None:
+    inner = [topic(f"/dock/{part}", [], ["/nav"]) for part in ("goal", "cancel")]
+    inner += [topic(f"/dock/{part}", ["/nav"], []) for part in ("status", "feedback", "result")]
+    docking = Action("/dock", TypeRef("x/action/Dock"), ("/nav",), ())
+    assert {each.key for each in drawn(graph(*inner, actions=[docking])).vertices} == {"node /nav", "action /dock"}
+    assert "topic /dock/goal" in problems(drawn(graph(*inner[:4], actions=[docking]))), "four of them are no action"
+
+
 def test_a_part_is_what_lies_below_a_name_with_its_neighbours() -> None:
     assert {each.key for each in drawn(ROBOT, "/camera").vertices} == {
         "node /camera", "topic /camera/image", "node /nav"

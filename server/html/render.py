@@ -63,6 +63,14 @@ from rosld.server.space.drawing import PLACED_TYPES
 
 _FAILED_GOALS = frozenset({ros.Aborted, ros.Rejected, ros.Lost})
 _GOAL_VERBS = {"succeeded": "has", **dict.fromkeys(("accepted", "rejected", "aborted", "canceled", "lost"), "was")}
+_CALLS = {
+    ros.Running: ("The service has not answered yet", NoticeLevel.INFO),
+    ros.Succeeded: ("The service has answered", NoticeLevel.GOOD),
+    ros.Failed: ("The call has failed", NoticeLevel.ERROR),
+    ros.Refused: ("The call was refused", NoticeLevel.ERROR),
+    ros.NotSent: ("The call was not sent", NoticeLevel.ERROR),
+    ros.OutcomeUnknown: ("It is not known what became of the call", NoticeLevel.ERROR),
+}
 _NOTICED = (
     (ros.unreachable, "Unreachable"),
     (ros.unreadable, "Unreadable"),
@@ -181,7 +189,7 @@ def _own_notices(page: Page) -> tuple[Notice, ...]:
     """What the description itself says is wrong with the resource; what is on offer tells that by itself."""
     if page.offer is not None:
         return ()
-    outcome = _goal_notice(page.document)
+    outcome = (*_goal_notice(page.document), *_call_notice(page.document))
     found = ((words, first_text(page.document, predicate)) for predicate, words in _NOTICED)
     notices = tuple(Notice(f"{words}: {text}", NoticeLevel.WARNING) for words, text in found if text)
     warning = "" if page.site.stop_warning else first_text(page.document, ros.warning)  # which every page shows
@@ -198,6 +206,19 @@ def _goal_notice(document: Document) -> tuple[Notice, ...]:
     is_failed = not _FAILED_GOALS.isdisjoint(status)
     level = NoticeLevel.ERROR if is_failed else NoticeLevel.GOOD if ros.Succeeded in status else NoticeLevel.INFO
     return (Notice(told, level),)
+
+
+def _call_notice(document: Document) -> tuple[Notice, ...]:
+    """What has become of a call; nothing of what is no call."""
+    if ros.Call not in objects_of(document, rdf.type):
+        return ()
+    about = first_text(document, ros.words)
+    return tuple(
+        Notice(f"{told}: {about}" if about else told, level)
+        for state in objects_of(document, ros.state)
+        if isinstance(state, NamedNode)
+        for told, level in (_CALLS[state],)
+    )
 
 
 def _curl(url: str, accept: str) -> str:

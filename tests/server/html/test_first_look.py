@@ -102,3 +102,12 @@ def test_a_plot_of_what_stands_still_is_as_near_as_its_numbers(tab: Any, rover: 
     assert tab.run(f"{of}(12, 12)") == [10.8, 13.2]
     assert tab.run(f"{of}(null, null)") == [None, None]
     assert tab.run(f"{of}(1, 2)") == pytest.approx([0.9, 2.1])
+
+
+def test_a_call_says_first_what_has_become_of_it(rover: httpx.Client, own_aircraft: httpx.Client) -> None:
+    lights = rover.post("/services/set_lights", json={"data": True}).headers["location"]
+    seen = rover.get(lights, headers=HTML).text
+    assert re.search(r'<div class="notice good"[^>]*>\s*<p><bdi>The service has answered', seen)
+    faster = own_aircraft.post("/services/aircraft/engine/set_speed", json={"data": 100.0}).headers["location"]
+    seen = own_aircraft.get(faster, headers=HTML).text
+    assert re.search(r'<div class="notice error" role="alert">\s*<p><bdi>The call has failed: ', seen)

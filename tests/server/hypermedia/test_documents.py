@@ -510,7 +510,7 @@ def test_a_condition_that_demands_nothing_is_refused(shape: str) -> None:
         "sh:property [ sh:path 'p' ; sh:minCount 1 ]",
         "sh:property [ sh:path av:p ; sh:minCount 'many' ]",
         "sh:property [ sh:path av:p ; sh:pattern '(' ]",
-        "sh:property [ sh:path av:p ; sh:pattern '(a+)+$' ]",
+        "sh:property [ sh:path av:p ; sh:pattern '(?=a)' ]",
         "sh:property [ sh:path av:p ; sh:in 1 ]",
         "sh:property <#nowhere>",
         "sh:node <#nowhere>",

@@ -21,7 +21,6 @@ from rosld.adapters.model.schema import TypeRef
 
 _V = TypeVar("_V")
 
-
 _ACTIONLIB = frozenset({"goal", "cancel", "status", "feedback", "result"})
 """The last segments of the topics that an action of ROS 1 is made of."""
 
@@ -175,7 +174,7 @@ class Graph:
     parameters: Mapping[str, Parameter] = field(default_factory=dict)
 
     def is_of_action(self, name: str) -> bool:
-        """Whether a topic or a service is a part of an action: of one of ROS 2 by its name, or of one of actionlib.
+        """Whether a topic is a part of an action: of one of ROS 2 by its name, or of one of actionlib.
 
         The latter has five topics, whose siblings are all there.
         """

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from enum import Enum
 
-from rosld.adapters.model import Graph, Topic
+from rosld.adapters.model import Graph, Topic, names
 from rosld.adapters.model.qos import Mismatch, mismatches
 from rosld.ontology.urls import Space
 
@@ -131,7 +131,7 @@ def _vertices(graph: Graph, space: Space, selection: Selection, rate: Callable[[
             key = _key(VertexKind.TOPIC, name)
             yield Vertex(key, VertexKind.TOPIC, name, space.topic(name), rate(name), _topic_problem(topic))
     for name, service in sorted(graph.services.items()):
-        if selection.everything or not (name.rpartition("/")[2] in _OF_NODES or graph.is_of_action(name)):
+        if selection.everything or not (name.rpartition("/")[2] in _OF_NODES or names.action_of(name)):
             problem = f"cannot be called: {service.uncallable}" if service.uncallable else ""
             yield Vertex(_key(VertexKind.SERVICE, name), VertexKind.SERVICE, name, space.service(name), 0.0, problem)
     for name in sorted(graph.actions):

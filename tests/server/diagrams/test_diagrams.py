@@ -96,6 +96,8 @@ def test_the_topics_of_an_action_of_ros_1_are_drawn_as_the_action_alone() -> Non
     inner += [topic(f"/dock/{part}", ["/nav"], []) for part in ("status", "feedback", "result")]
     docking = Action("/dock", TypeRef("x/action/Dock"), ("/nav",), ())
     assert {each.key for each in drawn(graph(*inner, actions=[docking])).vertices} == {"node /nav", "action /dock"}
+    service = Service("/dock/cancel", None, ("/nav",))
+    assert "service /dock/cancel" in {each.key for each in drawn(graph(*inner, services=[service])).vertices}
     assert "topic /dock/goal" in problems(drawn(graph(*inner[:4], actions=[docking]))), "four of them are no action"
 
 

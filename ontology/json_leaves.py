@@ -160,7 +160,7 @@ def _number_array(kind: Array, element: Primitive) -> Callable[[list[object]], o
 
 
 def read_all(read: Leaf, values: Sequence[object]) -> list[object]:
-    """All values read, one by one; a misfit has the index as its path."""
+    """Read all values, one by one. Raises Misfit, whose path is the index of the value."""
     found = []
     for index, value in enumerate(values):
         try:

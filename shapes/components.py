@@ -148,7 +148,10 @@ def max_count(limit: int) -> SetConstraint:
 
 
 def value_range(parameter: NamedNode, bound: Literal) -> ValueConstraint:
-    """sh:minInclusive and its three siblings: numbers by their values, whatever their datatypes."""
+    """sh:minInclusive, sh:maxInclusive, sh:minExclusive, sh:maxExclusive: numbers by value, whatever their datatypes.
+
+    Raises ValueError for a bound that is NaN.
+    """
     limit = number(bound)
     if limit is not None and isnan(limit):
         raise ValueError(f"sh:{parameter.value[len(sh.iri) :]} is NaN, with which nothing compares")

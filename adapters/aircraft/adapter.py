@@ -239,7 +239,7 @@ class Aircraft:
         return NoWatch()
 
     async def change_state(self, node: str, transition: str, *, deadline: float) -> None:
-        """Its nodes have no lifecycles."""
+        """Raise Refused: its nodes have no lifecycles; NotFound for a node that is not there."""
         raise without_lifecycle(self._graph.nodes, node)
 
     async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:

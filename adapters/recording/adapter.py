@@ -188,7 +188,7 @@ class RecordingAdapter:
         raise NotFound(f"there is no action {action}: a recording has none")
 
     async def change_state(self, node: str, transition: str, *, deadline: float) -> None:
-        """Recorded nodes have no lifecycles."""
+        """Raise Refused: recorded nodes have no lifecycles; NotFound for a node that is not there."""
         raise without_lifecycle(self._graph.nodes, node)
 
     async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:

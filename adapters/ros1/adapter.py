@@ -251,13 +251,13 @@ class Ros1Adapter:
         await thread.run(client.actions.cancel_all(action, _until(deadline)))
 
     async def follow_goals(self, action: str, *, deadline: float) -> Watch:
-        """Read what the server tells of goals, without a trace at the master, until the watch is closed."""
+        """Follow an action's goals by its topics, without a registration at the master, until the watch is closed."""
         thread, client = self._running()
         await thread.run(client.actions.start_following(action, _until(deadline)))
         return _Following(lambda: thread.post(partial(client.actions.stop_following, action)))
 
     async def change_state(self, node: str, transition: str, *, deadline: float) -> None:
-        """ROS 1 has no managed nodes."""
+        """Raise Refused: ROS 1 has no managed nodes; NotFound for a node that is not there."""
         raise without_lifecycle(self.graph.nodes, node)
 
     async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:

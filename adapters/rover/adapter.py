@@ -228,7 +228,7 @@ class Rover:
         return NoWatch()
 
     async def change_state(self, node: str, transition: str, *, deadline: float) -> None:
-        """Its node has no lifecycle."""
+        """Raise Refused: its node has no lifecycle; NotFound for a node that is not there."""
         raise without_lifecycle(self._graph.nodes, node)
 
     async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:

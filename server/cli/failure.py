@@ -24,7 +24,7 @@ class Failure(click.ClickException):
 
 @contextmanager
 def user_errors() -> Iterator[None]:
-    """Turns what can go wrong with a user's source, folder, address or file into a Failure."""
+    """Raise Failure in place of the RosError, OSError or ValueError of a user's source, folder, address or file."""
     try:
         yield
     except RosError as error:

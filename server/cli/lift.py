@@ -94,7 +94,10 @@ def write(lifting: Lifting, to: Target) -> None:
 
 @contextlib.contextmanager
 def draft_file(to: Target) -> Iterator[IO[bytes]]:
-    """A file beside the target that takes its place at the end, and is removed if it does not come to that."""
+    """A temporary file beside the target, which replaces it at the end of the block, or is removed if that raises.
+
+    Raises Failure where the folder does not exist.
+    """
     path = to.path.with_name(f".{to.path.name}.{os.getpid()}")
     try:
         with path.open("wb", _BUFFER) as file:

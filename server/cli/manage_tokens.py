@@ -21,7 +21,10 @@ _TOKEN = re.compile(r"^[ \t]*\[\[[ \t]*token[ \t]*\]\]")
 
 
 def add(file: Path, name: str, modes: Sequence[str], globs: Sequence[str]) -> None:
-    """Give an agent a new token, and these rights where there are any; the token is told once, here."""
+    """Give an agent a new token, and a rule with these modes at these globs if there are any; print the token.
+
+    It is printed here and never again: the file holds its digest. Raises Failure where the file cannot be read.
+    """
     token = tokens.generate_token()
     made = datetime.now(timezone.utc).strftime("%Y-%m-%d")
     more = f'\n[[token]]\nagent = {_text(name)}\nsha256 = "{tokens.token_digest(token)}"\ncreated = "{made}"\n'
@@ -37,7 +40,7 @@ def add(file: Path, name: str, modes: Sequence[str], globs: Sequence[str]) -> No
 
 
 def count_tokens(file: Path) -> None:
-    """Who has tokens, and how many."""
+    """Print each agent that has tokens, and how many. Raises Failure where the file cannot be read."""
     with user_errors():
         found = _read(file)
     counts: dict[str, int] = {}
@@ -48,10 +51,7 @@ def count_tokens(file: Path) -> None:
 
 
 def remove(file: Path, name: str) -> None:
-    """Take all tokens of an agent away; the rules about it stay, and are about nobody.
-
-    Fails with a message for the command line where it has none.
-    """
+    """Remove all tokens of an agent; the rules that name it stay. Raises Failure where it has no token."""
     with user_errors():
         found = _read(file)
         if name not in found.tokens.agents.values():

@@ -27,7 +27,7 @@ class Writer(Protocol):
     """Writes the parts of one file, each as bytes to append."""
 
     def document(self, document: Document) -> bytes:
-        """A document that stands by itself."""
+        """The bytes of a document. Raises CannotCarry as `serialize`."""
         ...
 
     def message(self, told: DescribedMessage) -> bytes:
@@ -49,7 +49,7 @@ class Paragraphs:
         self._declared: dict[bytes, bytes] = {}
 
     def document(self, document: Document) -> bytes:
-        """The document, without what the file has already declared."""
+        """The document, without the prefixes that the file has already declared."""
         text = serialize_named(document, self._syntax)
         header = _HEADER.match(text)
         return text if header is None else self._new(header[0]) + text[header.end() :]
@@ -108,7 +108,7 @@ class Lines:
         self._templates: dict[tuple[str, str, TypeRef], Template] = {}
 
     def document(self, document: Document) -> bytes:
-        """The document's lines."""
+        """The document as lines, one a triple or quad."""
         return serialize_named(document, self._syntax)
 
     def message(self, told: DescribedMessage) -> bytes:

@@ -63,7 +63,7 @@ async def read_body(request: IncomingRequest, *, limit: int, timeout: float = TI
 
 
 async def read_chunks(request: IncomingRequest, *, limit: int, timeout: float = TIMEOUT) -> AsyncIterator[bytes]:
-    """The body of a request as it comes, each chunk within `timeout` seconds; Problems as `read_body`'s.
+    """The body of a request as it comes, each chunk within `timeout` seconds; raises the Problems of `read_body`.
 
     All of it may take that long and a second more for each `MIN_BYTES`, so that no trickle goes on for ever.
     """

@@ -27,7 +27,10 @@ _PALETTE = _palette()
 
 
 def draw_depth(depth: npt.NDArray[np.generic], scale: float, shown: DepthRange) -> Image.Image:
-    """The colours of an array of distances, `scale` metres each; 0, NaN and infinities are unknown."""
+    """The colours of an array of distances, `scale` metres each; 0, NaN and infinities are unknown.
+
+    Raises CannotDraw where `shown` is no range.
+    """
     if not shown.nearest < shown.farthest:
         raise CannotDraw(f"The range {shown.nearest:g} to {shown.farthest:g} has no distances in it")
     nearest, span = shown.nearest / scale, (shown.farthest - shown.nearest) / scale

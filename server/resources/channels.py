@@ -392,7 +392,7 @@ class ChannelSourceResource(DescribedResource):
 
 
 def channel_route(location: Location, *, notifications: Notifications) -> Resource:
-    """`/channels/` and below."""
+    """The resource at a location under `/channels/`. Raises Problems: 404, or 308 for `/channels` without its slash."""
     space = notifications.space
     if not location.segments:
         url = space.container(ROUTE)

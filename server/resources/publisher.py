@@ -56,7 +56,7 @@ class Publisher:
         return topic is not None and topic.type is not None and topic.type.name in COMMANDS
 
     async def plan(self, exchange: Exchange) -> PlannedPublish:
-        """What a PUT asks to be published. Raises whatever there is to refuse."""
+        """What a PUT asks to be published. Raises LoweringError, BodyError, and Problems for all that is refused."""
         latch = exchange.query_flag("latch")
         return await self._publish(*await self.read_message(exchange), latch)
 
@@ -104,7 +104,10 @@ class Publisher:
         return await self._publish(schema, await self._lower(schema, body), latch=False)
 
     async def plan_patch(self, exchange: Exchange, description: Sequence[Triple]) -> PlannedPublish:
-        """What a PATCH of the latest message asks to be published; `description` is said of the topic beside it."""
+        """What a PATCH of the latest message asks to be published; `description` is said of the topic beside it.
+
+        Raises a 409 Problem where there is no message to patch, other Problems for the patch, and LoweringError.
+        """
         view = await self.session.topics.read(self.name)
         if view.newest is None:
             raise Problem(409, f"{self.name} has no message yet that a PATCH could change; PUT one.")
@@ -175,6 +178,7 @@ class Publisher:
         raise Problem(422, f"{self.name} has no type yet, and the body states none: give the message a type of {base}.")
 
     async def carry_out(self, plan: PlannedPublish, accept: str | None) -> Response:
+        """Publish: 201 where that makes the topic, 202 where it has no subscriber, else 204. Raises RosError."""
         published = await publish(self.session, plan.publication)
         if plan.creates:
             return Response(status_code=201, headers={"Location": self.url})

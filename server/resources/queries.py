@@ -119,7 +119,8 @@ class QueryRunner:
     ) -> Response | None:
         """The results in the form that is preferred; None where the description of the query is.
 
-        `state` is the state part of the ETags of a query that may change; else it is a digest of the results.
+        `state` is the state part of the ETags of a query that may change; else it is a digest of the results. Raises
+        Problems: 400 as `bind_parameters`, 406, and those of the query service.
         """
         given = {name: value for name, value in exchange.query.items() if name not in OTHER_SETTINGS}
         timeout = requested_timeout((name, value) for name, value in exchange.query.items() if value)

@@ -27,7 +27,7 @@ async def read_request(
     schema: ServiceSchema,
     url: str,
 ) -> Message:
-    """The request of a service in a body sent to `url`; an empty one where the request has no fields."""
+    """The request of a service in a body sent to `url`; raises as `read_message`."""
     return await read_message(exchange, space, lifting, limit_checks, Kind.SERVICE, service, schema.request, url)
 
 
@@ -44,7 +44,7 @@ async def read_message(
     """The request or the goal in a body sent to `url`, for what is called `name`.
 
     No body is a message without fields: for one that has some, `{}` asks for its defaults, and a body that got lost
-    does not move the robot.
+    does not move the robot. Raises BodyError, LoweringError, and Problems.
     """
     data = await exchange.body()
     lowering = lowerer(schema, lifting)
@@ -61,7 +61,7 @@ async def read_message(
 async def call_service(
     exchange: Exchange, session: Session, service: str, schema: ServiceSchema, request: Message
 ) -> CallOutcome:
-    """What became of a call of a service, once only for each Idempotency-Key."""
+    """Call a service, once only for each Idempotency-Key. Raises a 422 Problem for a key of another request."""
     deadline = session.deadline(session.settings.call_deadline)
     key = exchange.header("idempotency-key")
     if key is None:

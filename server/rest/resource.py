@@ -220,15 +220,22 @@ class Resource:
         raise Problem(403, self.deny_reason("PUT"))
 
     async def put(self, exchange: Exchange) -> Answer:
+        """Carry out a PUT (RFC 9110 9.3.4), which is called only while it is among `methods()`.
+
+        Raises Problems (405 unless overridden), BodyError, LoweringError and RosError; so do the other three verbs.
+        """
         raise _not_there(self, "PUT")
 
     async def post(self, exchange: Exchange) -> Answer:
+        """Carry out a POST (RFC 9110 9.3.3); raises as `put`."""
         raise _not_there(self, "POST")
 
     async def patch(self, exchange: Exchange) -> Answer:
+        """Carry out a PATCH (RFC 5789); raises as `put`."""
         raise _not_there(self, "PATCH")
 
     async def delete(self, exchange: Exchange) -> Answer:
+        """Carry out a DELETE (RFC 9110 9.3.5); raises as `put`."""
         raise _not_there(self, "DELETE")
 
 

@@ -32,7 +32,7 @@ def choose_name(slug: str | None, taken: Callable[[str], bool], *, suffix: str =
     nothing of it remains, the name is made of sounds. In NFC, at most 100 characters, it begins with a letter, a digit
     or `_`, and does not end in a dot or in `.meta`. `taken` says of a name whether it is there or ever was (LDP
     5.2.3.11); then numbers and at last chance are added. `suffix`, such as `.png`, is what a name without an extension
-    of its own ends in.
+    of its own ends in; raises ValueError for one that is no extension.
     """
     if not _SUFFIX.fullmatch(suffix) or _RESERVED.search(suffix):
         raise ValueError(f"{suffix!r} is no extension such as '.png'")

@@ -52,6 +52,6 @@ def require_rate(session: Session, topic: str) -> None:
 
 
 def no_subscriber_problem(topic: str) -> Problem:
-    """What tells that nobody was listening (202)."""
+    """The problem details (202) of a message that was published without a subscriber."""
     sentence = f"The message was published, but no subscriber of {topic} was there to get it."
     return Problem(202, sentence, title="Nobody is listening")

@@ -125,7 +125,10 @@ class Dispatcher:
             return await write(resource, exchange)
 
     async def read(self, exchange: Exchange, resource: Resource) -> Response:
-        """GET and HEAD."""
+        """Answer GET and HEAD (RFC 9110 9.3.1): with a representation, a stream, or once the state is another.
+
+        Raises Problems: those of the resource, 406, 401 where the rights changed during the wait; and RosError.
+        """
         special = await resource.custom_get(exchange)
         if isinstance(special, Motion):
             return self._observation.motion(exchange, resource, special)

@@ -57,7 +57,7 @@ class Observation:
         return (found, True) if found is not None else (await resource.state(), False)
 
     async def wait_for_another(self, exchange: Exchange, resource: Resource, state: State) -> None:
-        """Wait until the state is another than that of `?after=`, at most for `?timeout=`."""
+        """Wait until the state is another than that of `?after=`, at most for `?timeout=`. Raises Problems."""
         after, seconds = exchange.query["after"], query_params.parse_timeout(exchange.query)
         if query_params.is_state(after, self._representations.name(state)):
 
@@ -67,7 +67,7 @@ class Observation:
             await wait_for_state(self._broadcasters, resource, is_another, exchange.request, seconds)
 
     async def stream(self, exchange: Exchange, resource: Resource) -> Response:
-        """The changes of a resource as an event stream (WHATWG HTML 9.2). What can be refused is before it begins."""
+        """The changes of a resource as an event stream (WHATWG HTML 9.2). Raises Problems, all before it begins."""
         media_type = event_media_type(exchange)
         rate = query_params.parse_rate(exchange.query)
 
@@ -104,7 +104,7 @@ class Observation:
         return EventStream(self._broadcasters, resource, stream_format, rate, known, headers, lease, end)
 
     def motion(self, exchange: Exchange, resource: Resource, motion: Motion) -> Response:
-        """Pictures that replace each other, as fast as they are taken. What can be refused was before."""
+        """The pictures of a motion, each replacing the one before, as fast as the client reads. Raises Problems."""
         rate = query_params.parse_rate(exchange.query)
         self._broadcasters.require_capacity(exchange.request.client)
         stream = MotionStream(

@@ -60,7 +60,10 @@ _EXAMPLES = 100
 
 
 class ResourceFactory:
-    """Makes the resources of one robot. What needs more than a name takes the location, and says what is not there."""
+    """Makes the resources of one robot, from a name or, where that takes more, from a location.
+
+    The methods that take a location raise Problems: 404, or 308 where only the slash at the end is another.
+    """
 
     def __init__(self, services: Services) -> None:
         self.services = services
@@ -112,7 +115,7 @@ class ResourceFactory:
         return ParameterTree(self.session, self.limit_checks, self.states, path)
 
     def parameter_at(self, location: Location) -> Resource:
-        """A parameter or a tree of them."""
+        """A parameter, or a tree of them where the location ends in a slash."""
         name = location.name
         if "" in location.segments:
             raise Problem(404, f"No parameter is called {name}: none has a part that is empty.")
@@ -182,7 +185,7 @@ class ResourceFactory:
         return MemberResource(self.session, self.affordances, self.limit_checks, self._things, self.states, name)
 
     def resource_at(self, location: Location) -> Resource:
-        """What is below `/resources/`, which is the TimeGate of what it was."""
+        """A resource below `/resources/`, as the TimeGate of its mementos (RFC 7089)."""
         if location.is_container:
             path = path_of(location.segments)
             return ComplexTimeGate(self.session, self.affordances, self.limit_checks, self._things, self.history, path)
@@ -201,7 +204,7 @@ class ResourceFactory:
         )
 
     def robot_thing(self, location: Location) -> RobotThing:
-        """`/.well-known/wot`."""
+        """The Thing Description of the robot at `/.well-known/wot`; 404 at other locations below `/.well-known/`."""
         space = self.session.space
         if location.segments != ("wot",) or location.is_container:
             raise Problem(404, f"It is not among what is well known here: {space.base}.well-known/ lists that.")
@@ -210,7 +213,7 @@ class ResourceFactory:
     # Recordings, and what clients keep
 
     def bag_at(self, location: Location, triggers: RecordingTriggers | None = None) -> Resource:
-        """`triggers` follows what recordings may wait for."""
+        """A recording, a part of one, or their container; `triggers` follows the conditions of armed recordings."""
         services = self.services
         return bag_route(self.session, self.states, services.recordings, services.pictures, location, triggers)
 

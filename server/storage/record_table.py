@@ -47,9 +47,10 @@ class NumberedRecord(NamedTuple):
 
 
 class RecordTable:
-    """Records in a database whose tables are there. Belongs to one thread at a time.
+    """The records of a database whose tables are there. Belongs to one thread at a time.
 
-    `known` tells of a record without asking the database; it may be out of date.
+    `known` gives a record without asking the database; it may be out of date. Methods raise StorageError, or
+    DatabaseBusy while another process writes; those that give ids, records or paths of all records, sqlite3.Error.
     """
 
     def __init__(
@@ -68,7 +69,7 @@ class RecordTable:
         """What was seen and then was not kept, and has never been there since: the version at which it went."""
 
     def find(self, path: str) -> Record | None:
-        """The record at a path, None where there is none. Raises StorageError, DatabaseBusy: all reading does."""
+        """The record at a path, None where there is none."""
         try:
             row = self._execute(SELECT_RECORD, (path,)).fetchone()
         except sqlite3.Error as error:
@@ -125,7 +126,7 @@ class RecordTable:
         return found[:limit]
 
     def suspend(self, words: str) -> None:
-        """Raise StorageError with these words whatever is asked from now on: the connection is about to be closed."""
+        """Have whatever is asked from now on fail with these words: the connection is about to be closed."""
 
         def refuse(*_: object) -> sqlite3.Cursor:
             raise sqlite3.OperationalError(words)
@@ -133,9 +134,9 @@ class RecordTable:
         self._execute = refuse
 
     def take_over(self, former: RecordTable, undone: Iterable[str]) -> None:
-        """Take the place of a former table, some of whose writes were not kept: these have changed once more.
+        """Take the place of a former table; `undone` are the paths of writes that were lost, which so change again.
 
-        Versions go on from its own, so that none stands for two states. Raises what a write raises.
+        Versions go on from its own, so that none stands for two states.
         """
         self.version = max(self.version, (former.version // OPENING + 1) * OPENING)
         self._withdrawn = former._withdrawn
@@ -172,7 +173,7 @@ class RecordTable:
         return True
 
     def begin(self) -> bool:
-        """Begin to write; whether another process changed something. Raises what reading does, and DatabaseBusy."""
+        """Begin a transaction that writes; return whether another process has changed something."""
         try:
             self._execute("BEGIN IMMEDIATE")
             foreign = self.changed_elsewhere()
@@ -183,7 +184,7 @@ class RecordTable:
         return foreign
 
     def commit(self) -> None:
-        """Everything since `begin` is done."""
+        """Commit the writes since `begin`."""
         try:
             self._execute("COMMIT")
         except sqlite3.Error as error:
@@ -191,7 +192,7 @@ class RecordTable:
         self.version = self._next
 
     def rollback(self) -> None:
-        """Nothing since `begin` was done. A failure may have rolled back already."""
+        """Undo the writes since `begin`; do nothing where a failure has rolled back already."""
         if self._connection.in_transaction:
             self._execute("ROLLBACK")
 
@@ -225,7 +226,7 @@ class RecordTable:
         return applied
 
     def apply_single(self, put: Put, now: int) -> Record | None:
-        """Do a write that is one statement, and so a transaction by itself; None, with nothing done, where it is more.
+        """Do a write that is a single statement, a transaction by itself; None, with nothing done, where it is more.
 
         Neither between `begin` and `commit`, nor where another process may write.
         """

@@ -37,7 +37,10 @@ from rosld.server.storage.record_documents import to_ntriples
 
 
 def model_of_request(exchange: Exchange, url: str, *, container: bool) -> Model:
-    """The interaction model that a request to `url` asks for; `container`: what is made has a URL of a container."""
+    """The interaction model that a request to `url` asks for; raises as `requested_model`.
+
+    `container`: the URL of what is made ends in a slash.
+    """
     return requested_model(_links(exchange), url, exchange.essence, container_hint=container)
 
 
@@ -98,7 +101,10 @@ def require_same_containment(documents: Documents, record: Record, triples: Iter
 
 
 async def receive_blob(documents: Documents, exchange: Exchange) -> Blob:
-    """The body as a blob, streamed to where it is kept, unless it was read already."""
+    """Stream the body, or what was read of it already, into a blob.
+
+    Raises Problems (415 for a malformed Content-Type, and as `read_chunks`), ValueError beyond the limit, StorageError.
+    """
     media_type = exact_media_type(exchange.header("content-type"))
     limit, whole = documents.settings.upload_limit, exchange.consumed_body
     chunks = exchange.chunks(limit=limit) if whole is None else single_chunk(whole)

@@ -171,9 +171,10 @@ class RdfSourceResource(StoredResource):
     async def with_triples(
         self, record: Record, triples: Sequence[Triple], expected: int | None, said: Set[Triple] = frozenset()
     ) -> Put:
-        """The record with these triples; those that are the server's to say must be as they are, or away.
+        """The write that gives the record these triples; those that the server manages must be as they are, or absent.
 
-        The write expects the version `expected`, or whatever is there (None). What is `said` is known to be as it is.
+        The write expects the version `expected`, or whatever is there (None). `said` are managed triples that are known
+        to be as they are. Raises 409 Problems for the others that are not, and as `as_statements`.
         """
         url = self._subject
         stated = await as_statements(triples, url)

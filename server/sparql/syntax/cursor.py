@@ -20,16 +20,20 @@ class Span(Protocol):
     """A piece of the text, from `start` to before `end`."""
 
     @property
-    def start(self) -> int: ...
+    def start(self) -> int:
+        """The position of its first character."""
+        ...
 
     @property
-    def end(self) -> int: ...
+    def end(self) -> int:
+        """The position after its last character."""
+        ...
 
 
 class Cursor:
     """Takes tokens one by one. `token` is the next one, `key` its mark, or its keyword in capitals ("" for others).
 
-    Whatever does not fit raises a Problem 400: one sentence with the token, its place and what was expected.
+    Its methods raise a Problem 400 for what does not fit: one sentence with the token, its place and what was expected.
     """
 
     def __init__(self, checked: CheckedText, prefixes: Mapping[str, str], base: str) -> None:

@@ -90,7 +90,8 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
         "status": partial(StatusResource, space, services.storage_problems, watchdog),
         **({} if mirror is None else {"mirror": partial(ReplicationResource, space, mirror)}),
     }
-    own: dict[str, Callable[[], Resource]] = {**views, **changing, "frames": partial(FramesResource, session, scene)}
+    frames = partial(FramesResource, space, session.adapter, scene)
+    own: dict[str, Callable[[], Resource]] = {**views, **changing, "frames": frames}
     router.add({name: single_route(make) for name, make in own.items()})
     fixed = (router.endpoint, router.graphs, router.search, *(make() for make in views.values()))
     described = {each.url: each.document for each in (*fixed_resources(notifications), *fixed)}
@@ -101,9 +102,8 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
         router.add({"acl": single_route(partial(AclResource, space.base, authenticator))})
     triggers = RecordingTriggers(session, services.affordances, services.mappings, router.at, authenticator)
     router.add({"bags": partial(factory.bag_at, triggers=triggers)})
-    dispatcher = Dispatcher(
-        services.instance_id, pages, broadcasters, keyed_lock, large, partial(near_urls, session, services.affordances)
-    )
+    near = partial(near_urls, space, session.adapter, services.affordances)
+    dispatcher = Dispatcher(services.instance_id, pages, broadcasters, keyed_lock, large, near)
     clients = client_limiter(settings)
     admission = Admission(clients, f"{space.path}stop".encode("ascii"))
     handler = middleware(space, services.receipts, router, dispatcher, pages, names, admission, authenticator)

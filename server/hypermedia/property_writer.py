@@ -39,6 +39,7 @@ from rosld.server.hypermedia.catalogue import (
     Writer,
 )
 from rosld.server.hypermedia.value import MessageValue, StoredValue, Value, refusal_text, scalar_field, select_fields
+from rosld.server.robot.audited_adapter import AuditedAdapter
 from rosld.server.robot.calls import UnreadableResponse
 from rosld.server.robot.declared_parameters import has_other_values
 from rosld.server.robot.publication import Publication, publish
@@ -94,41 +95,43 @@ def _refusal(session: Session, writer: Writer) -> str | None:
         return "This server is read-only."
     match writer:
         case Setter():
-            return _setter_refusal(session, writer.name)
+            return _setter_refusal(session.adapter, writer.name)
         case ParameterSource():
-            return _parameter_refusal(session, writer.name)
+            return _parameter_refusal(session.adapter, writer.name)
         case TopicSource():
-            return _topic_refusal(session, writer)
+            return _topic_refusal(session.adapter, session.settings.allow_publish, writer)
 
 
-def _setter_refusal(session: Session, name: str) -> str | None:
-    if Operation.CALL in session.adapter.allows(Ref(Kind.SERVICE, name)):
+def _setter_refusal(adapter: AuditedAdapter, name: str) -> str | None:
+    if Operation.CALL in adapter.allows(Ref(Kind.SERVICE, name)):
         return None
-    service = session.graph.services.get(name)
+    service = adapter.graph.services.get(name)
     if service is None:
         return f"There is no service {name} any more."
     return f"The service {name} cannot be called" + (f": {service.uncallable}." if service.uncallable else ".")
 
 
-def _parameter_refusal(session: Session, name: str) -> str | None:
-    if name not in session.graph.parameters:
+def _parameter_refusal(adapter: AuditedAdapter, name: str) -> str | None:
+    graph = adapter.graph
+    if name not in graph.parameters:
         return f"There is no parameter {name} any more."
-    if (words := parameter_denied_reason(session.graph, name)) is not None:
+    if (words := parameter_denied_reason(graph, name)) is not None:
         return words
-    if Operation.SET_PARAMETER in session.adapter.allows(Ref(Kind.PARAMETER, name)):
+    if Operation.SET_PARAMETER in adapter.allows(Ref(Kind.PARAMETER, name)):
         return None
-    return f"The parameter {name} of this {session.adapter.capabilities.system} cannot be set."
+    return f"The parameter {name} of this {adapter.capabilities.system} cannot be set."
 
 
-def _topic_refusal(session: Session, writer: TopicSource) -> str | None:
-    topic = session.graph.topics.get(writer.name)
+def _topic_refusal(adapter: AuditedAdapter, permitted: tuple[str, ...], writer: TopicSource) -> str | None:
+    graph = adapter.graph
+    topic = graph.topics.get(writer.name)
     if topic is None:
         return f"There is no topic {writer.name} any more."
     if writer.schema is None:
         return f"The type of {writer.name} is not known."
-    if Operation.PUBLISH not in session.adapter.allows(Ref(Kind.TOPIC, writer.name)):
-        return f"Nothing can be published on {writer.name} of a {session.adapter.capabilities.system}."
-    return denied_reason(topic, session.graph, session.settings.allow_publish)
+    if Operation.PUBLISH not in adapter.allows(Ref(Kind.TOPIC, writer.name)):
+        return f"Nothing can be published on {writer.name} of a {adapter.capabilities.system}."
+    return denied_reason(topic, graph, permitted)
 
 
 # The plan

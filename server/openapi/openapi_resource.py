@@ -31,7 +31,7 @@ from rosld.server.openapi.description_parts import description_parts
 from rosld.server.openapi.path_collector import PathCollector
 from rosld.server.openapi.permitted_paths import add_security, permitted_paths
 from rosld.server.policies.stored_queries import StoredQueries
-from rosld.server.resources.namespaces import listing_parameters
+from rosld.server.resources.namespaces import listed_graph, listing_parameters
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.parts import PART_QUERY, parse_part
 from rosld.server.rest.path_item import PathItem
@@ -111,7 +111,7 @@ class OpenApiResource(Resource):
         self._making = asyncio.Lock()
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        query = (*PART_QUERY, *listing_parameters(self.session)[1:])
+        query = (*PART_QUERY, *listing_parameters(self.session.adapter.capabilities)[1:])
         return PathItem("This description", MEDIA_TYPES, OBJECT, query, streams=False)
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
@@ -180,17 +180,17 @@ class OpenApiResource(Resource):
 
     async def _describe(self, hidden: bool) -> _Described:
         kept = self._kept.get(hidden)
-        if kept is not None and kept.version == self._version():
+        if kept is not None and kept.version == self._version(self.session.graph):
             return kept
         async with self._making:
             kept = self._kept.get(hidden)
-            if kept is None or kept.version != self._version():
+            if kept is None or kept.version != self._version(self.session.graph):
                 kept = self._kept[hidden] = await self._made(hidden)
             return kept
 
-    def _version(self) -> Hashable:
+    def _version(self, graph: Graph) -> Hashable:
         return (
-            IdentityKey(self.session.graph),
+            IdentityKey(graph),
             self.session.schemas.count,
             IdentityKey(self.mappings.mapping_set),
             self.queries.version,
@@ -200,11 +200,21 @@ class OpenApiResource(Resource):
         """A version and its description: found on the loop, written on a thread, for a large one takes its time."""
         await _learn_types(self.session.schemas, self.session.graph)
         tree = await self.affordances.tree()
-        version = self._version()
+        graph, capabilities = self.session.graph, self.session.adapter.capabilities
+        version = self._version(graph)
+        hides = capabilities.hidden_names and not hidden
         schemas = MessageSchemas(partial(_known_type, self.session.schemas), self.session.lifting)
-        paths = await _in_turns(
-            PathCollector(self.session, self.queries, self.recordings, tree, self._resolve, schemas, hidden).all()
+        collector = PathCollector(
+            self.session.space,
+            listed_graph(graph, capabilities) if hides else graph,
+            self.queries,
+            self.recordings,
+            tree,
+            self._resolve,
+            schemas,
+            hidden=not hides,
         )
+        paths = await _in_turns(collector.all())
         if len(paths) > _MANY:
             data = await self.workers.run(self._writing(paths, schemas.by_key, hidden))
         else:

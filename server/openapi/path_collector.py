@@ -12,6 +12,7 @@ from itertools import chain, islice
 
 from rosld.adapters.model import Graph, names
 from rosld.ontology.notifications import CHANNEL_TYPES
+from rosld.ontology.urls import Space
 from rosld.server.history.recordings import Recordings
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.conditions import url_of
@@ -20,12 +21,11 @@ from rosld.server.hypermedia.resource_tree import ResourceTree
 from rosld.server.openapi.described_path import DescribedPath
 from rosld.server.policies.stored_queries import StoredQueries
 from rosld.server.resources.channels import channel_item, source_item
-from rosld.server.resources.namespaces import listed_graph, namespaces
+from rosld.server.resources.namespaces import namespaces
 from rosld.server.resources.static_assets import FILES
 from rosld.server.resources.types import SHAPES_GRAPHS
 from rosld.server.rest.path_item import ANY_TYPE, FIELD_READS, FORMAT, PathItem
 from rosld.server.rest.resource import Resource
-from rosld.server.robot.session import Session
 
 MAX_SINGLE = 1000
 """Parameters, and resources with their properties and actions, that are described one by one; a template has more."""
@@ -53,16 +53,17 @@ _NAME = "A name; those of several parts have slashes, as in the URL."
 class PathCollector:
     """Finds the paths. `resolve` gives the resource at a path; nothing is waited for.
 
-    `hidden`: whether hidden names have paths too.
+    `graph` is what is listed of the computation graph; `hidden`: whether hidden names of resources have paths too.
     """
 
-    session: Session
+    space: Space
+    graph: Graph
     queries: StoredQueries
     recordings: Recordings
     tree: ResourceTree
     resolve: Callable[[str], Resource]
     schemas: MessageSchemas
-    hidden: bool = False
+    hidden: bool
 
     def all(self) -> Iterator[DescribedPath]:
         """Every path."""
@@ -117,20 +118,12 @@ class PathCollector:
         return _TAGS.get(path) or path.partition("/")[0]
 
     def _of(self, url: str) -> str:
-        return url[len(self.session.space.base) - 1 :]
-
-    @property
-    def _listed_graph(self) -> Graph:
-        """What is listed of the computation graph."""
-        return self.session.graph if self.hidden else listed_graph(self.session)
-
-    def _leaves_out(self, path: str) -> bool:
-        return not self.hidden and self.session.adapter.capabilities.hidden_names and names.is_hidden(path)
+        return url[len(self.space.base) - 1 :]
 
     # The computation graph
 
     def _graph(self) -> Iterator[DescribedPath]:
-        graph, space = self._listed_graph, self.session.space
+        graph, space = self.graph, self.space
         for route in ("nodes", "topics", "services", "actions"):
             for namespace in namespaces(graph, route):
                 yield self._path(self._of(space.container(route, namespace)))
@@ -152,7 +145,7 @@ class PathCollector:
         yield self._template("/activity/{id}", "/activity/any", id="As in the URL of the receipt.")
 
     def _parameters(self) -> Iterator[DescribedPath]:
-        graph, space = self._listed_graph, self.session.space
+        graph, space = self.graph, self.space
         trees = dict.fromkeys([(), *namespaces(graph, "parameters")])
         for namespace in islice((each for each in trees if "" not in each), MAX_SINGLE):
             yield self._path(self._of(space.container("parameters", namespace)))
@@ -166,7 +159,7 @@ class PathCollector:
     # Levels two and three
 
     def _resources(self) -> Iterator[DescribedPath]:
-        found = (path for path in self._resource_paths() if not self._leaves_out(path))
+        found = (path for path in self._resource_paths() if self.hidden or not names.is_hidden(path))
         for path in islice(found, MAX_SINGLE):
             yield self._path(path)
         if (another := next(found, None)) is not None:
@@ -174,7 +167,7 @@ class PathCollector:
 
     def _resource_paths(self) -> Iterator[str]:
         """Complex resources, each followed by the properties and actions in it; then the actions that none lists."""
-        space = self.session.space
+        space = self.space
         unlisted = set(self.tree.actions)
         for path in self.tree.paths:
             plan = self.tree.complex(path)
@@ -211,7 +204,7 @@ class PathCollector:
         yield self._template("/shapes/{name}", "/shapes/any", name="One segment, as in the URL.")
 
     def _bags(self) -> Iterator[DescribedPath]:
-        space = self.session.space
+        space = self.space
         yield self._path("/bags/")
         yield self._template("/bags/{name}", "/bags/any", name="Its name in the URL.")
         for name, recording in self.recordings.readable.items():

@@ -25,6 +25,7 @@ from rosld.server.resources.limit_checks import LimitChecks, require_no_octets
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import ABSENT, Resource
 from rosld.server.rest.state import State
+from rosld.server.robot.audited_adapter import AuditedAdapter
 from rosld.server.robot.session import Session
 from rosld.shapes.accepted import Accepted, accepted_message_document, accepted_value_document
 from rosld.shapes.accepted_values import PARAMETERS, OpenParameter
@@ -82,11 +83,13 @@ def has_parameter_shape(graph: Graph, name: str) -> bool:
     return name in graph.parameters
 
 
-async def parameter_shape(session: Session, limit_checks: LimitChecks, name: str, shape: str) -> Document | None:
+async def parameter_shape(
+    space: Space, adapter: AuditedAdapter, limit_checks: LimitChecks, name: str, shape: str
+) -> Document | None:
     """What a parameter may be set to; None where there is none."""
-    url, kinds = session.space.parameter(name), await _of_parameter(session, limit_checks, name)
+    url, kinds = space.parameter(name), await _of_parameter(adapter, limit_checks, name)
     title = f"What {name} may be set to"
-    return accepted_value_document(shape, url, ros.value, kinds, session.space, title) if kinds else None
+    return accepted_value_document(shape, url, ros.value, kinds, space, title) if kinds else None
 
 
 async def property_shape(
@@ -141,15 +144,15 @@ async def require_property_text(
             require_no_octets(body, {predicate} & body.properties(subject).keys())
 
 
-async def _of_parameter(session: Session, limit_checks: LimitChecks, name: str) -> list[tuple[Accepted, Demand]]:
-    parameter = session.graph.parameters.get(name)
+async def _of_parameter(adapter: AuditedAdapter, limit_checks: LimitChecks, name: str) -> list[tuple[Accepted, Demand]]:
+    parameter = adapter.graph.parameters.get(name)
     if parameter is None:
         return []
     descriptor = parameter.descriptor or Descriptor()
     is_scalar = descriptor.type in PARAMETERS
     demand = await limit_checks.parameter_demand(name, descriptor if is_scalar else Descriptor())
     if descriptor.type is None:
-        in_xml = session.adapter.capabilities.parameter_server
+        in_xml = adapter.capabilities.parameter_server
         return [(OpenParameter(32 if in_xml else 64, in_xml), demand.of_ranges())]
     return [(descriptor.type, demand if is_scalar else Demand(is_all=demand == NO_DEMAND))]
 
@@ -163,7 +166,9 @@ async def _of_writer(
 ) -> list[tuple[Accepted, Demand]]:
     match writer:
         case ParameterSource():
-            return [] if plan.member.field is not None else await _of_parameter(session, limit_checks, writer.name)
+            if plan.member.field is not None:
+                return []
+            return await _of_parameter(session.adapter, limit_checks, writer.name)
         case Setter(schema=service):
             schema, kind, url, node = service.request, Kind.SERVICE, session.space.service(writer.name), "#request"
         case TopicSource(schema=known) if known is not None:

@@ -59,7 +59,8 @@ class BagContainer(Resource):
         return (recording_form({name: space.topic(name) for name in self.session.graph.topics}),)
 
     def methods(self) -> frozenset[str]:
-        return READ | {"POST"} if can_record(self.session) else READ
+        is_open = can_record(self.session.settings, self.session.adapter.capabilities)
+        return READ | {"POST"} if is_open else READ
 
     def deny_reason(self, method: str) -> str:
         if method == "POST":

@@ -144,7 +144,13 @@ class BagMessage(Resource):
             return lift_sample(self.session.space, self.session.lifting, decoded).lifter.json(decoded.message, self.url)
 
         def describe() -> Document:
-            return record_document(self.session, recording, DecodedRecord(message, decoded))
+            return record_document(
+                self.session.space,
+                self.session.lifting,
+                recording,
+                DecodedRecord(message, decoded),
+                simulated_time=self.session.graph.simulated_time,
+            )
 
         shapes = () if decoded.schema is None else self.session.space.shapes_of(decoded.schema)
         return self.states.put(self.url, 0, State(describe, plain, shapes=shapes))

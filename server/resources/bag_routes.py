@@ -19,6 +19,7 @@ from rosld.server.rest.resource import Resource, permanent_redirect
 from rosld.server.rest.state import State
 from rosld.server.robot.session import Session
 from rosld.server.runtime.version_cache import VersionCache
+from rosld.server.settings import Settings
 
 
 def bag_route(
@@ -40,7 +41,7 @@ def bag_route(
         case (name,) if not location.is_container:
             return BagUpload(session.space, session.settings, states, recordings, name)
         case (name,):
-            return _bag(session, states, recordings, name)
+            return _bag(session.space, session.settings, states, recordings, name)
         case (name, "file") if not location.is_container:
             return BagFile(session.space, _recording(recordings, name))
         case (name, "at") if not location.is_container:
@@ -58,16 +59,16 @@ def bag_route(
     raise Problem(404, "Under /bags/B/ there are messages/, ldes, at and file, and nothing else.")
 
 
-def _bag(session: Session, states: VersionCache[State], recordings: Recordings, name: str) -> Resource:
+def _bag(space: Space, settings: Settings, states: VersionCache[State], recordings: Recordings, name: str) -> Resource:
     """The recording of a name, in whatever state it is. Raises a 404 Problem where there is none."""
     if name in recordings.armed:
-        return ArmedBag(session.space, session.settings, recordings, recordings.armed[name])
+        return ArmedBag(space, settings, recordings, recordings.armed[name])
     if name in recordings.unreadable:
-        return UnreadableBag(session.space, session.settings, recordings, name)
+        return UnreadableBag(space, settings, recordings, name)
     running = recordings.running.get(name)
     if running is not None:
-        return RunningBag(session.space, session.settings, states, recordings, running)
-    return BagResource(session.space, session.settings, states, recordings, _recording(recordings, name))
+        return RunningBag(space, settings, states, recordings, running)
+    return BagResource(space, settings, states, recordings, _recording(recordings, name))
 
 
 def _message_index(recording: Recording, segment: str) -> int:

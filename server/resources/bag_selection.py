@@ -95,7 +95,14 @@ class BagSelection(Resource):
         if self._detail is Detail.JSON:
             data = await asyncio.to_thread(self._json, records)
             return State(describe, lambda: data, token=token)
-        said = await asyncio.to_thread(record_triples, self.session, self.recording, records)
+        said = await asyncio.to_thread(
+            record_triples,
+            self.session.space,
+            self.session.lifting,
+            self.recording,
+            records,
+            simulated_time=self.session.graph.simulated_time,
+        )
         triples = (*describe().triples, *said)
         return State(lambda: Document(self.url, triples), token=token, is_long=True)
 

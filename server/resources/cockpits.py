@@ -48,7 +48,6 @@ from rosld.server.resources.ldp.routes import stored_route
 from rosld.server.resources.ldp.transaction import write_together
 from rosld.server.resources.ldp.versions import former_of
 from rosld.server.resources.namespaces import listed_graph
-from rosld.server.resources.stop import unusable_reason
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import FORMATS, HTML, JSON, OFFERS
 from rosld.server.rest.paging import PagePosition
@@ -231,7 +230,8 @@ def _triples(url: str, cockpit: Cockpit) -> list[Triple]:
 
 def _suggestions(sources: CockpitSources, site: Site) -> tuple[str, ...]:
     """What a panel may show, as paths below the base."""
-    space, graph = sources.session.space, listed_graph(sources.session)
+    session = sources.session
+    space, graph = session.space, listed_graph(session.graph, session.adapter.capabilities)
     urls = (
         *map(space.topic, graph.topics),
         f"{space.base}diagnostics",
@@ -278,9 +278,9 @@ class DefaultCockpit(Resource):
 
     async def cockpit(self) -> Cockpit:
         """The cockpit as it is now."""
-        session, stop = self._sources.session, self._sources.software_stop
-        can_stop = unusable_reason(session, stop) is None
-        return await default_cockpit(session, self._sources.affordances, can_stop=can_stop)
+        sources = self._sources
+        can_stop = sources.software_stop.unusable_reason is None
+        return await default_cockpit(sources.session, sources.affordances, can_stop=can_stop)
 
     async def state(self) -> State:
         cockpit = await self.cockpit()

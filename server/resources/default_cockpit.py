@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TypeAlias
 
-from rosld.adapters.model import Topic
+from rosld.adapters.model import Graph, Topic
 from rosld.ontology.cockpit import Cockpit, GridArea, Panel, PanelKind
 from rosld.ontology.neutral_message import COMMANDS
+from rosld.ontology.urls import Space
 from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.resource_tree import ResourceTree
@@ -53,39 +54,42 @@ _SIMPLE = _NUMBERS | {"std_msgs/msg/String", "std_msgs/msg/Bool"}
 
 async def default_cockpit(session: Session, affordances: AffordanceService[State], *, can_stop: bool) -> Cockpit:
     """What is worth a panel of the robot as it is now."""
-    graph = listed_graph(session)
-    topics = [each for each in graph.topics.values() if each.type is not None and each.name not in RESERVED]
+    space, is_read_only = session.space, session.settings.read_only
+    graph = session.graph
+    listed = listed_graph(graph, session.adapter.capabilities)
+    topics = [each for each in listed.topics.values() if each.type is not None and each.name not in RESERVED]
     topics.sort(key=lambda each: (each.name.count("/"), len(each.name), each.name))
     panels = [
-        *_of_topics(session, topics, can_stop=can_stop),
-        *_of_resources(session, await affordances.tree()),
+        *_of_topics(space, graph, topics, is_read_only=is_read_only, can_stop=can_stop),
+        *_of_resources(space, graph, await affordances.tree(), is_read_only=is_read_only),
     ]
-    return Cockpit(TITLE, tuple(panels or _first_topics(session, topics)))
+    return Cockpit(TITLE, tuple(panels or _first_topics(space, topics)))
 
 
-def _first_topics(session: Session, topics: Iterable[Topic]) -> Iterator[Panel]:
+def _first_topics(space: Space, topics: Iterable[Topic]) -> Iterator[Panel]:
     """Where nothing is of a kind that has a panel: the messages of the first topics."""
     for topic in [each for each in topics if _is_published(each)][:_MAX_VALUES]:
-        yield Panel(PanelKind.VALUE, (session.space.topic(topic.name),), title=topic.name, area=GridArea(4, 5))
+        yield Panel(PanelKind.VALUE, (space.topic(topic.name),), title=topic.name, area=GridArea(4, 5))
 
 
-def _of_topics(session: Session, topics: Sequence[Topic], *, can_stop: bool) -> Iterator[Panel]:
-    space = session.space
+def _of_topics(
+    space: Space, graph: Graph, topics: Sequence[Topic], *, is_read_only: bool, can_stop: bool
+) -> Iterator[Panel]:
     told = [each for each in topics if _is_published(each)]
     for topic in _some(told, lambda name: name in _IMAGES, 1):
         yield Panel(PanelKind.PICTURE, (space.topic(topic.name),), title="Camera", area=GridArea(5, 5))
     driven = [each for each in topics if each.subscribers]
-    if not session.settings.read_only:
+    if not is_read_only:
         for topic in _some(driven, lambda name: name in COMMANDS, 1):
             yield Panel(PanelKind.DRIVE, (space.topic(topic.name),), title="Drive", area=GridArea(4, 5))
     if any(DIAGNOSTIC_ARRAY in _names(each) for each in told):
         url = f"{space.base}diagnostics"
         yield Panel(PanelKind.VALUE, (url,), title="Diagnostics", area=GridArea(3, 5))
-    if _TRANSFORMS & session.graph.topics.keys() or any(can_place(name) for each in told for name in _names(each)):
+    if _TRANSFORMS & graph.topics.keys() or any(can_place(name) for each in told for name in _names(each)):
         yield Panel(PanelKind.SPACE, (f"{space.base}space",), title="Space", area=GridArea(6, 6))
-    yield from _of_fields(session, told, _SPEEDS, PanelKind.PLOT, "Speed", GridArea(6, 3))
-    yield from _of_fields(session, told, _JOINTS, PanelKind.PLOT, "Joints", GridArea(6, 4))
-    yield from _of_fields(session, told, _POSES, PanelKind.VALUE, "Pose", GridArea(3, 3))
+    yield from _of_fields(space, told, _SPEEDS, PanelKind.PLOT, "Speed", GridArea(6, 3))
+    yield from _of_fields(space, told, _JOINTS, PanelKind.PLOT, "Joints", GridArea(6, 4))
+    yield from _of_fields(space, told, _POSES, PanelKind.VALUE, "Pose", GridArea(3, 3))
     for topic in _some(told, lambda name: name == _BATTERY, 1):
         fields = ("percentage", "voltage")
         yield Panel(PanelKind.VALUE, (space.topic(topic.name),), fields, "Battery", GridArea(3, 3))
@@ -100,7 +104,7 @@ def _of_topics(session: Session, topics: Sequence[Topic], *, can_stop: bool) -> 
 
 
 def _of_fields(
-    session: Session,
+    space: Space,
     topics: Iterable[Topic],
     fields: Mapping[str, tuple[str, ...]],
     kind: PanelKind,
@@ -111,11 +115,11 @@ def _of_fields(
     for type, paths in fields.items():
         topic = next((each for each in topics if type in _names(each)), None)
         if topic is not None:
-            yield Panel(kind, (session.space.topic(topic.name),), paths, title, area)
+            yield Panel(kind, (space.topic(topic.name),), paths, title, area)
             return
 
 
-def _of_resources(session: Session, tree: ResourceTree) -> Iterator[Panel]:
+def _of_resources(space: Space, graph: Graph, tree: ResourceTree, *, is_read_only: bool) -> Iterator[Panel]:
     """What a mapping arranges, with its values and what it offers; and the actions of ROS."""
     mapped = [path for path in tree.paths if (plan := tree.complex(path)) is not None and plan.mapped is not None]
     shown = 0
@@ -124,21 +128,19 @@ def _of_resources(session: Session, tree: ResourceTree) -> Iterator[Panel]:
         if plan is None or shown >= _MAX_RESOURCES:
             continue
         shown += 1
-        url, name = url_of(path, session.space), path.strip("/") or "robot"
+        url, name = url_of(path, space), path.strip("/") or "robot"
         if plan.members:
             yield Panel(PanelKind.VALUE, (url,), title=name, area=GridArea(3, 4))
-        if plan.actions and not session.settings.read_only:
+        if plan.actions and not is_read_only:
             yield Panel(PanelKind.BUTTON, (url,), title=f"{name}: actions", area=GridArea(3, 4))
-    services = [each for each in session.graph.services.values() if each.type is not None and each.type.name in _PLAIN]
-    if services and not session.settings.read_only:
-        urls = tuple(session.space.service(each.name) for each in services[:_MAX_SERVICES])
+    services = [each for each in graph.services.values() if each.type is not None and each.type.name in _PLAIN]
+    if services and not is_read_only:
+        urls = tuple(space.service(each.name) for each in services[:_MAX_SERVICES])
         yield Panel(PanelKind.BUTTON, urls, title="Services", area=GridArea(3, 4))
     goals = [each for each in tree.actions if (found := tree.action(each)) is not None and found.sends_goals]
-    if not session.settings.read_only:
+    if not is_read_only:
         for action in sorted(goals)[:_MAX_ACTIONS]:
-            yield Panel(
-                PanelKind.BUTTON, (url_of(action, session.space),), title=action.strip("/"), area=GridArea(3, 4)
-            )
+            yield Panel(PanelKind.BUTTON, (url_of(action, space),), title=action.strip("/"), area=GridArea(3, 4))
 
 
 def _is_published(topic: Topic) -> bool:

@@ -56,7 +56,7 @@ class EntryResource(Resource):
         self.links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER, described, search, guide)
 
     def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
-        graph, space = listed_graph(self.session), self.session.space
+        graph, space = listed_graph(self.session.graph, self.session.adapter.capabilities), self.session.space
         numbers = {
             "topics": _count_readable(graph.topics, space.topic, site),
             "services": _count_readable(graph.services, space.service, site),
@@ -97,8 +97,8 @@ class EntryResource(Resource):
         return (self.session.space.document_shape("Graph"),)
 
     async def state(self) -> State:
-        graph = listed_graph(self.session)
-        system, problems = self.session.adapter.capabilities.system, self.storage_problems()
+        capabilities, problems = self.session.adapter.capabilities, self.storage_problems()
+        graph, system = listed_graph(self.session.graph, capabilities), capabilities.system
         return self.states.get_or_make(
             self.url,
             (graph.revision, problems),

@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import re
 from collections.abc import Hashable, Iterator, Sequence
+from functools import partial
 from typing import NamedTuple
 
 from rosld.adapters.base import MessageFilter, Recording
@@ -179,20 +180,22 @@ class EventStreamResource(Resource):
         """All messages of a page: those of many bytes are read and lifted some at a time."""
         found: list[Document] = []
         start: int | None = page.start
+        describe = partial(self._member, simulated_time=self.session.graph.simulated_time)
         while start is not None:
             wanted = MessageFilter(start=max(start, self.recording.first), end=page.end)
             some = await asyncio.to_thread(self.recording.select, wanted, MEMBERS)
             records = await decode_records(self.session.schemas, self.recording, some.messages)
-            found += await asyncio.to_thread(list, map(self._member, records))
+            found += await asyncio.to_thread(list, map(describe, records))
             start = some.next
         return found
 
-    def _member(self, one: DecodedRecord) -> Document:
-        said = record_document(self.session, self.recording, one)
+    def _member(self, one: DecodedRecord, *, simulated_time: bool) -> Document:
+        space, lifting = self.session.space, self.session.lifting
+        said = record_document(space, lifting, self.recording, one, simulated_time=simulated_time)
         if self._profile is StreamProfile.RECORD or one.decoded.message is None:
             return said.joined() if said.parts else Document(said.url, tuple(said.all_triples()))
-        lifted = lift_sample(self.session.space, self.session.lifting, one.decoded).triples(said)
-        own = observation_triples(said.url, one.message, self.session.space, lifted)
+        lifted = lift_sample(space, lifting, one.decoded).triples(said)
+        own = observation_triples(said.url, one.message, space, lifted)
         return Document(said.url, (*own, *lifted))
 
 

@@ -62,7 +62,7 @@ class Finder:
 
     async def _robot_index(self, known: _Index | None) -> _Index:
         tree = await self._affordances.tree()
-        graph = listed_graph(self._session)
+        graph = listed_graph(self._session.graph, self._session.adapter.capabilities)
         version = (IdentityKey(graph), IdentityKey(tree), self._session.schemas.count)
         if known is not None and known.version == version:
             return known

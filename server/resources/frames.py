@@ -10,6 +10,7 @@ import orjson
 from rosld.adapters.base import Watch
 from rosld.ontology.describe_frames import Frame, frames_document
 from rosld.ontology.literals import date_time
+from rosld.ontology.urls import Space
 from rosld.server.auth.errors import not_found
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.html import Csrf, Form, FramesPage, Notice, Site, render_frames
@@ -21,8 +22,8 @@ from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource
 from rosld.server.rest.state import State
+from rosld.server.robot.audited_adapter import AuditedAdapter
 from rosld.server.robot.scene import Scene
-from rosld.server.robot.session import Session
 from rosld.server.runtime.signals import call_every
 from rosld.server.space.drawing import pose_json
 from rosld.server.space.frame_buffer import TOPICS
@@ -61,9 +62,12 @@ class FramesResource(Resource):
     title = "Frames"
     links = (RESOURCE, RDF_SOURCE)
 
-    def __init__(self, session: Session, scene: Scene, permissions: Permissions = ALLOW_ALL) -> None:
-        super().__init__(f"{session.space.base}frames")
-        self.session = session
+    def __init__(
+        self, space: Space, adapter: AuditedAdapter, scene: Scene, permissions: Permissions = ALLOW_ALL
+    ) -> None:
+        super().__init__(f"{space.base}frames")
+        self.space = space
+        self.adapter = adapter
         self.scene = scene
         self._permissions = permissions
         self._nodes: Sequence[FrameNode] = ()
@@ -77,13 +81,13 @@ class FramesResource(Resource):
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self.session.space.document_shape("Source"),)
+        return (self.space.document_shape("Source"),)
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """The frames as the agent may see them. Raises a Problem where it may not see the transforms."""
-        if not all(exchange.permissions.may_read(self.session.space.topic(each)) for each in TOPICS):
+        if not all(exchange.permissions.may_read(self.space.topic(each)) for each in TOPICS):
             raise not_found()
-        return FramesResource(self.session, self.scene, exchange.permissions)
+        return FramesResource(self.space, self.adapter, self.scene, exchange.permissions)
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:
         """Frames that move do so all the time: they are looked at now and then."""
@@ -91,19 +95,19 @@ class FramesResource(Resource):
 
     async def state(self) -> State:
         buffer = await self.scene.frames.look()
-        self._nodes = frame_tree(buffer, self.session.adapter.age_ns)
+        self._nodes = frame_tree(buffer, self.adapter.age_ns)
         frames = [self._frame(each) for each in self._nodes]
         plain = orjson.dumps(
             {"frames": [_frame_json(each, frame) for each, frame in zip(self._nodes, frames, strict=True)]}
         )
-        return State(partial(frames_document, self.url, frames, self.session.space.types), lambda: plain, digest(plain))
+        return State(partial(frames_document, self.url, frames, self.space.types), lambda: plain, digest(plain))
 
     def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
-        return render_frames(FramesPage(site, self.url, tuple(self._nodes), self.session.space.node, tuple(notices)))
+        return render_frames(FramesPage(site, self.url, tuple(self._nodes), self.space.node, tuple(notices)))
 
     def _frame(self, node: FrameNode) -> Frame:
         """A frame as it is described, with the nodes that the agent may read."""
-        urls = (self.session.space.node(each) for each in node.publishers if each)
+        urls = (self.space.node(each) for each in node.publishers if each)
         publishers = tuple(url for url in urls if self._permissions.may_read(url))
         newest = node.newest
         parent, received = (None, None) if newest is None else (newest.parent, newest.source.received_ns)

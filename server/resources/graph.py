@@ -10,6 +10,7 @@ import orjson
 from starlette.responses import Response
 
 from rosld.adapters.base import Watch
+from rosld.adapters.model import Graph
 from rosld.ontology.describe_edges import edges_document
 from rosld.ontology.describe_graph import node_views
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
@@ -126,17 +127,19 @@ class GraphResource(Resource):
         return call_every(_LOOK_SECONDS, wake)
 
     async def state(self) -> State:
-        diagram = self._diagram()
+        graph = self._graph()
+        diagram = self._diagram(graph)
         plain = _plain(diagram)
-        views, urls = node_views(listed_graph(self.session)), frozenset(each.url for each in diagram.vertices)
+        views, urls = node_views(graph), frozenset(each.url for each in diagram.vertices)
         describe = partial(edges_document, self.url, views, self.session.space, urls)
         return State(describe, lambda: plain, digest(plain))
 
-    def _diagram(self) -> Diagram:
-        permissions = self._permissions
-        return draw_graph(
-            listed_graph(self.session), self.session.space, self._selection, self._rate, permissions.may_read
-        )
+    def _graph(self) -> Graph:
+        """The graph of now, as it is listed."""
+        return listed_graph(self.session.graph, self.session.adapter.capabilities)
+
+    def _diagram(self, graph: Graph) -> Diagram:
+        return draw_graph(graph, self.session.space, self._selection, self._rate, self._permissions.may_read)
 
     def _rate(self, topic: str) -> float:
         """The rate of a topic to two digits, as far as it is known without a look: it shall not change all the time."""
@@ -153,12 +156,13 @@ class GraphResource(Resource):
         )
         if media_type not in _DRAWINGS.values():
             return None
+        diagram = self._diagram(self._graph())
         headers = {**resource_headers(self), "x-content-type-options": "nosniff"}
         if media_type == svg.MEDIA_TYPE:
             headers["content-security-policy"] = _POLICY
-            text = self._svg(fold(self._diagram(), self._base), Site(self.session.space.base, "").href, alone=True)
+            text = self._svg(fold(diagram, self._base), Site(self.session.space.base, "").href, alone=True)
         else:
-            text = dot.write_dot(self._diagram())
+            text = dot.write_dot(diagram)
         data, name = text.encode("utf-8", "replace"), "svg" if media_type == svg.MEDIA_TYPE else "dot"
         etag = ETag(f"{self.instance_id}-{digest(data)}", name)
         return bytes_response(exchange, data, f"{media_type}; charset=utf-8", etag, headers.items())
@@ -167,7 +171,7 @@ class GraphResource(Resource):
         return svg.write_svg(diagram, href, f"The computation graph of {self.session.name}", alone=alone)
 
     def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
-        diagram = self._diagram()
+        diagram = self._diagram(self._graph())
         folded = fold(diagram, self._base)
         names = {each.key: each for each in diagram.vertices}
         problems = [(each.url, each.name, each.problem) for each in diagram.vertices if each.problem]

@@ -13,7 +13,8 @@ from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 from rosld.adapters.model import Descriptor, Kind, Message, MessageSchema, ParameterValue
 from rosld.ontology.body import RdfBody, Term
 from rosld.ontology.lexical import BINARIES
-from rosld.ontology.lift import lifter
+from rosld.ontology.lift import LiftSettings, lifter
+from rosld.ontology.urls import Space
 from rosld.ontology.violations import LoweringError, Violation, brief_value
 from rosld.ontology.vocab import rdf, ros, sh
 from rosld.server.hypermedia.affordance_service import AffordanceService
@@ -21,7 +22,7 @@ from rosld.server.hypermedia.conditions import url_of, value_triples
 from rosld.server.hypermedia.value import MessageValue, Reading, StoredValue, Value, scalar_field
 from rosld.server.policies.active_limits import ActiveLimits
 from rosld.server.rest.state import State
-from rosld.server.robot.session import Session
+from rosld.server.robot.audited_adapter import AuditedAdapter
 from rosld.shapes.bounds import merge_bounds
 from rosld.shapes.components import component
 from rosld.shapes.demand import NO_DEMAND, Demand
@@ -37,8 +38,17 @@ _LINKS = {"#message": ros.latest, "#request": ros.request, "#goal": ros.goalMess
 class LimitChecks:
     """Checks what is written against the limits in force, by the resources and the types that they are about."""
 
-    def __init__(self, session: Session, affordances: AffordanceService[State], active: ActiveLimits) -> None:
-        self._session = session
+    def __init__(
+        self,
+        space: Space,
+        lifting: LiftSettings,
+        adapter: AuditedAdapter,
+        affordances: AffordanceService[State],
+        active: ActiveLimits,
+    ) -> None:
+        self._space = space
+        self._lifting = lifting
+        self._adapter = adapter
         self._affordances = affordances
         self._active = active
 
@@ -60,7 +70,7 @@ class LimitChecks:
         if shape is not None:
             said = Triple(NamedNode(url), _LINKS[node], NamedNode(url + node))
             broken += shape.violations(
-                NamedNode(url), [said, *lifter(schema, self._session.lifting).triples(message, url, node)]
+                NamedNode(url), [said, *lifter(schema, self._lifting).triples(message, url, node)]
             )
         own = MessageValue(schema, message, schema.type.fields, url)
         broken += await self._of_property(kind, name, own)
@@ -74,7 +84,7 @@ class LimitChecks:
         if not any(each.datatype in BINARIES for each in body.literals()) or not self.limits:
             return
         require_no_octets(
-            body, limited_texts(await self.message_demand(kind, name, schema, url, node), schema, self._session.space)
+            body, limited_texts(await self.message_demand(kind, name, schema, url, node), schema, self._space)
         )
 
     async def message_demand(self, kind: Kind, name: str, schema: MessageSchema, url: str, node: str) -> Demand:
@@ -100,7 +110,7 @@ class LimitChecks:
         if not limits:
             return demand
         place = None if descriptor.type is None else ValuePlace(descriptor.type)
-        demand &= limits.demand_of_scalar(self._session.space.parameter(name), ros.value, place)
+        demand &= limits.demand_of_scalar(self._space.parameter(name), ros.value, place)
         for shown, _ in await self._property_names(Kind.PARAMETER, name):
             demand &= limits.demand_of_scalar(shown, rdf.value, place)
         return demand
@@ -112,13 +122,13 @@ class LimitChecks:
             return {}
         found = [
             limits.bounds_of_message(schema),
-            limits.bounds_of_value(self._session.space.topic(name), _LINKS["#message"], schema),
+            limits.bounds_of_value(self._space.topic(name), _LINKS["#message"], schema),
         ]
         tree = await self._affordances.tree()
         own = tree.catalogue.by_topic.get(name)
         for shown, field in () if own is None else tree.names_of(own):
             if field is None:
-                found.append(limits.bounds_of_value(url_of(shown, self._session.space), rdf.value, schema))
+                found.append(limits.bounds_of_value(url_of(shown, self._space), rdf.value, schema))
         return merge_bounds(*found)
 
     async def require_parameter(self, name: str, value: ParameterValue) -> None:
@@ -131,11 +141,9 @@ class LimitChecks:
 
     def _declaration_violations(self, name: str, value: ParameterValue) -> list[Violation]:
         """What a value, or one in a tree, breaks of what the nodes declare."""
-        parameter = self._session.graph.parameters.get(name)
+        parameter = self._adapter.graph.parameters.get(name)
         if parameter is not None:
-            return list(
-                violations(parameter.descriptor or Descriptor(), name, self._session.space.parameter(name), value)
-            )
+            return list(violations(parameter.descriptor or Descriptor(), name, self._space.parameter(name), value))
         if not isinstance(value, dict):
             return []
         inner = (self._declaration_violations(f"{name.rstrip('/')}/{key}", each) for key, each in value.items())
@@ -145,7 +153,7 @@ class LimitChecks:
         if isinstance(value, dict):
             inner = [await self._of_parameter(f"{name.rstrip('/')}/{key}", each) for key, each in value.items()]
             return [violation for found in inner for violation in found]
-        url = self._session.space.parameter(name)
+        url = self._space.parameter(name)
         shape = self.limits.resource(url)
         stored = StoredValue(value)
         broken: list[Violation] = []
@@ -176,10 +184,10 @@ class LimitChecks:
             kind is Kind.SERVICE and all(way.name != name for way in catalogue.properties[found].writers)
         ):
             return ()  # what a getter is asked with is no value
-        return [(url_of(shown, self._session.space), field) for shown, field in tree.names_of(found)]
+        return [(url_of(shown, self._space), field) for shown, field in tree.names_of(found)]
 
     def _triples(self, url: str, predicate: NamedNode, value: Value, field: str | None = None) -> list[Triple]:
-        return value_triples(NamedNode(url), predicate, Reading("value", value), field, self._session.lifting)
+        return value_triples(NamedNode(url), predicate, Reading("value", value), field, self._lifting)
 
 
 def require_no_octets(body: RdfBody, texts: Set[NamedNode]) -> None:

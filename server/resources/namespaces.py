@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
+from rosld.adapters.base import Capabilities
 from rosld.adapters.model import Graph, Parameter, freeze, names
 from rosld.ontology.describe_containers import namespace_document
 from rosld.ontology.describe_members import MemberOutline, member_triples
@@ -96,14 +97,14 @@ def _unhidden(graph: Graph) -> Graph:
 _listed: IdentityCache[Graph, Graph] = IdentityCache(_unhidden)
 
 
-def listed_graph(session: Session) -> Graph:
+def listed_graph(graph: Graph, capabilities: Capabilities) -> Graph:
     """The graph as listings tell it: without hidden names, where the robot's kind of system has them."""
-    return _listed(session.graph) if session.adapter.capabilities.hidden_names else session.graph
+    return _listed(graph) if capabilities.hidden_names else graph
 
 
-def listing_parameters(session: Session) -> tuple[QueryParameter, ...]:
+def listing_parameters(capabilities: Capabilities) -> tuple[QueryParameter, ...]:
     """What the query of a listing of names may have."""
-    return (FORMAT, _HIDDEN) if session.adapter.capabilities.hidden_names else (FORMAT,)
+    return (FORMAT, _HIDDEN) if capabilities.hidden_names else (FORMAT,)
 
 
 def with_hidden(url: str) -> str:
@@ -111,30 +112,44 @@ def with_hidden(url: str) -> str:
     return f"{url}?{HIDDEN}"
 
 
-def listed_members(session: Session, route: str, namespace: tuple[str, ...], *, hidden: bool = False) -> Members | None:
-    """The members of a namespace as its listing tells them; None where there is no such namespace.
+@dataclass(frozen=True, slots=True, eq=False)
+class ListedNamespace:
+    """A namespace of one route as it is listed in one graph. `hidden`: hidden members are asked for."""
 
-    Within a namespace that is hidden itself nothing is, and neither where hidden ones are asked for.
-    """
-    whole = namespaces(session.graph, route).get(namespace)
-    if whole is None or hidden or names.is_hidden(names.join(namespace)):
-        return whole
-    return namespaces(listed_graph(session), route).get(namespace, Members())
+    graph: Graph
+    capabilities: Capabilities
+    route: str
+    namespace: tuple[str, ...]
+    hidden: bool = False
 
+    @property
+    def members(self) -> Members | None:
+        """The members that are listed; None where there is no such namespace.
 
-def listing_document(
-    session: Session, route: str, namespace: tuple[str, ...], members: Members, *, hidden: bool = False
-) -> Document:
-    """A namespace with these members, or these of them; where its listing leaves some out it links to all."""
-    url = session.space.container(route, namespace)
-    is_name = names.join(namespace) in things_of(session.graph, route)
-    whole = with_hidden(url) if leaves_out(session, route, namespace, hidden=hidden) else None
-    return namespace_document(route, namespace, members, session.space, is_name=is_name, whole=whole)
+        Within a namespace that is hidden itself nothing is, and neither where hidden ones are asked for.
+        """
+        every = self._every_member()
+        if every is None or self.hidden or names.is_hidden(names.join(self.namespace)):
+            return every
+        return namespaces(listed_graph(self.graph, self.capabilities), self.route).get(self.namespace, Members())
 
+    @property
+    def leaves_out(self) -> bool:
+        """Whether hidden members are left out."""
+        return self.members != self._every_member()
 
-def leaves_out(session: Session, route: str, namespace: tuple[str, ...], *, hidden: bool = False) -> bool:
-    """Whether the listing of a namespace leaves hidden members out."""
-    return listed_members(session, route, namespace, hidden=hidden) != namespaces(session.graph, route).get(namespace)
+    @property
+    def is_name(self) -> bool:
+        """Whether something has the name of the namespace itself."""
+        return names.join(self.namespace) in things_of(self.graph, self.route)
+
+    def document(self, space: Space, members: Members) -> Document:
+        """The namespace with these members, or these of them; where some are left out it links to all."""
+        whole = with_hidden(space.container(self.route, self.namespace)) if self.leaves_out else None
+        return namespace_document(self.route, self.namespace, members, space, is_name=self.is_name, whole=whole)
+
+    def _every_member(self) -> Members | None:
+        return namespaces(self.graph, self.route).get(self.namespace)
 
 
 def count_members(members: Members) -> int:
@@ -214,40 +229,40 @@ class NamespaceContainer(Resource):
             self.session, self.states, self.latest_values, self.route, self.namespace, place, hidden=hidden
         )
         if place is None:
-            require_page(exchange, self.url, count_members(asked._members()))
+            require_page(exchange, self.url, count_members(asked._members(asked._listed())))
         return asked
 
     async def current_methods(self) -> frozenset[str]:
         return await self.methods_if_there()
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        query = listing_parameters(self.session)
+        query = listing_parameters(self.session.adapter.capabilities)
         return PathItem(self.route.capitalize(), query=query, is_paged=True, alike=f"namespace-of-{self.route}")
 
     async def state(self) -> State:
-        members = self._members()
+        now = self._listed()
+        members = self._members(now)
         page, told = (None, members) if self._place is None else self._page(self._place, members)
         outlines = member_outlines(
             self.session.space,
             self.latest_values,
-            things_of(self.session.graph, self.route),
+            things_of(now.graph, self.route),
             self.route,
             self.namespace,
             told,
         )
         values = self._values_below()
-        version = (members, self._is_name, outlines, values, self.session.graph.revision)
+        version = (members, now.is_name, outlines, values, now.graph.revision)
 
         def make() -> State:
-            document = self._document(told, outlines)
+            document = self._document(now, told, outlines)
             if page is None:
                 return State(lambda: document, token=token)
             headers = {"link": render([*self.links, *page.links()]), "vary": "Accept, Prefer"}
             part = f"p{digest(page.token.encode())}"
             return State(lambda: page.add_to(document), token=token, part=part, headers=headers)
 
-        is_partial = leaves_out(self.session, self.route, self.namespace, hidden=self._hidden)
-        token = digest(repr((members, self._is_name, is_partial, outlines, values)).encode("utf-8", "replace"))
+        token = digest(repr((members, now.is_name, now.leaves_out, outlines, values)).encode("utf-8", "replace"))
         return self.states.get_or_make(self._sequence if page is None else page.url, version, make)
 
     def _values_below(self) -> Sequence[tuple[str, LatestValue | None]]:
@@ -258,25 +273,24 @@ class NamespaceContainer(Resource):
         below = (name for name in self.session.topics.subscribed() if name.startswith(prefix))
         return tuple((name, values.of_topic(name)) for name in below)
 
-    def _document(self, members: Members, outlines: Sequence[MemberOutline]) -> Document:
+    def _document(self, now: ListedNamespace, members: Members, outlines: Sequence[MemberOutline]) -> Document:
         """What the namespace says of itself, and in brief of its members."""
-        document = listing_document(self.session, self.route, self.namespace, members, hidden=self._hidden)
+        document = now.document(self.session.space, members)
         told = (triple for outline in outlines for triple in member_triples(outline, self.session.space))
         return replace(document, triples=(*document.triples, *told))
 
-    @property
-    def _is_name(self) -> bool:
-        return names.join(self.namespace) in things_of(self.session.graph, self.route)
+    def _listed(self) -> ListedNamespace:
+        """The namespace as it is listed in the graph of now."""
+        return ListedNamespace(
+            self.session.graph, self.session.adapter.capabilities, self.route, self.namespace, hidden=self._hidden
+        )
 
-    def _members(self) -> Members:
+    def _members(self, now: ListedNamespace) -> Members:
         """The members; a Problem where there is no such namespace."""
-        members = self._members_listed()
+        members = now.members
         if members is None:
-            raise self._missing()
+            raise self._missing(now)
         return members
-
-    def _members_listed(self) -> Members | None:
-        return listed_members(self.session, self.route, self.namespace, hidden=self._hidden)
 
     def _page(self, place: PagePosition, members: Members) -> tuple[LdpPage, Members]:
         """A page, and the members it tells of."""
@@ -289,14 +303,14 @@ class NamespaceContainer(Resource):
         return "&".join(parts if self._place is None else [*parts, page_query(self._place.token)])
 
     def navigation_links(self) -> tuple[SequenceLink, ...]:
-        members = self._members_listed()
+        members = self._listed().members
         return () if self._place is None or members is None else self._page(self._place, members)[0].neighbours()
 
     def listing(self) -> MemberColumns | None:
         """Everything below, or below what a page tells of, with types and endpoints."""
         whole = self._hidden or names.is_hidden(names.join(self.namespace))
-        graph, space = self.session.graph if whole else listed_graph(self.session), self.session.space
-        members = self._members_listed()
+        now, space = self._listed(), self.session.space
+        graph, members = now.graph if whole else listed_graph(now.graph, now.capabilities), now.members
         if self.route == "topics":
             told, total = self._below(graph.topics, members)
             topics = {name: graph.topics[name] for name in told}
@@ -337,10 +351,9 @@ class NamespaceContainer(Resource):
             below = [name for name, (part, slash, _) in rests if part in (inner if slash else leaves)]
         return below[:MAX_ROWS], total
 
-    def _missing(self) -> Problem:
+    def _missing(self, now: ListedNamespace) -> Problem:
         """308 where the name is a leaf, else 404."""
-        name = names.join(self.namespace)
-        if name in things_of(self.session.graph, self.route):
+        if now.is_name:
             leaf = self.session.space.url(self.route, self.namespace)
             return permanent_redirect(leaf)
-        return Problem(404, f"There is no namespace {name} under /{self.route}/.")
+        return Problem(404, f"There is no namespace {names.join(self.namespace)} under /{self.route}/.")

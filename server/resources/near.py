@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from rosld.adapters.base import Capabilities
+from rosld.adapters.model import Graph
 from rosld.ontology.namespaces import IdentityCache, namespaces_of
 from rosld.ontology.urls import Location, Space
 from rosld.server.hypermedia.affordance_service import AffordanceService
@@ -11,7 +13,7 @@ from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.resource_tree import ResourceTree, path_of, segments_of
 from rosld.server.resources.namespaces import listed_graph, namespaces, things_of
 from rosld.server.rest.state import State
-from rosld.server.robot.session import Session
+from rosld.server.robot.audited_adapter import AuditedAdapter
 from rosld.server.search.near_names import NearNames
 
 _IN_GRAPH = frozenset({"nodes", "topics", "services", "actions", "parameters"})
@@ -29,22 +31,22 @@ _route_names: IdentityCache[Mapping[str, object], NearNames] = IdentityCache(_ne
 _tree_names: IdentityCache[ResourceTree, NearNames] = IdentityCache(_near_in_tree, 2)
 
 
-def near_urls(session: Session, affordances: AffordanceService[State], url: str) -> Sequence[str]:
+def near_urls(space: Space, adapter: AuditedAdapter, affordances: AffordanceService[State], url: str) -> Sequence[str]:
     """The URLs of what the robot has under names near that of `url`, the nearest first.
 
     None where `url` is in no container of names, and where its name is there: then it is absent for another reason.
     """
-    place = session.space.location(url)
+    place = space.location(url)
     if place is None or not place.segments:
         return ()
     if place.kind == "resources":
-        return _near_resources(session.space, affordances, place)
-    return _near_names(session, place) if place.kind in _IN_GRAPH else ()
+        return _near_resources(space, affordances, place)
+    return _near_names(space, adapter.graph, adapter.capabilities, place) if place.kind in _IN_GRAPH else ()
 
 
-def _near_names(session: Session, place: Location) -> Sequence[str]:
-    things, name, space = things_of(listed_graph(session), place.kind), _name(place), session.space
-    if name in things or place.segments in namespaces(session.graph, place.kind):
+def _near_names(space: Space, graph: Graph, capabilities: Capabilities, place: Location) -> Sequence[str]:
+    things, name = things_of(listed_graph(graph, capabilities), place.kind), _name(place)
+    if name in things or place.segments in namespaces(graph, place.kind):
         return ()
     return [
         space.container(place.kind, segments_of(each))

@@ -13,7 +13,6 @@ from rosld.adapters.model import Kind, Operation, ParameterValue, Ref, names
 from rosld.ontology.body import index_triples, parse_body
 from rosld.ontology.document import Document
 from rosld.ontology.lower import parse_json
-from rosld.ontology.namespaces import Members
 from rosld.ontology.parameters import (
     Outline,
     lower_json,
@@ -44,12 +43,11 @@ from rosld.server.resources.accepted_shape import has_parameter_shape, parameter
 from rosld.server.resources.limit_checks import LimitChecks
 from rosld.server.resources.namespaces import (
     HIDDEN,
+    ListedNamespace,
     count_members,
     is_of_hidden,
-    listed_members,
     listing_parameters,
     member_keys,
-    namespaces,
     with_hidden,
 )
 from rosld.server.resources.parameter_base import ParameterBase
@@ -109,7 +107,7 @@ class ParameterResource(ParameterBase):
         return super().constrained_by
 
     async def accepted(self, url: str) -> Document | None:
-        return await parameter_shape(self.session, self.limit_checks, self.name, url)
+        return await parameter_shape(self.session.space, self.session.adapter, self.limit_checks, self.name, url)
 
     def deny_reason(self, method: str) -> str:
         if self.session.settings.read_only or self.session.is_resources_only(self.name):
@@ -298,7 +296,7 @@ class ParameterTree(ParameterBase):
         return PathItem(
             "A tree of parameters",
             plain=OBJECT,
-            query=listing_parameters(self.session),
+            query=listing_parameters(self.session.adapter.capabilities),
             writes={
                 "POST": WriteMethod(
                     "Makes a parameter, named by `Slug` where that is free.", ANYTHING, done=(200, 201, 204)
@@ -361,22 +359,14 @@ class ParameterTree(ParameterBase):
 
     def outline(self) -> Document:
         """What it says but for values."""
-        parameters = listed_members(self.session, "parameters", self.namespace)
-        leaves_out = parameters != namespaces(self.session.graph, "parameters").get(self.namespace)
+        listed = self._listed()
         return parameter_container_document(
             self.namespace,
-            self._outline(self.namespace),
+            _outline(listed),
             self.session.space,
             MAX_PAGE_SIZE,
-            whole=with_hidden(self.url) if leaves_out else None,
+            whole=with_hidden(self.url) if listed.leaves_out else None,
         )
-
-    def _outline(self, namespace: tuple[str, ...]) -> Outline:
-        members = listed_members(self.session, "parameters", namespace)
-        if members is None:
-            return {}
-        below = {inner: self._outline((*namespace, inner)) for inner in members.namespaces}
-        return {**dict.fromkeys(members.leaves), **below}
 
     def _list(self, value: dict[str, ParameterValue]) -> dict[str, ParameterValue]:
         """The tree as it is listed; the same object where nothing is left out."""
@@ -386,8 +376,10 @@ class ParameterTree(ParameterBase):
         hidden = {each.name for each in self.session.graph.parameters.values() if is_of_hidden(each)}
         return omit_parameters(self.name, value, hidden) if hidden else value
 
-    def _members(self) -> Members | None:
-        return listed_members(self.session, "parameters", self.namespace, hidden=self._hidden)
+    def _listed(self) -> ListedNamespace:
+        """The namespace as it is listed in the graph of now."""
+        capabilities = self.session.adapter.capabilities
+        return ListedNamespace(self.session.graph, capabilities, "parameters", self.namespace, hidden=self._hidden)
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """The page that `?page=` asks for, the first of many pages (303) where the container is asked for."""
@@ -398,7 +390,7 @@ class ParameterTree(ParameterBase):
         asked = ParameterTree(
             self.session, self.limit_checks, self.states, self.namespace, place, hidden=exchange.query_flag("hidden")
         )
-        members = asked._members()
+        members = asked._listed().members
         if place is None and members is not None and not _wants_value(exchange):
             require_page(exchange, self.url, count_members(members))
         return asked
@@ -433,13 +425,13 @@ class ParameterTree(ParameterBase):
         return "&".join(parts if self._place is None else [*parts, page_query(self._place.token)])
 
     def navigation_links(self) -> tuple[SequenceLink, ...]:
-        members = self._members()
+        members = self._listed().members
         if self._place is None or members is None:
             return ()
         return page_of_names(self._sequence, self._place, member_keys(members))[0].neighbours()
 
     def listing(self) -> MemberColumns | None:
-        members = self._members()
+        members = self._listed().members
         return None if self._place is None or members is None else MemberColumns(total=count_members(members))
 
     def redact(self, state: State, permissions: Permissions) -> State:
@@ -505,6 +497,15 @@ class ParameterTree(ParameterBase):
         if gone:
             await self._delete(gone)
         return await self._answer(changed)
+
+
+def _outline(listed: ListedNamespace) -> Outline:
+    """The members of a namespace and of all below it, without values."""
+    members = listed.members
+    if members is None:
+        return {}
+    below = {each: _outline(replace(listed, namespace=(*listed.namespace, each))) for each in members.namespaces}
+    return {**dict.fromkeys(members.leaves), **below}
 
 
 def _require_below(exchange: Exchange, url: str, value: ParameterValue) -> None:

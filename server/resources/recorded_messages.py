@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 from pyoxigraph import Triple
 
@@ -13,9 +14,10 @@ from rosld.adapters.base import RecordedMessage, Recording
 from rosld.adapters.model import UnknownType
 from rosld.ontology.describe_bags import bag_message_document
 from rosld.ontology.document import Document
+from rosld.ontology.lift import LiftSettings
+from rosld.ontology.urls import Space
 from rosld.server.resources.messages import DecodedSample, decode, lift_sample
 from rosld.server.robot.schemas import Schemas
-from rosld.server.robot.session import Session
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,13 +47,23 @@ async def decode_records(
     return found
 
 
-def record_document(session: Session, recording: Recording, one: DecodedRecord) -> Document:
+def record_document(
+    space: Space, lifting: LiftSettings, recording: Recording, one: DecodedRecord, *, simulated_time: bool
+) -> Document:
     """What the resource of a recorded message says."""
-    lifted = lift_sample(session.space, session.lifting, one.decoded) if one.decoded.message is not None else None
-    said = bag_message_document(recording, one.message, session.space, lifted, unreadable=one.decoded.reason)
-    return replace(said, simulated_time=session.graph.simulated_time)
+    lifted = lift_sample(space, lifting, one.decoded) if one.decoded.message is not None else None
+    said = bag_message_document(recording, one.message, space, lifted, unreadable=one.decoded.reason)
+    return replace(said, simulated_time=simulated_time)
 
 
-def record_triples(session: Session, recording: Recording, records: Iterable[DecodedRecord]) -> list[Triple]:
+def record_triples(
+    space: Space,
+    lifting: LiftSettings,
+    recording: Recording,
+    records: Iterable[DecodedRecord],
+    *,
+    simulated_time: bool,
+) -> list[Triple]:
     """The same of many. It takes a while: for a thread."""
-    return [triple for one in records for triple in record_document(session, recording, one).all_triples()]
+    describe = partial(record_document, space, lifting, recording, simulated_time=simulated_time)
+    return [triple for one in records for triple in describe(one).all_triples()]

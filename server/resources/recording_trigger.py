@@ -7,7 +7,7 @@ from collections.abc import AsyncGenerator, Callable, Iterator, Sequence
 from functools import partial
 from urllib.parse import urljoin
 
-from rosld.adapters.base import Watch
+from rosld.adapters.base import Capabilities, Watch
 from rosld.adapters.model import RosError
 from rosld.ontology.document import Document
 from rosld.ontology.urls import Space
@@ -29,6 +29,7 @@ from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import State
 from rosld.server.robot.session import Session
 from rosld.server.runtime.signals import call_every
+from rosld.server.settings import Settings
 
 NOTHING_IS_RECORDED = "Nothing is recorded here: this server is read-only, or serves a recording."
 Find = Callable[[str], Resource]
@@ -173,7 +174,7 @@ class RecordingTriggers:
     def _require(self, one: ArmedRecording) -> Permissions:
         """What who ordered a recording may do now. Raises 403, 422 Problems where it could not be ordered now."""
         space, permissions = self._session.space, self._permissions(one)
-        if not can_record(self._session):
+        if not can_record(self._session.settings, self._session.adapter.capabilities):
             raise Problem(403, NOTHING_IS_RECORDED)
         if permissions is None:
             raise Problem(403, "Who ordered it is not known here any more.")
@@ -201,9 +202,9 @@ class RecordingTriggers:
                 watch.close()
 
 
-def can_record(session: Session) -> bool:
+def can_record(settings: Settings, capabilities: Capabilities) -> bool:
     """Whether clients may have anything recorded here."""
-    return not session.settings.read_only and session.adapter.capabilities.system != "recording"
+    return not settings.read_only and capabilities.system != "recording"
 
 
 def may_read_topic(space: Space, permissions: Permissions, topic: str) -> bool:

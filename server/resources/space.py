@@ -241,7 +241,7 @@ class SpaceResource(Resource):
 
     def _all(self) -> list[str]:
         """The topics that can be drawn and that the agent may read, what is drawn first first."""
-        space, topics = self.session.space, listed_graph(self.session).topics
+        space, topics = self.session.space, listed_graph(self.session.graph, self.session.adapter.capabilities).topics
         found = [
             (PLACED_TYPES.index(topic.type.name), name)
             for name, topic in topics.items()

@@ -12,6 +12,7 @@ from rosld.ontology.body import parse_json
 from rosld.ontology.describe_holds import StepView, stop_document
 from rosld.ontology.document import Document
 from rosld.ontology.triples import date_time_literal
+from rosld.ontology.urls import Space
 from rosld.ontology.vocab import ros
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.html import DeleteForm, Form
@@ -25,7 +26,6 @@ from rosld.server.rest.formats import JSON
 from rosld.server.rest.path_item import PathItem, WriteMethod
 from rosld.server.rest.resource import READ, Answer, Resource, ShownAnswer
 from rosld.server.rest.state import State
-from rosld.server.robot.session import Session
 from rosld.server.robot.software_stop import SoftwareStop
 from rosld.server.runtime.version_cache import VersionCache
 
@@ -37,20 +37,6 @@ _ABOUT = (
 )
 
 
-def unusable_reason(session: Session, software_stop: SoftwareStop) -> str | None:
-    """Why the robot cannot be stopped and released from here, in a sentence; None where it can."""
-    if session.settings.read_only:
-        return "This server is read-only: it tells the robot nothing, not even to stop."
-    return None if software_stop.is_usable else f"Nothing moves in a {session.adapter.capabilities.system}."
-
-
-def require_right(exchange: Exchange, session: Session, software_stop: SoftwareStop) -> None:
-    """Raise a Problem where whoever asks must not stop (POST) or release (DELETE) the robot."""
-    refusal = unusable_reason(session, software_stop)
-    if refusal is not None:
-        raise Problem(403, refusal)
-
-
 class StopResource(Resource):
     """The stop of the whole robot."""
 
@@ -58,9 +44,9 @@ class StopResource(Resource):
     title = "Stop"
     accepts: Mapping[str, Sequence[str]] = {"POST": (JSON,)}
 
-    def __init__(self, session: Session, states: VersionCache[State], software_stop: SoftwareStop) -> None:
-        super().__init__(session.space.stop)
-        self.session = session
+    def __init__(self, space: Space, states: VersionCache[State], software_stop: SoftwareStop) -> None:
+        super().__init__(space.stop)
+        self.space = space
         self.states = states
         self.software_stop = software_stop
 
@@ -85,14 +71,14 @@ class StopResource(Resource):
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self.session.space.document_shape("Stop"),)
+        return (self.space.document_shape("Stop"),)
 
     def methods(self) -> frozenset[str]:
-        return READ | {"POST", "DELETE"} if unusable_reason(self.session, self.software_stop) is None else READ
+        return READ | {"POST", "DELETE"} if self.software_stop.unusable_reason is None else READ
 
     def deny_reason(self, method: str) -> str:
         if method in ("POST", "DELETE"):
-            return unusable_reason(self.session, self.software_stop) or super().deny_reason(method)
+            return self.software_stop.unusable_reason or super().deny_reason(method)
         return f"POST stops the robot, DELETE lets it be moved again; it does not answer {method}."
 
     async def state(self) -> State:
@@ -116,7 +102,7 @@ class StopResource(Resource):
         stops = self.software_stop
         stop_state = stops.stop_state
         return stop_document(
-            self.session.space,
+            self.space,
             [
                 StepView(step.description, ros.terms()[step.status.value], step.words, step.affects, step.subscribers)
                 for step in stops.steps
@@ -125,7 +111,7 @@ class StopResource(Resource):
             since_ns=None if stop_state is None else stop_state.since_ns,
             reason=None if stop_state is None else stop_state.reason,
             warning=stops.warning,
-            usable=unusable_reason(self.session, self.software_stop) is None,
+            usable=stops.unusable_reason is None,
         )
 
     def _plain(self) -> bytes:
@@ -156,7 +142,7 @@ class StopResource(Resource):
         return state.redact(permissions, plain=lambda: self._plain_for(permissions))
 
     async def forms(self) -> Sequence[Form]:
-        if unusable_reason(self.session, self.software_stop) is not None:
+        if self.software_stop.unusable_reason is not None:
             return ()
         stop = DeleteForm("Stop the robot", "Stop", _ABOUT, method="POST")
         if self.software_stop.stop_state is None:
@@ -166,7 +152,7 @@ class StopResource(Resource):
 
     async def post(self, exchange: Exchange) -> Answer:
         """Stop the robot: 200 with what was done, step by step. The body may state a reason."""
-        require_right(exchange, self.session, self.software_stop)
+        self._require_usable()
         reason = _reason(await exchange.raw_body())  # a stop is not refused for its charset
         exchange.audit.add_step("stop the robot", self.url)
         await self.software_stop.stop(exchange.agent, reason)
@@ -174,13 +160,18 @@ class StopResource(Resource):
 
     async def delete(self, exchange: Exchange) -> Answer:
         """Release the stop: writes pass again. Raises a 409 Problem while the robot is still being stopped."""
-        require_right(exchange, self.session, self.software_stop)
+        self._require_usable()
         if self.software_stop.is_running:
             raise _still_being_stopped()
         exchange.audit.add_step("let writes pass again", self.url)
         if not await self.software_stop.release(exchange.agent):
             raise _still_being_stopped()
         return Response(status_code=204)
+
+    def _require_usable(self) -> None:
+        """Raise a 403 Problem where the robot cannot be stopped and released from here."""
+        if (reason := self.software_stop.unusable_reason) is not None:
+            raise Problem(403, reason)
 
 
 def _still_being_stopped() -> Problem:

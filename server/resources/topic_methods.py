@@ -5,12 +5,13 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 
-from rosld.adapters.model import Kind, MessageSchema, Operation, Ref, Topic
+from rosld.adapters.model import Graph, Kind, MessageSchema, Operation, Ref, Topic
+from rosld.ontology.urls import Space
 from rosld.server.hypermedia.data_schema import message_schema
 from rosld.server.hypermedia.json_schema import OBJECT, patch_schema
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.holds import hold_parameters, hold_schema
-from rosld.server.resources.namespaces import redirect_to_namespace
+from rosld.server.resources.namespaces import is_absent
 from rosld.server.resources.strictness import STRICT
 from rosld.server.rest.path_item import QueryParameter, WriteMethod
 from rosld.server.rest.resource import READ
@@ -38,20 +39,18 @@ def write_refusal(session: Session, name: str) -> str | None:
     return None if _LEGAL.fullmatch(name) else f"{name!r} is no legal name for a new topic."
 
 
-def topic_methods(session: Session, name: str, *, can_write: bool) -> frozenset[str]:
+def topic_methods(space: Space, graph: Graph, name: str, *, can_write: bool) -> frozenset[str]:
     """The methods of the topic of a name; of one that is not there those that make it: nothing can be read of it."""
-    methods = READ | _writing_methods(session, name) if can_write else READ
-    is_there = (
-        name in session.graph.topics or redirect_to_namespace(session.space, session.graph, "topics", name) is not None
-    )
+    methods = READ | _writing_methods(graph, name) if can_write else READ
+    is_there = not is_absent(space, graph, "topics", name)
     return methods if is_there else methods - {"GET", "HEAD"}
 
 
-def _writing_methods(session: Session, name: str) -> frozenset[str]:
-    topic = session.graph.topics.get(name)
+def _writing_methods(graph: Graph, name: str) -> frozenset[str]:
+    topic = graph.topics.get(name)
     if topic is None:
         return frozenset({"PUT"})
-    is_advertised = any(endpoint.node == session.graph.own_node for endpoint in topic.publishers)
+    is_advertised = any(endpoint.node == graph.own_node for endpoint in topic.publishers)
     methods = frozenset({"PUT", "PATCH"} if topic.type is None else {"PUT", "PATCH", "POST"})
     return methods | {"DELETE"} if is_advertised else methods
 

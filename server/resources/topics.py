@@ -169,7 +169,8 @@ class TopicResource(CommandResource):
         graph = self.session.graph
         if self._allowed is None or self._allowed[0] is not graph:
             refusal = write_refusal(self.session, self.name)
-            self._allowed = (graph, topic_methods(self.session, self.name, can_write=refusal is None), refusal)
+            methods = topic_methods(self.session.space, graph, self.name, can_write=refusal is None)
+            self._allowed = (graph, methods, refusal)
         return self._allowed
 
     def deny_reason(self, method: str) -> str:

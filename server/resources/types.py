@@ -36,6 +36,7 @@ from rosld.server.rest.path_item import FORMAT, PAGE, PathItem, QueryParameter
 from rosld.server.rest.prefer_container import ALL_PARTS, ContainerParts
 from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource, permanent_redirect
 from rosld.server.rest.state import State
+from rosld.server.robot.audited_adapter import AuditedAdapter
 from rosld.server.robot.schemas import Schemas
 from rosld.server.robot.session import Session, used_types
 from rosld.server.runtime.version_cache import IdentityKey, VersionCache
@@ -89,7 +90,7 @@ class TypeResource(Resource):
 
     async def state(self) -> State:
         schema = await schema_of(self.session.schemas, self.ref)
-        variants = tuple(ref for ref in known_types(self.session) if ref.name == self.ref.name)
+        variants = tuple(ref for ref in known_types(self.session.adapter) if ref.name == self.ref.name)
         return self.states.get_or_make(
             self.url,
             (IdentityKey(schema), variants),
@@ -192,9 +193,17 @@ class TypeContainer(Resource):
     kind = "Types"
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
 
-    def __init__(self, session: Session, states: VersionCache[State], route: str, namespace: tuple[str, ...]) -> None:
-        super().__init__(session.space.container(route, namespace))
-        self.session = session
+    def __init__(
+        self,
+        space: Space,
+        adapter: AuditedAdapter,
+        states: VersionCache[State],
+        route: str,
+        namespace: tuple[str, ...],
+    ) -> None:
+        super().__init__(space.container(route, namespace))
+        self.space = space
+        self.adapter = adapter
         self.states = states
         self.route = route
         self.namespace = namespace
@@ -205,17 +214,17 @@ class TypeContainer(Resource):
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self.session.space.document_shape("Container"),)
+        return (self.space.document_shape("Container"),)
 
     async def state(self) -> State:
-        listed = sorted({ref.name for ref in known_types(self.session)})
+        listed = sorted({ref.name for ref in known_types(self.adapter)})
         below = child_names(listed, self.route, self.namespace)
         if self.namespace and not below:
             raise Problem(404, f"No type of {'/'.join(self.namespace)} is known.")
         return self.states.get_or_make(
             self.url,
             below,
-            lambda: State(lambda: type_container_document(self.route, self.namespace, below, self.session.space)),
+            lambda: State(lambda: type_container_document(self.route, self.namespace, below, self.space)),
         )
 
 
@@ -233,9 +242,9 @@ async def schema_of(schemas: Schemas, ref: TypeRef) -> Schema:
 _HALVES = {"/srv/": ("Request", "Response"), "/action/": ("Goal", "Result", "Feedback")}
 
 
-def known_types(session: Session) -> Sequence[TypeRef]:
+def known_types(adapter: AuditedAdapter) -> Sequence[TypeRef]:
     """The types in use or met so far, each name and hash once."""
-    return list(dict.fromkeys([*session.adapter.known_types(), *used_types(session.graph)]))
+    return list(dict.fromkeys([*adapter.known_types(), *used_types(adapter.graph)]))
 
 
 def child_names(listed: Sequence[str], route: str, namespace: tuple[str, ...]) -> tuple[str, ...]:
@@ -248,7 +257,7 @@ def child_names(listed: Sequence[str], route: str, namespace: tuple[str, ...]) -
 def type_route(session: Session, states: VersionCache[State], location: Location) -> Resource:
     """`/types/` and below."""
     if location.is_container or len(location.segments) < 3:
-        return _container(session, states, "types", location)
+        return _container(session.space, session.adapter, states, "types", location)
     return TypeResource(session, states, "/".join(location.segments))
 
 
@@ -261,17 +270,17 @@ def shape_route(
 ) -> Resource:
     """`/shapes/` and below: shapes of types, and beside their packages the limits that clients keep."""
     if location.is_container and not location.segments:
-        return LimitsContainer(session, documents, active_limits.ROUTE)
+        return LimitsContainer(session.adapter, documents, active_limits.ROUTE)
     if len(location.segments) == 1:
         name = location.segments[0]
         if name in SHAPES_GRAPHS and not location.is_container:
             return ShapesGraphResource(session, affordances, limit_checks, documents.states, name)
-        if not location.is_container and name in _packages(session):
+        if not location.is_container and name in _packages(session.adapter):
             return PackageRedirect(session.space, session.settings, name)
         if not location.is_container:
             return stored_route(documents, location)
     if location.is_container or len(location.segments) < 3:
-        return _container(session, documents.states, "shapes", location)
+        return _container(session.space, session.adapter, documents.states, "shapes", location)
     return ShapeResource(session.space, session.schemas, documents.states, "/".join(location.segments))
 
 
@@ -300,30 +309,30 @@ class LimitsContainer(ContainerResource):
 
     def __init__(
         self,
-        session: Session,
+        adapter: AuditedAdapter,
         documents: Documents,
         path: str,
         parts: ContainerParts = ALL_PARTS,
         place: PagePosition | None = None,
     ) -> None:
         super().__init__(documents, path, parts, place)
-        self.session = session
+        self.adapter = adapter
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         found = await super().select_variant(exchange)
         if type(found) is ContainerResource:
-            return LimitsContainer(self.session, self.documents, self.path, found._parts, found._place)
+            return LimitsContainer(self.adapter, self.documents, self.path, found._parts, found._place)
         return found
 
     def is_taken(self, name: str) -> bool:
-        return name in SHAPES_GRAPHS or name in _packages(self.session) or super().is_taken(name)
+        return name in SHAPES_GRAPHS or name in _packages(self.adapter) or super().is_taken(name)
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem("Shapes", query=(FORMAT, PAGE), also=EXTRA_STATUSES)
 
     async def state(self) -> State:
         kept = await super().state()
-        listed = _generate(self.session)
+        listed = _generate(self.documents.space, self.adapter)
         is_here = self._parts.containment and (self._place is None or self._place.after == 0)
         more = tuple(one for one in listed.triples if _is_of(one, containment=is_here, minimal=self._parts.minimal))
 
@@ -340,7 +349,7 @@ class LimitsContainer(ContainerResource):
         self, record: Record, triples: Sequence[Triple], expected: int | None, said: Set[Triple] = frozenset()
     ) -> Put:
         require_small(triples)
-        own = set(_generate(self.session).triples)
+        own = set(_generate(self.documents.space, self.adapter).triples)
         return await super().with_triples(record, [one for one in triples if one not in own], expected, said)
 
 
@@ -349,26 +358,23 @@ def _is_of(triple: Triple, *, containment: bool, minimal: bool) -> bool:
     return minimal if triple.predicate in (dcterms.title, rdf.type) else containment
 
 
-def _generate(session: Session) -> Document:
+def _generate(space: Space, adapter: AuditedAdapter) -> Document:
     """What `/shapes/` says of what nobody keeps there."""
-    return type_container_document("shapes", (), child_names(_list(session), "shapes", ()), session.space)
+    listed = sorted({ref.name for ref in known_types(adapter)})
+    return type_container_document("shapes", (), child_names(listed, "shapes", ()), space)
 
 
-def shapes_document(session: Session, documents: Documents) -> Document:
+def shapes_document(adapter: AuditedAdapter, documents: Documents) -> Document:
     """What `/shapes/` says with all that is in it, as it is now."""
-    record = documents.records.get(active_limits.ROUTE)
+    space, record = documents.space, documents.records.get(active_limits.ROUTE)
     assert record is not None
-    members = [session.space.base + member.path for member in all_members(documents.records, record)]
-    kept = record_document(record, session.space.container("shapes"), members, ())
-    return Document(kept.url, tuple(dict.fromkeys((*kept.triples, *_generate(session).triples))))
+    members = [space.base + member.path for member in all_members(documents.records, record)]
+    kept = record_document(record, space.container("shapes"), members, ())
+    return Document(kept.url, tuple(dict.fromkeys((*kept.triples, *_generate(space, adapter).triples))))
 
 
-def _list(session: Session) -> list[str]:
-    return sorted({ref.name for ref in known_types(session)})
-
-
-def _packages(session: Session) -> set[str]:
-    return {ref.name.partition("/")[0] for ref in known_types(session)}
+def _packages(adapter: AuditedAdapter) -> set[str]:
+    return {ref.name.partition("/")[0] for ref in known_types(adapter)}
 
 
 def _deny_reason(space: Space, settings: Settings, url: str, method: str) -> str:
@@ -380,8 +386,10 @@ def _deny_reason(space: Space, settings: Settings, url: str, method: str) -> str
     )
 
 
-def _container(session: Session, states: VersionCache[State], route: str, location: Location) -> Resource:
+def _container(
+    space: Space, adapter: AuditedAdapter, states: VersionCache[State], route: str, location: Location
+) -> Resource:
     if not location.is_container:
-        url = session.space.container(route, location.segments)
+        url = space.container(route, location.segments)
         raise permanent_redirect(url)
-    return TypeContainer(session, states, route, location.segments)
+    return TypeContainer(space, adapter, states, route, location.segments)

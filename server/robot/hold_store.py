@@ -19,8 +19,10 @@ from rosld.adapters.model import Encoding, Kind, Message, MessageSchema, RosErro
 from rosld.ontology.neutral_message import is_unstamped, with_stamp
 from rosld.server.auth.agent import Agent
 from rosld.server.http.problem import Problem
+from rosld.server.robot.audited_adapter import AuditedAdapter
 from rosld.server.robot.interlock import Holder
 from rosld.server.robot.publication import require_rate
+from rosld.server.robot.publish_rate import PublishLimiter
 from rosld.server.robot.schedule import LeaseExpired, Publish, Schedule, Wait
 from rosld.server.robot.session import Session
 from rosld.server.robot.write_policy import denied_reason
@@ -130,9 +132,9 @@ class Holds:
         interlock.require_free(hold.topic)
         if self._closed is not None:
             raise Problem(503, f"No hold can begin: {self._closed}.")
-        require_rate(session, hold.topic)
+        require_rate(session.limiter, hold.topic)
         holder = interlock.held[hold.topic] = Holder(hold.holder.name, session.space.hold(hold.id))
-        running = _Running(self, session, hold)
+        running = _Running(self, session.adapter, session.limiter, hold)
         try:
             await running.publish(session.deadline(session.settings.publish_wait))
             self._require_passage(hold.message)
@@ -253,10 +255,11 @@ def new_hold(
 class _Running:
     """A hold that is carried out: one timer, at most one publish under way."""
 
-    def __init__(self, holds: Holds, session: Session, hold: Hold) -> None:
+    def __init__(self, holds: Holds, adapter: AuditedAdapter, limiter: PublishLimiter, hold: Hold) -> None:
         self.hold = hold
         self._holds = holds
-        self._session = session
+        self._adapter = adapter
+        self._limiter = limiter
         self._loop = asyncio.get_running_loop()
         self._schedule = Schedule(1 / hold.rate, self._loop.time(), math.inf)
         self._timer: asyncio.TimerHandle | None = None
@@ -267,8 +270,8 @@ class _Running:
     async def publish(self, deadline: float) -> None:
         """Publish the message once. Raises what the gate and the adapter raise."""
         topic, message = self.hold.topic, self.hold.message
-        data = message.encode_at(time.time_ns(), self._session.adapter.capabilities.encoding)
-        await self._session.adapter.publish_for_hold(
+        data = message.encode_at(time.time_ns(), self._adapter.capabilities.encoding)
+        await self._adapter.publish_for_hold(
             topic, message.schema.ref, data, deadline=deadline, passes_stop=message.passes_stop
         )
 
@@ -324,7 +327,7 @@ class _Running:
 
     async def _published(self) -> None:
         trouble: str | None = None
-        self._session.limiter.count(self.hold.topic, self._loop.time())
+        self._limiter.count(self.hold.topic, self._loop.time())
         try:
             await self.publish(self._loop.time() + min(self._schedule.period, _LONGEST_PUBLISH))
         except (RosError, ValueError) as error:
@@ -357,15 +360,13 @@ class _Running:
         then, topic = self.hold.release_message, self.hold.topic
         if then is None:
             return
-        encoding = self._session.adapter.capabilities.encoding
-        self._session.limiter.count(
-            topic, self._loop.time()
-        )  # it is published however often: what follows waits for it
+        encoding = self._adapter.capabilities.encoding
+        self._limiter.count(topic, self._loop.time())  # it is published however often: what follows waits for it
         deadline = self._loop.time() + _LAST_SECONDS
         while True:
             try:
                 data = then.encode_at(time.time_ns(), encoding)
-                await self._session.adapter.publish_always(topic, then.schema.ref, data, deadline=deadline)
+                await self._adapter.publish_always(topic, then.schema.ref, data, deadline=deadline)
                 return
             except (RosError, ValueError) as error:
                 if self._loop.time() + _AGAIN_SECONDS >= deadline:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from rosld.adapters.base import Published
 from rosld.adapters.model import Kind, TypeRef
 from rosld.server.http.problem import Problem
+from rosld.server.robot.publish_rate import PublishLimiter
 from rosld.server.robot.session import Session
 from rosld.server.runtime.loop_time import loop_time
 
@@ -28,7 +29,7 @@ class Publication:
 async def publish(session: Session, publication: Publication) -> Published:
     """Publish, waiting a moment for somebody to listen. Raises a 429 Problem where the topic is published too often."""
     topic = publication.topic
-    require_rate(session, topic)
+    require_rate(session.limiter, topic)
     deadline = session.deadline(session.settings.publish_wait)
     try:
         return await session.adapter.publish(
@@ -43,11 +44,11 @@ async def publish(session: Session, publication: Publication) -> Published:
         session.announce_write(Kind.TOPIC, topic)
 
 
-def require_rate(session: Session, topic: str) -> None:
+def require_rate(limiter: PublishLimiter, topic: str) -> None:
     """Count one publish. Raises a 429 Problem where the topic is published to too often."""
-    wait = session.limiter.wait(topic, loop_time())
+    wait = limiter.wait(topic, loop_time())
     if wait > 0:
-        sentence = f"More than {session.limiter.rate:g} messages a second on {topic} (--max-publish-rate)."
+        sentence = f"More than {limiter.rate:g} messages a second on {topic} (--max-publish-rate)."
         raise Problem(429, sentence, headers={"Retry-After": str(max(1, round(wait)))})
 
 

@@ -100,6 +100,13 @@ class SoftwareStop:
         return not self._session.settings.read_only and self._session.adapter.capabilities.writes
 
     @property
+    def unusable_reason(self) -> str | None:
+        """Why the robot cannot be stopped and released from here, in a sentence; None where it can."""
+        if self._session.settings.read_only:
+            return "This server is read-only: it tells the robot nothing, not even to stop."
+        return None if self.is_usable else f"Nothing moves in a {self._session.adapter.capabilities.system}."
+
+    @property
     def is_running(self) -> bool:
         """Whether steps of a stop are still being carried out."""
         return bool(self._running)

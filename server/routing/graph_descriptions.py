@@ -8,7 +8,7 @@ from itertools import product
 
 from pyoxigraph import NamedNode
 
-from rosld.adapters.model import MessageSchema, Parameter, Schema, TypeRef, halves_of, names
+from rosld.adapters.model import MessageSchema, Parameter, Schema, TypeRef, halves_of
 from rosld.ontology.describe_containers import container_document, type_container_document
 from rosld.ontology.describe_graph import entry_document, node_document, node_views
 from rosld.ontology.describe_services import service_document
@@ -22,7 +22,7 @@ from rosld.ontology.urls import Space
 from rosld.ontology.vocab import rdf, ros
 from rosld.server.resources import types
 from rosld.server.resources.bag_descriptions import bag_urls, describe_armed, describe_bag, describe_running
-from rosld.server.resources.namespaces import listed_graph, listed_members, listing_document, namespaces, things_of
+from rosld.server.resources.namespaces import ListedNamespace, listed_graph, namespaces
 from rosld.server.resources.parameters import ParameterTree
 from rosld.server.resources.queries import queries_document, shipped_document
 from rosld.server.resources.types import SHAPES_GRAPHS, child_names, known_types, shapes_graph
@@ -79,9 +79,9 @@ class GraphDescriptions:
     def _describe(self) -> Iterator[GraphEntry]:
         session, services = self._session, self._services
         space, graph = session.space, session.graph
-        system = session.adapter.capabilities.system
-        problems = services.storage_problems()
-        entry = partial(entry_document, listed_graph(session), space, system, problems, name=session.name)
+        capabilities, problems = session.adapter.capabilities, services.storage_problems()
+        listed = listed_graph(graph, capabilities)
+        entry = partial(entry_document, listed, space, capabilities.system, problems, name=session.name)
         yield _described(space.base, (graph.revision, problems), entry)
         simulated = graph.simulated_time
         for name, known in node_views(graph).items():
@@ -115,17 +115,17 @@ class GraphDescriptions:
             yield _described(module.url, 0, module.document)
 
     def _containers(self) -> Iterator[GraphEntry]:
-        space, graph = self._session.space, self._session.graph
+        space, graph, capabilities = self._session.space, self._session.graph, self._session.adapter.capabilities
         for path in namespaces(graph, "parameters"):
             tree = self._factory.parameter_tree(path)
             yield _described(tree.url, IdentityKey(graph.parameters), partial(_of_itself, tree))
         for route in LISTED_ROUTES:
             for path, whole in namespaces(graph, route).items():
-                members = listed_members(self._session, route, path)
+                listed = ListedNamespace(graph, capabilities, route, path)
+                members = listed.members
                 assert members is not None
-                is_name = names.join(path) in things_of(graph, route)
-                describe = partial(listing_document, self._session, route, path, members)
-                yield _described(space.container(route, path), (members, is_name, members == whole), describe)
+                describe = partial(listed.document, space, members)
+                yield _described(space.container(route, path), (members, listed.is_name, members == whole), describe)
         yield _described(
             space.container("queries"),
             self._services.queries.version,
@@ -137,7 +137,7 @@ class GraphDescriptions:
 
     def _types(self) -> Iterator[GraphEntry]:
         space = self._session.space
-        listed = tuple(sorted({ref.name for ref in known_types(self._session)}))
+        listed = tuple(sorted({ref.name for ref in known_types(self._session.adapter)}))
         paths = {tuple(name.split("/"))[:depth] for name in listed for depth in range(3)} | {()}
         for route, path in product(("types", "shapes"), sorted(paths)):
             if route == "shapes" and not path:
@@ -145,14 +145,14 @@ class GraphDescriptions:
             below = child_names(listed, route, path)
             describe = partial(type_container_document, route, path, below, space)
             yield _described(space.container(route, path), below, describe)
-        shapes = types.shapes_document(self._session, self._services.documents)
+        shapes = types.shapes_document(self._session.adapter, self._services.documents)
         yield _described(shapes.url, IdentityKey(shapes), lambda: shapes)
         for name in SHAPES_GRAPHS:
             yield _described(
                 space.shape(name),
                 *shapes_graph(self._session, self._services.affordances, self._factory.limit_checks, name),
             )
-        variants = known_types(self._session)
+        variants = known_types(self._session.adapter)
         for schema in self._session.schemas.all():
             yield from self._type(schema, variants)
 

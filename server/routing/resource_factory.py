@@ -71,7 +71,10 @@ class ResourceFactory:
         self.states = services.states
         self.affordances = services.affordances
         self.history = services.recordings.history
-        self.limit_checks = LimitChecks(services.session, services.affordances, services.active_limits)
+        session = self.session
+        self.limit_checks = LimitChecks(
+            session.space, session.lifting, session.adapter, services.affordances, services.active_limits
+        )
         self._things = ThingDescriptions(
             services.session, services.affordances, services.software_stop, services.instance_id
         )
@@ -167,7 +170,7 @@ class ResourceFactory:
         return holds_listing(self.session.space, self.states, self.services.holds)
 
     def stop(self) -> StopResource:
-        return StopResource(self.session, self.states, self.services.software_stop)
+        return StopResource(self.session.space, self.states, self.services.software_stop)
 
     def activity(self, id: str) -> ActivityResource:
         session = self.session

@@ -1,7 +1,7 @@
 """The adapter contract: what a kind of ROS system must offer so that rosld can serve it.
 
 Outsiders implement `Adapter` and publish a factory in the entry-point group `rosld.adapters`, under the scheme of
-their sources (`myros` for `rosld serve myros://...`). The built-in adapters come through the same door, and
+their sources (`myros` for `rosld serve myros://...`). The built-in adapters are found the same way, and
 `tests/contracts/` runs one suite on each of them.
 
 Rules, each of which a contract test holds:

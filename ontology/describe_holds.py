@@ -57,7 +57,7 @@ _PARAMETERS = "{?rate,lease,then}"
 class HoldView:
     """A hold as it is described; messages come with their schema. Times are wall-clock nanoseconds.
 
-    `changeable`: it can be changed and ended here now, and forms say how.
+    `is_changeable`: it can be changed and ended here now, and forms say how.
     """
 
     id: str

@@ -1,6 +1,7 @@
 """Lifting: ROS messages to RDF, compiled once a schema into generated Python functions.
 
-`compile.py` writes the functions, `notation.py` says how each syntax looks, `literals.py` and `arrays.py` write values.
+`compile.py` writes the functions, `syntax_codegen.py` says how each syntax looks, `literals.py` and `arrays.py` write
+values.
 """
 
 from __future__ import annotations

@@ -23,9 +23,9 @@ _NOWHERE = URIRef("urn:nowhere")
 
 
 class PyshaclShape:
-    """The shape `root`, with everything that it refers to in `triples`. `longest`: the texts its patterns may see.
+    """The shape `root`, with everything that it refers to in `triples`.
 
-    Raises ValueError where pyshacl cannot read one of the `shapes`.
+    Its patterns see texts of up to `max_length` characters. Raises ValueError for `shapes` that pyshacl cannot read.
     """
 
     def __init__(

@@ -18,8 +18,8 @@ from rosld.adapters.model import MessageSchema, Primitive
 class Bounds:
     """What is demanded of one scalar beyond its type (SHACL 4.3 to 4.8); None and () where nothing is.
 
-    `least` and `greatest` are inclusive, `above` and `below` are not. `choices`: it is one of these. `step`: it is so
-    many of these above `least`, or it is `greatest`.
+    `choices`: it is one of these. `step`: it is a multiple of these above `minimum`, or it is `maximum`. Lengths are in
+    characters.
     """
 
     minimum: Literal | None = None

@@ -36,7 +36,7 @@ class ParameterType(Enum):
 class Range:
     """The numbers that a parameter may have, both ends included (rcl_interfaces/msg/IntegerRange, FloatingPointRange).
 
-    With a `step` (above 0) they are counted from `least`; `greatest` is always among them. No end is NaN.
+    With a `step` (above 0) they are counted from `minimum`; `maximum` is always among them. No end is NaN.
     """
 
     minimum: int | float

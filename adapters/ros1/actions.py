@@ -151,7 +151,7 @@ class Actions:
             self._stop(action)
 
     async def start_following(self, action: str, until: float) -> None:
-        """Tell of all goals of an action until `leave`; returns once its server was heard. Raises NotFound."""
+        """Tell of all goals of an action until `stop_following`; returns once its server was heard. Raises NotFound."""
         self._require(action)
         followed = self._begin(action)
         followed.looks += 1

@@ -158,7 +158,7 @@ class Publication:
         """Let what is written go out and the subscribers hang up, for at most `patience` seconds; end all connections.
 
         A rospy subscriber that hears of a new registration before it has seen the end of the old connection takes
-        itself for connected (`_connect_topic`), and never connects.
+        itself for connected (rospy's `_connect_topic`), and never connects.
         """
         now = asyncio.get_running_loop().time
         until = now() + patience

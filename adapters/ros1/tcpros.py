@@ -169,7 +169,7 @@ class FrameReceiver(asyncio.BufferedProtocol):
 
     The kernel writes into one buffer; whole frames in it are counted, and only the newest `depth` are copied
     out, however many came. A frame larger than the buffer is received into memory of its own; one longer than `limit`
-    bytes ends the connection, and `trouble` then says why. `accept` is given the peer's header and returns where frames
+    bytes ends the connection, and `failure` then says why. `accept` is given the peer's header and returns where frames
     go; whatever it raises ends the connection.
     """
 

@@ -43,7 +43,7 @@ def _always() -> bool:
 
 
 UNRESTRICTED = AuthContext(ALLOW_ALL, _always, ALLOW_ALL)
-"""Everybody, where there is no door."""
+"""Everybody, where there is no authentication."""
 
 
 class Authenticator:

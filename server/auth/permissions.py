@@ -24,9 +24,10 @@ def _untyped(location: Location) -> Types:
 
 
 class Permissions:
-    """What an agent with these rights may do with the URLs of a space; URLs of other servers are no secret.
+    """What an agent with these rights may do with the URLs of a space; URLs of other servers may always be read.
 
-    `whole`: everything, so that nothing need be asked. `key` names the rights, for what is kept of them.
+    `is_unrestricted`: all of it, so that nothing need be checked. `rights_key` is the same for the same rights: the key
+    of what is cached for them.
     """
 
     def __init__(self, agent: Agent, rights: Rights, space: Space | None = None, types: TypesAt = _untyped) -> None:

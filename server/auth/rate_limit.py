@@ -20,7 +20,7 @@ MAX_CLIENTS = 10_000
 
 
 class RateLimitExceeded(Problem):
-    """Problem 429: the client is at its limit. The answer is sent after `REFUSAL_SECONDS`."""
+    """Problem 429: the client is at its limit. The answer is sent after `RETRY_SECONDS`."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -98,7 +98,7 @@ class ReplicationStatus:
     """How far a mirror is. `lag` is the age, in seconds, of the oldest change that is not there yet; 0 for none.
 
     `failure` says why the store cannot be told now, None where it can. `pending` graphs wait, `refused` ones were not
-    taken. `told_ns` is when it last took something, in nanoseconds since the epoch.
+    taken. `updated_ns` is when it last took something, in nanoseconds since the epoch.
     """
 
     url: str

@@ -171,7 +171,7 @@ class Broadcaster:
 
 
 class Broadcasters:
-    """The feeds of one server and all that read them; `general` is given whenever anything changed."""
+    """The broadcasters of one server, one a resource that is read; `changes` wakes them whenever anything changed."""
 
     def __init__(self, changes: Signal, max_of_address: int = MAX_OF_ADDRESS) -> None:
         self._general = changes

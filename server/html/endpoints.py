@@ -33,7 +33,7 @@ class EndpointRow:
 
 @dataclass(frozen=True, slots=True)
 class EndpointTable:
-    """The endpoints of a topic, by node, or those of a node, by topic; `left_out` are too many to be shown."""
+    """The endpoints of a topic, by node, or those of a node, by topic; `omitted` more are not shown."""
 
     heading: str
     columns: tuple[str, ...]

@@ -65,7 +65,7 @@ async def read_body(request: IncomingRequest, *, limit: int, timeout: float = TI
 async def read_chunks(request: IncomingRequest, *, limit: int, timeout: float = TIMEOUT) -> AsyncIterator[bytes]:
     """The body of a request as it comes, each chunk within `timeout` seconds; raises the Problems of `read_body`.
 
-    All of it may take that long and a second more for each `MIN_BYTES`, so that no trickle goes on for ever.
+    All of it may take that long and a second more for each `MIN_BYTES_PER_SECOND`, so that no trickle goes on for ever.
     """
     require_identity_coding(request.headers.get("content-encoding"))
     declared = parse_content_length(request.headers.get("content-length"))

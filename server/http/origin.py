@@ -33,7 +33,7 @@ ANY_ORIGIN = "*"
 class OriginPolicy:
     """This server's names: its base, the Hosts it answers to, its own origins and those it shares with.
 
-    `anybody`: pages of every origin may read.
+    `allows_any_origin`: pages of every origin may read.
     """
 
     base: str

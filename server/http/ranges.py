@@ -63,7 +63,7 @@ def is_unchanged(if_range: str | None, etag: str) -> bool:
 
 
 def select_ranges(range_: str | None, if_range: str | None, etag: str, size: int) -> tuple[Span, ...] | None:
-    """The spans that a GET is answered with (206), None for all (200); raises the 416 Problem of `read_ranges`."""
+    """The spans that a GET is answered with (206), None for all (200); raises the 416 Problem of `parse_ranges`."""
     if range_ is None or not is_unchanged(if_range, etag):
         return None
     return parse_ranges(range_, size)

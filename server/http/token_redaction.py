@@ -29,7 +29,7 @@ def contains_token(text: str) -> bool:
 
 
 def redact_tokens(text: str) -> str:
-    """The text with `WITHHELD` in place of every token, percent-encoded ones too."""
+    """The text with `PLACEHOLDER` in place of every token, percent-encoded ones too."""
     if PREFIX in text:
         text = _TOKEN.sub(PLACEHOLDER, text)
     if "%" in text and _TOKEN.search(unquote(text)):

@@ -170,7 +170,7 @@ class AffordanceService(Generic[T]):
         return tuple(found)
 
     async def read(self, reads: Sequence[Property], *, refresh: bool = False) -> tuple[Reading, ...]:
-        """The readings of these properties, read together under one deadline; `anew`: none from before this call."""
+        """The readings of these properties, read together under one deadline; `refresh`: none from before this call."""
         session = self._session
         deadline = session.deadline(session.settings.read_deadline)
         found = await self._readings.read(reads, deadline=deadline, refresh=refresh)

@@ -1,7 +1,8 @@
 """Mappings as values: how documents of `map:` arrange resources, name relations and give conditions. Pure.
 
-`documents.py` reads them from RDF. Paths and names are those of resources without `/resources`: a path (`/aircraft/`)
-ends in a slash and is a complex resource, a name (`/aircraft/power`) does not and is a property or an action.
+`mapping_parser.py` reads them from RDF. Paths and names are those of resources without `/resources`: a path
+(`/aircraft/`) ends in a slash and is a complex resource, a name (`/aircraft/power`) does not and is a property or an
+action.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from rosld.server.hypermedia.mapping_parser import InvalidMapping, MappingDocume
 class Mappings:
     """The documents in force. Every change is whole or none, and what was handed out before it never changes.
 
-    `given` are those to begin with. Who changes what is kept of them takes their `turn`.
+    `given` are those to begin with. Who changes what is kept of them holds their `lock`.
     """
 
     def __init__(self, initial: Iterable[MappingDocument] = ()) -> None:

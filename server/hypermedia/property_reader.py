@@ -128,7 +128,7 @@ class PropertyReader:
     ) -> dict[str, Reading]:
         """The readings of these properties by name, read side by side. Never raises; returns by `deadline` (loop time).
 
-        `anew`: getters and parameters are asked after this call began, whatever is known of them.
+        `refresh`: getters and parameters are asked after this call began, whatever is known of them.
         """
         seconds = deadline - asyncio.get_running_loop().time()
         attempt = _Attempt(deadline, seconds, next(self._turns) if refresh else 0)

@@ -15,14 +15,14 @@ Fetch: TypeAlias = Callable[[Sequence[K]], Awaitable[Mapping[K, V]]]
 """Answers all of the keys together; it never raises."""
 
 Slot: TypeAlias = "AbstractAsyncContextManager[None]"
-"""Where a question waits for its turn, such as a semaphore."""
+"""Where a fetch waits until it may begin, such as a semaphore."""
 
 _MAX_ENTRIES = 65536
 
 
 @dataclass(frozen=True, slots=True)
 class CacheEntry(Generic[V]):
-    """The answer to a fetch that began at turn `begun`; valid until the loop time `until`."""
+    """The answer to a fetch that began at turn `started`; valid until the loop time `until`."""
 
     value: V
     started: int
@@ -30,7 +30,7 @@ class CacheEntry(Generic[V]):
 
 
 class PendingFetch(Generic[K, V]):
-    """A fetch under way, which goes on when its callers stop waiting; `begun` is its turn, 0 while it is queued."""
+    """A fetch under way, which goes on when its callers stop waiting; `started` is its turn, 0 while it is queued."""
 
     def __init__(self, keys: Sequence[K]) -> None:
         self.keys = keys
@@ -48,7 +48,7 @@ class PendingFetch(Generic[K, V]):
 class SingleFlightCache(Generic[K, V]):
     """Answers by key, each fresh for `freshness` seconds.
 
-    Whenever a question begins it takes a number from `turns`, which tell before from after.
+    Whenever a fetch begins it takes a number from `turns`, which orders fetches and callers.
     """
 
     def __init__(self, freshness: float, turns: Iterator[int]) -> None:
@@ -59,16 +59,16 @@ class SingleFlightCache(Generic[K, V]):
         self._tasks: set[asyncio.Task[Mapping[K, V]]] = set()
 
     def find(self, key: K, since: int = 0) -> CacheEntry[V] | None:
-        """The answer if it is fresh and its question began after the turn `since`."""
+        """The answer if it is fresh and its fetch began after the turn `since`."""
         answer = self._kept.get(key)
         if answer is None or answer.started <= since or answer.until <= asyncio.get_running_loop().time():
             return None
         return answer
 
     def fetch(self, keys: Iterable[K], start: Fetch[K, V], slot: Slot, since: int = 0) -> Sequence[PendingFetch[K, V]]:
-        """The questions that will answer all keys: those under way that begin after `since`, and one for the others.
+        """The fetches that will answer all keys: those under way that begin after `since`, and one for the others.
 
-        It begins once there is `room`.
+        That one begins once there is a `slot`.
         """
         shared: dict[PendingFetch[K, V], None] = {}
         others = []

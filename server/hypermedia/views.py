@@ -1,8 +1,8 @@
 """Views: what the resources of `/resources/` look like at one moment, as values.
 
-`affordance_service.py` makes them, `describe.py` writes them as RDF, `thing_description.py` as Thing Descriptions, the
-pages as HTML. URLs are absolute. `redact` returns a view without what an agent may not read, and without offers that it
-may not use.
+`affordance_service.py` makes them, `view_documents.py` writes them as RDF, `thing_description.py` as Thing
+Descriptions, the pages as HTML. URLs are absolute. `redact` returns a view without what an agent may not read, and
+without offers that it may not use.
 """
 
 from __future__ import annotations
@@ -58,10 +58,7 @@ class GoalAffordance:
     result: MessageSchema | None
 
     def redact(self, permissions: Permissions, url: str) -> GoalAffordance:
-        """It without the status and the cancellation that are not for an agent of these rights;
-
-        `url` is the action's.
-        """
+        """Return it without the status that the agent may not read or the cancellation it may not ask for at `url`."""
         may_read = self.status is not None and permissions.may_read(self.status)
         can_cancel = self.can_cancel and permissions.may("DELETE", url)
         return replace(self, status=self.status if may_read else None, can_cancel=can_cancel)

@@ -10,7 +10,7 @@ from starlette.responses import Response
 from rosld.server.rest.exchange import Exchange
 
 Handler: TypeAlias = Callable[[Exchange], Awaitable[Response]]
-"""Answers a request. What it raises is made an answer by `errors.py`.
+"""Answers a request. What it raises is made an answer by `error_responses.py`.
 
 Responses, not ASGI messages, pass from one to the next: a header is added to a list, without a wrapper of `send`. A
 handler that only looks at the request is no coroutine function: it returns what the next one returns, to be awaited

@@ -72,11 +72,11 @@ class AuditContext:
 
 
 current_audit: ContextVar[AuditContext | None] = ContextVar("under_way", default=None)
-"""The account of the write that this task is carrying out; None where it carries out none."""
+"""The audit context of the write that this task is carrying out; None where it carries out none."""
 
 
 def record_step(does: str, *touches: str) -> None:
-    """Record a step of the write that is under way, as `AuditContext.plans` does."""
+    """Record a step of the write that is under way, as `AuditContext.add_step` does."""
     account = current_audit.get()
     if account is not None:
         account.add_step(does, *touches)

@@ -222,7 +222,7 @@ class ComplexResource(CommandResource):
             )
 
     async def plan_graph_write(self, triples: Sequence[Triple] | None) -> Plan:
-        """Plan the writes of the properties that a graph changes; the caller holds the turn that names `concerned`.
+        """Plan the writes of the properties that a graph changes; the caller holds the lock of `affected_names`.
 
         Raises a 403 Problem where it cannot be written, or would be dropped (`triples` None).
         """

@@ -163,7 +163,7 @@ def member_keys(members: Members) -> list[str]:
 
 
 def members_from_keys(ends: Sequence[str]) -> Members:
-    """The members whose URLs end so: the inverse of `ordered`."""
+    """The members whose URLs end so: the inverse of `member_keys`."""
     leaves = tuple(sorted(decode_segment(end) for end in ends if not end.endswith("/")))
     return Members(leaves, tuple(sorted(decode_segment(end[:-1]) for end in ends if end.endswith("/"))))
 

@@ -323,7 +323,7 @@ class MemberResource(CommandResource):
         return await plan_property_write(self.session, self.limit_checks, plan.source, content, defaults=defaults)
 
     async def plan_graph_write(self, triples: Sequence[Triple] | None) -> Plan:
-        """Plan the write of the property by a graph; the caller holds the turn that names `concerned`.
+        """Plan the write of the property by a graph; the caller holds the lock of `affected_names`.
 
         Raises a 403 Problem where it cannot be written, or would be dropped (`triples` None).
         """

@@ -144,7 +144,7 @@ class Exchange:
         return self._body
 
     async def body(self) -> bytes:
-        """The whole body in UTF-8, whatever charset it states; raises Problems as `octets`.
+        """The whole body in UTF-8, whatever charset it states; raises Problems as `raw_body`.
 
         Raises a 415 Problem for a charset that is not read here, and a 400 Problem for bytes that are none of it.
         """

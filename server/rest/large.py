@@ -54,7 +54,7 @@ class LargeDocuments:
     async def file(self, name: Hashable, state: State, media_type: str) -> tuple[FileIO, int]:
         """The representation of a state in a media type, opened, and its size; `name` tells it from all others.
 
-        Raises CannotCarry, and the Problems of `Workers.run`.
+        Raises CannotCarry, and the Problems of `WorkerPool.run`.
         """
         while True:
             path, size = await self._made(name, state, media_type)

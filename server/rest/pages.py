@@ -166,9 +166,9 @@ class PageRenderer:
         return Response(html.render_problem(page), problem.status, headers, "text/html; charset=utf-8")
 
     async def read_form(self, exchange: Exchange, resource: Resource) -> Form:
-        """Check a posted form and turn the request into the one it means; the form, for `refused`.
+        """Check a posted form and turn the request into the one it means; return the form.
 
-        Raises Problems (403 for a foreign form, 400 for one without a method) and Refused where it does not fit.
+        Raises Problems (403 for a foreign form, 405 for a method without one), InvalidForm where it does not fit.
         """
         pairs = await self._pairs(exchange)
         token, method, typed = html.split_hidden(pairs)

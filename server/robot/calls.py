@@ -125,7 +125,10 @@ class Calls:
     async def call_idempotent(
         self, key: str, service: str, schema: ServiceSchema, request: Message, body: bytes, *, deadline: float
     ) -> CallOutcome:
-        """As `make`, but a second call with the same key gets the first's outcome; KeyReused where it differs."""
+        """As `call`, but a second call with the same key gets the outcome of the first.
+
+        Raises IdempotencyKeyReused where its request is another one.
+        """
         digest = hashlib.blake2b(body).digest()
         known = self._keyed.get((service, key))
         if known is not None and known[0] != digest:

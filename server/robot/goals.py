@@ -48,7 +48,7 @@ class GoalSubmission:
 
 
 class Goals:
-    """The goals of one robot. `hear` is for any thread, all else for the server's loop.
+    """The goals of one robot. `on_event` is for any thread, all else for the server's loop.
 
     Feedback that comes faster than the loop takes it is told as one. What was deleted, or has become too old, is not
     learnt again from who still tells of it. Those that have ended go first where there are too many.
@@ -134,7 +134,7 @@ class Goals:
     async def send_idempotent(
         self, key: str, action: str, schema: ActionSchema, message: Message, body: bytes, *, deadline: float
     ) -> GoalSubmission:
-        """As `send`, but a second goal with the same key is the first; KeyReused where it differs."""
+        """As `send`, but a second goal with the same key is the first; raises IdempotencyKeyReused where it differs."""
         digest = hashlib.blake2b(body).digest()
         known = self._keyed.get((action, key))
         if known is not None and known[0] != digest:

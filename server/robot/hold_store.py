@@ -74,8 +74,9 @@ def held_message(
 class Hold:
     """One hold: immutable, replaced by its next state. `rate` is in Hz, `lease` in seconds; times are wall-clock ns.
 
-    `then` is published when it ends, None for nothing; `then_asked` is what was asked for: zero, none, or a URL.
-    `until_ns` is when the lease ends, None while a stream keeps it. `trouble` says why the latest publish failed.
+    `release_message` is published when it ends, None for nothing; `release_requested` is what was asked for: zero,
+    none, or a URL. `until_ns` is when the lease ends, None while a stream keeps it. `last_error` says why the latest
+    publish failed.
     """
 
     id: str
@@ -122,7 +123,7 @@ class Holds:
         return self._running[id].hold
 
     async def start(self, hold: Hold) -> Hold:
-        """Publish the message for the first time, and go on with it. `hold` is one that `new` made.
+        """Publish the message of a new hold for the first time, and go on with it.
 
         Raises TopicHeld, Stopped, a 429 Problem where the topic is published to too often, and what the adapter raises:
         then there is no hold.

@@ -75,7 +75,7 @@ class _TopicWatch:
 
 
 class LiveTopics:
-    """The values of topics. A look costs nothing while nothing new has come: the same `View` is handed out.
+    """The values of topics. Reading costs nothing while no message has come: it returns the same `TopicView`.
 
     A topic that is not in the graph has no values, whatever was received of it before.
     """
@@ -135,7 +135,7 @@ class LiveTopics:
         return None if look is None or topic not in self._adapter.graph.topics else look.view
 
     def is_settled(self, topic: str) -> bool:
-        """Whether a look would find no more than `known` does: it would neither subscribe nor wait."""
+        """Whether `read` would find no more than `find_view` does: it would neither subscribe nor wait."""
         look = self._looks.get(topic)
         if topic not in self._adapter.graph.topics:
             return True

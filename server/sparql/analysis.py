@@ -39,14 +39,14 @@ _NO_RELATIONS = frozenset[str]()
 
 @dataclass(frozen=True, slots=True)
 class Analysis:
-    """A query fit to be asked: `text` is what goes to the store.
+    """A query that may be evaluated: `text` is what goes to the store.
 
-    `form` is SELECT, ASK, CONSTRUCT or DESCRIBE. `needs` are over all graphs, its
-    FROM and FROM NAMED being `default_graphs` and `named_graphs`. `prefixes`: those of the server that its names use.
-    `enclosed` are the graphs that all its patterns stand in (GRAPH), None where one may match in others. `plan` is how
-    to find out whether it takes long over a dataset, None where it may. `asks_age`: it calls ros:age, as far as is
-    known. `functions` are those that it calls by IRI, `lookups` what its patterns look for in the default graph.
-    `names_graphs`: there is a GRAPH. `past` is what it asks of recorded messages.
+    `form` is SELECT, ASK, CONSTRUCT or DESCRIBE. `needs` are over all graphs, its FROM and FROM NAMED being
+    `default_graphs` and `named_graphs`. `prefixes`: those of the server that its names use. `is_enclosed` are the
+    graphs that all its patterns stand in (GRAPH), None where one may match in others. `plan` is how to find out whether
+    it takes long over a dataset, None where it may. `asks_age`: it calls ros:age, as far as is known. `functions` are
+    those that it calls by IRI, `lookups` what its patterns look for in the default graph. `names_graphs`: there is a
+    GRAPH. `past` is what it asks of recorded messages.
     """
 
     text: str
@@ -101,7 +101,7 @@ class Analyser:
     def analyse_once(self, text: str) -> Analysis:
         """The analysis of a query, in any thread.
 
-        Raises Problems: those of `check` and `parse_query`, and 400 for an update.
+        Raises Problems: those of `check_text` and `parse_query`, and 400 for an update.
         """
         checked = check_text(text, self._bounds, reach=self._reach)
         if keyword := update_keyword(checked.tokens):

@@ -55,7 +55,7 @@ class GraphSource(Protocol):
         returned once comes again whenever it is asked for, with or without a value: what does not is taken as gone.
         A topic is asked for by `needs.wants_topic(url, types)`, a parameter by `needs.wants_parameter(url)`, any other
         document (a recorded message) by being one of `needs.documents`; `needs.graphs`, where it is not None, spares a
-        walk over all topics. Where `needs.everything`, that is all topics subscribed to, with no new subscription.
+        walk over all topics. Where `needs.is_everything`, that is all topics subscribed to, with no new subscription.
         """
         ...
 

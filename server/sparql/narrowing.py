@@ -9,16 +9,17 @@ in OPTIONAL, MINUS, EXISTS, UNION or a subquery is narrowed by its own patterns 
 nothing; what they name is looked at in addition, as if a pattern had named it.
 
 Within one group patterns narrow each other where they must match in one graph. GRAPH says so outright. Without it,
-`Terms` tells what holds of the graphs that the server itself makes, each of a resource D:
+`VocabularyView` tells what holds of the graphs that the server itself makes, each of a resource D:
 
 1. the subject of a live triple of D's graph is D, a fragment of it, or a blank node of its own;
 2. no other graph has triples about such nodes;
 3. some predicates (`ros:latest`, fields, lists) *stay*: the object, if it is a node that has triples, is D's as well.
 
 Let a pattern match a live triple of D. Every pattern with the same subject then matches in D's graph too (1, 2), and by
-3 so does every pattern whose subject a predicate that stays leads to or comes from. Patterns so connected are a `Part`,
-and whatever any of them says of its graph (its resource by a constant, the message type by a field or a class, the kind
-by a class or predicate) holds for D. Where a part's patterns exclude D, nothing of D is needed for that part.
+3 so does every pattern whose subject a predicate that stays leads to or comes from. Patterns so connected are a
+`LivePart`, and whatever any of them says of its graph (its resource by a constant, the message type by a field or a
+class, the kind by a class or predicate) holds for D. Where a part's patterns exclude D, nothing of D is needed for that
+part.
 
 Clients may break 2 and 3 in graphs of their own: with a triple about a node of D, or that leads to one. Such a match
 matters only where it is of a pattern that the narrowing rests on, so `Needs.rests_on` tells the predicates and classes

@@ -121,8 +121,7 @@ class QueryService:
         disconnected: Disconnected | None = None,
         permissions: Permissions = ALLOW_ALL,
     ) -> QueryAnswer:
-        """The results in the form that the client prefers, over what the judge lets be seen; `disconnected` ends it
-        early.
+        """The results in the form that the client prefers, over what the agent may read; `disconnected` ends it early.
 
         Raises Problems: 400 for what is no query (in the parser's words) or may not be asked, 406, 413, 503 when it
         reaches a limit (its `reason` is time, memory or rows), too many are being answered, or the dataset is not there

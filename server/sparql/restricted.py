@@ -31,7 +31,10 @@ _PART = 64
 
 
 class RestrictedDatasets:
-    """Those of one process. Belongs to one loop; `revision` changes whenever what has which type may have."""
+    """The restricted datasets of one query process. Belongs to one loop.
+
+    `revision` changes whenever the types of resources may have.
+    """
 
     def __init__(self, process: QueryProcess, revision: Callable[[], Hashable]) -> None:
         self._process = process
@@ -40,7 +43,10 @@ class RestrictedDatasets:
         process.on_change(self._note_changes)
 
     async def dataset_for(self, permissions: Permissions, limits: Limits, until: float) -> int:
-        """The number of the dataset as the judge lets it be seen, of now: to be asked at once. Raises Problems."""
+        """The number of the dataset as an agent of these permissions may see it now, to be asked at once.
+
+        Raises Problems.
+        """
         revision = self._revision() if permissions.rights.is_typed else None
         found = self._kept.get(permissions.rights_key)
         if found is None or found.revision != revision or found.generation != self._process.generation:

@@ -21,7 +21,7 @@ _UNSEEN = 4 * 1024 * 1024
 def limit_rows(output: BinaryIO, media_type: str, graph: bool, limit: int) -> BinaryIO:
     """An output that raises Problem 503 (rows) for more than `limit` rows, or triples of a `graph`.
 
-    It is `output` itself for what has no rows that can be counted so: these are for `Count`.
+    It is `output` itself for what has no rows that can be counted so: these are for `RowCounter`.
     """
     if media_type == "application/json":
         media_type = "" if graph else "application/sparql-results+json"

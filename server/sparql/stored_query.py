@@ -102,7 +102,7 @@ def read_stored_query(name: str, text: str, bounds: QueryBounds = DEFAULT_BOUNDS
 
 
 def outline(name: str, text: str) -> StoredQuery:
-    """What the comments say that a text begins with; the query below them is not looked at. Raises as `read` does."""
+    """What the comments say that a text begins with; the query below them is not looked at. Raises ValueError."""
     return _outline(name, text)[0]
 
 

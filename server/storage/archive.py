@@ -5,7 +5,7 @@
     gone.jsonl      the paths of what was removed, one a line
     blobs/ID        the bytes of the non-RDF sources
 
-`pack` writes what was there at one moment, whatever is written meanwhile; `Unpacking` reads it and checks everything.
+`pack` writes the records of one moment, whatever is written meanwhile; `ArchiveReader` reads and checks everything.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ def _snapshot(folder: Path, gone: IO[bytes]) -> Iterator[NumberedRecord]:
 
 
 class ArchiveReader:
-    """An archive that is read from its beginning: first `base` is known, then `into` does it."""
+    """Reads an archive from its beginning: `base` is known at once, then `restore_into` restores the records."""
 
     def __init__(self, file: IO[bytes]) -> None:
         """Raises ValueError for what is no archive of this format."""

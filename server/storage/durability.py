@@ -2,7 +2,7 @@
 
 SQLite has written them to its log (in WAL mode, without waiting), so they survive the end of the process already. They
 are acknowledged once the log has reached the disk, and what they set free is removed only then. After a sync that
-failed nothing is: the log is cut back to what was synced before, opened anew and carried over first (`log.py`).
+failed nothing is: the log is cut back to what was synced before, opened anew and carried over first (`synced_log.py`).
 """
 
 from __future__ import annotations

@@ -35,12 +35,12 @@ class WriteBatch:
 
 
 class BatchStorage(Protocol):
-    """What does jobs."""
+    """The storage that carries out batches of writes."""
 
     def transact(self, jobs: Sequence[WriteBatch]) -> Sequence[Effects | Conflict]:
         """Do jobs in one transaction: what came of each.
 
-        Raises Busy where another process writes, and anything else with nothing done.
+        Raises DatabaseBusy where another process writes, and anything else with nothing done.
         """
         ...
 

@@ -107,7 +107,7 @@ class Put:
 
     A new one is listed in its container, which is the path up to its last segment and must be there. Its model never
     changes. `member` None leaves what a record that is there has; everything else is replaced: a non-RDF source that
-    keeps its bytes says so with the blob it has. `unless_there` leaves a record that is there as it is, whatever it is.
+    keeps its bytes says so with the blob it has. `only_if_absent` leaves a record that is there as it is.
     `unused` makes it only where no record of its path was ever removed: a server that finds names never gives one
     twice (LDP 5.2.3.11). `difference` is what it changes, where that is known and little.
     """

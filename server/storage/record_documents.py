@@ -137,7 +137,7 @@ _SIGN = re.compile("|".join(map(re.escape, _SIGNS)).encode())
 
 
 def may_be_managed(ntriples: bytes) -> bool:
-    """Whether `unmanaged` may leave anything out of what `to_ntriples` wrote: told from the bytes, on the safe side."""
+    """Whether the server may manage any of the triples that `to_ntriples` wrote; by the bytes, with false positives."""
     return _SIGN.search(ntriples) is not None
 
 

@@ -94,7 +94,7 @@ def unusable_reason(path: str, error: Exception) -> str:
 
 
 class SqliteRecords:
-    """The `Records` that rosld brings along; `open_records` makes them."""
+    """The built-in `Records`; `open_records` makes them."""
 
     def __init__(self, folder: Path | None, roots: Sequence[str], keep_seconds: float, versions: int = 0) -> None:
         self._received = ReceivedBlobs(keep_seconds)
@@ -236,7 +236,7 @@ class SqliteRecords:
         return record
 
     def transact(self, jobs: Sequence[WriteBatch]) -> Sequence[Effects | Conflict]:
-        """Do jobs in one transaction: what came of each. Raises Busy, StorageError, with none of them done."""
+        """Do jobs in one transaction: what came of each. Raises DatabaseBusy, StorageError, with none of them done."""
         try:
             outcomes = self._commit(jobs)
         except BaseException as error:

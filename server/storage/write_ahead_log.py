@@ -76,7 +76,7 @@ def close_without_checkpoint(database: Path, connection: sqlite3.Connection) -> 
 
 
 def truncate(database: Path, extent: LogExtent) -> None:
-    """Cut the log of a database that nobody has open after `kept`, durably. Raises OSError.
+    """Cut the log of a database that nobody has open after `extent`, durably. Raises OSError.
 
     Where the log has begun anew since, all of the old one is in the database, and of the new one nothing is kept.
     """

@@ -40,7 +40,7 @@ class StoredResource(Resource):
 
     @property
     def accepted_media_types(self) -> Sequence[str]:
-        """The media types of what may be made here: those of its judge, where somebody judges it."""
+        """The media types of what may be made here: those of its validator, where there is one."""
         permissions = self.documents.validator_of(self.path + "?")
         return (*RDF_BODIES, ANYTHING) if permissions is None else permissions.media_types
 

@@ -144,7 +144,7 @@ _NAMED_MEANWHILE = frozenset({ConflictCause.THERE, ConflictCause.NAME, ConflictC
 async def create_resource(
     documents: Documents, path: str, model: Model, exchange: Exchange, blob: Blob | None, *, unused: bool = False
 ) -> Answer:
-    """A new resource, and the answer that tells of it (LDP 4.2.3, 5.2.3). Raises Conflict as `create` does."""
+    """A new resource, and the answer that tells of it (LDP 4.2.3, 5.2.3). Raises Conflict as `create_record`."""
     record = await create_record(resource_of(documents, path, model), model, exchange, blob, unused=unused)
     resource = resource_of(documents, path, model)  # as it is now that it is there
     if model is Model.NON_RDF_SOURCE:

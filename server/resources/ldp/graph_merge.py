@@ -37,7 +37,7 @@ async def merged_statements(workers: WorkerPool, exchange: Exchange, url: str, s
 async def merge_parts(workers: WorkerPool, exchange: Exchange, url: str) -> None:
     """Turn a request whose body is multipart/form-data into one of N-Triples that says what all its parts say.
 
-    Raises what `united` raises, and a 413 Problem where that is too large.
+    Raises what `merged_statements` raises, and a 413 Problem where that is too large.
     """
     found = await merged_statements(workers, exchange, url, url)
     if size_of(found.packed) > _MAX_UNITED:

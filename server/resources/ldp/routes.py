@@ -103,7 +103,7 @@ class AbsentResource(StoredResource):
     async def merge_into(self, exchange: Exchange) -> None:
         """Have a POST make an RDF source, or be merged into what others make here meanwhile (Graph Store Protocol 5.5).
 
-        Raises what `unite` raises.
+        Raises what `merge_parts` raises.
         """
         if exchange.essence == MULTIPART:
             await merge_parts(self.documents.workers, exchange, self.url)

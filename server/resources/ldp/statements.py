@@ -185,7 +185,10 @@ def _anew(term: _Term, new: dict[BlankNode, BlankNode]) -> _Term | BlankNode:
 def parse_patch(
     data: bytes, media_type: str, url: str, limit: int | None = None
 ) -> Callable[[Sequence[Triple]], list[Triple]]:
-    """What a patch makes of triples. Raises Problems for what is no patch; what is returned, `Grown` beyond `limit`."""
+    """The function that applies a patch to triples, which raises TooManyTriples beyond `limit`.
+
+    Raises Problems for what is no patch.
+    """
     if media_type == N3_PATCH:
         patch = read_patch(data, url)
         return lambda before: list(apply_patch(patch, before))
@@ -249,5 +252,5 @@ def client_triples(kept: Statements, subject: str, model: Model, servers: frozen
 
 
 def member_uri(membership: Membership, kept: Statements, url: str) -> str:
-    """What stands for a new member at `url` in membership triples. Raises 409 Problems as `member_of`."""
+    """What stands for a new member at `url` in membership triples. Raises as `member_derived_uri`."""
     return member_derived_uri(membership, index_triples(kept), url)

@@ -1,6 +1,6 @@
 """Validators of documents that have an effect: mappings, stored queries, limits and cockpits are stored once valid.
 
-A judge is asked before a write is done, and told what to do with it afterwards; its writes take turns.
+A validator is called before a write is done; what it returns is called afterwards. Its writes are serialised by `lock`.
 """
 
 from __future__ import annotations
@@ -47,11 +47,11 @@ class Validator(Protocol):
 
     @property
     def lock(self) -> asyncio.Lock:
-        """Held while a write is judged and done."""
+        """Held while a write is validated and done."""
         ...
 
     async def validate(self, write: Write) -> Callable[[], None]:
-        """What is to happen once a write is done. Raises Problems and LoweringError for what must not be done."""
+        """Return what to call once a write is done. Raises Problems and LoweringError for one that must not be done."""
         ...
 
 

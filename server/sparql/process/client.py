@@ -43,7 +43,7 @@ class QueryProcess:
     """The process. Belongs to one loop; `start` and `close` it there.
 
     `version` changes with each change of a dataset, `generation` with each start: a new process holds nothing, which is
-    told to whoever has watched for it (`watch_start`).
+    told to the listeners of `on_start`.
     """
 
     def __init__(self, concurrency: int, queue: int) -> None:
@@ -66,11 +66,11 @@ class QueryProcess:
         return None if self._child is None else self._child.popen.pid
 
     def on_start(self, listener: Callable[[], None]) -> None:
-        """Call `told` whenever the process has been started again, and holds nothing."""
+        """Call the listener whenever the process has been started again, and holds nothing."""
         self._on_start.append(listener)
 
     def on_change(self, listener: Callable[[Mapping[str, str | None], Sequence[Edit]], None]) -> None:
-        """Call `told` with each change of the first dataset from now on."""
+        """Call the listener with each change of the first dataset from now on."""
         self._on_change.append(listener)
 
     async def start(self) -> None:

@@ -152,7 +152,7 @@ class AnswerWork(NamedTuple):
 
 
 class TableWork(NamedTuple):
-    """The first rows of the results of a query: a pickled `results.Table`; nothing for fewer than `least`."""
+    """The first rows of the results of a query: a pickled `ResultRows`; nothing for fewer than `least`."""
 
     query: QueryWork
     limit: int
@@ -232,13 +232,13 @@ class EvaluateUpdate(NamedTuple):
     def __call__(self, store: MemoryStore, output: BinaryIO) -> None:
         operations, asked = _open(self.update)
         by_where = {id(one.where): one for one in asked}
-        canvas = StagingDataset(store.triples, store.dataset if has_dependent_where(operations) else None)
-        evaluate(operations, canvas, lambda where: by_where[id(where)].solutions(store))
-        output.write(pickle.dumps([_write(change) for change in canvas.changes()]))
+        staging = StagingDataset(store.triples, store.dataset if has_dependent_where(operations) else None)
+        evaluate(operations, staging, lambda where: by_where[id(where)].solutions(store))
+        output.write(pickle.dumps([_write(change) for change in staging.changes()]))
 
 
 def evaluate_work(operations: Sequence[Operation], asked: Sequence[WhereWork]) -> EvaluateUpdate:
-    """The work that draws operations; in any thread."""
+    """The work that evaluates operations; in any thread."""
     return EvaluateUpdate(pickle.dumps(([*map(_compact, operations)], asked), protocol=5))
 
 

@@ -38,7 +38,7 @@ CONSTRAINT = "an expression in brackets, EXISTS, NOT EXISTS or the call of a fun
 
 
 class ExpressionParser(TripleParser):
-    """Reads expressions. `places` are those that are evaluated; `functions` are called by IRI; `constants` are IRIs.
+    """Reads expressions. `expressions` are those that are evaluated, `functions` those called, `constants` are IRIs.
 
     `age` is the IRI of the function whose argument's values must be known: a call of it is a pattern about that.
     """

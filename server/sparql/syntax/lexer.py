@@ -380,7 +380,7 @@ def line_and_column(text: str, at: int) -> str:
 def check_update_of_one_graph(text: str, bounds: QueryBounds = DEFAULT_BOUNDS) -> CheckedText:
     """The text, fit to be carried out, of a SPARQL Update of its default graph and nothing else.
 
-    Raises Problems: as `check`, and 422 for what reaches beyond: GRAPH, WITH, USING, LOAD, FROM, and operations on
+    Raises Problems: as `check_text`, and 422 for what reaches beyond: GRAPH, WITH, USING, LOAD, FROM, and operations on
     whole graphs. The check is on letters, wherever a keyword could be cut from them.
     """
     checked = _rename(check_text(text, bounds, what="update"), _KEYWORDS_BEYOND)

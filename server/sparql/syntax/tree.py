@@ -258,9 +258,9 @@ class Slice(NamedTuple):
 class Query:
     """A query: its form, the group of its WHERE, its FROM (`default`) and FROM NAMED, the functions it calls.
 
-    `constants` are the IRIs in VALUES and expressions. `literals` stand in patterns, templates and VALUES, `places` are
-    the expressions: of all that is not in SERVICE, wherever. `slice` is of a SELECT with LIMIT that groups nothing and
-    has no aggregates, None of any other query.
+    `constants` are the IRIs in VALUES and expressions. `literals` stand in patterns, templates and VALUES;
+    they and the `expressions` are of all that is not in SERVICE. `slice` is of a SELECT with LIMIT that groups nothing
+    and has no aggregates, None of any other query.
     """
 
     form: str

@@ -120,20 +120,20 @@ def _name(quad: Quad) -> str:
     return quad.graph_name.value
 
 
-def evaluate(operations: Sequence[Operation], canvas: StagingDataset, ask: WhereEvaluator) -> None:
-    """Carry operations out on a canvas. Raises Problems for what cannot be done as they say, whatever the graphs are.
+def evaluate(operations: Sequence[Operation], staging: StagingDataset, ask: WhereEvaluator) -> None:
+    """Carry operations out on staged graphs. Raises Problems for what cannot be done as they say, whatever the graphs.
 
-    `ask` answers over the dataset as the canvas has it by then, which is the dataset as it was before the first
-    operation that changes anything, unless the canvas is the dataset (`asks_again`).
+    `ask` answers a WHERE over the dataset as it was before the first operation, unless the changes are staged in the
+    dataset, too: then as it is by then (`has_dependent_where`).
     """
     for operation in operations:
         match operation:
             case Modify():
-                _modify(operation, canvas, ask)
+                _modify(operation, staging, ask)
             case ManageGraph():
-                _manage(operation, canvas)
+                _manage(operation, staging)
             case Load():
-                raise ValueError(f"what {operation.document} says must be loaded before it is drawn")
+                raise ValueError(f"what {operation.document} says must be loaded before it is evaluated")
 
 
 def has_dependent_where(operations: Sequence[Operation]) -> bool:
@@ -167,7 +167,7 @@ def _named_graphs(operations: Sequence[Operation]) -> Iterator[str]:
 # Modify
 
 
-def _modify(operation: Modify, canvas: StagingDataset, ask: WhereEvaluator) -> None:
+def _modify(operation: Modify, staging: StagingDataset, ask: WhereEvaluator) -> None:
     for quad in (*operation.deletes, *operation.inserts):
         if quad.graph is None:
             raise Problem(
@@ -178,8 +178,8 @@ def _modify(operation: Modify, canvas: StagingDataset, ask: WhereEvaluator) -> N
     rows = [()] if where is None else list(_limit_rows(ask(where)))
     removed = [quad for row in rows for quad in fill_templates(operation.deletes, dict(zip(holes, row, strict=True)))]
     added = [quad for row in rows for quad in fill_templates(operation.inserts, dict(zip(holes, row, strict=True)))]
-    canvas.remove(dict.fromkeys(removed))
-    canvas.insert(dict.fromkeys(added))
+    staging.remove(dict.fromkeys(removed))
+    staging.insert(dict.fromkeys(added))
 
 
 def _limit_rows(rows: Iterable[Row]) -> Iterator[Row]:
@@ -214,41 +214,41 @@ def fill_templates(quads: Sequence[QuadTemplate], values: Mapping[str, Term | No
 # Manage
 
 
-def _manage(operation: ManageGraph, canvas: StagingDataset) -> None:
+def _manage(operation: ManageGraph, staging: StagingDataset) -> None:
     verb, target, source = operation.verb, operation.target, operation.source
     if isinstance(target, GraphGroup) or isinstance(source, GraphGroup):
         if operation.silent:
             return
         raise _several(operation)
     if verb is GraphVerb.CREATE:
-        if canvas.is_there(target) and not operation.silent:
+        if staging.is_there(target) and not operation.silent:
             raise Problem(409, f"CREATE: there is a graph {target} already.")
-        canvas.create(target)
+        staging.create(target)
     elif source is None:
-        if not canvas.is_there(target):
+        if not staging.is_there(target):
             _missing(operation, target)
         elif verb is GraphVerb.DROP:
-            canvas.drop(target)
+            staging.drop(target)
         else:
-            canvas.remove(canvas.quads(target))
-    elif not canvas.is_there(source):
+            staging.remove(staging.quads(target))
+    elif not staging.is_there(source):
         _missing(operation, source)
     elif source != target:
-        _copy(verb, source, target, canvas)
+        _copy(verb, source, target, staging)
 
 
-def _copy(verb: GraphVerb, source: str, target: str, canvas: StagingDataset) -> None:
-    # What it needs has threads of its own, which the query process must not have: copies are drawn in forks of it.
+def _copy(verb: GraphVerb, source: str, target: str, staging: StagingDataset) -> None:
+    # What it needs has threads of its own, which the query process must not have: copies are evaluated in forks of it.
     from rosld.server.sparql.update.copying import unmanaged_triples
 
-    triples = unmanaged_triples(source, [quad.triple for quad in canvas.quads(source)])
+    triples = unmanaged_triples(source, [quad.triple for quad in staging.quads(source)])
     if verb is not GraphVerb.ADD:
-        canvas.remove(canvas.quads(target))
+        staging.remove(staging.quads(target))
     name = NamedNode(target)
-    canvas.create(target)
-    canvas.insert(Quad(each.subject, each.predicate, each.object, name) for each in triples)
+    staging.create(target)
+    staging.insert(Quad(each.subject, each.predicate, each.object, name) for each in triples)
     if verb is GraphVerb.MOVE:
-        canvas.drop(source)
+        staging.drop(source)
 
 
 def _missing(operation: ManageGraph, graph: str) -> None:

@@ -25,7 +25,7 @@ class Delta(NamedTuple):
     """The changes that operations make.
 
     It holds for as long as the graphs with live values in `seen` have these tokens, and what clients keep of the graphs
-    that change is not of a later version than `kept`. Those in `named` it names.
+    that change is not of a later version than `stored`. `named` are the graphs that the operations name.
     """
 
     changes: tuple[GraphChange, ...]
@@ -53,7 +53,7 @@ class UpdateEvaluator:
     async def evaluate(self, operations: Sequence[Operation], more: frozenset[str] = frozenset()) -> Delta:
         """What operations come to now; `more` are graphs whose values are to be there beside those they name.
 
-        Raises Problems as a query does, and those of `drawing.draw`.
+        Raises Problems as a query does, and those of `evaluate.evaluate`.
         """
         asked = [self._ask_where(each) for each in _wheres(operations)]
         graphs = named_graphs(operations) | more

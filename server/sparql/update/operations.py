@@ -50,7 +50,7 @@ class Where:
     """What a template's holes are filled with: the solutions of a SELECT, or, with no holes, whether an ASK holds.
 
     `default_graphs` and `named_graphs` are its dataset (USING); neither: all there is. Of WITH the query is about the
-    one graph (GRAPH), which has no solutions where there is no such graph: `home` is to be asked then.
+    one graph (GRAPH), which has no solutions where there is no such graph: `with_graph` is evaluated then.
     """
 
     query: str

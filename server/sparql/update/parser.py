@@ -42,8 +42,8 @@ def read_update(
 ) -> tuple[Operation, ...]:
     """The operations of an update; `prefixes` hold where the text does not declare them itself.
 
-    A graph of the request (`using-graph-uri`) is the dataset of each WHERE. Raises Problems: those of `check`, and 400
-    for what is no update, or names a dataset in the request and in the text.
+    A graph of the request (`using-graph-uri`) is the dataset of each WHERE. Raises Problems: those of `check_text`, and
+    400 for what is no update, or names a dataset in the request and in the text.
     """
     checked = check_text(request.text, bounds, what="update")
     try:

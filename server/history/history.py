@@ -216,6 +216,10 @@ class History:
         """Why nothing is recorded now, in a sentence; None where it is."""
         return self._failure or self.writer.problem
 
+    def will_record(self, topic: str) -> bool:
+        """Whether the messages of a topic are recorded as they come."""
+        return any(fnmatchcase(topic, glob) for glob in self._globs)
+
     def dropped(self) -> Mapping[str, int]:
         """Messages that came and were not recorded, by topic."""
         found = self._live.dropped()
@@ -232,7 +236,7 @@ class History:
             self._failure = f"The history is not recorded: {error}. Make room for it, then start rosld anew."
             log.error("%s", self._failure)
             return
-        self._live.add(self.writer, lambda topic: any(fnmatchcase(topic, glob) for glob in self._globs))
+        self._live.add(self.writer, self.will_record)
 
     def copy_to(self, sink: Sink, wants: Callable[[str], bool], since_ns: int) -> None:
         """Give a sink what was recorded since a time. Called on the recorder's thread."""

@@ -309,7 +309,8 @@ class Recordings:
         except RosError as error:
             with contextlib.suppress(RosError):
                 await adapter.close()
-            raise RecordingRefused(f"{name} is no recording that can be read: {error.sentence}") from error
+            words = error.sentence.replace(repr(str(path)), "it")
+            raise RecordingRefused(f"{name} is not opened: {words}") from error
         (recording,) = adapter.recordings.values()
         return adapter, recording
 
@@ -332,11 +333,13 @@ class Recordings:
         if name in self._unreadable:
             file = self._unreadable[name]
             raise RecordingRefused(
-                f"there is a file {file.path.name} already, which cannot be opened: DELETE it, or take another name",
+                f"There is a file {file.path.name} already, which cannot be opened: DELETE it, or take another name",
                 taken=True,
             )
         if self._is_taken(name):
-            raise RecordingRefused(f"there is a recording {name} already: DELETE it, or take another name", taken=True)
+            can_be_deleted = name != HISTORY and name not in self._adapter.recordings
+            way = "DELETE it, or take another name" if can_be_deleted else "take another name"
+            raise RecordingRefused(f"There is a recording {name} already: {way}", taken=True)
 
     def _is_taken(self, name: str) -> bool:
         known = (

@@ -94,5 +94,5 @@ def _recording(recordings: Recordings, name: str) -> Recording:
     if found is None and name in recordings.running:
         raise Problem(404, f'The recording {name} is still being made: PATCH it with {{"status": "ended"}} first.')
     if found is None:
-        raise Problem(404, f"There is no recording {name}.")
+        raise Problem(404, f"There is no recording {name}: /bags/ lists those that there are.")
     return found

@@ -180,7 +180,7 @@ def selection_of(session: Session, recording: Recording, exchange: Exchange) -> 
     since = read_time(given["from"], now) if "from" in given else 0
     until = read_time(given["to"], now) if "to" in given else FOR_EVER
     if since > until:
-        raise Problem(400, "?from= is after ?to=.")
+        raise Problem(400, f"?from={given['from'][:60]} is after ?to={given['to'][:60]}.")
     start = _number("start", given.get("start", "0"), 0, FOR_EVER)
     limit = _number("limit", given.get("limit", str(LIMIT)), 1, MAX_LIMIT)
     text = "&".join(f"{name}={quote(value, safe='/:.-*')}" for name, value in given.items() if name != "start")

@@ -47,6 +47,16 @@ class BagResource(Resource):
         is_own = self.recording.name in self.recordings.finished and not self.settings.read_only
         return READ | {"DELETE"} if is_own else READ
 
+    def deny_reason(self, method: str) -> str:
+        if method in ("PATCH", "DELETE") and self.recording is self.recordings.history.recording:
+            return (
+                "The history goes on while rosld runs, within --history-time and --history-size: it is neither ended "
+                "nor deleted. POST to /bags/ makes a recording of what it holds."
+            )
+        if method == "PATCH" and self.recording.name in self.recordings.finished:
+            return f"The recording {self.recording.name} has ended: nothing of it can be changed."
+        return super().deny_reason(method)
+
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem(f"The recording {self.recording.name}")
 

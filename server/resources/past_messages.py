@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Iterator, Sequence
-from fnmatch import fnmatchcase
 from functools import lru_cache
 
 from rosld.adapters.base import FOR_EVER, RecordedMessage, RecordedTopic, Recording
@@ -100,20 +99,23 @@ class RecordedPast:
         self, selection: PastSelection, recordings: Sequence[Recording], permissions: Permissions
     ) -> None:
         """Raise Problem 400 for a topic that is named and is not recorded: silence would look like an answer."""
+        space = self._session.space
         for url in sorted(selection.urls or ()):
-            location = self._session.space.location(url)
+            location = space.location(url)
             if location is None or location.kind != "topics" or not permissions.may_read(url):
                 continue
             name = location.name
             if any(name in one.topics or self._will_record(one, name) for one in recordings):
                 continue
             if recordings and name in self._session.graph.topics:
-                names = ", ".join(f"/bags/{one.name}/" for one in recordings)
-                raise Problem(400, f"Nothing of {name} is recorded in {names}: --history {name} records it.")
+                urls = ", ".join(f"<{space.bag(one.name)}>" for one in recordings)
+                is_history = any(one is self._recordings.history.recording for one in recordings)
+                next_step = f"--history {name} records it" if is_history else "it says itself of which topics it is"
+                raise Problem(400, f"Nothing of {name} is recorded in {urls}: {next_step}.")
 
     def _will_record(self, recording: Recording, topic: str) -> bool:
-        is_history = recording is self._recordings.history.recording
-        return is_history and any(fnmatchcase(topic, glob) for glob in self._session.settings.history)
+        history = self._recordings.history
+        return recording is history.recording and history.will_record(topic)
 
 
 class _Reading:

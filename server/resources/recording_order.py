@@ -152,5 +152,5 @@ def _seconds(said: Mapping[str, object], key: str) -> float | None:
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise Problem(422, f"{key} is {str(value)[:100]!r}, not a number of seconds.")
     if not 0 <= value <= _MAX_SECONDS:
-        raise Problem(422, f"{key} is {value:g} s: from 0 to {_MAX_SECONDS:g}.")
+        raise Problem(422, f"{key} is {value:g} s: send from 0 to {_MAX_SECONDS:.0f} s.")
     return float(value)

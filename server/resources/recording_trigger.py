@@ -112,7 +112,7 @@ class RecordingTriggers:
         except Problem as problem:
             if problem.status in (403, 422):
                 raise
-            words = problem.detail.removeprefix("?until= ")
+            words = problem.detail.removeprefix("?until= cannot be waited for: ")
             raise Problem(422, f"The trigger cannot be waited for: {words}") from problem
         return followed
 

@@ -12,9 +12,10 @@ from urllib.parse import quote
 import orjson
 from starlette.responses import Response
 
-from rosld.adapters.model import MessageSchema, Sample, TypeRef, UnknownType
+from rosld.adapters.base import FOR_EVER
+from rosld.adapters.model import Array, MessageSchema, Primitive, Sample, TypeRef, UnknownType
 from rosld.ontology.describe_series import series_document
-from rosld.ontology.fields import field_at
+from rosld.ontology.fields import field_at, number_type
 from rosld.ontology.literals import date_time_nanoseconds
 from rosld.ontology.urls import Space
 from rosld.server.history.columns import columns_of, number_paths
@@ -34,6 +35,8 @@ CSV = "text/csv"
 POINTS, MAX_POINTS = 500, 10_000
 _SECONDS_BEFORE = 60.0
 _MAX_FIELD = 500
+_MAX_NAMED = 12
+"""Numbers that are named where a path leads to none."""
 PARAMETERS = (
     QueryParameter("series", "The path of a number, such as `pose.position.x`: its values over a time."),
     QueryParameter("from", "Since when: an xsd:dateTime, or seconds before now as `-60`. Default: a minute ago."),
@@ -112,12 +115,12 @@ class FieldValues:
         if schema is None:
             return None
         try:
-            _, value = field_at(schema, schema.codec.decode(sample.data, sample.encoding), self._path)
-            if isinstance(value, str) or not hasattr(value, "__float__"):
+            kind, value = field_at(schema, schema.codec.decode(sample.data, sample.encoding), self._path)
+            if not isinstance(kind, Primitive) or isinstance(value, str) or not hasattr(value, "__float__"):
                 raise ValueError(f"{self._path} of {schema.ref.name} is no number")
             number = float(value)
-        except (ValueError, TypeError) as error:
-            self.problem = str(error)
+        except ValueError as error:
+            self.problem = self.problem or f"{error}{_suggestion(schema, self._path)}"
             return None
         return number if math.isfinite(number) else None
 
@@ -145,6 +148,17 @@ class FieldValues:
             if isinstance(found, MessageSchema) and tuple(self._path.split(".")) in number_paths(found):
                 self._numeric.add(found.ref)
         return self._schemas[ref]
+
+
+def _suggestion(schema: MessageSchema, path: str) -> str:
+    """The numbers that might be meant by a path at which there is none, as the end of a sentence."""
+    try:
+        return f": name an element, such as {path}.0" if isinstance(number_type(schema, path), Array) else ""
+    except ValueError:
+        paths = [".".join(each) for each in number_paths(schema)]
+        near = [each for each in paths if each.startswith(f"{path}.")] or paths
+        few = ", ".join(near[:_MAX_NAMED])
+        return f"; numbers are {few}{', ...' if len(near) > _MAX_NAMED else ''}" if few else ""
 
 
 def columns(series: Series) -> dict[str, list[float | str]]:
@@ -175,7 +189,9 @@ def series_of(space: Space, history: History, topic: str, exchange: Exchange) ->
     if not (points.isascii() and points.isdecimal() and 1 <= int(points[:9]) <= MAX_POINTS):
         raise Problem(400, f"?points={points[:20]}: from 1 to {MAX_POINTS}.")
     if since >= until:
-        raise Problem(400, "?from= is not before ?to=.")
+        end = f"?to={query['to'][:60]}" if "to" in query else "now"
+        begin = f"?from={query['from'][:60]}" if "from" in query else "?from=, a minute ago where it is not given,"
+        raise Problem(400, f"{begin} is not before {end}.")
     asked = {name: query[name] for name in ("series", "from", "to", "points") if name in query}
     text = "&".join(f"{name}={quote(value, safe='/:.-')}" for name, value in asked.items())
     return SeriesResource(space, history, topic, field, SeriesRange(since, until, int(points)), text)
@@ -184,11 +200,21 @@ def series_of(space: Space, history: History, topic: str, exchange: Exchange) ->
 def require_history(history: History, topic: str) -> None:
     """Raise a 404 Problem where nothing is kept of a topic."""
     if not is_recorded(history, topic):
-        raise Problem(404, f"Nothing is recorded of {topic}: rosld serve --history records topics.")
+        if history.is_kept and history.will_record(topic):
+            raise Problem(404, f"Nothing is recorded of {topic} yet: its first message will be.")
+        words = f"start rosld with --history {topic}, or --history '*' for all topics"
+        raise Problem(404, f"Nothing is recorded of {topic}: {words}.")
 
 
 def read_time(text: str, now_ns: int) -> int:
-    """A time in ns: an xsd:dateTime, or seconds before now with a minus. Raises a 400 Problem."""
+    """A time in ns: an xsd:dateTime, or seconds before now with a minus. Raises a 400 Problem.
+
+    What is earlier or later than any message can be is the first or the last time that a message can have.
+    """
+    return max(-FOR_EVER, min(_nanoseconds(text, now_ns), FOR_EVER))
+
+
+def _nanoseconds(text: str, now_ns: int) -> int:
     try:
         if text.startswith("-") and text.count("-") == 1:
             return now_ns + round(float(text) * 1e9)

@@ -17,6 +17,7 @@ from rosld.adapters.model import Graph, Kind, MessageSchema, RosError, Sample, T
 from rosld.ontology.describe_topics import topic_document
 from rosld.ontology.document import Document
 from rosld.ontology.lift import lifter
+from rosld.ontology.literals import date_time
 from rosld.ontology.lower import parse_json
 from rosld.server.history.history import History
 from rosld.server.html import DeleteForm, Form, MessageForm
@@ -311,6 +312,9 @@ class TopicResource(CommandResource):
         """
         if exchange.method in ("GET", "HEAD"):
             query = exchange.query if exchange.request.scope["query_string"] else {}
+            asks_the_past = not query.keys().isdisjoint(("series", "timemap", "at"))
+            if asks_the_past and self.topic is None and not is_recorded(self.history, self.name):
+                raise self._missing()
             if "series" in query:
                 return series_of(self.session.space, self.history, self.name, exchange)
             if "timemap" in query:
@@ -331,7 +335,8 @@ class TopicResource(CommandResource):
         at, now = read_time(text, time.time_ns()), time.time_ns()
         sample = await read_history(lambda: self.history.writer.latest_at(self.name, at))
         if sample is None:
-            raise Problem(404, f"Nothing is recorded of {self.name} until {text}.")
+            since = date_time(0, self.history.recording.start_ns)
+            raise Problem(404, f"Nothing is recorded of {self.name} until {text[:60]}: the history begins at {since}.")
         return PastTopic(self, sample, text, is_settled=at < now - SETTLED_NS)
 
     @property

@@ -196,6 +196,17 @@ def test_what_cannot_be_asked_of_the_past_says_how_it_can(driven: Driven, query:
     assert words in refusal(driven.http, query, 400)
 
 
+def test_a_topic_that_a_recording_lacks_is_no_empty_answer_and_the_history_is_none_of_its_remedies(
+    driven: Driven,
+) -> None:
+    made = driven.http.post("/bags/", json={"name": "narrow", "topics": ["/odom"], "before": 60, "duration": 0})
+    assert made.status_code == 201, made.text
+    until(lambda: driven.http.get("/bags/narrow/messages/0").status_code == 200, "the recording")
+    words = refusal(driven.http, "SELECT * { </topics/imu> ros:past ?m . ?m ros:recordedIn </bags/narrow/> }", 400)
+    assert f"Nothing of /imu is recorded in <{driven.url}bags/narrow/>" in words
+    assert "--history" not in words
+
+
 def test_from_says_which_recording_is_meant(driven: Driven) -> None:
     for name in ("drive", "history"):
         found = ask(driven.http, f"SELECT ?m FROM </bags/{name}/> {{ </topics/odom> ros:past ?m }}")

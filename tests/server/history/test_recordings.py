@@ -140,6 +140,9 @@ def test_a_file_comes_in_ranges_and_is_not_sent_twice(recorded: Any, tmp_path: P
     rest = http.get("/bags/talk/file", headers={"Range": "bytes=100-", "If-Range": answer.headers["etag"]})
     assert rest.content == whole[100:]
     assert http.head("/bags/talk/file").headers["content-length"] == str(len(whole))
+    ended = http.patch("/bags/talk/", content='{"status": "ended"}', headers=MERGE_PATCH | JSON)
+    assert ended.status_code == 405
+    assert ended.json()["detail"] == "The recording talk has ended: nothing of it can be changed."
     assert http.delete("/bags/talk/").status_code == 204
 
 
@@ -170,6 +173,7 @@ def test_what_is_no_recording_is_refused_and_leaves_nothing(recorded: Any, tmp_p
     for body in (b"", b"hello", b"x" * 10_000, mcap, torn, sqlite):
         answer = recorded.http.put("/bags/odd", content=body, headers=JSON)
         assert answer.status_code == 422, body[:20]
+        assert ".part" not in answer.text, "where it was stored for the time being is nobody's business"
         assert recorded.http.get("/bags/odd/").status_code == 404
 
 
@@ -235,4 +239,8 @@ def test_the_history_is_not_one_file(recorded: Any, serve: Callable[..., Any]) -
         assert answer.status_code == 404
         assert "POST to /bags/" in answer.json()["detail"]
         assert http.put("/bags/history", content=b"x").status_code == 409
-        assert http.delete("/bags/history/").status_code == 405
+        taken = http.post("/bags/", json={"name": "history", "topics": [SPEED]}, headers=JSON).json()["detail"]
+        assert taken == "There is a recording history already: take another name."
+        for denied in (http.delete("/bags/history/", headers=JSON), http.patch("/bags/history/", headers=JSON)):
+            assert denied.status_code == 405
+            assert "POST to /bags/" in denied.json()["detail"]

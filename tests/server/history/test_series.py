@@ -112,14 +112,54 @@ def test_a_series_comes_as_csv_and_as_rdf(past: Past) -> None:
         (f"series={FIELD}&from=yesterday", 400),
         (f"series={FIELD}&from=-1&to=-2", 400),
         (f"series={FIELD}&from=-1e400", 400),
+        (f"series={FIELD}&from=-1e30&to=-1e29", 400),
         ("at=now", 400),
         ("at=1990-01-01T00:00:00Z", 404),
+        ("at=0001-01-01T00:00:00Z", 404),
+        ("at=-1e30", 404),
     ],
 )
 def test_what_cannot_be_read_of_the_past_is_refused_and_says_why(past: Past, query: str, status: int) -> None:
     answer = past.http.get(f"/topics/odom?{query}", headers=JSON)
     assert answer.status_code == status, answer.text
     assert len(answer.json()["detail"]) > 20
+
+
+@pytest.mark.parametrize(
+    ("path", "words"),
+    [
+        ("odom?series=twist.nothing", "has no field 'twist.nothing' here; numbers are header.stamp.sec, "),
+        ("odom?series=twist.twist", "is no number; numbers are twist.twist.linear.x, twist.twist.linear.y, "),
+        ("odom?series=pose.covariance", "is no number: name an element, such as pose.covariance.0."),
+        (f"odom?series={FIELD}&from=-1&to=-2", "?from=-1 is not before ?to=-2."),
+        (f"odom?series={FIELD}&to=-120", "a minute ago where it is not given, is not before ?to=-120."),
+        ("odom?at=1990-01-01T00:00:00Z", "until 1990-01-01T00:00:00Z: the history begins at 20"),
+        ("imu?at=-1", "start rosld with --history /imu, or --history '*' for all topics."),
+    ],
+)
+def test_what_is_refused_of_the_past_names_what_there_is_instead(past: Past, path: str, words: str) -> None:
+    assert words in past.http.get(f"/topics/{path}", headers=JSON).json()["detail"]
+
+
+@pytest.mark.parametrize("query", ["at=-1", "series=x", "timemap"])
+def test_the_past_of_a_topic_that_is_not_there_names_those_near(past: Past, query: str) -> None:
+    answer = past.http.get(f"/topics/odm?{query}", headers=JSON)
+    assert answer.status_code == 404
+    assert answer.json()["detail"] == "There is no topic /odm."
+    assert f"{past.http.base_url}topics/odom" in answer.json()["near"]
+
+
+def test_times_before_and_after_all_messages_are_as_good_as_any(past: Past) -> None:
+    for long_ago in ("-1e30", "0001-01-01T00:00:00Z"):
+        found = columns(past.http, f"series={FIELD}&points=1&from={long_ago}")
+        assert found["count"][0] >= len(past.times)
+        page = past.http.get(f"/bags/history/messages/?from={long_ago}&to=9999-12-31T23:59:59Z&limit=1", headers=JSON)
+        assert [one["index"] for one in page.json()["messages"]] == [0]
+        assert past.http.get(f"/bags/history/at?time={long_ago}", headers=JSON).json()["messages"] == []
+        resource = past.http.get(f"/resources/odom?at={long_ago}", headers=NTRIPLES)
+        assert resource.status_code < 500, resource.text
+    for answer in (columns(past.http, "at=9999-12-31T23:59:59Z"), columns(past.http, "at=2400-01-01T00:00:00")):
+        assert answer["child_frame_id"] == "base_link"
 
 
 def test_of_a_topic_that_is_not_recorded_there_is_no_past(past: Past) -> None:

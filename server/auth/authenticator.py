@@ -31,7 +31,7 @@ _Stamp: TypeAlias = tuple[int, int, int]
 
 @dataclass(frozen=True, slots=True)
 class AuthContext:
-    """The agent of a request, with their permissions, whether these still hold (streams last), and those of anybody."""
+    """The permissions of a request's agent, whether these still hold (a stream outlasts them), and those of anybody."""
 
     permissions: Permissions
     is_valid: Callable[[], bool]

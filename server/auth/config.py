@@ -58,7 +58,7 @@ class Issuer:
 
 @dataclass(frozen=True)
 class AuthConfig:
-    """What the file says. `subjects` are the names of agents by issuer and subject."""
+    """The contents of the file of `--auth`. `subjects` are the names of agents by issuer and subject."""
 
     policy: Policy
     tokens: TokenTable

@@ -1,4 +1,4 @@
-"""Permissions: what one agent may do with the URLs of one server. Deciding has no effect."""
+"""Permissions: what one agent may do with the URLs of one server. Pure."""
 
 from __future__ import annotations
 

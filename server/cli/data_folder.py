@@ -1,4 +1,4 @@
-"""The folder of `--data`: it belongs to one base URL, because its data is full of that URL, and to one server."""
+"""The folder of `--data`: bound to one base URL, which is in the IRIs of its data, and locked by one server."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`rosld dump`: what clients have put, as one file, there when it is whole."""
+"""`rosld dump`: write all that clients have stored to one archive, which appears once it is complete."""
 
 from __future__ import annotations
 

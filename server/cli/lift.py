@@ -1,4 +1,4 @@
-"""`rosld lift`: a whole recording as one file of RDF, in one pass, there when it is whole."""
+"""`rosld lift`: convert a recording to one file of RDF in one pass; the file appears once it is complete."""
 
 from __future__ import annotations
 

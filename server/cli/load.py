@@ -1,4 +1,4 @@
-"""`rosld load`: brings a dump back."""
+"""`rosld load`: restore a dump."""
 
 from __future__ import annotations
 

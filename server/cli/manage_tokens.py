@@ -1,4 +1,4 @@
-"""`rosld token`: tokens made, listed and taken away, in the file of `--auth` (TOML). A server reads the file again."""
+"""`rosld token`: add, list and remove tokens in the file of `--auth` (TOML), which a running server reads again."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Many documents in one file: as lines (N-Triples, N-Quads), fast, or as paragraphs (Turtle, TriG), for people."""
+"""Writers of many documents to one file: as lines (N-Triples, N-Quads), fast, or paragraphs (Turtle, TriG)."""
 
 from __future__ import annotations
 

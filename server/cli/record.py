@@ -41,7 +41,7 @@ def record(source: str, output: Path, topics: Sequence[str], duration: float | N
 
 
 class _Recording(NullSink):
-    """One recording of an adapter that is opened for it; the sink of that adapter."""
+    """One recording of an adapter that is opened for it, and the sink of that adapter."""
 
     def __init__(self, adapter: Adapter, output: Path, topics: Sequence[str]) -> None:
         self._adapter = adapter

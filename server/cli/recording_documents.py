@@ -16,7 +16,7 @@ from rosld.ontology.urls import Space
 
 
 class DescribedMessage(NamedTuple):
-    """A recorded message and what can be told of it: itself, lifted, or why it cannot be read."""
+    """A recorded message with its lifted form, or the reason why it cannot be decoded."""
 
     recorded: RecordedMessage
     lifted: LiftedMessage | None
@@ -24,7 +24,7 @@ class DescribedMessage(NamedTuple):
 
 
 class Reader(NamedTuple):
-    """How messages of one type are read and written."""
+    """The schema and the lifter of one message type."""
 
     schema: MessageSchema
     lifter: Lifter

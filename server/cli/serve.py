@@ -1,4 +1,4 @@
-"""`rosld serve`: opens the source, listens, says where, and leaves cleanly and soon when told to."""
+"""`rosld serve`: open the source, listen, print the URL, and shut down cleanly on a signal."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def serve(source: str, settings: Settings, *, base_given: bool) -> None:
 
 
 class Serving:
-    """A server's life: open the source, listen, serve, leave."""
+    """The lifecycle of one server: open the source, listen, serve, shut down."""
 
     def __init__(self, app: Application, adapter: Adapter, sock: socket.socket, url: str) -> None:
         self._app = app

@@ -1,4 +1,4 @@
-"""The contract of stores, which any SPARQL 1.1 store can be put behind. `tests/server/dataset` holds it."""
+"""The contract of stores, which any SPARQL 1.1 store can implement. `tests/server/dataset` tests it."""
 
 from __future__ import annotations
 

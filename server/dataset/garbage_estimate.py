@@ -1,4 +1,4 @@
-"""What a store in memory still carries of triples that are gone.
+"""Estimate of the memory that a store in memory still holds for removed triples.
 
 Oxigraph frees nothing in memory. A triple that goes stays in the lists of its graph, its subject and so on, and whoever
 looks through one of these walks past it: a graph that is replaced ten thousand times takes milliseconds to look at. The
@@ -18,7 +18,7 @@ _MAX_GARBAGE_RATIO = 4
 
 
 class GarbageEstimate:
-    """Counts, roughly, in lines of N-Triples."""
+    """A rough count of what a store still holds for removed triples, in lines of N-Triples."""
 
     def __init__(self) -> None:
         self._sizes: dict[str, int] = {}

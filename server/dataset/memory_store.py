@@ -50,7 +50,7 @@ class _Step(NamedTuple):
 
 
 class MemoryStore:
-    """The `Store` that rosld brings along. It copies itself, in slices, whenever it carries too much of what is gone.
+    """The built-in `Store`. It copies itself, in slices, whenever it holds too much for triples that were removed.
 
     A graph that is replaced is changed by the lines that differ. Blank nodes keep their labels within a graph, so that
     edits may name them.
@@ -332,7 +332,7 @@ class MemoryStore:
 
 
 class _Renewal:
-    """A new store that comes to hold what another holds, while that one changes."""
+    """A copy of a store, made in slices while that store changes."""
 
     def __init__(self, old: Store) -> None:
         self.store = Store()

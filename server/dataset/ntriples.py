@@ -1,4 +1,4 @@
-"""N-Triples as text: checked before it goes into an update, and cut where it is too much for one request."""
+"""N-Triples as text: validated before it goes into an update, and split where it is too large for one request."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ class PendingBatch(NamedTuple):
 
 
 class PendingChanges:
-    """Graphs that wait to be told, in the order of their changes. Thread-safe.
+    """Graphs whose changes are still to be sent, in the order of their changes. Thread-safe.
 
     `limit`: graphs that may wait beyond those that the dataset has.
 

@@ -1,4 +1,4 @@
-"""The private functions that rewritten queries call (`server/sparql/rewriting.py`). Nobody else can name them."""
+"""The private functions that rewritten queries call (`server/sparql/rewriting.py`). No client can name them."""
 
 from __future__ import annotations
 

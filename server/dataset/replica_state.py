@@ -11,7 +11,7 @@ _ALL = 32 * 1024 * 1024
 
 
 class ReplicaState:
-    """The state is valid until a request fails; then it must be forgotten."""
+    """The triples of each replicated graph; valid until a request fails, then they must be forgotten."""
 
     def __init__(self) -> None:
         self._texts: dict[str, str] = {}

@@ -78,7 +78,7 @@ class GraphOwnership(Protocol):
 
 
 class ReplicationSource(Protocol):
-    """The dataset that is told. `graphs` and `ntriples` are called in any thread, and raise StoreError."""
+    """The dataset that is replicated. `graphs` and `ntriples` are called in any thread, and raise StoreError."""
 
     def watch(self, told: Callable[[Collection[str], Sequence[Edit]], None], begun: Callable[[], None]) -> None:
         """Call `told` with the names of graphs that are replaced and with edits, `begun` when all begins anew."""
@@ -95,7 +95,7 @@ class ReplicationSource(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class ReplicationStatus:
-    """How far a mirror is. `lag` is the age, in seconds, of the oldest change that is not there yet; 0 for none.
+    """The progress of a mirror. `lag` is the age, in seconds, of the oldest change that is not there yet; 0 for none.
 
     `failure` says why the store cannot be told now, None where it can. `pending` graphs wait, `refused` ones were not
     taken. `updated_ns` is when it last took something, in nanoseconds since the epoch.
@@ -110,7 +110,7 @@ class ReplicationStatus:
 
 
 class _Part(NamedTuple):
-    """What one request can say of one graph: the whole of it (or that it is gone), else edits."""
+    """The part of an update request that is about one graph: all its triples (or its removal), else edits."""
 
     graph: str
     text: str | None

@@ -61,7 +61,7 @@ class Edge:
 
 @dataclass(frozen=True, slots=True)
 class Diagram:
-    """What is drawn; `total` are the things that it stands for."""
+    """A diagram; `total` is the number of things that its vertices stand for."""
 
     vertices: tuple[Vertex, ...]
     edges: tuple[Edge, ...]
@@ -70,7 +70,7 @@ class Diagram:
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """What of a graph is drawn: what lies `below` a name with what that is connected to, or all.
+    """The part of a graph to draw: the things `below` a name and those connected to them, or all.
 
     What every node has is left out unless it is asked for (`everything`).
     """

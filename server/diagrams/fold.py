@@ -1,4 +1,4 @@
-"""Folding of a diagram that is too large to be read: things that stand alike become one. Pure."""
+"""Folding of a diagram that is too large to read: vertices with the same neighbours become one. Pure."""
 
 from __future__ import annotations
 

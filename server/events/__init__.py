@@ -1,4 +1,4 @@
-"""Changes told as they happen: event streams, and waiting for a change without one.
+"""Notification of changes: event streams, long polling, channels of the Solid Notifications Protocol.
 
 watches.py    how a resource tells that it may have changed
 feed.py       one resource followed for all who read it

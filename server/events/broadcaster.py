@@ -1,4 +1,4 @@
-"""Broadcasters: each follows one resource for all clients that read its changes, and reads its state once a change."""
+"""Broadcasters: each observes one resource for all readers of its changes, and reads its state once a change."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _log = logging.getLogger("rosld")
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """What a resource was like when it was looked at: its state, or why there is none.
+    """The state of a resource at one moment, or the problem that it had instead.
 
     `name` differs whenever what it was like does. `chunks` are the events that tell of it, by variant and edition: each
     is made once, however many read it.
@@ -72,7 +72,7 @@ class Waiter:
 
 
 class Broadcaster:
-    """One resource as it changes.
+    """Observes one resource for all its readers.
 
     A reader takes note of `version`, looks, and sleeps in `wait` until there may be more. What changes while nobody
     looks costs nothing but a number. Whenever anything in general has changed the resource is watched anew: what it

@@ -1,4 +1,4 @@
-"""Subscription requests (Solid Notifications Protocol 2.2): the channel that a client wishes, read with care. Pure."""
+"""Subscription requests (Solid Notifications Protocol 2.2): the channel that a client requests, validated. Pure."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _MAX_LENGTH = 200
 
 @dataclass(frozen=True, slots=True)
 class ChannelRequest:
-    """A channel as it is wished: `interval` in seconds, times in ns since 1970, `accept` the media type agreed on."""
+    """A requested channel: `interval` in seconds, times in ns since 1970, `accept` the media type agreed on."""
 
     topic: str
     accept: str = JSON_LD

@@ -1,4 +1,4 @@
-"""Channels over HTTP (StreamingHTTPChannel2023): a response that goes on, one notification after another."""
+"""Channels over HTTP (StreamingHTTPChannel2023): an endless response of notifications."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ _RDF = {"text/turtle": Syntax.TURTLE, "application/n-triples": Syntax.N_TRIPLES}
 
 
 class Delivery:
-    """Sends what a channel tells: each notification to `send`, and to `idle` whenever nothing was sent for a while."""
+    """Sends the notifications of a channel by `send`, and calls `idle` whenever nothing was sent for a while."""
 
     def __init__(
         self, channels: Channels, broadcasters: Broadcasters, channel: Channel, send: Send, idle: Send | None

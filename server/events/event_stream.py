@@ -55,7 +55,7 @@ def _whole(problem: Problem) -> Problem:
 
 @dataclass(frozen=True, slots=True)
 class StreamFormat:
-    """How states are told: `render` gives the representation called `variant`, `name` the state part of the ETag."""
+    """How states are sent: `render` gives the representation called `variant`, `name` the state part of the ETag."""
 
     variant: str
     render: Callable[[State], Awaitable[bytes]]

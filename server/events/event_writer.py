@@ -1,4 +1,4 @@
-"""What is written to an event stream: events, and signs of life where there are none for a while."""
+"""Writer of an event stream: events, and keep-alive comments where there are none for a while."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ KEEP_ALIVE_SECONDS = 15.0
 
 
 class EventWriter:
-    """Writes to one event stream. `quiet`: seconds without an event after which a sign of life is due."""
+    """Writes to one event stream. `quiet`: seconds without an event after which a keep-alive is due."""
 
     def __init__(self, tell: Tell, quiet: float = KEEP_ALIVE_SECONDS) -> None:
         self.quiet = quiet
@@ -34,6 +34,6 @@ class EventWriter:
         await self._tell(chunk)
 
     async def keep_alive(self) -> None:
-        """Write a sign of life, where one is due."""
+        """Write a keep-alive comment, where one is due."""
         if self.silence >= self.quiet:
             await self.send(frame.KEEP_ALIVE)

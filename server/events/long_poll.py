@@ -1,4 +1,4 @@
-"""Waiting without a stream: the answer comes when there is what was waited for, or when the time is over."""
+"""Long polling: a request is answered once the state is the one that it waits for, or at its timeout."""
 
 from __future__ import annotations
 

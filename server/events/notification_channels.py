@@ -43,7 +43,7 @@ class ReceiverState:
 
 @dataclass(eq=False, slots=True)
 class Channel:
-    """A channel: what it was made for, the resource it tells of, what it has told, and who receives."""
+    """A channel: its description, the resource it notifies of, the state it notified of last, and its receiver."""
 
     token: str
     terms: ChannelDescription

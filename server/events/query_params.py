@@ -1,4 +1,4 @@
-"""What a request for changes asks for: how often, since when, how long. Pure."""
+"""Query parameters of requests for changes: the rate, the state that is known, the timeout. Pure."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The event stream of numbers: those of every message of their topics, not of the newest alone."""
+"""Event stream of numeric fields: of every message of their topics, not only of the newest."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class FollowedTopic(NamedTuple):
 
 
 class SampleStream(EndlessResponse):
-    """Tells numbers of topics until its reader leaves or the server ends.
+    """Sends numbers of topics until its reader leaves or the server ends.
 
     Each event is JSON, a list with an object for each topic that has something new: `times` in milliseconds since 1970,
     `values` by place, each as long as `times`, and `lost`, how many messages were not told of. `names` by place are
@@ -81,7 +81,7 @@ class SampleStream(EndlessResponse):
 
 
 class TopicNumbers:
-    """The numbers of one topic: what of them is new since they were taken last."""
+    """The numbers of one topic that are new since they were taken last."""
 
     def __init__(self, followed: FollowedTopic, schema_of: SchemaOf) -> None:
         self._followed = followed

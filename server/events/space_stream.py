@@ -51,7 +51,7 @@ class ShownTopic:
 
 @dataclass(frozen=True, slots=True)
 class SpaceSource:
-    """What a stream reads from, and what it may: `frames` is None for who may not read them.
+    """What a stream reads from; `frames` is None for an agent that may not read them.
 
     `has_cloud_files`: the reader draws the points of a cloud from its file, so that the stream need not tell them, too.
     """
@@ -65,7 +65,7 @@ class SpaceSource:
 
 
 class SpaceStream(EndlessResponse):
-    """Tells of a view until its reader leaves or the server ends.
+    """Sends a view and its changes until its reader leaves or the server ends.
 
     Each event is a JSON object. `show`: the topics of the view, first of all and whenever they are others. `frame`:
     what the view is fixed to. `frames`: the name, the parent and the pose of each frame that is connected to it.
@@ -92,7 +92,7 @@ class SpaceStream(EndlessResponse):
 
 
 class _Pulse:
-    """Remembers that something came, also while nobody waits."""
+    """An event that is remembered while nobody waits for it."""
 
     def __init__(self) -> None:
         self._waiter = Waiter()
@@ -111,7 +111,7 @@ class _Pulse:
 
 
 class _View:
-    """What one reader was told, and what is new to it."""
+    """What one reader was sent, and what is new to it."""
 
     def __init__(self, source: SpaceSource, fixed: str, wake: Callable[[], None], stack: contextlib.ExitStack) -> None:
         self._source = source

@@ -1,4 +1,4 @@
-"""`?until=CONDITION`: whether a state is the one that is waited for."""
+"""`?until=CONDITION`: whether a state fulfils the condition that a request waits for."""
 
 from __future__ import annotations
 

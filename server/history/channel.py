@@ -1,4 +1,4 @@
-"""Channels: what tells the messages of one publisher on one topic, and how MCAP says it."""
+"""Channels: one publisher's messages on one topic, and their records in MCAP."""
 
 from __future__ import annotations
 

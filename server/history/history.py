@@ -1,4 +1,4 @@
-"""The history of a robot: the recording named `history` that is being written, and has a bound."""
+"""The history of a robot: the recording named `history` that is always being written, within bounds."""
 
 from __future__ import annotations
 
@@ -186,7 +186,7 @@ class HistoryRecording:
 
 
 class History:
-    """What is recorded of a robot all the time: the topics that `--history` names.
+    """Records the topics that `--history` names for as long as the server runs.
 
     `definition_of` gives the text of a type as far as it is known.
     """

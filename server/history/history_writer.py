@@ -32,7 +32,7 @@ _Failures = (OSError, sqlite3.Error)
 
 
 class HistoryWriter:
-    """What is written of the history, and what is about to be. The recorder's thread writes; any thread reads.
+    """The segments of the history and the chunks that are being filled. The recorder's thread writes; any thread reads.
 
     `dropped` counts by topic what came and could not be kept, `problem` says why nothing is kept now.
     """

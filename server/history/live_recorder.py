@@ -13,7 +13,7 @@ from rosld.server.history.topic_feed import LiveFeed
 
 
 class LiveRecorder:
-    """What is recorded of one robot now. It costs nothing until the first sink is added. Belongs to the loop."""
+    """Records topics of one robot to sinks. It costs nothing until the first sink is added. Belongs to the loop."""
 
     def __init__(self, adapter: Adapter, learn: Callable[[TypeRef], Awaitable[object]]) -> None:
         self._recorder = Recorder()

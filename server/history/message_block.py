@@ -1,4 +1,4 @@
-"""Some messages of a topic, as they lie in a chunk or are at hand."""
+"""A block of messages of one topic, in a chunk or in memory."""
 
 from __future__ import annotations
 

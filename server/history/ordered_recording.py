@@ -1,4 +1,4 @@
-"""What clients order to be recorded, and how an order is kept as JSON."""
+"""Orders of clients to record topics, and their form in JSON."""
 
 from __future__ import annotations
 
@@ -7,10 +7,7 @@ from dataclasses import asdict, dataclass
 
 
 class RecordingRefused(Exception):
-    """What cannot be recorded or taken; `taken` where its name is another's, else it makes no sense as it is.
-
-    `is_too_large` where it makes sense, but is more than may be kept.
-    """
+    """A recording is refused: its name is in use (`taken`), it is too large (`is_too_large`), else it is invalid."""
 
     def __init__(self, words: str, *, taken: bool = False, is_too_large: bool = False) -> None:
         super().__init__(words)

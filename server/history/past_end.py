@@ -1,4 +1,4 @@
-"""Until which time to read of recorded messages for so many of the newest, or of the oldest."""
+"""The time until which recorded messages must be read to have so many of the newest, or of the oldest."""
 
 from __future__ import annotations
 

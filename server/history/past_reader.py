@@ -14,7 +14,7 @@ _PAGE = 2000
 
 
 class PastRange(NamedTuple):
-    """Of one topic, from one time until another, in ns, both included."""
+    """The messages of one topic from one time until another, in ns, both included."""
 
     topic: str
     from_ns: int

@@ -1,4 +1,4 @@
-"""Reads an MCAP file of ours through: for an index that is lost, and for a file that was never finished."""
+"""Scan of an MCAP file that rosld wrote: to rebuild a lost index, and to recover an unfinished file."""
 
 from __future__ import annotations
 

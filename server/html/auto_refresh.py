@@ -1,4 +1,4 @@
-"""Which pages follow their resource while they are looked at: those of what changes by itself. Pure."""
+"""Which pages refresh themselves: those of resources that change without a client. Pure."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Forms as they come back: pairs of names and texts, read as the plain JSON that lowers to a message."""
+"""Parser of submitted forms: from pairs of names and texts to the plain JSON that lowers to a message."""
 
 from __future__ import annotations
 

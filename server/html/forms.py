@@ -108,7 +108,7 @@ class MessageForm:
 
 @dataclass(frozen=True, slots=True)
 class HoldTerms:
-    """How a hold goes on unless asked otherwise: rate in Hz, lease in seconds, the most of both, and what follows."""
+    """The defaults and maxima of a hold's rate (Hz) and lease (s), and what is published at its end by default."""
 
     rate: float
     max_rate: float

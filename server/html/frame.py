@@ -1,4 +1,4 @@
-"""What every page has around what it shows: its title, its notices, the way to the other sections."""
+"""The frame of every page: its title, its notices, the navigation to the other sections."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _LOUDEST_FIRST = (NoticeLevel.ERROR, NoticeLevel.WARNING, NoticeLevel.GOOD, Noti
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """What every page has around it."""
+    """The frame of a page."""
 
     site: Site
     title: str

@@ -313,7 +313,7 @@ def default(schema: MessageSchema, field: Field) -> Json:
 
 
 class _Defaults:
-    """Defaults being made: by nesting, a few lines of definition may come to more values than there are atoms."""
+    """Makes default values within a limit: nested arrays of a short definition can have more than fit in memory."""
 
     def __init__(self, schema: MessageSchema) -> None:
         self._schema = schema

@@ -52,7 +52,7 @@ class FormTarget:
 
 @dataclass(frozen=True, slots=True)
 class PropertyValueView:
-    """A value as it is told; without a `view`, `words` say why there is none, and `failed` if that should not be."""
+    """The value of a property; without a `view`, `words` say why, and `failed` whether that is an error."""
 
     view: View | None
     unit: Anchor | None = None

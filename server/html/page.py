@@ -1,4 +1,4 @@
-"""Pages as values: what the templates draw. Made by the server core, one a request."""
+"""Pages as values: what the templates draw. One is made for each request."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ Offer: TypeAlias = views.View
 
 
 class NoticeLevel(Enum):
-    """How loud a notice is."""
+    """The severity of a notice."""
 
     INFO = "info"
     GOOD = "good"

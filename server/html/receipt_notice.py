@@ -1,4 +1,4 @@
-"""What became of a write, as the sentence that the next page begins with."""
+"""The outcome of a write, as the notice of the page that follows it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pages to bytes: one function for each kind of page, which gives its template what it prints."""
+"""Rendering of pages: one function a kind of page, from its value to bytes by its template."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The steps of a stop as a table: what was told, to how many subscribers, and what became of it."""
+"""The steps of a stop as a table: what each does, how many subscribers it reached, and its outcome."""
 
 from __future__ import annotations
 

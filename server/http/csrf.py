@@ -1,4 +1,4 @@
-"""Tokens that prove a form was one of our own pages' (cross-site request forgery), with nothing kept.
+"""Stateless tokens against cross-site request forgery: they prove that a form is of a page of this server.
 
 A token is bound to the action it was made for and to this run of the server; a foreign page cannot read it. It comes
 on top of the Origin rules (`origin.py`), for browsers and extensions that leave the Origin out.
@@ -19,7 +19,7 @@ FIELD = "csrf"
 
 @dataclass(frozen=True, slots=True)
 class FormKey:
-    """The key of this run of the server."""
+    """The secret key of form tokens, another one in each run of the server."""
 
     key: bytes = field(default_factory=lambda: secrets.token_bytes(32), repr=False)
 

@@ -58,7 +58,7 @@ _TYPES_SECONDS = 3.0
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """One look at some properties: the readings by name, and the verdicts that follow from them."""
+    """Readings of some properties at one moment, by name, and the results of the conditions on them."""
 
     readings: Mapping[str, Reading]
     results: ConditionResults

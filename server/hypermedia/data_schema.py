@@ -60,7 +60,7 @@ def message_schema(schema: MessageSchema, lifting: LiftSettings = _SETTINGS, *, 
 
 
 class _Schemas:
-    """The schemas of one message type. Types come from robots, so there is an end to how much of one is written."""
+    """The schemas of one message type. Types come from robots, so what is written of one is bounded."""
 
     def __init__(self, schema: MessageSchema, bounds: Mapping[str, Bounds], lifting: LiftSettings, sent: bool) -> None:
         self._types = schema.types

@@ -1,4 +1,4 @@
-"""Latest values: what is at hand of topics, in brief, for lists of them. Nothing is subscribed to for it."""
+"""Latest values of topics that are subscribed to, in brief, for listings; no subscription is made for them."""
 
 from __future__ import annotations
 

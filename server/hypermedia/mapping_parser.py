@@ -1,4 +1,4 @@
-"""Mapping documents: read from RDF, judged by their shape, and by what a shape cannot say.
+"""Mapping documents: parsed from RDF, validated by their shape, and by rules that SHACL cannot express.
 
 Pure but for `load_mapping`. What is refused is refused whole, with every reason at its place. Nothing here looks at the
 robot: a document may name what is not there yet.

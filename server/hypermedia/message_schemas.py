@@ -1,4 +1,4 @@
-"""The schemas of messages for a description that says each once and refers to it by name."""
+"""Collector of message schemas, for a description that states each once and refers to it by name."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ _MAX_READINGS = 65536
 
 
 class _Attempt(NamedTuple):
-    """One reading of some properties: by when, how long that is, and newer than what (a turn; 0: anything fresh)."""
+    """A read of some properties: its deadline, its timeout, and the turn that fetches must follow (0: any will do)."""
 
     deadline: float
     seconds: float
@@ -47,7 +47,7 @@ class _Attempt(NamedTuple):
 
 
 class _Result(NamedTuple):
-    """What came of one source, and until when (loop time) that is good; 0.0 where it is not to be kept."""
+    """The result of reading one source, and until when (loop time) it is valid; 0.0: it is not to be cached."""
 
     found: ReadResult
     until: float
@@ -55,7 +55,7 @@ class _Result(NamedTuple):
 
 @dataclass(slots=True)
 class _Kept:
-    """A reading and what it is good for, until that loop time: of a topic this view, of a goal this part of it."""
+    """A cached reading: valid until a loop time, for the view of its topic, or the part of its goal, that it is of."""
 
     property: Property
     view: TopicView | None

@@ -33,7 +33,7 @@ NO_VALUE = ReadResult(None, None, None)
 
 
 class TopicLook(NamedTuple):
-    """What came of a look at a topic: its view, and the schema of the newest message or why that is not known."""
+    """The result of reading a topic: its view, and the schema of the newest message or why that is not known."""
 
     view: TopicView
     schema: MessageSchema | None = None

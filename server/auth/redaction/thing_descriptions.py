@@ -1,4 +1,4 @@
-"""Redaction of Thing Descriptions (WoT TD 1.1): remove what the agent may never use, and say how it says who it is."""
+"""Redaction of Thing Descriptions (WoT TD 1.1): remove what the agent may never use, and add the security schemes."""
 
 from __future__ import annotations
 

@@ -89,7 +89,7 @@ class Subscription(Protocol):
 
 
 class Sink(Protocol):
-    """Where an adapter tells of changes. Thread-safe, never blocks, never raises."""
+    """Receives the changes of an adapter. Thread-safe, never blocks, never raises."""
 
     def graph_changed(self, graph: Graph) -> None:
         """The computation graph is now `graph`; several changes may come as one."""
@@ -105,7 +105,7 @@ class Sink(Protocol):
 
 
 class NullSink:
-    """A `Sink` for who looks at an adapter and listens to nothing; what is listened to is overridden."""
+    """A `Sink` that ignores everything; a subclass overrides what it listens to."""
 
     def graph_changed(self, graph: Graph) -> None:
         """Not of interest."""

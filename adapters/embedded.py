@@ -8,7 +8,7 @@ from rosld.adapters.model import Refused, TimedOut, TypeRef, Unreachable
 
 
 class NoWatch:
-    """A watch of what is told in any case."""
+    """A watch without effect, for changes that are announced in any case."""
 
     def close(self) -> None:
         """Nothing has to be given back."""

@@ -1,4 +1,4 @@
-"""Making triples: what a description is written with."""
+"""Constructors of triples for descriptions."""
 
 from __future__ import annotations
 

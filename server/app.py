@@ -1,4 +1,4 @@
-"""The application: composes robot, resources, verbs and pages into one ASGI app. Nothing is decided here."""
+"""The application: composes the layers into one ASGI app, and decides nothing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The flight model: what the aircraft of the paper is at a time, and what becomes of it when it is told something.
+"""The flight model: the state of the paper's aircraft at a time, and after a command.
 
 A `Flight` is a frozen state and a time; everything else follows from them, so that no clock is needed to test it.
 Times are nanoseconds of any monotonic clock.
@@ -38,7 +38,7 @@ class Flight:
 
 
 class Declined(Exception):
-    """The aircraft does not do this now; its text is what it answers."""
+    """The aircraft refuses a command now; the text is its answer."""
 
 
 def start(flight: Flight, now_ns: int) -> Flight:

@@ -1,4 +1,4 @@
-"""The action of the aircraft, `/aircraft/fly`: from a goal and a time to how it stands, as pure functions.
+"""The action of the aircraft, `/aircraft/fly`: from a goal and a time to its status, as pure functions.
 
 Times are nanoseconds of the same monotonic clock as the flight's.
 """

@@ -1,4 +1,4 @@
-"""rosld as a client of a ROS 1 system: everything that lives on the reading thread, and the looks that keep it true."""
+"""rosld as a client of a ROS 1 system: everything on the reading thread, and the polling that keeps it up to date."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _FIRST_PATIENCE = 1.0
 
 
 class Client:
-    """Looks at the master, reads topics, publishes, calls. Made and used on the reading thread, but for `graph`."""
+    """Polls the master, reads topics, publishes, calls. Made and used on the reading thread, but for `graph`."""
 
     def __init__(
         self, uri: tuple[str, int], own_node: str, options: AdapterOptions, library: TypeLibrary, publish_graph: Sink

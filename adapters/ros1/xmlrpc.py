@@ -24,7 +24,7 @@ Dial: TypeAlias = Callable[[], Awaitable[tuple[asyncio.StreamReader, asyncio.Str
 
 
 class Malformed(ValueError):
-    """Not XML-RPC, or more of it than is good for us."""
+    """Not XML-RPC, or beyond the limits of what is read."""
 
 
 class Answer(NamedTuple):

@@ -1,4 +1,4 @@
-"""rosld in a ROS 2 system: everything that lives on the thread that talks to ROS, and the looks that keep it true."""
+"""rosld in a ROS 2 system: everything on the thread that talks to ROS, and the polling that keeps it up to date."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _PATIENCE = 0.5
 
 
 class System:
-    """Looks, reads, publishes, calls. Made and used on the thread that talks to ROS, but for `graph`."""
+    """Polls, reads topics, publishes, calls. Made and used on the thread that talks to ROS, but for `graph`."""
 
     def __init__(self, source: Source, graph: Graph, options: AdapterOptions, library: TypeLibrary, sink: Sink) -> None:
         self._sink = sink

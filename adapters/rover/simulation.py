@@ -1,4 +1,4 @@
-"""The simulation: all that the rover is at a time, and what becomes of it step by step and when it is told something.
+"""The simulation: the state of the rover, which changes step by step and by commands.
 
 `State` and what is done to it are pure, so that no clock is needed to test them; a `Simulation` is a state that a clock
 moves on. Time goes in steps of 10 ms: the same commands at the same steps lead to the same state.
@@ -139,9 +139,9 @@ def changes(before: State, after: State, settings: Settings) -> tuple[LogLine, .
 
 
 class Simulation:
-    """The rover in its world as time goes by.
+    """The rover in its world, advanced in time.
 
-    Times are seconds of any monotonic clock; whatever is told to the rover happens at the time that is given with it.
+    Times are seconds of any monotonic clock; a command takes effect at the time that is given with it.
     """
 
     def __init__(self, start: Start, now: float) -> None:

@@ -1,4 +1,4 @@
-"""The command line: `rosld serve`, `lift`, `types`, `token`, `dump`, `load`. What they do is in `commands/`."""
+"""The command line: `rosld serve`, `lift`, `types`, `token`, `dump`, `load`. Each is in a module beside this one."""
 
 from __future__ import annotations
 

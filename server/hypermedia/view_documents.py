@@ -180,7 +180,7 @@ def _contents(view: ComplexView) -> Iterable[str]:
 
 
 class _Said(NamedTuple):
-    """What is said of a value: its literal or the node of its message, with that message; or why it cannot be read."""
+    """The statement of a value: its literal, or the node of its message and that message; or why it cannot be read."""
 
     term: Literal | NamedNode | None = None
     messages: tuple[LiftedMessage, ...] = ()

@@ -1,4 +1,4 @@
-"""The pictures and point clouds that somebody looks at: each is made once for all who look, on one thread."""
+"""Cache of pictures and point clouds: each is made once for all its readers, on one thread."""
 
 from __future__ import annotations
 

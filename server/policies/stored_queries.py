@@ -144,7 +144,7 @@ def name_of(path: str) -> str:
 
 
 class _Remembered(Generic[_T]):
-    """What was made of the bytes of blobs, which never change: that of the last few. In any thread."""
+    """Cache of what was parsed from the last few blobs, which never change. Thread-safe."""
 
     def __init__(self, limit: int) -> None:
         self._limit = limit

@@ -1,4 +1,4 @@
-"""What is said of recordings that can be read, that are being made, and that wait for their trigger."""
+"""Descriptions of recordings: of those that can be read, are being made, or wait for their trigger."""
 
 from __future__ import annotations
 

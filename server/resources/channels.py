@@ -1,4 +1,4 @@
-"""Notifications as resources (Solid Notifications Protocol 2): where clients find out, subscribe, and listen."""
+"""Notifications as resources (Solid Notifications Protocol 2): discovery, subscription and reception."""
 
 from __future__ import annotations
 
@@ -200,7 +200,7 @@ def prefers_json(exchange: Exchange, offers: tuple[str, ...] = OFFERS) -> bool:
 
 
 class DescribedResource(Resource):
-    """What all these have in common: a document, and the same as compact JSON-LD."""
+    """Base of these resources: a document, and the same as compact JSON-LD."""
 
     def __init__(self, notifications: Notifications, url: str) -> None:
         super().__init__(url)
@@ -370,7 +370,7 @@ class ChannelResource(DescribedResource):
 
 
 class ChannelSourceResource(DescribedResource):
-    """`/channels/TYPE/TOKEN/messages`: what is received from."""
+    """`/channels/TYPE/TOKEN/messages`: where the notifications of a channel are received from."""
 
     kind = "Notification source"
     links = (RESOURCE,)

@@ -105,7 +105,7 @@ def copy_form(site: Site, source: str) -> CopyForm | None:
 
 
 class _ShownPage(Resource):
-    """What the pages of the default cockpit and of one that is kept have alike, as they are shown to one agent."""
+    """Base of the pages of the default cockpit and of those that clients keep, as shown to one agent."""
 
     documents: Documents
     _permissions: Permissions

@@ -32,7 +32,7 @@ def _count_readable(names: Collection[str], url: Callable[[str], str], site: Sit
 
 
 class EntryResource(Resource):
-    """Where every client begins."""
+    """The entry point, which links to everything else."""
 
     kind = "Robot"
 

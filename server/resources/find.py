@@ -1,4 +1,4 @@
-"""Search: `/find?q=battery`, whatever it is that the robot has of it (schema:ItemList, hydra:search)."""
+"""Search at `/find?q=battery`: everything of the robot that matches the words (schema:ItemList, hydra:search)."""
 
 from __future__ import annotations
 

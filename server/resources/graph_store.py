@@ -299,7 +299,7 @@ class DefaultGraphResource(_Whole):
 
 
 class DatasetResource(_Whole):
-    """The dataset: all graphs with their names. What it tells is taken back, as far as clients keep it."""
+    """The dataset: all graphs with their names. PUT and POST write those of its graphs that clients keep."""
 
     kind = "Dataset"
     form = results.QUADS

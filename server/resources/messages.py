@@ -1,4 +1,4 @@
-"""Messages as resources carry them: decoded, lifted, one field of one."""
+"""Messages in resources: decoded, lifted, or a single field of one."""
 
 from __future__ import annotations
 

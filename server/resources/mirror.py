@@ -1,4 +1,4 @@
-"""`/mirror`: how far another store (`--store`) is with what this server tells it."""
+"""`/mirror`: the progress of the replication to another store (`--store`)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from rosld.server.rest.state import State
 
 
 class ReplicationResource(Resource):
-    """What another store has been told."""
+    """The progress of the replication to another store."""
 
     kind = "Mirror"
 

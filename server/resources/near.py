@@ -1,4 +1,4 @@
-"""The URLs near one at which there is nothing, for the 404 that says so."""
+"""URLs similar to one at which there is nothing, for its 404."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a single parameter and a tree of them have in common: how they are read, set and deleted."""
+"""Base of the resources of a parameter and of a tree of them: how they are read, set and deleted."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _LOOK_AGAIN_SECONDS = 1.0
 
 
 class ParameterBase(CommandResource):
-    """What a single parameter and a tree of them have in common."""
+    """Base of the resources of a parameter and of a tree of them."""
 
     def __init__(self, session: Session, limit_checks: LimitChecks, name: str, url: str) -> None:
         super().__init__(url)

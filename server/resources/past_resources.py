@@ -80,7 +80,7 @@ class PastReadings:
 
 
 class _PastResource(Resource):
-    """What a property and a complex resource have alike as they were: nothing is written, nothing changes."""
+    """Base of the mementos of properties and complex resources: nothing is written, nothing changes."""
 
     kind = "Resource as it was"
     is_cacheable = False
@@ -112,7 +112,7 @@ class _PastResource(Resource):
 
 
 class PastMember(_PastResource, MemberResource):
-    """A property as it was."""
+    """A property as it was at a time: a memento of it (RFC 7089)."""
 
     def __init__(self, now: MemberResource, history: History, at_ns: int, text: str) -> None:
         MemberResource.__init__(self, now.session, now.affordances, now.limit_checks, now.things, now.states, now.name)
@@ -141,7 +141,7 @@ class PastMember(_PastResource, MemberResource):
 
 
 class PastComplex(_PastResource, ComplexResource):
-    """A complex resource as it was."""
+    """A complex resource as it was at a time: a memento of it (RFC 7089)."""
 
     def __init__(self, now: ComplexResource, history: History, at_ns: int, text: str) -> None:
         ComplexResource.__init__(self, now.session, now.affordances, now.limit_checks, now.things, now.path)
@@ -173,7 +173,7 @@ class PastComplex(_PastResource, ComplexResource):
 
 
 class _TimeGate(Resource):
-    """What a property and a complex resource have alike as the TimeGates of what they were."""
+    """Base of properties and complex resources that are the TimeGates of their mementos (RFC 7089)."""
 
     session: Session
     history: History
@@ -209,7 +209,7 @@ class _TimeGate(Resource):
 
 
 class MemberTimeGate(_TimeGate, MemberResource):
-    """A property or an action, which is the TimeGate of what it was."""
+    """A property or an action, which is the TimeGate of its mementos."""
 
     def __init__(
         self,
@@ -237,7 +237,7 @@ class MemberTimeGate(_TimeGate, MemberResource):
 
 
 class ComplexTimeGate(_TimeGate, ComplexResource):
-    """A complex resource, which is the TimeGate of what it was."""
+    """A complex resource, which is the TimeGate of its mementos."""
 
     def __init__(
         self,

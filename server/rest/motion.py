@@ -1,4 +1,4 @@
-"""Pictures that follow each other, as a resource offers them."""
+"""Motion: the sequence of pictures that a resource offers as a stream."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rosld.adapters.base import Watch
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """Where pictures come from: `watch` calls back whenever there may be a new one, `newest` gives it as a file.
+    """A source of pictures: `watch` calls back whenever there may be a new one, `newest` gives it as a file.
 
     `newest` gives None where there is none that was not given before, or none can be drawn.
     """

@@ -1,4 +1,4 @@
-"""The one table from ROS's errors, and from lifting's and lowering's, to HTTP's."""
+"""The table from errors of ROS, lifting and lowering to problems of HTTP."""
 
 from __future__ import annotations
 

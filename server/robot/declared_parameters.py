@@ -1,4 +1,4 @@
-"""What nodes make of the values that their parameters are set to: they may take another one than was asked for."""
+"""Whether nodes took the values that their parameters were set to: they may take another one than was asked for."""
 
 from __future__ import annotations
 

@@ -78,7 +78,7 @@ class GoalFollower:
 
 @dataclass(slots=True)
 class _Following:
-    """An action whose goals are told: since whom, when somebody looked last, and how many watch it."""
+    """An action that is followed: the watch of its goals, when it was read last (loop time), how many watch it."""
 
     opening: asyncio.Future[Watch]
     looked_at: float

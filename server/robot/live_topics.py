@@ -35,7 +35,7 @@ class LiveSettings:
 
 @dataclass(slots=True)
 class _Look:
-    """One subscription and what was made of it last.
+    """One subscription, and the view that was made of it last.
 
     `awaited` are the publishers that were waited for in vain; `insisted`: a message was waited for whoever publishes.
     """

@@ -1,7 +1,7 @@
-"""Publications for the stop that are advertised beforehand, so that no base meets a new publisher when it matters.
+"""Publications for the stop that are advertised beforehand, so that a stop waits for no discovery.
 
-To make one takes ROS 1 up to 0.1 s (the master looks that often for news to tell subscribers) and ROS 2 a discovery,
-both longer on a busy machine; a message on one that is connected takes milliseconds.
+A new publisher is connected in ROS 1 after up to 0.1 s (the master looks that often for news to tell subscribers), in
+ROS 2 after a discovery, both longer on a busy machine; a message of one that is connected takes milliseconds.
 """
 
 from __future__ import annotations

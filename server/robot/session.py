@@ -154,7 +154,7 @@ class Session:
 
 
 class GraphFollower:
-    """Follows the graph of a session: subscribes to what is to be eager, and learns the types in use."""
+    """Follows the graph of a session: subscribes to eager topics, and learns the types in use."""
 
     def __init__(self, session: Session) -> None:
         self._session = session

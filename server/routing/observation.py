@@ -1,4 +1,4 @@
-"""Changes of a resource: waited for (`?after=`, `?until=`) and told as event streams."""
+"""Changes of a resource: long polling (`?after=`, `?until=`) and event streams."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ from rosld.adapters.base import Watch
 
 
 class Signal:
-    """Wakes its watches whenever it is given; to be used on the server's loop."""
+    """Wakes its watches whenever it is emitted; to be used on the server's loop."""
 
     def __init__(self) -> None:
         self._watches: dict[_SignalWatch, None] = {}
@@ -44,7 +44,7 @@ class _SignalWatch:
 
 
 class _Every:
-    """Wakes at intervals: for what can only be looked at again."""
+    """A watch that wakes at intervals, for what can only be polled."""
 
     def __init__(self, seconds: float, wake: Callable[[], None]) -> None:
         self._loop = asyncio.get_running_loop()

@@ -1,4 +1,4 @@
-"""Analysing a query before it is asked: is it fit to be parsed, of what form is it, what does it need. Pure."""
+"""Analysis of a query before it is evaluated: whether it may be parsed, its form, its needs. Pure."""
 
 from __future__ import annotations
 

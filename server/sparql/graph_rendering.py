@@ -1,4 +1,4 @@
-"""Graphs rendered as N-Triples for the query process, without keeping the event loop from its turn."""
+"""Rendering of graphs as N-Triples for the query process, without blocking the event loop."""
 
 from __future__ import annotations
 

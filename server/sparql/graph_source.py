@@ -65,7 +65,7 @@ MentionedDocuments: TypeAlias = Callable[[Collection[str]], frozenset[str] | Non
 
 
 class Snapshot(NamedTuple):
-    """What the source said at one moment.
+    """The graphs of a source at one moment.
 
     `number` orders snapshots. `revision` is that of its descriptions, `described`. `entries` are the graphs with live
     values, `has_values` is whether the source was asked for these. `writes` is how many writes had ended before it was

@@ -1,4 +1,4 @@
-"""The materializer: before a query is sent, the query process is sent what the query needs, and only that is paid for.
+"""The materializer: brings the live graphs that a query needs into the query process before the query.
 
 The source tells what there is by tokens: a graph whose token is as before is left alone, the others are rendered and
 replaced in one transaction, so that no query sees a graph missing or two graphs of different moments. What clients keep
@@ -57,7 +57,7 @@ class _Materialized:
 
 
 class Materializer:
-    """Keeps a dataset in step with a source, as far as queries look. Belongs to one loop."""
+    """Keeps a dataset in step with a source, as far as queries need it. Belongs to one loop."""
 
     def __init__(
         self,

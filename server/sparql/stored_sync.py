@@ -1,4 +1,4 @@
-"""What clients keep, brought to the query process: at once where little has changed, else part by part.
+"""Synchronisation of stored graphs with the query process: at once where little has changed, else part by part.
 
 As long as nothing changes it costs a query the comparison of two numbers. Where there is very much it is brought in the
 background, and queries that need it are told how far it is, and to come again.

@@ -33,7 +33,10 @@ _BUSY_SECONDS = 0.05
 
 
 class Durability:
-    """Belongs to one loop. `database` is open elsewhere, with a log that was just carried over."""
+    """Syncs writes to the disk on a thread. Belongs to one loop.
+
+    `database` is open elsewhere, with a log that was just carried over.
+    """
 
     def __init__(self, database: Path, blobs: Blobs, reserve: DiskReserve) -> None:
         self._log = SyncedLog(database)

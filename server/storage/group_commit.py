@@ -58,7 +58,7 @@ class BatchStorage(Protocol):
 
 
 class GroupCommit:
-    """Belongs to one loop."""
+    """Commits batches of writes, those that wait together in one transaction. Belongs to one loop."""
 
     def __init__(self, storage: BatchStorage) -> None:
         self._storage = storage

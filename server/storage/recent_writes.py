@@ -24,7 +24,7 @@ class RecordWrite(NamedTuple):
 
 
 class RecentWrites:
-    """The differences of the last writes."""
+    """The differences of the last writes, by record."""
 
     def __init__(self) -> None:
         self._steps: OrderedDict[str, list[RecordWrite]] = OrderedDict()

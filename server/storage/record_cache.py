@@ -12,7 +12,7 @@ _EACH = 1024
 
 
 class RecordCache:
-    """The same objects come back, until they are dropped or pushed out by others."""
+    """Cache of records by path: the same objects come back, until they are dropped or evicted."""
 
     __slots__ = ("_kept", "_limit", "_weight")
 

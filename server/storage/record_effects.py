@@ -1,4 +1,4 @@
-"""What the writes of one transaction have done to records: to be told when it is committed."""
+"""The effects of the writes of one transaction on records, which are announced once it is committed."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from rosld.server.storage.record import Record, RecordChange
 
 
 class MemberList(NamedTuple):
-    """How the list of a container is after a write."""
+    """The list of a container's members after a write: its version, when it was modified (ns), how many there are."""
 
     version: int
     modified: int
@@ -17,7 +17,7 @@ class MemberList(NamedTuple):
 
 
 class Effects:
-    """What the writes of a transaction have done so far."""
+    """The effects of the writes of a transaction so far."""
 
     __slots__ = ("freed", "lists", "records", "removed", "unused")
 

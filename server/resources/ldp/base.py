@@ -1,4 +1,4 @@
-"""What everything that is kept has in common."""
+"""Base of the resources that clients keep."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ EXTRA_STATUSES = (303, 410, 507)
 
 
 class StoredResource(Resource):
-    """What all of them have in common. `path` is the URL without the base."""
+    """Base of the resources that clients keep. `path` is the URL without the base."""
 
     is_cacheable = False
 

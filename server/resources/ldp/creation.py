@@ -1,4 +1,4 @@
-"""Making resources: a record with what leads to it."""
+"""Creation of resources: the record, and the containers on the way to it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The documents that clients keep, as the resources that show and change them have them."""
+"""The documents that clients keep, and the services with which their resources read and write them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rosld.server.storage import Records
 
 @dataclass(frozen=True, slots=True)
 class Documents:
-    """The records, and what comes with reading and writing them."""
+    """The records, and the services with which resources read and write them."""
 
     space: Space
     settings: Settings

@@ -1,4 +1,4 @@
-"""What the server says of a resource, as bodies state it: what is so passes, else 409 (LDP 4.2.4.3). Pure."""
+"""Server-managed triples in bodies: accepted where they state what is so, else 409 (LDP 4.2.4.3). Pure."""
 
 from __future__ import annotations
 

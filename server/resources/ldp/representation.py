@@ -1,4 +1,4 @@
-"""Records shown: whole, in parts, in pages."""
+"""Representations of records: whole, in parts, in pages."""
 
 from __future__ import annotations
 

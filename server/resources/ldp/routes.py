@@ -1,4 +1,4 @@
-"""`/data/` and below: which resource a path is, as what is recorded now has it."""
+"""Routes of `/data/` and below: from a path to a resource, by the records as they are now."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What bodies state, and what merges and patches make of it, in the form in which it is kept. Pure.
+"""The statements of bodies, merges and patches, in the form in which records keep them. Pure.
 
 Worker processes call the functions at the end, so this imports little.
 """

@@ -1,4 +1,4 @@
-"""What a record says, as a document. Pure, and known to worker processes: it imports little."""
+"""The document of a record. Pure; worker processes import it, so it imports little."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""SPARQL Update: an update states what graphs are to say, and each graph's resource knows how that comes about."""
+"""SPARQL Update: an update is evaluated to new contents of graphs, which are written by the resource of each graph."""

@@ -1,4 +1,4 @@
-"""LOAD: documents of the web that the settings list, taken in before an update is drawn (SPARQL 1.1 Update, 3.1.4)."""
+"""LOAD: documents of the web that the settings list, fetched before an update is run (SPARQL 1.1 Update, 3.1.4)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether a query may take long. It may be said of one that does not; of one that does it is always said.
+"""Estimate whether a query may take long: with false positives, without false negatives.
 
 A query that is nothing but triple patterns from constants on, along links, is followed here as the store will follow
 it (it begins where most is known, and goes on to what is cheapest of what hangs together), and what is looked at is

@@ -53,7 +53,7 @@ class ExitStatus(NamedTuple):
 
 
 class Fork:
-    """A fork at work: its process, and the ends of the pipes that its result and its last words are read from."""
+    """A fork at work: its process, and the ends of the pipes that its result and its stderr are read from."""
 
     def __init__(self, do: Task, seconds: float, memory: int) -> None:
         """Begin. Raises OSError where there can be no further process."""

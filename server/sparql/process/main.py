@@ -49,7 +49,7 @@ class _TooMuch(Exception):
 
 
 class _Few(io.BytesIO):
-    """Takes some bytes, and raises rather than take many."""
+    """A buffer that raises _TooMuch rather than take more than `_MAX_BYTES`."""
 
     def write(self, data: bytes) -> int:  # type: ignore[override]
         if self.tell() + len(data) > _MAX_BYTES:

@@ -200,6 +200,7 @@ class OpenApiResource(Resource):
         """A version and its description: found on the loop, written on a thread, for a large one takes its time."""
         await _learn_types(self.session.schemas, self.session.graph)
         tree = await self.affordances.tree()
+        # The graph is taken only now: while types were waited for it may have changed, and the tree is of a later one.
         graph, capabilities = self.session.graph, self.session.adapter.capabilities
         version = self._version(graph)
         hides = capabilities.hidden_names and not hidden

@@ -13,6 +13,7 @@ from rosld.adapters.model import (
     Action,
     ActionSchema,
     GoalStatus,
+    Graph,
     Kind,
     Message,
     MessageSchema,
@@ -73,10 +74,13 @@ class ActionResource(CommandResource):
     @property
     def action(self) -> Action:
         """The action in the computation graph; a 404 Problem where there is none."""
-        found = self.session.graph.actions.get(self.name)
+        return self._action_in(self.session.graph)
+
+    def _action_in(self, graph: Graph) -> Action:
+        found = graph.actions.get(self.name)
         if found is None:
             missing = Problem(404, f"There is no action {self.name}.")
-            raise redirect_to_namespace(self.session.space, self.session.graph, "actions", self.name) or missing
+            raise redirect_to_namespace(self.session.space, graph, "actions", self.name) or missing
         return found
 
     @property
@@ -84,7 +88,8 @@ class ActionResource(CommandResource):
         return is_absent(self.session.space, self.session.graph, "actions", self.name)
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        schema = schemas.action(self.action.type)
+        type = self.action.type
+        schema = schemas.action(type)
         send = WriteMethod(
             "Sends a goal; the goal is a resource, and `Idempotency-Key` makes it once only.",
             schemas.write(schema.goal if schema else None),
@@ -93,7 +98,7 @@ class ActionResource(CommandResource):
             shows=_goal_schema(schemas, schema),
             query=(STRICT,),
         )
-        return PathItem(f"The action {self.name}", writes={"POST": send}, has_shape=self.action.type is not None)
+        return PathItem(f"The action {self.name}", writes={"POST": send}, has_shape=type is not None)
 
     @property
     def conforms_to(self) -> Sequence[str]:
@@ -120,20 +125,19 @@ class ActionResource(CommandResource):
         return "POST" in self.methods() - self.withheld
 
     async def state(self) -> State:
-        _ = self.action
+        graph = self.session.graph
+        action = self._action_in(graph)
         await follow_action(self.session, self.name)
-        return self.current_state()
-
-    def current_state(self) -> State:
-        """What it is like, as far as its goals are known."""
         goals = tuple(goal.id for goal in self.session.goals.of_action(self.name))
-        version = (IdentityKey(self.action), goals, self.takes_goals, self.session.graph.revision)
+        version = (IdentityKey(action), goals, self.takes_goals, graph.revision)
         return self.states.get_or_make(self.url, version, lambda: State(self.document))
 
     def document(self) -> Document:
-        """The RDF of this action."""
+        """The RDF of this action now; that it is made late keeps the state, which is cached, from holding a graph."""
+        graph = self.session.graph
         goals = [goal.id for goal in self.session.goals.of_action(self.name)]
-        return action_document(self.action, self.session.space, self.session.graph, goals, takes_goals=self.takes_goals)
+        action = self._action_in(graph)
+        return action_document(action, self.session.space, graph, goals, takes_goals=self.takes_goals)
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
         await follow_action(self.session, self.name)

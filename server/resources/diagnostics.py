@@ -11,7 +11,7 @@ from urllib.parse import quote
 import orjson
 
 from rosld.adapters.base import MessageFilter, Watch
-from rosld.adapters.model import MessageSchema, RosError, TypeRef
+from rosld.adapters.model import Graph, MessageSchema, RosError, TypeRef
 from rosld.ontology.describe_diagnostics import PartState, diagnostics_document
 from rosld.ontology.literals import date_time
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
@@ -124,30 +124,30 @@ class DiagnosticsResource(Resource):
             exchange.permissions,
         )
 
-    @property
-    def _topics(self) -> Sequence[str]:
+    def _topics(self, graph: Graph) -> Sequence[str]:
         """The topics of diagnostics that the agent may read."""
         permissions = self._permissions
         return sorted(
             name
-            for name, topic in self.session.graph.topics.items()
+            for name, topic in graph.topics.items()
             if any(ref.name == DIAGNOSTIC_ARRAY for ref in topic.types)
             and permissions.may_read(self.session.space.topic(name))
         )
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:
         """Each of its topics tells of itself; what falls silent is looked for now and then."""
-        watches = [await self.session.topics.watch(topic, wake) for topic in self._topics]
+        watches = [await self.session.topics.watch(topic, wake) for topic in self._topics(self.session.graph)]
         return combine_watches(*watches, call_every(_LOOK_SECONDS, wake))
 
     async def state(self) -> State:
-        found = [state for topic in self._topics for state in await self._read(topic)]
+        graph = self.session.graph
+        found = [state for topic in self._topics(graph) for state in await self._read(topic)]
         self.states = worst_first(found)
         if self.name:
             self.states = [each for each in self.states if each.name == self.name]
             if not self.states:
                 raise Problem(404, f"No part called {self.name[:80]!r} has told of itself.")
-            self._changes = await self._past(self.states[0].topic)
+            self._changes = await self._past(graph, self.states[0].topic)
         states = [_part(each, self.session.space.topic(each.topic)) for each in self.states]
         plain = _plain(states, self._changes)
         return State(
@@ -166,12 +166,12 @@ class DiagnosticsResource(Resource):
         states = read_states(topic, decoded.message, view.times, view.newest.received_ns)
         return [self.level_times.note(judge(each, now, period), now) for each in states]
 
-    async def _past(self, topic: str) -> Sequence[LevelChange]:
+    async def _past(self, graph: Graph, topic: str) -> Sequence[LevelChange]:
         """What the part said within the last hour, as far as it is recorded; nothing where nothing is."""
         if not is_recorded(self.history, topic):
             return ()
         try:
-            schemas = {ref: await self.session.schemas.message(ref) for ref in self.session.graph.topics[topic].types}
+            schemas = {ref: await self.session.schemas.message(ref) for ref in graph.topics[topic].types}
             return await asyncio.to_thread(self._read_past, topic, schemas)
         except (OSError, ValueError, KeyError, RosError):
             return ()
@@ -196,7 +196,7 @@ class DiagnosticsResource(Resource):
                 self.name,
                 tuple(self.states),
                 tuple(self._changes),
-                tuple(self.session.space.topic(each) for each in sorted(topics or self._topics)),
+                tuple(self.session.space.topic(each) for each in sorted(topics or self._topics(self.session.graph))),
                 tuple(notices),
             )
         )

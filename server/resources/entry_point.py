@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 
+from rosld.adapters.model import Graph
 from rosld.ontology.describe_graph import SECTIONS, entry_document
 from rosld.server.history.recordings import Recordings
 from rosld.server.html import Csrf, EntryCount, EntryPage, Form, Notice, Site, render_entry
@@ -56,7 +57,8 @@ class EntryResource(Resource):
         self.links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER, described, search, guide)
 
     def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
-        graph, space = listed_graph(self.session.graph, self.session.adapter.capabilities), self.session.space
+        whole, space = self.session.graph, self.session.space
+        graph = listed_graph(whole, self.session.adapter.capabilities)
         numbers = {
             "topics": _count_readable(graph.topics, space.topic, site),
             "services": _count_readable(graph.services, space.service, site),
@@ -80,11 +82,11 @@ class EntryResource(Resource):
         ]
         shown = tuple(each for each in counts if site.may("GET", each.url))
         troubles = (Notice(problem, NoticeLevel.ERROR) for problem in self.storage_problems())
-        return render_entry(EntryPage(site, state.document, shown, self._example(site), (*troubles, *notices)))
+        return render_entry(EntryPage(site, state.document, shown, self._example(whole, site), (*troubles, *notices)))
 
-    def _example(self, site: Site) -> str | None:
+    def _example(self, graph: Graph, site: Site) -> str | None:
         """The URL of a topic worth trying: a small one that somebody publishes."""
-        topics = [topic for topic in self.session.graph.topics.values() if topic.publishers and topic.type is not None]
+        topics = [topic for topic in graph.topics.values() if topic.publishers and topic.type is not None]
         topics = [topic for topic in topics if site.may("GET", self.session.space.topic(topic.name))]
         topics.sort(key=lambda topic: (topic.name in RESERVED, len(topic.name), topic.name))
         return self.session.space.topic(topics[0].name) if topics else None

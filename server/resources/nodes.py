@@ -9,7 +9,7 @@ from functools import partial
 from pyoxigraph import Literal, NamedNode, Triple
 from starlette.responses import Response
 
-from rosld.adapters.model import Kind, Lifecycle, Operation, Ref, Refused, Transition, TypeRef
+from rosld.adapters.model import Graph, Kind, Lifecycle, Operation, Ref, Refused, Transition, TypeRef
 from rosld.ontology.body import parse_body
 from rosld.ontology.describe_graph import NodeView, node_document, node_views
 from rosld.ontology.lower import lowerer, parse_json
@@ -52,28 +52,33 @@ class NodeResource(CommandResource):
     @property
     def view(self) -> NodeView:
         """The node and what it takes part in; a 404 Problem where there is none."""
-        found = node_views(self.session.graph).get(self.name)
+        return self._view_in(self.session.graph)
+
+    def _view_in(self, graph: Graph) -> NodeView:
+        found = node_views(graph).get(self.name)
         if found is None:
             missing = Problem(404, f"There is no node {self.name}.")
-            raise redirect_to_namespace(self.session.space, self.session.graph, "nodes", self.name) or missing
+            raise redirect_to_namespace(self.session.space, graph, "nodes", self.name) or missing
         return self.with_offers(found)
 
     def with_offers(self, found: NodeView) -> NodeView:
         """The view of this node with what is on offer here now."""
-        return replace(found, offers=self._offers) if found.node.lifecycle else found
+        lifecycle = found.node.lifecycle
+        return found if lifecycle is None else replace(found, offers=self._offers(lifecycle))
 
     @property
     def lifecycle(self) -> Lifecycle | None:
         """Its lifecycle, None where it has none."""
-        found = self.session.graph.nodes.get(self.name)
+        return self._lifecycle_in(self.session.graph)
+
+    def _lifecycle_in(self, graph: Graph) -> Lifecycle | None:
+        found = graph.nodes.get(self.name)
         return None if found is None else found.lifecycle
 
-    @property
-    def _offers(self) -> bool:
+    def _offers(self, lifecycle: Lifecycle) -> bool:
         """Whether a transition can be asked for here now."""
-        return "POST" in self.methods() - self.withheld and Operation.CHANGE_STATE in self.session.adapter.allows(
-            Ref(Kind.NODE, self.name)
-        )
+        allowed = self.session.adapter.allows(Ref(Kind.NODE, self.name))
+        return "POST" in self._methods_with(lifecycle) - self.withheld and Operation.CHANGE_STATE in allowed
 
     @property
     def is_absent(self) -> bool:
@@ -94,7 +99,9 @@ class NodeResource(CommandResource):
         return (self.session.space.document_shape("Node"),)
 
     def methods(self) -> frozenset[str]:
-        lifecycle = self.lifecycle
+        return self._methods_with(self.lifecycle)
+
+    def _methods_with(self, lifecycle: Lifecycle | None) -> frozenset[str]:
         if self.session.settings.read_only or lifecycle is None or lifecycle.state is None:
             return READ
         return READ if self._closed(lifecycle) else READ | {"POST"}
@@ -115,14 +122,15 @@ class NodeResource(CommandResource):
         )
 
     async def state(self) -> State:
-        view, space, simulated = self.view, self.session.space, self.session.graph.simulated_time
+        graph, space = self.session.graph, self.session.space
+        view, simulated = self._view_in(graph), graph.simulated_time
         return self.states.get_or_make(
             self.url, (view, simulated), lambda: State(partial(node_document, view, space, simulated_time=simulated))
         )
 
     async def forms(self) -> Sequence[Form]:
         lifecycle = self.lifecycle
-        if lifecycle is None or not self._offers:
+        if lifecycle is None or not self._offers(lifecycle):
             return ()
         labels = tuple(each.label for each in lifecycle.transitions)
         return (ChoiceForm(TRANSITION, labels, "Change the state"),)
@@ -133,10 +141,11 @@ class NodeResource(CommandResource):
         Raises a 409 Problem, with the transitions that there are, where the node refuses it.
         """
         label = await _label_in(exchange, self.url)
-        lifecycle = self.lifecycle
+        graph = self.session.graph
+        lifecycle = self._lifecycle_in(graph)
         transition = next((each for each in lifecycle.transitions if each.label == label), None) if lifecycle else None
         if transition is not None and lifecycle is not None:
-            await self._require(transition, lifecycle.service)
+            await self._require(graph, transition, lifecycle.service)
         try:
             deadline = self.session.deadline(self.session.settings.call_deadline)
             await self.session.adapter.change_state(self.name, label, deadline=deadline)
@@ -147,7 +156,7 @@ class NodeResource(CommandResource):
                 self.session.announce_write(Kind.SERVICE, lifecycle.service)
         return Response(status_code=204)
 
-    async def _require(self, transition: Transition, service: str) -> None:
+    async def _require(self, graph: Graph, transition: Transition, service: str) -> None:
         """Raise LoweringError where the transition breaks a limit: on this node, or on the service that makes it."""
         shape = self.limit_checks.limits.resource(self.url)
         if shape is not None:
@@ -156,7 +165,7 @@ class NodeResource(CommandResource):
             if broken:
                 raise LoweringError(*broken)
         if self.limit_checks.limits:
-            found = self.session.graph.services.get(service)
+            found = graph.services.get(service)
             ref = found.type if found is not None else None
             schema = await self.session.schemas.service(ref or TypeRef("lifecycle_msgs/srv/ChangeState"))
             sent = {"transition": {"id": transition.id, "label": transition.label}}
@@ -166,7 +175,8 @@ class NodeResource(CommandResource):
 
     def _refusal(self, error: Refused) -> Problem:
         """409 with the state of the node, and the transitions that are legal in it."""
-        problem, lifecycle = problem_of(error), self.lifecycle
+        problem = problem_of(error)
+        lifecycle = self.lifecycle  # of now: the node may have made another transition meanwhile, and says so
         problem.status, problem.title = 409, "Not done"
         if lifecycle is not None:
             problem.extra |= {

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from starlette.responses import Response
 
 from rosld.adapters.base import Watch
-from rosld.adapters.model import Descriptor, Kind, Operation, ParameterValue, Ref
+from rosld.adapters.model import Descriptor, Graph, Kind, Operation, ParameterValue, Ref
 from rosld.ontology.parameters import parameter_json
 from rosld.server.http.problem import Problem
 from rosld.server.resources.command import CommandResource
@@ -48,11 +48,6 @@ class ParameterBase(CommandResource):
     def constrained_by(self) -> str | None:
         return self.session.space.shape("limits")
 
-    def _descriptor(self, name: str) -> Descriptor | None:
-        """What is declared of a parameter."""
-        parameter = self.session.graph.parameters.get(name)
-        return None if parameter is None else parameter.descriptor
-
     @property
     def changes_subtree(self) -> bool:
         return bool(names_below(self.name, self.session.graph))
@@ -83,17 +78,12 @@ class ParameterBase(CommandResource):
 
     async def _require_settable(self, values: Mapping[str, ParameterValue]) -> None:
         """Raise a Problem or a LoweringError where a value must not be set."""
+        graph = self.session.graph
         for name, value in values.items():
-            self._require_open(name, value)
+            self._require_open(graph, name, value)
             for each in leaf_names(name, value):
-                self._require_not_fixed(each)
+                require_not_fixed(graph, each)
             await self.limit_checks.require_parameter(name, value)
-
-    def _require_not_fixed(self, name: str, *, delete: bool = False) -> None:
-        """Raise a 409 Problem where the node of a parameter declares that this is never done with it."""
-        words = parameter_denied_reason(self.session.graph, name, delete=delete)
-        if words is not None:
-            raise Problem(409, words)
 
     async def _set(self, values: Mapping[str, ParameterValue]) -> None:
         await self._require_settable(values)
@@ -111,9 +101,10 @@ class ParameterBase(CommandResource):
         return Response(status_code=204)
 
     async def _delete(self, gone: Sequence[str]) -> None:
+        graph = self.session.graph
         for name in gone:
-            self._require_open(name, {})
-            self._require_not_fixed(name, delete=True)
+            self._require_open(graph, name, {})
+            require_not_fixed(graph, name, delete=True)
         deadline = self.session.deadline(self.session.settings.call_deadline)
         try:
             await self.session.adapter.delete_parameters(gone, deadline=deadline)
@@ -121,13 +112,14 @@ class ParameterBase(CommandResource):
             self._announce(gone)
 
     def _announce(self, changed: Iterable[str]) -> None:
+        graph = self.session.graph  # of after the write: what it made lies below its names, too
         for name in changed:
-            for each in (name, *names_below(name, self.session.graph)):
+            for each in (name, *names_below(name, graph)):
                 self.session.announce_write(Kind.PARAMETER, each)
 
-    def _require_open(self, name: str, value: ParameterValue) -> None:
+    def _require_open(self, graph: Graph, name: str, value: ParameterValue) -> None:
         """Raise a 409 Problem where a tree holds, or would hold, a name that is written under /resources/ only."""
-        for each in (name, *names_below(name, self.session.graph), *leaf_names(name, value)):
+        for each in (name, *names_below(name, graph), *leaf_names(name, value)):
             if self.session.is_resources_only(each):
                 raise Problem(409, resources_only_reason(each))
 
@@ -140,3 +132,16 @@ class ParameterBase(CommandResource):
             raise Problem(404, f"There is no parameter {self.name}.")
         await self._delete([self.name])
         return Response(status_code=204)
+
+
+def descriptor_of(graph: Graph, name: str) -> Descriptor | None:
+    """What is declared of a parameter."""
+    parameter = graph.parameters.get(name)
+    return None if parameter is None else parameter.descriptor
+
+
+def require_not_fixed(graph: Graph, name: str, *, delete: bool = False) -> None:
+    """Raise a 409 Problem where the node of a parameter declares that this is never done with it."""
+    words = parameter_denied_reason(graph, name, delete=delete)
+    if words is not None:
+        raise Problem(409, words)

@@ -9,7 +9,7 @@ from functools import partial
 
 from pyoxigraph import NamedNode, Triple
 
-from rosld.adapters.model import Kind, Operation, ParameterValue, Ref, names
+from rosld.adapters.model import Graph, Kind, Operation, ParameterValue, Ref, names
 from rosld.ontology.body import index_triples, parse_body
 from rosld.ontology.document import Document
 from rosld.ontology.lower import parse_json
@@ -50,7 +50,7 @@ from rosld.server.resources.namespaces import (
     member_keys,
     with_hidden,
 )
-from rosld.server.resources.parameter_base import ParameterBase
+from rosld.server.resources.parameter_base import ParameterBase, descriptor_of, require_not_fixed
 from rosld.server.resources.parameter_form import parameter_form
 from rosld.server.resources.parameter_values import changed_values, leaf_values, omit_parameters
 from rosld.server.rest.exchange import Exchange
@@ -128,10 +128,9 @@ class ParameterResource(ParameterBase):
             alike="parameter",
         )
 
-    @property
-    def _note(self) -> str | None:
+    def _note(self, graph: Graph) -> str | None:
         """What a value means that a server keeps for nodes, which they are not told of; None where it is a node's."""
-        parameter = self.session.graph.parameters.get(self.name)
+        parameter = graph.parameters.get(self.name)
         is_kept = parameter is None or parameter.node is None  # one that was just set is in no graph yet
         return _AT_START if is_kept and self.session.adapter.capabilities.parameter_server else None
 
@@ -156,7 +155,8 @@ class ParameterResource(ParameterBase):
 
     def state_of(self, value: ParameterValue) -> State:
         """The state with this value, which is no tree. Raises Problem 406 for one that is nested too deep."""
-        plain, descriptor, note = self._plain(value), self._descriptor(self.name), self._note
+        graph = self.session.graph
+        plain, descriptor, note = self._plain(value), descriptor_of(graph, self.name), self._note(graph)
 
         def described() -> Document:
             document = parameter_document(self.name, value, self.session.space)
@@ -172,7 +172,8 @@ class ParameterResource(ParameterBase):
         methods, value = self.methods(), await self._value()
         forms: list[Form] = []
         if "PUT" in methods and value is not None:
-            forms.append(parameter_form(plain_value(value), self._descriptor(self.name), self._note))
+            graph = self.session.graph
+            forms.append(parameter_form(plain_value(value), descriptor_of(graph, self.name), self._note(graph)))
         if "DELETE" in methods:
             forms.append(DeleteForm("Delete the parameter"))
         return forms
@@ -197,7 +198,7 @@ class ParameterResource(ParameterBase):
         if not body.objects(NamedNode(self.url), ros.value):
             if "DELETE" not in methods:
                 raise Problem(403, self.deny_reason("DELETE"))
-            self._require_open(self.name, {})
+            self._require_open(self.session.graph, self.name, {})
 
             async def deleted() -> bool:
                 await self._delete([self.name])
@@ -221,8 +222,9 @@ class ParameterResource(ParameterBase):
         if exchange.media_type == JSON:
             return lower_json(parse_json(data))
         body = parse_body(data, exchange.media_type, self.url)
+        descriptor = descriptor_of(self.session.graph, self.name)
         for term in body.objects(NamedNode(self.url), ros.value):
-            require_form(self._descriptor(self.name), term)
+            require_form(descriptor, term)
         return lower_parameter(body, self.url)
 
     def _check_place(self, value: ParameterValue, before: ParameterValue | None) -> None:
@@ -231,10 +233,10 @@ class ParameterResource(ParameterBase):
             raise Problem(
                 409, f"{self.name} is a tree of parameters; DELETE {self._tree_url()} before, or choose a name."
             )
-        parts = names.segments(self.name)
+        parts, known = names.segments(self.name), self.session.graph.parameters
         for depth in range(1, len(parts)):
             above = names.join(parts[:depth])
-            if above in self.session.graph.parameters:
+            if above in known:
                 raise Problem(
                     409, f"{above} is a parameter with a value, so nothing can lie below it; DELETE it before."
                 )
@@ -486,12 +488,13 @@ class ParameterTree(ParameterBase):
         """Set what changes of this node's parameters at once, then delete what is gone."""
         changed = changed_values(before, after)
         gone = [name for name in before if name not in after]
+        graph = self.session.graph
         for name in (*changed, *gone):
-            known = self.session.graph.parameters.get(name)
+            known = graph.parameters.get(name)
             if known is not None and known.node != self.name:
                 raise Problem(409, f"{name} belongs to the node {known.node}: PATCH its own container.")
         for name in gone:
-            self._require_not_fixed(name, delete=True)
+            require_not_fixed(graph, name, delete=True)
         if changed:
             await self._set(changed)
         if gone:

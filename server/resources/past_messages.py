@@ -124,6 +124,7 @@ class _Reading:
     def __init__(self, session: Session, asked: PastQuery, permissions: Permissions, until: float) -> None:
         self.learned: dict[TypeRef, MessageSchema] = {}
         self._session = session
+        self._graph = session.graph
         self._end = asked.end
         self._only = asked.predicates
         self._is_linked = asked.is_linked
@@ -186,7 +187,7 @@ class _Reading:
             return False
         if selection.names is not None and topic.name not in selection.names:
             return False
-        live = self._session.graph.topics.get(topic.name)
+        live = self._graph.topics.get(topic.name)
         if live is not None and not selection.topic_types <= {ref.name for ref in live.types}:
             return False
         if not selection.types:
@@ -257,7 +258,7 @@ class _Reading:
             publisher = None
         envelope = Envelope(sample.received_ns, sample.sequence, publisher)
         lifted = self._lifter(schema).ntriples(
-            decoded, url, MESSAGE, envelope=envelope, simulated_time=self._session.graph.simulated_time
+            decoded, url, MESSAGE, envelope=envelope, simulated_time=self._graph.simulated_time
         )
         return f"{said.of_record(url, message)}{lifted}"
 

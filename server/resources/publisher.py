@@ -57,22 +57,22 @@ class Publisher:
 
     async def plan(self, exchange: Exchange) -> PlannedPublish:
         """What a PUT asks to be published. Raises LoweringError, BodyError, and Problems for all that is refused."""
-        latch = exchange.query_flag("latch")
-        return await self._publish(*await self.read_message(exchange), latch)
+        topic, schema, message = await self.read_message(exchange)
+        return await self._publish(schema, message, exchange.query_flag("latch"), creates=topic is None)
 
-    async def read_message(self, exchange: Exchange) -> tuple[MessageSchema, Message]:
-        """The message in a body that was sent to the topic, with its schema. Raises LoweringError, and Problems."""
-        data = await exchange.body()
+    async def read_message(self, exchange: Exchange) -> tuple[Topic | None, MessageSchema, Message]:
+        """The topic, the schema and the message in a body that was sent to it. Raises LoweringError, and Problems."""
+        data, topic = await exchange.body(), self.topic
         if exchange.media_type == JSON:
-            if self.topic is None:
+            if topic is None:
                 raise Problem(
                     404, f"There is no topic {self.name}; to make it, PUT RDF that states the message's type."
                 )
-            schema = await self._schema()
-            return schema, self._from_json(exchange, schema, data)
+            schema = await self._schema(topic)
+            return topic, schema, self._from_json(exchange, schema, data)
         body = parse_body(data, exchange.media_type, self.url)
-        schema = await (self._schema() if self._has_type() else self._stated_schema(body))
-        return schema, await self._lower(schema, body)
+        schema = await self._schema_for(topic, body)
+        return topic, schema, await self._lower(topic, schema, body)
 
     async def message_of(self, exchange: Exchange, schema: MessageSchema, url: str) -> Message:
         """The message of a schema in a body that was sent to `url`. Raises LoweringError, and Problems."""
@@ -96,12 +96,13 @@ class Publisher:
 
         An update may name `#message` without its type: that is the topic's.
         """
-        body, node = index_triples(triples), NamedNode(f"{self.url}#message")
-        schema = await (self._schema() if self._has_type() else self._stated_schema(body))
+        topic, body, node = self.topic, index_triples(triples), NamedNode(f"{self.url}#message")
+        schema = await self._schema_for(topic, body)
         if node in body.subjects and not body.objects(node, rdf.type):
             class_ = NamedNode(self.session.space.class_of(schema.ref.name))
             body = index_triples([*triples, Triple(node, rdf.type, class_)])
-        return await self._publish(schema, await self._lower(schema, body), latch=False)
+        message = await self._lower(topic, schema, body)
+        return await self._publish(schema, message, latch=False, creates=topic is None)
 
     async def plan_patch(self, exchange: Exchange, description: Sequence[Triple]) -> PlannedPublish:
         """What a PATCH of the latest message asks to be published; `description` is said of the topic beside it.
@@ -111,7 +112,7 @@ class Publisher:
         view = await self.session.topics.read(self.name)
         if view.newest is None:
             raise Problem(409, f"{self.name} has no message yet that a PATCH could change; PUT one.")
-        data = await exchange.body()
+        data, topic = await exchange.body(), self.topic
         base = await decode(self.session.schemas, view.newest)
         if base.schema is None or base.message is None:
             raise Problem(409, f"The latest message of {self.name} cannot be read: {base.reason}.")
@@ -121,27 +122,27 @@ class Publisher:
             message = lowerer(base.schema, self.session.lifting).from_json(patched)
         else:
             before = [*description, *whole.triples(base.message, self.url, "#message")]
-            message = await self._lower(base.schema, apply_update(data, before, self.url, by_value=True))
-        return await self._publish(base.schema, message, exchange.query_flag("latch"))
+            message = await self._lower(topic, base.schema, apply_update(data, before, self.url, by_value=True))
+        return await self._publish(base.schema, message, exchange.query_flag("latch"), creates=topic is None)
 
-    async def _publish(self, schema: MessageSchema, message: Message, latch: bool) -> PlannedPublish:
+    async def _publish(self, schema: MessageSchema, message: Message, latch: bool, *, creates: bool) -> PlannedPublish:
         await self.require_within_limits(schema, message)
         data = schema.codec.encode(message, self.session.adapter.capabilities.encoding)
+        # By the stop and the graph of now: the robot may have been stopped while the body was read.
         passes = passes_stop(self.session, self.name, schema, message)
-        return PlannedPublish(Publication(self.name, schema.ref, data, latch, passes), creates=self.topic is None)
+        return PlannedPublish(Publication(self.name, schema.ref, data, latch, passes), creates=creates)
 
-    async def _lower(self, schema: MessageSchema, body: RdfBody) -> Message:
-        self._check_stable(body)
+    async def _lower(self, topic: Topic | None, schema: MessageSchema, body: RdfBody) -> Message:
+        self._check_stable(topic, body)
         await self.limit_checks.require_text(Kind.TOPIC, self.name, schema, body, self.url, "#message")
         return lowerer(schema, self.session.lifting).from_body(body, self.url)
 
-    def _check_stable(self, body: RdfBody) -> None:
+    def _check_stable(self, topic: Topic | None, body: RdfBody) -> None:
         """What the server says of a topic may be repeated, not changed (409)."""
         about = NamedNode(self.url)
         if about not in body.subjects:
             return
         said = {ros.name: self.name}
-        topic = self.topic
         if topic is not None and topic.type is not None:
             said[ros.hasMessageType] = self.session.space.class_of(topic.type.name)
         for predicate, value in said.items():
@@ -149,11 +150,12 @@ class Publisher:
                 if getattr(term, "value", None) != value:
                     raise Problem(409, f"The {predicate.value} of {self.name} is {value!r} and cannot become {term}.")
 
-    def _has_type(self) -> bool:
-        return self.topic is not None and bool(self.topic.types)
+    async def _schema_for(self, topic: Topic | None, body: RdfBody) -> MessageSchema:
+        """The schema of the topic's type; of the type that the body states where it has none yet."""
+        has_type = topic is not None and bool(topic.types)
+        return await (self._schema(topic) if has_type else self._stated_schema(body))
 
-    async def _schema(self) -> MessageSchema:
-        topic = self.topic
+    async def _schema(self, topic: Topic | None) -> MessageSchema:
         if topic is None or topic.type is None:
             raise Problem(409, f"The type of {self.name} is not known; PUT RDF that states the message's type.")
         try:

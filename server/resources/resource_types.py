@@ -42,7 +42,7 @@ def _refs(session: Session, affordances: AffordanceService[State], location: Loc
             goal = next((goal.action for goal in session.goals.all() if goal.id == location.segments[0]), None)
             return () if goal is None else _of_action(graph, goal)
         case "resources" if not location.is_container:
-            return _of_member(session.graph, affordances, location.name)
+            return _of_member(graph, affordances, location.name)
     return ()
 
 

@@ -49,10 +49,11 @@ class ServiceResource(CommandResource):
     @property
     def service(self) -> Service:
         """The service in the computation graph; a 404 Problem where there is none."""
-        found = self.session.graph.services.get(self.name)
+        graph = self.session.graph
+        found = graph.services.get(self.name)
         if found is None:
             missing = Problem(404, f"There is no service {self.name}.")
-            raise redirect_to_namespace(self.session.space, self.session.graph, "services", self.name) or missing
+            raise redirect_to_namespace(self.session.space, graph, "services", self.name) or missing
         return found
 
     @property
@@ -60,7 +61,8 @@ class ServiceResource(CommandResource):
         return is_absent(self.session.space, self.session.graph, "services", self.name)
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        schema = schemas.service(self.service.type)
+        type = self.service.type
+        schema = schemas.service(type)
         call = WriteMethod(
             "Calls the service; the call is a resource, and `Idempotency-Key` makes it once only.",
             schemas.write(schema.request if schema else None),
@@ -69,7 +71,7 @@ class ServiceResource(CommandResource):
             shows=ANYTHING if schema is None else nullable(schemas.read(schema.response)),
             query=(STRICT,),
         )
-        return PathItem(f"The service {self.name}", writes={"POST": call}, has_shape=self.service.type is not None)
+        return PathItem(f"The service {self.name}", writes={"POST": call}, has_shape=type is not None)
 
     @property
     def conforms_to(self) -> Sequence[str]:
@@ -91,8 +93,8 @@ class ServiceResource(CommandResource):
         return f"A service is called with POST; it does not answer {method}."
 
     async def state(self) -> State:
-        service = self.service
-        space = self.session.space
+        service, space = self.service, self.session.space
+        # The graph is read when the document is made: a state is cached, and would keep a whole graph in memory.
         return self.states.get_or_make(
             self.url, IdentityKey(service), lambda: State(lambda: service_document(service, space, self.session.graph))
         )

@@ -10,6 +10,7 @@ import orjson
 from pyoxigraph import NamedNode
 from starlette.responses import Response
 
+from rosld.adapters.model import Graph
 from rosld.ontology.document import Document
 from rosld.ontology.triples import RDF_SOURCE, statements, text, triples_about
 from rosld.ontology.vocab import dcterms, rdfs
@@ -156,7 +157,8 @@ class SpaceResource(Resource):
         return _document(self.url, ())
 
     async def state(self) -> State:
-        names = self._topics_to_show() or self._all()[:MAX_SHOWN]
+        graph = self.session.graph
+        names = self._topics_to_show(graph) or self._all(graph)[:MAX_SHOWN]
         await asyncio.gather(*(self.session.topics.read(name) for name in names))
         buffer = await self.scene.frames.look() if self._may_read_frames else FrameBuffer()
         drawn = [await self.scene.drawings.newest(name) for name in names]
@@ -165,7 +167,7 @@ class SpaceResource(Resource):
         self._frames = tuple(buffer.names)
         topics = []
         for name, each in zip(names, drawn, strict=True):
-            url, kind = self.session.space.topic(name), self._kind(name)
+            url, kind = self.session.space.topic(name), _kind(graph, name)
             if each is None:
                 topics.append(SpaceTopic(url, kind, "", None, "No message has come yet"))
                 continue
@@ -179,7 +181,7 @@ class SpaceResource(Resource):
         """The view as it changes, where an event stream is asked for."""
         if not stream_is_preferred(exchange.accept, OFFERS):
             return None
-        names = self._topics_to_show()
+        names = self._topics_to_show(self.session.graph)
         if exchange.method == "HEAD":
             return RawResponse(200, b"", HEADERS)
         self._broadcasters.require_capacity(exchange.request.client)
@@ -187,14 +189,14 @@ class SpaceResource(Resource):
             self.session.topics,
             self.scene.drawings,
             self.scene.frames if self._may_read_frames else None,
-            lambda: [self._shown_topic(name) for name in names or self._all()[:MAX_SHOWN]],
+            lambda: self._shown_topics(self.session.graph, names),
             exchange.auth.is_valid,
             self.is_3d,
         )
         return SpaceStream(self._broadcasters, source, self.frame)
 
     def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
-        said = list(notices)
+        graph, said = self.session.graph, list(notices)
         if not self._may_read_frames:
             said.append(Notice("You may not read the transforms between frames.", NoticeLevel.WARNING))
         elif not self._frames:
@@ -211,10 +213,10 @@ class SpaceResource(Resource):
                 self.frame,
                 self.references,
                 tuple(self._frames[:1000]),
-                0 if self.references else max(len(self._all()) - MAX_SHOWN, 0),
+                0 if self.references else max(len(self._all(graph)) - MAX_SHOWN, 0),
                 tuple(said),
                 self.is_3d,
-                self._model() if self.is_3d else "",
+                self._model(graph) if self.is_3d else "",
             )
         )
 
@@ -223,9 +225,9 @@ class SpaceResource(Resource):
         space = self.session.space
         return all(self._permissions.may_read(space.topic(each)) for each in TOPICS)
 
-    def _model(self) -> str:
+    def _model(self, graph: Graph) -> str:
         """Where the robot's model is read: a topic (ROS 2) or a parameter (ROS 1); empty where there is none."""
-        space, graph = self.session.space, self.session.graph
+        space = self.session.space
         topic, url = graph.topics.get(_MODEL), space.topic(_MODEL)
         if (
             topic is not None
@@ -239,9 +241,9 @@ class SpaceResource(Resource):
             return url
         return ""
 
-    def _all(self) -> list[str]:
+    def _all(self, graph: Graph) -> list[str]:
         """The topics that can be drawn and that the agent may read, what is drawn first first."""
-        space, topics = self.session.space, listed_graph(self.session.graph, self.session.adapter.capabilities).topics
+        space, topics = self.session.space, listed_graph(graph, self.session.adapter.capabilities).topics
         found = [
             (PLACED_TYPES.index(topic.type.name), name)
             for name, topic in topics.items()
@@ -249,11 +251,11 @@ class SpaceResource(Resource):
         ]
         return [name for _, name in sorted(found)]
 
-    def _topics_to_show(self) -> list[str]:
+    def _topics_to_show(self, graph: Graph) -> list[str]:
         """The topics that `show` names. Raises Problems."""
-        return [self._topic_of(each) for each in self.references]
+        return [self._topic_of(graph, each) for each in self.references]
 
-    def _topic_of(self, reference: str) -> str:
+    def _topic_of(self, graph: Graph, reference: str) -> str:
         space = self.session.space
         if len(reference) > _MAX_REFERENCE:
             raise Problem(400, f"?show={reference[:60]}... is too long.")
@@ -263,7 +265,7 @@ class SpaceResource(Resource):
             raise Problem(400, f"?show={reference[:100]} names no topic of this robot: send such as topics/scan.")
         if not self._permissions.may_read(url):
             raise not_found()
-        topic = self.session.graph.topics.get(location.name)
+        topic = graph.topics.get(location.name)
         if topic is None:
             raise Problem(404, f"There is no topic {location.name}.")
         if topic.type is None or not can_place(topic.type.name):
@@ -271,22 +273,27 @@ class SpaceResource(Resource):
             raise Problem(422, f"{location.name} has messages of {said}: drawn in space are {', '.join(PLACED_TYPES)}.")
         return location.name
 
-    def _kind(self, name: str) -> str:
-        topic = self.session.graph.topics.get(name)
-        is_known = topic is not None and topic.type is not None and can_place(topic.type.name)
-        return kind_label(topic.type.name) if topic and topic.type and is_known else ""
+    def _shown_topics(self, graph: Graph, names: Sequence[str]) -> list[ShownTopic]:
+        """These topics as the stream tells of them; all that can be drawn, as far as they are not too many."""
+        return [self._shown_topic(graph, name) for name in names or self._all(graph)[:MAX_SHOWN]]
 
-    def _shown_topic(self, name: str) -> ShownTopic:
+    def _shown_topic(self, graph: Graph, name: str) -> ShownTopic:
         """A topic as the stream tells of it."""
         space, url = self.session.space, self.session.space.topic(name)
-        topic = self.session.graph.topics.get(name)
+        topic = graph.topics.get(name)
         type_name = topic.type.name if topic is not None and topic.type is not None else ""
         href = space.path + url.removeprefix(space.base)
         picture = f"{href}?format=png&width={_GRID_WIDTH}" if type_name == OCCUPANCY_GRID else ""
         has_history = type_name == _ODOMETRY and is_recorded(self.history, name)
         history = f"{href}?series=pose.pose.position." if has_history else ""
         cloud = f"{href}?format=ply" if type_name == POINT_CLOUD else ""
-        return ShownTopic(name.encode("utf-8", "replace").decode(), self._kind(name), href, picture, history, cloud)
+        return ShownTopic(name.encode("utf-8", "replace").decode(), _kind(graph, name), href, picture, history, cloud)
+
+
+def _kind(graph: Graph, name: str) -> str:
+    topic = graph.topics.get(name)
+    is_known = topic is not None and topic.type is not None and can_place(topic.type.name)
+    return kind_label(topic.type.name) if topic and topic.type and is_known else ""
 
 
 def _topic_json(topic: SpaceTopic) -> dict[str, object]:

@@ -175,9 +175,10 @@ class TopicResource(CommandResource):
         return self._allowed
 
     def deny_reason(self, method: str) -> str:
-        if method == "DELETE" and self.unwritable_reason() is None:
+        reason = self.unwritable_reason()
+        if method == "DELETE" and reason is None:
             return f"rosld does not advertise {self.name}, so there is nothing to delete."
-        return self.unwritable_reason() or super().deny_reason(method)
+        return reason or super().deny_reason(method)
 
     async def state(self) -> State:
         view = self.session.topics.find_view(self.name)
@@ -185,7 +186,7 @@ class TopicResource(CommandResource):
             if self.name not in self.session.graph.topics:
                 raise self._missing()
             view = await self.session.topics.read(self.name)
-        return await self.state_of(view)
+        return await self.state_of(view)  # in the graph of after the wait: its publishers belong to the values
 
     def _missing(self) -> Problem:
         """Why nothing can be read where there is no topic of this name (now)."""
@@ -230,7 +231,7 @@ class TopicResource(CommandResource):
         recorded = bool(self.session.adapter.recordings)  # a recording's times are of the past: no Age (RFC 9111 5.1)
         received = view.newest.received_ns if view.newest and not recorded else None
         return State(
-            lambda: self._document(topic, view, decoded),
+            lambda: self._document(topic, view, decoded, None if hold is None else hold.id, holdable=can),
             plain,
             token,
             received,
@@ -245,15 +246,17 @@ class TopicResource(CommandResource):
         schemas = (one.schema for one in decoded)
         return tuple(dict.fromkeys(self.session.space.shape(one.ref.name) for one in schemas if one is not None))
 
-    def _document(self, topic: Topic, view: TopicView, decoded: Sequence[DecodedSample]) -> Document:
+    def _document(
+        self, topic: Topic, view: TopicView, decoded: Sequence[DecodedSample], hold: str | None, *, holdable: bool
+    ) -> Document:
+        """The RDF of this topic; that the graph is read late keeps the state, which is cached, from holding one."""
         found = [
             lift_sample(self.session.space, self.session.lifting, one) for one in decoded if one.message is not None
         ]
-        hold = self.holds.find_by_topic(self.name)
         reason = next((one.reason for one in decoded if one.reason), topic.unreadable)
         return topic_document(
             topic, self.session.space, self.session.graph, view.rate, found, unreadable=reason,
-            holdable=self.is_holdable, hold=None if hold is None else hold.id,
+            holdable=holdable, hold=hold,
         )  # fmt: skip
 
     @property

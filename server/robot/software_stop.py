@@ -9,7 +9,7 @@ from collections.abc import Awaitable, Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 
-from rosld.adapters.model import Action, Message, MessageSchema, RosError, Topic
+from rosld.adapters.model import Action, Graph, Message, MessageSchema, RosError, Topic
 from rosld.ontology.lower import LoweringError, lowerer, parse_json
 from rosld.server.auth.agent import Agent
 from rosld.server.robot.goal_store import Goal
@@ -116,11 +116,11 @@ class SoftwareStop:
         """What the stop did, or would do now."""
         if self.stop_state is not None:
             return tuple(self._steps.values())
-        space = self._session.space
+        graph, space = self._session.graph, self._session.space
         return (
-            *(StopStep(_zero_on(topic.name), (space.topic(topic.name),)) for topic in self._commanded_topics()),
+            *(StopStep(_zero_on(topic.name), (space.topic(topic.name),)) for topic in self._commanded_topics(graph)),
             *(StopStep(_words(each), self._touched_urls(each, iri)) for each, iri in self._mapped()),
-            *(StopStep(_end_of_all(action.name), (space.action(action.name),)) for action in self._ended_actions()),
+            *(StopStep(_end_of_all(each.name), (space.action(each.name),)) for each in self._ended_actions(graph)),
         )
 
     @property
@@ -154,7 +154,8 @@ class SoftwareStop:
         session.interlock.engage(stop_state)
         self._count += 1
         deadline = session.deadline(session.settings.call_deadline)
-        space, commanded = session.space, self._commanded_topics()
+        graph, space = session.graph, session.space
+        commanded = self._commanded_topics(graph)
         for topic in commanded:
             self._begin(_zero_on(topic.name), self._publish_zero(topic), space.topic(topic.name))
         for each, iri in self._mapped():
@@ -163,7 +164,7 @@ class SoftwareStop:
         for hold, ended in self._holds.end_all(stop_state.words, silent):
             tells = hold.release_message is not None and hold.topic not in silent
             self._begin(_end_of(hold), ended, space.hold(hold.id), space.topic(hold.topic), tells=tells)
-        ended_actions = {action.name for action in self._ended_actions()}
+        ended_actions = {action.name for action in self._ended_actions(graph)}
         for name in sorted(ended_actions):
             self._begin(_end_of_all(name), session.adapter.cancel_goals(name, deadline=deadline), space.action(name))
         for goal in self._goals():
@@ -202,15 +203,15 @@ class SoftwareStop:
         assert mapped.topic is not None
         return space.topic(mapped.topic), iri
 
-    def _commanded_topics(self) -> Sequence[Topic]:
+    def _commanded_topics(self, graph: Graph) -> Sequence[Topic]:
         """The topics on which zero is published."""
-        return commanded_topics(self._session.graph, self._session.settings.stop_zero)
+        return commanded_topics(graph, self._session.settings.stop_zero)
 
-    def _ended_actions(self) -> Sequence[Action]:
+    def _ended_actions(self, graph: Graph) -> Sequence[Action]:
         """The actions of which all goals are canceled, whoever sent them."""
         if self._session.settings.stop_cancels != "others":
             return ()
-        return [action for action in self._session.graph.actions.values() if action.servers]
+        return [action for action in graph.actions.values() if action.servers]
 
     def _goals(self) -> list[Goal]:
         return [goal for goal in self._session.goals.all() if goal.is_own and goal.is_cancelable]

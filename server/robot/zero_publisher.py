@@ -65,8 +65,9 @@ class ZeroPublisher:
         if topic.type is None:
             raise ValueError(type_conflict(topic) or f"the type of {name} is not known")
         schema = await session.schemas.message(topic.type)
+        graph = session.graph
         message, encoding = zero_message(schema, session.lifting), session.adapter.capabilities.encoding
-        zero = held_message(schema, message, encoding, restamp=True, clock=not session.graph.simulated_time)
+        zero = held_message(schema, message, encoding, restamp=True, clock=not graph.simulated_time)
         if name not in session.adapter.published:
             self._advertised.add(name)
         before = self._running.get(name)
@@ -74,7 +75,7 @@ class ZeroPublisher:
             return await before.reached()  # the robot is stopped again, which makes it no faster
         if before is not None:
             before.cancel()
-        repetition = self._running[name] = _Repetition(session, name, zero, subscribers_of(topic, session.graph))
+        repetition = self._running[name] = _Repetition(session, name, zero, subscribers_of(topic, graph))
         return await repetition.reached()
 
     async def reached_late(self, topic: str) -> Reached | None:

@@ -8,7 +8,7 @@ from itertools import product
 
 from pyoxigraph import NamedNode
 
-from rosld.adapters.model import MessageSchema, Parameter, Schema, TypeRef, halves_of
+from rosld.adapters.model import Graph, MessageSchema, Parameter, Schema, TypeRef, halves_of
 from rosld.ontology.describe_containers import container_document, type_container_document
 from rosld.ontology.describe_graph import entry_document, node_document, node_views
 from rosld.ontology.describe_services import service_document
@@ -53,9 +53,12 @@ class GraphDescriptions:
     @property
     def revision(self) -> Hashable:
         """Changes whenever a description may have changed."""
+        return self._revision(self._session.graph)
+
+    def _revision(self, graph: Graph) -> Hashable:
         session, services = self._session, self._services
         return (
-            IdentityKey(session.graph),
+            IdentityKey(graph),
             session.schemas.count,
             session.calls.revision,
             session.goals.revision,
@@ -71,14 +74,14 @@ class GraphDescriptions:
 
     def entries(self) -> Mapping[str, GraphEntry]:
         """Every graph without live values, by IRI."""
-        revision = self.revision
+        graph = self._session.graph
+        revision = self._revision(graph)
         if self._described[0] != revision:
-            self._described = (revision, {entry.iri: entry for entry in self._describe()})
+            self._described = (revision, {entry.iri: entry for entry in self._describe(graph)})
         return self._described[1]
 
-    def _describe(self) -> Iterator[GraphEntry]:
-        session, services = self._session, self._services
-        space, graph = session.space, session.graph
+    def _describe(self, graph: Graph) -> Iterator[GraphEntry]:
+        session, services, space = self._session, self._services, self._session.space
         capabilities, problems = session.adapter.capabilities, services.storage_problems()
         listed = listed_graph(graph, capabilities)
         entry = partial(entry_document, listed, space, capabilities.system, problems, name=session.name)
@@ -105,7 +108,7 @@ class GraphDescriptions:
         for parameter in graph.parameters.values():
             url = space.parameter(parameter.name)
             yield _described(url, parameter, partial(parameter_description, parameter, space))
-        yield from self._containers()
+        yield from self._containers(graph)
         yield from self._types()
         yield from self._recordings()
         yield from self._activities()
@@ -114,8 +117,8 @@ class GraphDescriptions:
         for module in (self._factory.ontology_module(name) for name in MODULES):
             yield _described(module.url, 0, module.document)
 
-    def _containers(self) -> Iterator[GraphEntry]:
-        space, graph, capabilities = self._session.space, self._session.graph, self._session.adapter.capabilities
+    def _containers(self, graph: Graph) -> Iterator[GraphEntry]:
+        space, capabilities = self._session.space, self._session.adapter.capabilities
         for path in namespaces(graph, "parameters"):
             tree = self._factory.parameter_tree(path)
             yield _described(tree.url, IdentityKey(graph.parameters), partial(_of_itself, tree))

@@ -14,9 +14,9 @@ import contextlib
 from collections.abc import Callable, Collection, Coroutine, Hashable, Iterable, Iterator, Mapping, Sequence
 from itertools import chain
 
-from rosld.adapters.model import MessageSchema, ParameterValue, RosError, Topic
+from rosld.adapters.model import Graph, MessageSchema, ParameterValue, RosError, Topic
 from rosld.ontology.document import Document
-from rosld.ontology.urls import Location
+from rosld.ontology.urls import Location, Space
 from rosld.server.auth.permissions import Permissions
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.conditions import url_of
@@ -93,11 +93,11 @@ class RobotGraphs:
 
         Only those count that the permissions let be read.
         """
-        session, space = self._session, self._session.space
+        graph, space = self._session.graph, self._session.space
         found: dict[str, int] = {}
         if needs.is_everything:
-            wanted = {one.url for one in self._resources(needs)}
-            urls = {space.topic(name) for name in session.graph.topics}
+            wanted = {one.url for one in self._resources(graph, needs)}
+            urls = {space.topic(name) for name in graph.topics}
             found["topics"] = sum(map(permissions.may_read, urls - wanted))
         if needs.resources:
             tree = await self._services.affordances.tree()
@@ -106,7 +106,7 @@ class RobotGraphs:
             left = () if needs.is_everything else (url for url in self._live if url not in needs.documents)
             found |= {url.removeprefix(space.base): int(permissions.may_read(url)) for url in left}
         if needs.trees:
-            urls = {space.container("parameters", path) for path in namespaces(session.graph, "parameters")}
+            urls = {space.container("parameters", path) for path in namespaces(graph, "parameters")}
             found["parameters"] = sum(map(permissions.may_read, urls - needs.graph_names))
         if needs.records:
             recordings = [
@@ -123,7 +123,7 @@ class RobotGraphs:
         What a query names is subscribed to and waited for, at most until `deadline` (loop time); where it names
         nothing, what is subscribed to already is all there is.
         """
-        resources = self._resources(needs)
+        resources = self._resources(self._session.graph, needs)
         parameters = [one for one in resources if isinstance(one, ParameterResource | ParameterTree)]
         topics = [one for one in resources if isinstance(one, TopicResource)]
         others = [one for one in resources if not isinstance(one, ParameterResource | ParameterTree | TopicResource)]
@@ -131,33 +131,33 @@ class RobotGraphs:
         stored = await self._parameters(parameters, deadline)
         return [*stored, *found, *await self._of_topics(topics)]
 
-    def _resources(self, needs: Needs) -> Sequence[Resource]:
+    def _resources(self, graph: Graph, needs: Needs) -> Sequence[Resource]:
         """The resources that needs ask for, kept while they are the same: where needs name what they are about."""
         if any(demand.is_anything for demand in needs.demands):
-            return list(self._needed_resources(needs))
-        version = (self._session.graph.revision, self._session.schemas.count)
+            return list(self._needed_resources(graph, needs))
+        version = (graph.revision, self._session.schemas.count)
         known = self._found.get(needs)
         if known is None or known[0] != version:
             if len(self._found) >= _KEPT:
                 self._found.clear()
-            known = self._found[needs] = (version, list(self._needed_resources(needs)))
+            known = self._found[needs] = (version, list(self._needed_resources(graph, needs)))
         return known[1]
 
-    def _needed_resources(self, needs: Needs) -> Iterator[Resource]:
+    def _needed_resources(self, graph: Graph, needs: Needs) -> Iterator[Resource]:
         session = self._session
         if needs.needs_messages:
             at_hand = {*session.topics.subscribed(), *session.adapter.published}
             definite = Needs(tuple(demand for demand in needs.demands if not demand.is_anything))
-            for topic in self._candidates(needs.graphs):
+            for topic in _candidates(session.space, graph, needs.graphs):
                 url = session.space.topic(topic.name)
                 asked = needs if topic.name in at_hand else definite  # looking at anything subscribes to nothing new
                 if asked.wants_topic(url, self._types_within(topic)):
                     yield self._factory.topic(topic.name)
         if needs.needs_parameters:
-            for name in session.graph.parameters:
+            for name in graph.parameters:
                 if needs.wants_parameter(session.space.parameter(name)):
                     yield self._factory.parameter(name)
-            for path in namespaces(session.graph, "parameters") if needs.graph_names else ():
+            for path in namespaces(graph, "parameters") if needs.graph_names else ():
                 url = session.space.container("parameters", path)
                 if url in needs.graph_names and needs.wants_parameter(url):
                     yield self._factory.parameter_tree(path)
@@ -178,17 +178,6 @@ class RobotGraphs:
                 yield self._factory.namespace(location.kind, location.segments)
             elif location.kind in listings and not location.segments:
                 yield listings[location.kind]()
-
-    def _candidates(self, named: frozenset[str] | None) -> Iterator[Topic]:
-        """The topics among these URLs; all where none are named."""
-        topics = self._session.graph.topics
-        if named is None:
-            yield from topics.values()
-            return
-        for url in named:
-            location = self._session.space.location(url)
-            if location is not None and location.kind == "topics" and location.name in topics:
-                yield topics[location.name]
 
     def _types_within(self, topic: Topic) -> frozenset[str]:
         """The names of a topic's types and of all types nested in them, as far as they are known."""
@@ -297,6 +286,17 @@ class RobotGraphs:
             return _live(iri, await coming)._replace(is_transient=is_transient)
         except (Problem, RosError):
             return None
+
+
+def _candidates(space: Space, graph: Graph, named: frozenset[str] | None) -> Iterator[Topic]:
+    """The topics among these URLs; all where none are named."""
+    if named is None:
+        yield from graph.topics.values()
+        return
+    for url in named:
+        location = space.location(url)
+        if location is not None and location.kind == "topics" and location.name in graph.topics:
+            yield graph.topics[location.name]
 
 
 def _of_parameter(resource: ParameterResource | ParameterTree, value: ParameterValue | None) -> GraphEntry | None:

@@ -23,6 +23,15 @@ _FIELDS = (
     "!ros:received {x}",
     "ros:recordedIn {x}", "^ros:recordedMessage/ros:index {x}", "^ros:recordedMessage ?r{n} . ?r{n} ros:onTopic {x}",
 )  # fmt: skip
+_AGGREGATES = (
+    "COUNT(*)", "COUNT(?m)", "COUNT(DISTINCT ?t)", "MIN(?t)", "MAX(?t)", "MIN(?x1)", "MAX(?x1)", "SUM(?x1)", "AVG(?x1)",
+    "SUM(DISTINCT ?x1)", "AVG(DISTINCT ?x1)", "SUM(?x1 + ?x2)", "SUM(?x1) / COUNT(?m)", "AVG(?n1)", "SUM(?n1)",
+    "MAX(?t) - MIN(?t)", "SUM(IF(BOUND(?x1), 1, 0))", "AVG(SECONDS(?t))",
+)  # fmt: skip
+_KEYS = (
+    ("?topic", "?topic"), ("?m", "?m"), ("?t", "?t"), ("?x1", "?x1"), ("?topic ?x1", "?topic ?x1"),
+    ("(?t > {moment} AS ?late)", "?late"), ("(FLOOR(SECONDS(?t)) AS ?second)", "?second"), ("(DATATYPE(?x1) AS ?d)", "?d"),
+)  # fmt: skip
 
 
 class PastMaker:
@@ -43,9 +52,11 @@ class PastMaker:
         if form < 0.5:
             return f"{PREFIXES}SELECT {random.choice(['*', '?m ?t', 'DISTINCT ?t ?x1'])} WHERE {group}"
         if form < 0.6:
-            return f"{PREFIXES}SELECT (COUNT(*) AS ?count) (MIN(?t) AS ?from) (MAX(?x1) AS ?most) WHERE {group}"
+            return f"{PREFIXES}SELECT {self._aggregates()} WHERE {group} {self._having()}"
         if form < 0.7:
-            return f"{PREFIXES}SELECT ?topic (COUNT(?m) AS ?count) WHERE {group} GROUP BY ?topic"
+            key, name = random.choice(_KEYS)
+            key = key.format(moment=self._constant())
+            return f"{PREFIXES}SELECT {name} {self._aggregates()} WHERE {group} GROUP BY {key} {self._having()}"
         if form < 0.78:
             return f"{PREFIXES}ASK {group}"
         if form < 0.85:
@@ -147,9 +158,32 @@ class PastMaker:
         if kind == "UNION":
             return f"{inner} UNION {{ {self._past(message, time)} }}"
         if kind == "SELECT":
-            chosen = random.choice([other, f"{other} {at}", f"(MAX({at}) AS ?last{number})", "*"])
-            return f"{{ SELECT {chosen} WHERE {inner} }}"
+            total = f"{other} (SUM(?x{self._count}) AS ?sum{number})"
+            chosen = random.choice([other, f"{other} {at}", f"(MAX({at}) AS ?last{number})", "*", total])
+            grouped = f"GROUP BY {other} {self._having()}" if chosen == total else ""
+            return f"{{ SELECT {chosen} WHERE {inner} {grouped} }}"
         return f"{kind} {inner}"
+
+    # --- aggregates: numbers are whole, also those that are doubles, so that their sums come out alike in any order
+
+    def _aggregates(self) -> str:
+        random = self._random
+        chosen = random.sample(_AGGREGATES, random.choice([1, 2, 3]))
+        return " ".join(f"({each} AS ?a{number})" for number, each in enumerate(chosen))
+
+    def _having(self) -> str:
+        random = self._random
+        if random.random() < 0.5:
+            return ""
+        return "HAVING " + random.choice(
+            [
+                f"(COUNT(*) {random.choice('<>')} {random.choice([0, 1, 4, 8, 30])})",
+                f"(SUM(?x1) {random.choice('<>')} {random.choice([0, 3, 28])})", "(AVG(?x1) >= 1)",
+                f"({random.choice(['MIN', 'MAX'])}(?t) {random.choice('<>')} {self._moment()})",
+                f"(COUNT(DISTINCT ?m) > 1 && MAX(?t) - MIN(?t) > {self._duration()})", "(!BOUND(?t))",
+                f"(EXISTS {{ ?topic ros:past ?other . ?other ros:received ?when FILTER(?when > {self._constant()}) }})",
+            ]
+        )  # fmt: skip
 
     # --- times
 

@@ -30,7 +30,8 @@ _AGGREGATES = (
 )  # fmt: skip
 _KEYS = (
     ("?topic", "?topic"), ("?m", "?m"), ("?t", "?t"), ("?x1", "?x1"), ("?topic ?x1", "?topic ?x1"),
-    ("(?t > {moment} AS ?late)", "?late"), ("(FLOOR(SECONDS(?t)) AS ?second)", "?second"), ("(DATATYPE(?x1) AS ?d)", "?d"),
+    ("(?t > {moment} AS ?late)", "?late"), ("(FLOOR(SECONDS(?t)) AS ?second)", "?second"),
+    ("(DATATYPE(?x1) AS ?d)", "?d"),
 )  # fmt: skip
 
 

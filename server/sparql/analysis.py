@@ -23,13 +23,13 @@ from rosld.server.sparql.syntax.lexer import (
     DEFAULT_BOUNDS,
     NO_SERVICES,
     CheckedText,
-    Kind,
     QueryBounds,
     ServiceAllowlist,
     check_text,
     update_keyword,
 )
 from rosld.server.sparql.syntax.query import parse_query
+from rosld.server.sparql.syntax.token import Kind
 from rosld.server.sparql.syntax.tree import Group, Query, Variable, graphs_around
 from rosld.server.sparql.vocabulary_view import VocabularyView
 

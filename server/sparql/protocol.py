@@ -15,7 +15,8 @@ from rosld.server.http import header_syntax, media
 from rosld.server.http.charset import FORM, codec_for, to_utf8
 from rosld.server.http.media import MediaType
 from rosld.server.http.problem import Problem
-from rosld.server.sparql.syntax.lexer import Kind, line_and_column, tokens
+from rosld.server.sparql.syntax.lexer import line_and_column, tokens
+from rosld.server.sparql.syntax.token import Kind
 
 QUERY_MEDIA_TYPE = "application/sparql-query"
 UPDATE_MEDIA_TYPE = "application/sparql-update"

@@ -15,7 +15,7 @@ from typing import NamedTuple
 from rosld.ontology.vocab import rdf, xsd
 from rosld.server.dataset.encoding import DOUBLE, INTEGER, NAMESPACE, NUMERIC, OTHER, PATTERN, encode_literal
 from rosld.server.dataset.private_functions import GREATER, KEY, LESS, NOTHING, ORDER, PACK, TYPED, UNPACK, VALUE
-from rosld.server.sparql.syntax.lexer import Kind
+from rosld.server.sparql.syntax.token import Kind
 from rosld.server.sparql.syntax.tree import (
     Call,
     Choices,

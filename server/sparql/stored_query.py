@@ -28,13 +28,13 @@ from rosld.server.http.problem import Problem
 from rosld.server.sparql.analysis import Analyser, parse_problem
 from rosld.server.sparql.syntax.lexer import (
     DEFAULT_BOUNDS,
-    Kind,
     QueryBounds,
     check_text,
     line_and_column,
     tokens,
     update_keyword,
 )
+from rosld.server.sparql.syntax.token import Kind
 
 _SUFFIX = ".rq"
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)

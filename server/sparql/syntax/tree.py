@@ -9,7 +9,7 @@ from typing import NamedTuple, TypeAlias
 from pyoxigraph import Literal
 
 from rosld.ontology.vocab import rdf
-from rosld.server.sparql.syntax.lexer import Kind
+from rosld.server.sparql.syntax.token import Kind
 
 TYPE = rdf.type.value
 

@@ -12,7 +12,8 @@ from rosld.ontology.vocab import rdf, xsd
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.syntax.cursor import Cursor
 from rosld.server.sparql.syntax.keywords import MEMBERS
-from rosld.server.sparql.syntax.lexer import CheckedText, Kind, Token
+from rosld.server.sparql.syntax.lexer import CheckedText
+from rosld.server.sparql.syntax.token import Kind, Token
 from rosld.server.sparql.syntax.tree import (
     TYPE,
     Chain,

@@ -11,8 +11,9 @@ from pyoxigraph import BlankNode, NamedNode
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.protocol import UpdateRequest
 from rosld.server.sparql.rewriting import rewrite
-from rosld.server.sparql.syntax.lexer import DEFAULT_BOUNDS, CheckedText, Kind, QueryBounds, check_text, line_and_column
+from rosld.server.sparql.syntax.lexer import DEFAULT_BOUNDS, CheckedText, QueryBounds, check_text, line_and_column
 from rosld.server.sparql.syntax.query import QueryParser
+from rosld.server.sparql.syntax.token import Kind
 from rosld.server.sparql.syntax.tree import Iri, PathStep, Term, Value, Variable
 from rosld.server.sparql.syntax.triples import Verb as Predicate
 from rosld.server.sparql.update.operations import (

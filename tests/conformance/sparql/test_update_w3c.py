@@ -18,7 +18,8 @@ from rdflib import RDF, RDFS, Graph, Namespace
 from rdflib.collection import Collection
 from rdflib.term import Node
 
-from rosld.server.sparql.syntax.lexer import Kind, Token, tokens
+from rosld.server.sparql.syntax.lexer import tokens
+from rosld.server.sparql.syntax.token import Kind, Token
 
 if TYPE_CHECKING:
     from tests.conformance.sparql.conftest import Store

@@ -13,7 +13,6 @@ from pyoxigraph import Literal, NamedNode, Quad, Store
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.syntax.lexer import (
     DEFAULT_BOUNDS,
-    Kind,
     QueryBounds,
     check_text,
     check_update_of_one_graph,
@@ -21,6 +20,7 @@ from rosld.server.sparql.syntax.lexer import (
     tokens,
     update_keyword,
 )
+from rosld.server.sparql.syntax.token import Kind
 
 EVIL = "http://127.0.0.1:9/evil"
 

@@ -15,7 +15,8 @@ from pyoxigraph import Literal, NamedNode
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.analysis import Analyser
 from rosld.server.sparql.protocol import UpdateRequest
-from rosld.server.sparql.syntax.lexer import DEFAULT_BOUNDS, Kind, tokens
+from rosld.server.sparql.syntax.lexer import DEFAULT_BOUNDS, tokens
+from rosld.server.sparql.syntax.token import Kind
 from rosld.server.sparql.update.operations import (
     GraphGroup,
     GraphVerb,

@@ -72,17 +72,12 @@ class NodeShape:
         )
 
 
-def node_shape(graph: Sequence[Triple], iri: NamedNode | BlankNode) -> NodeShape:
+def compile_shape(graph: ShapesGraph, iri: NamedNode | BlankNode) -> NodeShape:
     """The shape `iri` of a shapes graph, compiled.
 
     Raises ValueError, naming the shape and what is wrong with it, for one that is not there, is malformed, refers to
     itself, is nested too deep or would need more than SHACL Core.
     """
-    return compile_shape(ShapesGraph(graph), iri)
-
-
-def compile_shape(graph: ShapesGraph, iri: NamedNode | BlankNode) -> NodeShape:
-    """The same of a shapes graph that has been read."""
     shape = graph.shape(iri)
     judge: ShapeValidator = shape if shape.is_simple else graph.pyshacl_shape(iri)
     return NodeShape(iri.value, shape.paths, shape.within, (judge,), shape.is_bounds, ((graph, iri),))

@@ -34,7 +34,6 @@ class Kind(Enum):
     ACTION = "action"
     PARAMETER = "parameter"
     TYPE = "type"
-    BAG = "bag"
 
 
 class Operation(Enum):

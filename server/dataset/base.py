@@ -29,7 +29,7 @@ class Edit(NamedTuple):
 
 
 class Store(Protocol):
-    """A dataset of named graphs; its default graph is their union. One `in_memory` belongs to one thread.
+    """A dataset of named graphs; its default graph is their union. One in memory belongs to one thread.
 
     Queries see the dataset as it was when `query` returned, whatever is replaced while their results are read.
     """
@@ -37,16 +37,6 @@ class Store(Protocol):
     @property
     def version(self) -> int:
         """A number that another one follows whenever the dataset has changed."""
-        ...
-
-    @property
-    def in_memory(self) -> bool:
-        """Whether the whole dataset is in this process."""
-        ...
-
-    @property
-    def takes_functions(self) -> bool:
-        """Whether queries may be given functions of this process; a store elsewhere refuses them (QueryError)."""
         ...
 
     def graphs(self) -> Collection[str]:

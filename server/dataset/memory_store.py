@@ -56,9 +56,6 @@ class MemoryStore:
     edits may name them.
     """
 
-    in_memory = True
-    takes_functions = True
-
     def __init__(self) -> None:
         self._store = Store()
         self._versions = count(1)

@@ -28,9 +28,6 @@ class RemoteStore:
     is the union of all graphs, as the contract has it; other servers have a setting for that.
     """
 
-    in_memory = False
-    takes_functions = False
-
     def __init__(self, query: Endpoint, update: Endpoint) -> None:
         self._query = query
         self._update = update

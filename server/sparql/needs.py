@@ -67,11 +67,6 @@ class Needs:
     graph_names: frozenset[str] = frozenset()
 
     @cached_property
-    def is_nothing(self) -> bool:
-        """Whether the query needs no live value and names no document."""
-        return not (self.demands or self.documents or self.terms)
-
-    @cached_property
     def is_everything(self) -> bool:
         """Whether it looks at the messages of any topic whatever: all that are subscribed to are to be there."""
         return any(demand.is_anything and demand.messages for demand in self.demands)

@@ -67,20 +67,12 @@ def query_request(method: str, query_string: bytes, content_type: str | None = N
     return asked
 
 
-def update_request(query_string: bytes, content_type: str | None, body: bytes) -> UpdateRequest:
-    """The update that a POST asks for (SPARQL 1.1 Protocol 2.2).
-
-    Raises Problems: 400 for no update, several, a query, text that is not UTF-8, graph names that are no IRIs, and
-    graphs named beside a text that names its own (USING, WITH); 415 for bodies of other media types.
-    """
-    asked = posted_request(query_string, content_type, body)
-    if isinstance(asked, QueryRequest):
-        raise Problem(400, "This is a query, and only updates are taken here.")
-    return asked
-
-
 def posted_request(query_string: bytes, content_type: str | None, body: bytes) -> QueryRequest | UpdateRequest:
-    """The query or the update that a POST asks for. Raises Problems as `query_request` and `update_request` do."""
+    """The query or the update that a POST asks for (SPARQL 1.1 Protocol 2.1, 2.2).
+
+    Raises Problems as `query_request` does: 400 for none, several, text that is not UTF-8, graph names that are no
+    IRIs, and graphs named beside an update that names its own (USING, WITH); 415 for bodies of other media types.
+    """
     in_url = _parameters(query_string, "query string")
     if any(name == "update" for name, _ in in_url):
         raise Problem(400, "An update stands in the body of a POST, never in the URL (SPARQL 1.1 Protocol 2.2).")

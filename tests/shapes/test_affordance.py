@@ -16,8 +16,9 @@ from rosld.ontology.lift import lifter
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import qudt, rdf, sh, xsd
 from rosld.shapes.affordance import value_shape_triples
-from rosld.shapes.constraints import node_shape
+from rosld.shapes.constraints import compile_shape
 from rosld.shapes.message import shape_document
+from rosld.shapes.shapes_graph import ShapesGraph
 from rosld.shapes.value import Bounds, Measure, MessageShape, OpenShape, ScalarShape, ValueShape
 
 SPACE = Space("http://127.0.0.1:8080/")
@@ -168,6 +169,7 @@ def test_bounds_within_an_array_hold_for_each_element() -> None:
 )
 def test_the_shape_can_be_compiled_and_its_nodes_are_fragments(shape: ValueShape) -> None:
     triples = value_shape_triples(shape, SHAPE, rdf.value, SPACE)
-    node_shape([*triples, *shape_document(schema_of("geometry_msgs/msg/Twist"), SPACE).triples], SHAPE)
+    of_twist = shape_document(schema_of("geometry_msgs/msg/Twist"), SPACE).triples
+    compile_shape(ShapesGraph([*triples, *of_twist]), SHAPE)
     shapes = {t.subject for t in triples if t.predicate not in (rdf.first, rdf.rest, sh.zeroOrMorePath)}
     assert all(isinstance(each, NamedNode) and each.value.startswith(URL + "#shape") for each in shapes)

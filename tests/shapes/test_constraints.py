@@ -14,7 +14,8 @@ from pyoxigraph import BlankNode, Literal, NamedNode, RdfFormat, Triple, parse, 
 from pyshacl.errors import ReportableRuntimeError
 
 from rosld.ontology.vocab import sh, xsd
-from rosld.shapes.constraints import NodeShape, node_shape
+from rosld.shapes.constraints import NodeShape, compile_shape
+from rosld.shapes.shapes_graph import ShapesGraph
 
 SHAPE = NamedNode("http://h/mapping#shape")
 FOCUS = NamedNode("http://h/resources/engine/")
@@ -30,7 +31,7 @@ def triples(turtle: str) -> list[Triple]:
 
 
 def compiled(turtle: str) -> NodeShape:
-    return node_shape(triples(turtle), SHAPE)
+    return compile_shape(ShapesGraph(triples(turtle)), SHAPE)
 
 
 def graph(given: Sequence[Triple]) -> rdflib.Graph:
@@ -186,7 +187,7 @@ shape_bodies = st.recursive(bodies(*PLAIN), inner, max_leaves=4)
 @example("sh:property [ sh:path ex:p ; sh:maxInclusive 0 ]", triples("<resources/engine/> ex:p '0.0'^^xsd:double ."))
 def test_a_compiled_verdict_is_that_of_pyshacl(body: str, data: list[Triple]) -> None:
     shapes = triples(f":shape a sh:NodeShape {';' if body else ''} {body} .")
-    shape = node_shape(shapes, SHAPE)
+    shape = compile_shape(ShapesGraph(shapes), SHAPE)
     assert by_rosld(shape, data) == by_pyshacl(shapes, data)
 
 
@@ -211,7 +212,7 @@ EVERY_OTHER = st.sampled_from(
 @given(EVERY_OTHER, bodies(*PLAIN), data_graphs)
 def test_the_verdict_on_every_other_shape_is_that_of_pyshacl(other: str, body: str, data: list[Triple]) -> None:
     shapes = triples(f":shape a sh:NodeShape ; {other} {';' if body else ''} {body} .")
-    shape = node_shape(shapes, SHAPE)
+    shape = compile_shape(ShapesGraph(shapes), SHAPE)
     try:
         expected = by_pyshacl(shapes, data)
     except ReportableRuntimeError:  # blank nodes, which it will not order
@@ -279,8 +280,8 @@ def of_p(*values: str) -> list[Triple]:
 )
 def test_tricky_values_are_judged_as_pyshacl_does(demand: str, values: list[str], holds: bool) -> None:
     shapes, data = triples(f":shape a sh:NodeShape ; sh:property [ sh:path ex:p ; {demand} ] ."), of_p(*values)
-    assert by_rosld(node_shape(shapes, SHAPE), data) == by_pyshacl(shapes, data)
-    assert (not node_shape(shapes, SHAPE).violations(FOCUS, data)) is holds
+    assert by_rosld(compile_shape(ShapesGraph(shapes), SHAPE), data) == by_pyshacl(shapes, data)
+    assert (not compile_shape(ShapesGraph(shapes), SHAPE).violations(FOCUS, data)) is holds
 
 
 def test_the_end_of_a_pattern_is_that_of_the_text_though_pyshacl_lets_a_newline_pass() -> None:

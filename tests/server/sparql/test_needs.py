@@ -134,11 +134,11 @@ def test_a_relation_counts_from_when_a_mapping_has_it() -> None:
     known = [frozenset[str]()]
     told = Analyser(BASE, TYPES, relations=lambda: known[0])
     query = "SELECT * { ?plane <http://example.org/wing> ?w }"
-    assert told.analyse(query).needs.is_nothing
+    assert told.analyse(query).needs == Needs()
     known[0] = RELATIONS
     assert told.analyse(query).needs.terms == RELATIONS
     known[0] = frozenset()
-    assert told.analyse(query).needs.is_nothing
+    assert told.analyse(query).needs == Needs()
 
 
 @pytest.mark.parametrize(

@@ -177,6 +177,8 @@ class Graph:
 
         The latter has five topics, whose siblings are all there.
         """
+        # By names alone, for what may not be written to: a topic whose type is not known yet may be a goal's. Which
+        # topics are resources goes by types as well (server/hypermedia/conventions.py).
         if action_of(name) is not None:
             return True
         parent, _, last = name.rpartition("/")

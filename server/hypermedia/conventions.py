@@ -246,6 +246,8 @@ def _topics(graph: Graph) -> Iterator[Topic]:
 
 def _is_of_actionlib(topic: Topic, graph: Graph) -> bool:
     """Whether a topic is one of the five that an action of ROS 1 is made of."""
+    # By types as well, unlike Graph.is_of_action, which guards writing and rather takes too many. What is taken here
+    # has no resource: a topic of another type that lies beside an action, or has such a name, keeps its own.
     action, _, part = topic.name.rpartition("/")
     ending = _ACTIONLIB.get(part)
     return ending is not None and action in graph.actions and all(ref.name.endswith(ending) for ref in topic.types)

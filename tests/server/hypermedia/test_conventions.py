@@ -533,6 +533,12 @@ class TestExcluded:
     def test_the_inner_topics_of_actions_are_in_no_resource(self) -> None:
         assert found({"/a/_action/feedback": FLOAT}) == found()
 
+    def test_topics_of_other_types_that_are_called_as_those_of_an_action_are_properties_nobody_may_write(self) -> None:
+        names = sorted(f"/a/{part}" for part in ("goal", "cancel", "status", "feedback", "result"))
+        told = graph(dict.fromkeys(names, FLOAT))
+        assert list(catalogue(told, known).properties) == names
+        assert all(map(told.is_of_action, names))
+
 
 class TestExtended:
     def test_more_getters_and_setters_can_be_named(self) -> None:

@@ -368,6 +368,14 @@ class Settings:
             raise ValueError(f"--stop-cancels {self.stop_cancels}: it is own or others")
         if self.port > 65535:
             raise ValueError(f"--port {self.port}: a port is at most 65535")
+        for glob in self.history:
+            check_topic_glob("--history", glob)
+        for glob in self.subscribe:
+            check_topic_glob("--subscribe", glob)
+        for glob in self.allow_publish:
+            check_topic_glob("--allow-publish", glob)
+        for glob in self.stop_zero:
+            check_topic_glob("--stop-zero", glob.removeprefix("!"))
         for origin in self.cors_origins:
             _check_origin(origin)
         for url in self.allow_service:
@@ -517,6 +525,12 @@ def _check_minimum(declared: Declaration, value: object) -> None:
     if not declared.minimum <= value < float("inf"):
         name = declared.option or f"--setting {declared.name}"
         raise ValueError(f"{name} {value}: must be at least {declared.minimum:g}")
+
+
+def check_topic_glob(option: str, glob: str) -> None:
+    """Raise ValueError for what no topic can fit: names of topics begin with a slash."""
+    if not glob.startswith(("/", "*")):
+        raise ValueError(f"{option} {glob}: a topic or a glob begins with a slash or a star, such as /odom or '*'")
 
 
 def _check_asked(option: str, url: str) -> None:

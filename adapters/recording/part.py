@@ -66,7 +66,7 @@ def parse_part(query: str) -> Part:
     if begin is not None and end is not None and begin.is_absolute == end.is_absolute:
         both_sides = begin.ns >= 0 > end.ns
         if begin.ns > end.ns and not both_sides:
-            raise ValueError("from= is after to=")
+            raise ValueError(f"from={said['from'][:40]} is after to={said['to'][:40]}")
     return Part(begin, end, _rate(said))
 
 

@@ -21,6 +21,7 @@ from rosld.server.history.live_recorder import LiveRecorder
 from rosld.server.history.recording_writer import RecordingWriter
 from rosld.server.robot.schemas import Schemas
 from rosld.server.serving.end_signals import end_signals
+from rosld.server.settings import check_topic_glob
 
 _OPEN_SECONDS = 5.0
 _PROGRESS_SECONDS = 1.0
@@ -31,13 +32,26 @@ def record(source: str, output: Path, topics: Sequence[str], duration: float | N
     if output.exists():
         raise Failure(f"{output} is there already: name another file")
     with user_errors():
+        for glob in topics:
+            check_topic_glob("--topic", glob)
         adapter = adapter_for(source, options)
         if adapter.capabilities.system == "recording":
-            raise ValueError(f"{source} is a recording already")
+            raise ValueError(_not_live(source))
         writer = asyncio.run(_Recording(adapter, output, topics or ("*",)).run(duration))
     if writer.problem is not None:
         raise Failure(writer.problem)
+    for glob in topics:
+        if not any(fnmatchcase(topic, glob) for topic in writer.counts):
+            click.echo(f"rosld: --topic {glob}: nothing came of it", err=True)
     click.echo(f"{output}: {writer.count} messages of {len(writer.counts)} topics", err=True)
+
+
+def _not_live(source: str) -> str:
+    """Why a source cannot be recorded that is read as the path of a recording."""
+    path = source.removeprefix("recording:").partition("?")[0]
+    if Path(path).exists():
+        return f"{source} is a recording already"
+    return f"{source} is no live source, such as ros1://HOST:PORT, ros2: or rover"
 
 
 class _Recording(NullSink):

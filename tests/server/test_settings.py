@@ -54,6 +54,10 @@ def test_the_defaults_are_sound_and_cannot_be_changed() -> None:
         ({"base_url": "http://robot"}, "--base-url"),
         ({"cors_origins": ("app.example",)}, "--cors-origin"),
         ({"types_namespace": "nonsense"}, "types_namespace"),
+        ({"history": ("/odom", "scan")}, "--history scan: a topic or a glob begins with a slash or a star"),
+        ({"subscribe": ("",)}, "--subscribe"),
+        ({"allow_publish": ("cmd_vel",)}, "--allow-publish cmd_vel"),
+        ({"stop_zero": ("!cmd_vel",)}, "--stop-zero cmd_vel"),
     ],
 )
 def test_a_value_that_makes_no_sense_is_refused_by_the_name_of_its_option(values: dict[str, Any], words: str) -> None:

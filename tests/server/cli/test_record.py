@@ -46,3 +46,22 @@ def test_what_is_there_is_not_written_over_and_a_recording_is_not_recorded(tmp_p
     assert refused.returncode == 1
     assert "is there already" in refused.stderr
     assert path.read_bytes() == b"mine"
+    (tmp_path / "drive.bag").write_bytes(b"")
+    for source, words in ((tmp_path / "drive.bag", "is a recording already"), ("rovre", "rovre is no live source")):
+        other = str(tmp_path / "other.mcap")
+        refused = subprocess.run([*RECORD, str(source), "-o", other], capture_output=True, text=True, check=False)
+        assert refused.returncode == 1
+        assert words in refused.stderr
+
+
+def test_a_topic_of_which_nothing_comes_is_named_and_what_can_be_none_is_refused(tmp_path: Path) -> None:
+    options = ["--duration", "1", "--topic", "/odom", "--topic", "/odm"]
+    command = [*RECORD, "rover", "-o", str(tmp_path / "run.mcap")]
+    done = subprocess.run([*command, *options], capture_output=True, text=True, check=True)
+    assert "--topic /odm: nothing came of it" in done.stderr
+    assert "--topic /odom" not in done.stderr
+    command = [*RECORD, "rover", "-o", str(tmp_path / "none.mcap")]
+    refused = subprocess.run([*command, "--topic", "odom"], capture_output=True, text=True, check=False)
+    assert refused.returncode == 1
+    assert "--topic odom: a topic or a glob begins with a slash or a star" in refused.stderr
+    assert not (tmp_path / "none.mcap").exists()

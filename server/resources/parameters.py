@@ -5,7 +5,6 @@ from __future__ import annotations
 import secrets
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 
 from pyoxigraph import NamedNode, Triple
 
@@ -14,25 +13,19 @@ from rosld.ontology.body import index_triples, parse_body
 from rosld.ontology.document import Document
 from rosld.ontology.lower import parse_json
 from rosld.ontology.parameters import (
-    Outline,
     lower_json,
     lower_parameter,
-    parameter_container_document,
     parameter_document,
     parameter_json,
     plain_value,
 )
 from rosld.ontology.triples import text, triples_about
-from rosld.ontology.urls import encode_segment
 from rosld.ontology.vocab import rdfs, ros
 from rosld.server.auth.enforcement import require_subtree
-from rosld.server.auth.permissions import Permissions
-from rosld.server.auth.redaction.trees import redact_tree
 from rosld.server.events.query_params import EVENT_STREAM
-from rosld.server.html import DeleteForm, Form, MemberColumns, SequenceLink
+from rosld.server.html import DeleteForm, Form
 from rosld.server.http import negotiation
 from rosld.server.http.conditional import digest
-from rosld.server.http.link import render
 from rosld.server.http.problem import Problem
 from rosld.server.http.token_redaction import redact_tokens
 from rosld.server.hypermedia.data_schema import DataSchema
@@ -41,41 +34,17 @@ from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.patches.patch import apply_update, merge_patch
 from rosld.server.resources.accepted_shape import has_parameter_shape, parameter_shape, shape_query
 from rosld.server.resources.limit_checks import LimitChecks
-from rosld.server.resources.namespaces import (
-    HIDDEN,
-    ListedNamespace,
-    count_members,
-    is_of_hidden,
-    listing_parameters,
-    member_keys,
-    with_hidden,
-)
+from rosld.server.resources.namespaces import count_members, listing_parameters
 from rosld.server.resources.parameter_base import ParameterBase, descriptor_of, require_not_fixed
+from rosld.server.resources.parameter_container import ParameterContainer
 from rosld.server.resources.parameter_form import parameter_form
-from rosld.server.resources.parameter_values import changed_values, leaf_values, omit_parameters
+from rosld.server.resources.parameter_values import changed_values, leaf_values
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH, OFFERS, RDF_BODIES, SPARQL_UPDATE
-from rosld.server.rest.paging import (
-    MAX_PAGE_SIZE,
-    LdpPage,
-    PagePosition,
-    page_of_names,
-    page_query,
-    parse_named_position,
-    require_page,
-)
+from rosld.server.rest.paging import parse_named_position, require_page
 from rosld.server.rest.path_item import PathItem, WriteMethod
 from rosld.server.rest.plan import Plan, RobotWrite
-from rosld.server.rest.resource import (
-    BASIC_CONTAINER,
-    RDF_SOURCE,
-    READ,
-    RESOURCE,
-    Answer,
-    CreatedAnswer,
-    Resource,
-    permanent_redirect,
-)
+from rosld.server.rest.resource import READ, Answer, CreatedAnswer, Resource, permanent_redirect
 from rosld.server.rest.state import State
 from rosld.server.robot.session import Session
 from rosld.server.robot.write_policy import parameter_denied_reason
@@ -84,9 +53,6 @@ from rosld.shapes.parameter import declared_triples, require_form
 
 _AT_START = "Kept by the parameter server: nodes may read it only when they start."
 _MAX_SLUG = 100
-_TRIPLES_BYTES = 40
-"""Bytes of N-Triples, about, that a byte of plain JSON of a tree comes to."""
-
 _NEW_VALUE: DataSchema = {"type": ["string", "number", "boolean", "array", "object"]}
 
 
@@ -258,37 +224,10 @@ class ParameterResource(ParameterBase):
         return await self._answer({self.name: value})
 
 
-class ParameterTree(ParameterBase):
-    """A namespace of parameters: a container, and as plain JSON the object of its members' values.
+class ParameterTree(ParameterContainer):
+    """A namespace of parameters, in which parameters are made, set and deleted."""
 
-    Where there are many members the container comes in pages. The object is one value, and never does unasked. Neither
-    tells of the parameters of hidden nodes unasked.
-    """
-
-    kind = "Parameters"
-    links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
     accepts: Mapping[str, Sequence[str]] = {"POST": (*RDF_BODIES, JSON), "PATCH": (MERGE_PATCH,)}
-
-    def __init__(
-        self,
-        session: Session,
-        limit_checks: LimitChecks,
-        states: VersionCache[State],
-        namespace: tuple[str, ...],
-        place: PagePosition | None = None,
-        *,
-        hidden: bool = False,
-    ) -> None:
-        super().__init__(session, limit_checks, names.join(namespace), session.space.container("parameters", namespace))
-        self.states = states
-        self.namespace = namespace
-        self._place = place
-        self._hidden = hidden
-        self._sequence = with_hidden(self.url) if hidden else self.url
-
-    @property
-    def variant_key(self) -> tuple[PagePosition | None, bool]:
-        return self._place, self._hidden
 
     @property
     def changes_subtree(self) -> bool:
@@ -332,57 +271,6 @@ class ParameterTree(ParameterBase):
         allowed = self.session.adapter.allows(Ref(Kind.PARAMETER, "/rosld"))
         return Operation.SET_PARAMETER in allowed and not self.session.settings.read_only
 
-    async def state(self) -> State:
-        return self.state_of(await self._value())
-
-    def state_of(self, value: ParameterValue | None) -> State:
-        """The state with this value. Raises a 404 Problem where it is none of a tree."""
-        if value is None and not self.namespace:
-            value = {}
-        if not isinstance(value, dict):
-            raise Problem(404, f"There is no tree of parameters {self.name}.")
-        tree = self._list(value)
-        whole = with_hidden(self.url) if tree is not value else None
-        plain = self._plain(tree)
-        if self._place is not None:
-            return self._page_shown(self._place, tree, plain)
-        return self.states.get_or_make(
-            self._sequence,
-            (plain, whole),
-            lambda: State(
-                partial(
-                    parameter_container_document, self.namespace, tree, self.session.space, MAX_PAGE_SIZE, whole=whole
-                ),
-                lambda: plain,
-                digest(plain),
-                weight=_TRIPLES_BYTES * len(plain),
-            ),
-        )
-
-    def outline(self) -> Document:
-        """What it says but for values."""
-        listed = self._listed()
-        return parameter_container_document(
-            self.namespace,
-            _outline(listed),
-            self.session.space,
-            MAX_PAGE_SIZE,
-            whole=with_hidden(self.url) if listed.leaves_out else None,
-        )
-
-    def _list(self, value: dict[str, ParameterValue]) -> dict[str, ParameterValue]:
-        """The tree as it is listed; the same object where nothing is left out."""
-        capabilities = self.session.adapter.capabilities
-        if self._hidden or not capabilities.hidden_names or names.is_hidden(self.name):
-            return value
-        hidden = {each.name for each in self.session.graph.parameters.values() if is_of_hidden(each)}
-        return omit_parameters(self.name, value, hidden) if hidden else value
-
-    def _listed(self) -> ListedNamespace:
-        """The namespace as it is listed in the graph of now."""
-        capabilities = self.session.adapter.capabilities
-        return ListedNamespace(self.session.graph, capabilities, "parameters", self.namespace, hidden=self._hidden)
-
     async def select_variant(self, exchange: Exchange) -> Resource:
         """The page that `?page=` asks for, the first of many pages (303) where the container is asked for."""
         if exchange.method not in ("GET", "HEAD"):
@@ -396,50 +284,6 @@ class ParameterTree(ParameterBase):
         if place is None and members is not None and not _wants_value(exchange):
             require_page(exchange, self.url, count_members(members))
         return asked
-
-    def _page_shown(self, place: PagePosition, tree: Mapping[str, ParameterValue], whole: bytes) -> State:
-        page, held = self._page(place, tree)
-
-        def make() -> State:
-            return State(
-                lambda: page.add_to(
-                    parameter_container_document(self.namespace, held, self.session.space, MAX_PAGE_SIZE)
-                ),
-                lambda: self._plain(held),
-                digest(whole),
-                part=f"p{digest(page.token.encode())}",
-                headers={"link": render([*self.links, *page.links()]), "vary": "Accept, Prefer"},
-            )
-
-        return self.states.get_or_make(page.url, whole, make)
-
-    def _page(
-        self, place: PagePosition, tree: Mapping[str, ParameterValue]
-    ) -> tuple[LdpPage, dict[str, ParameterValue]]:
-        """A page, and what of the tree it tells."""
-        keys = {encode_segment(key) + ("/" if isinstance(tree[key], dict) else ""): key for key in tree}
-        page, told = page_of_names(self._sequence, place, sorted(keys))
-        return page, {keys[end]: tree[keys[end]] for end in told}
-
-    @property
-    def query(self) -> str:
-        parts = [HIDDEN] if self._hidden else []
-        return "&".join(parts if self._place is None else [*parts, page_query(self._place.token)])
-
-    def navigation_links(self) -> tuple[SequenceLink, ...]:
-        members = self._listed().members
-        if self._place is None or members is None:
-            return ()
-        return page_of_names(self._sequence, self._place, member_keys(members))[0].neighbours()
-
-    def listing(self) -> MemberColumns | None:
-        members = self._listed().members
-        return None if self._place is None or members is None else MemberColumns(total=count_members(members))
-
-    def redact(self, state: State, permissions: Permissions) -> State:
-        plain = state.plain
-        assert plain is not None
-        return state.redact(permissions, plain=lambda: redact_tree(plain(), self.url, permissions))
 
     async def post(self, exchange: Exchange) -> Answer:
         """Make a member, named by Slug where it is free (LDP 5.2.3.10).
@@ -500,15 +344,6 @@ class ParameterTree(ParameterBase):
         if gone:
             await self._delete(gone)
         return await self._answer(changed)
-
-
-def _outline(listed: ListedNamespace) -> Outline:
-    """The members of a namespace and of all below it, without values."""
-    members = listed.members
-    if members is None:
-        return {}
-    below = {each: _outline(replace(listed, namespace=(*listed.namespace, each))) for each in members.namespaces}
-    return {**dict.fromkeys(members.leaves), **below}
 
 
 def _require_below(exchange: Exchange, url: str, value: ParameterValue) -> None:

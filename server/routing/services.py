@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gc
 import secrets
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from rosld.adapters.base import Adapter
 from rosld.adapters.model import RosError
@@ -18,7 +18,13 @@ from rosld.server.policies.active_limits import ActiveLimits, initial_limits
 from rosld.server.policies.stored_mappings import initial_mappings, load_stored_mappings
 from rosld.server.receipts.journal import Journal
 from rosld.server.resources.ldp.documents import Documents
-from rosld.server.resources.ldp.validation import CockpitValidator, LimitsValidator, MappingValidator, QueryValidator
+from rosld.server.resources.ldp.validation import (
+    CockpitValidator,
+    LimitsValidator,
+    MappingValidator,
+    QueryValidator,
+    Validator,
+)
 from rosld.server.rest.state import State
 from rosld.server.robot.hold_store import Holds
 from rosld.server.robot.session import Session
@@ -28,8 +34,11 @@ from rosld.server.runtime.signals import Signal
 from rosld.server.runtime.version_cache import VersionCache
 from rosld.server.settings import Settings
 from rosld.server.sparql.syntax.lexer import QueryBounds
-from rosld.server.storage import RecordChange
+from rosld.server.storage import RecordChange, Records
 from rosld.server.storage.sqlite import open_records
+
+_ROUTES = (stored_mappings.ROUTE, stored_queries.ROUTE, active_limits.ROUTE, stored_cockpits.ROUTE)
+"""The containers of what clients keep that has an effect here."""
 
 
 class Services:
@@ -42,11 +51,7 @@ class Services:
         session, space = self.session, self.session.space
         self.states: VersionCache[State] = VersionCache()
         self.active_limits = ActiveLimits(tuple(initial_limits(settings, adapter, space)), space)
-        records = open_records(
-            settings.data,
-            roots=(stored_mappings.ROUTE, stored_queries.ROUTE, active_limits.ROUTE, stored_cockpits.ROUTE),
-            versions=settings.versions,
-        )
+        records = open_records(settings.data, roots=_ROUTES, versions=settings.versions)
         self.receipts = Journal(
             settings.data,
             limit=settings.receipts_kept,
@@ -67,7 +72,6 @@ class Services:
         self.affordances: AffordanceService[State] = AffordanceService(
             session, self.mappings, self.property_reader, self.states, lambda: self.active_limits.current
         )
-        announce = session.changes.emit
         self.documents = Documents(
             space,
             settings,
@@ -75,12 +79,7 @@ class Services:
             Signal(),
             self.states,
             WorkerPool(),
-            {
-                stored_mappings.ROUTE: MappingValidator(self.mappings, space, announce),
-                stored_queries.ROUTE: QueryValidator(self.queries, records, space, announce),
-                active_limits.ROUTE: LimitsValidator(self.active_limits, self.states, space, announce),
-                stored_cockpits.ROUTE: CockpitValidator(space),
-            },
+            self._validators(records),
             self.affordances.mapping_warnings,
         )
         self.holds = Holds(session)
@@ -89,6 +88,16 @@ class Services:
             session, self.holds, lambda: self.mappings.mapping_set.stop_commands(), self._is_at_rest
         )
         self.pictures = PictureCache(self.instance_id)
+
+    def _validators(self, records: Records) -> Mapping[str, Validator]:
+        """What judges the documents of each route, and puts them into force."""
+        space, announce = self.session.space, self.session.changes.emit
+        return {
+            stored_mappings.ROUTE: MappingValidator(self.mappings, space, announce),
+            stored_queries.ROUTE: QueryValidator(self.queries, records, space, announce),
+            active_limits.ROUTE: LimitsValidator(self.active_limits, self.states, space, announce),
+            stored_cockpits.ROUTE: CockpitValidator(space),
+        }
 
     async def _is_at_rest(self, command: StopCommand) -> bool:
         """Whether what a mapping's stop is about says, read now, that it is at rest."""

@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import sys
 import threading
 import time
-import traceback
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
-from types import FrameType
+from pathlib import Path
+
+import rosld
+from rosld.server.runtime.thread_stack import StackFrame, thread_stack
 
 _log = logging.getLogger("rosld")
 
@@ -31,9 +33,9 @@ LOG_INTERVAL_SECONDS = 60.0
 RECENT_SECONDS = 60.0
 _SLOTS = 6
 _FRAMES = 12
-_PACKAGE = "rosld"
-_RUNNERS = frozenset({"asyncio.runners", "uvloop"})
-"""Modules that run a loop: code that they were called by runs nothing itself."""
+_PACKAGE = Path(rosld.__file__).parent
+_RUNNERS = ("/asyncio/runners.py", "/uvloop/__init__.py")
+"""Files that run a loop: code that they were called by runs nothing itself."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,11 +150,12 @@ class Watchdog:
 
     def _stack(self) -> tuple[str | None, str | None]:
         """The innermost function of rosld that the loop's thread runs, and the whole stack."""
-        frame = sys._current_frames().get(self._loop_thread)
-        if frame is None:
+        try:
+            stack = thread_stack(self._loop_thread)
+        except OSError:  # a disk is full, which says so elsewhere
             return None, None
-        code = running_code(frame)
-        return code, None if code is None else "".join(traceback.format_stack(frame)[-_FRAMES:])
+        code = running_code(stack)
+        return code, None if code is None else "\n".join(map(str, reversed(stack[:_FRAMES])))
 
 
 def _level(pause: Pause) -> int:
@@ -167,13 +170,12 @@ def describe_pause(pause: Pause) -> str:
     return f"{head}\n{pause.stack}" if pause.stack and pause.seconds >= LONG_SECONDS else head
 
 
-def running_code(frame: FrameType | None) -> str | None:
+def running_code(stack: Sequence[StackFrame]) -> str | None:
     """The innermost function of rosld on a stack, as `module.function`; None where none but the loop's own runs."""
-    while frame is not None:
-        module = str(frame.f_globals.get("__name__", ""))
-        if module in _RUNNERS:
+    for frame in stack:
+        if frame.file.endswith(_RUNNERS):
             return None
-        if module.partition(".")[0] == _PACKAGE:
-            return f"{module}.{getattr(frame.f_code, 'co_qualname', frame.f_code.co_name)}"  # from Python 3.11 on
-        frame = frame.f_back
+        file = Path(frame.file)
+        if file.is_relative_to(_PACKAGE):
+            return ".".join((_PACKAGE.name, *file.relative_to(_PACKAGE).with_suffix("").parts, frame.function))
     return None

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import sys
+import threading
 import time
+from pathlib import Path
 from typing import Any
 
 import pytest
 from pyoxigraph import Literal, NamedNode, RdfFormat, parse
 
+import rosld
+from rosld.server.runtime.thread_stack import StackFrame, thread_stack
 from rosld.server.runtime.watchdog import Pause, Watchdog, describe_pause, running_code
 from tests.server.robots.made_up import MadeUp, served
 from tests.waiting import until
@@ -63,13 +66,41 @@ def test_a_pause_is_a_line_in_the_log_and_a_long_one_has_its_stack(seconds: floa
 
 
 def test_a_loop_that_waits_runs_no_code_though_rosld_started_it() -> None:
-    async def waiting() -> str | None:
-        return running_code(sys._getframe())
+    here = str(Path(rosld.__file__).parent / "server" / "somewhere.py")
+    call, loop, start = (
+        StackFrame(here, "3", "answer"),
+        StackFrame("/usr/lib/python3/asyncio/runners.py", "118", "run"),
+        StackFrame(here, "1", "run"),
+    )
+    assert running_code([loop, start]) is None
+    assert running_code([StackFrame("/usr/lib/python3/json/decoder.py", "7", "decode"), call, loop, start]) == (
+        "rosld.server.somewhere.answer"
+    )
 
-    namespace = {"__name__": "rosld.server.somewhere", "asyncio": asyncio}
-    exec("def run(coroutine): return asyncio.run(coroutine)\nasync def ask(look): return look()", namespace)
-    assert namespace["run"](waiting()) is None
-    assert namespace["run"](namespace["ask"](lambda: running_code(sys._getframe()))) == "rosld.server.somewhere.ask"
+
+def test_the_stack_of_a_thread_is_told_while_it_runs_and_that_of_one_that_has_ended_is_empty() -> None:
+    ended = threading.Event()
+
+    def outer() -> None:
+        inner()
+
+    def inner() -> None:
+        while not ended.is_set():
+            pass
+
+    thread = threading.Thread(target=outer)
+    thread.start()
+    assert thread.ident is not None
+    try:
+        until(lambda: "inner" in [each.function for each in thread_stack(thread.ident or 0)], "a call")
+        names = [each.function for each in thread_stack(thread.ident)]
+        at = names.index("inner")
+        assert names[at + 1] == "outer"
+        assert {each.file for each in thread_stack(thread.ident) if each.function == "outer"} == {__file__}
+    finally:
+        ended.set()
+        thread.join()
+    assert thread_stack(thread.ident) == []
 
 
 def test_the_status_is_linked_from_the_entry_and_told_in_rdf_and_html() -> None:

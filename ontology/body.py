@@ -102,7 +102,7 @@ def parse_body(data: bytes, media_type: str, base: str, *, alone: bool = False) 
 
     Of a dataset those of the default graph and of the graph named `base` are taken; other graphs are passed over, or
     refused where these are to come `alone`. Raises BodyError for such a graph, for what is not UTF-8, nested deeper
-    than `DEEPEST`, in need of something to be fetched, or no `media_type` at all; ValueError for a media type not in
+    than `MAX_DEPTH`, in need of something to be fetched, or no `media_type` at all; ValueError for a media type not in
     `MEDIA_TYPES`. The caller checks the size.
     """
     form = _form(media_type)
@@ -258,12 +258,12 @@ _TURTLE_TOKENS = re.compile(
 
 
 def check_json_depth(data: bytes) -> None:
-    """Raise BodyError for JSON nested deeper than `DEEPEST`."""
+    """Raise BodyError for JSON nested deeper than `MAX_DEPTH`."""
     _check_depth(data, _JSON_TOKENS, b"[{")
 
 
 def check_turtle_depth(data: bytes) -> None:
-    """Raise BodyError for what is not UTF-8, and for Turtle or N3 nested deeper than `DEEPEST`."""
+    """Raise BodyError for what is not UTF-8, and for Turtle or N3 nested deeper than `MAX_DEPTH`."""
     _check_utf8(data)
     _check_depth(data, _TURTLE_TOKENS, b"[({<")
 
@@ -339,7 +339,7 @@ _XML_TOKENS = re.compile(
 
 
 def _xml(data: bytes) -> bytes:
-    """An XML document in UTF-8, whatever encoding it declares. Raises UnreadCharset and BodyError."""
+    """An XML document in UTF-8, whatever encoding it declares. Raises UnsupportedCharset and BodyError."""
     try:
         return decode_xml(data)
     except UnknownCharset as error:
@@ -371,7 +371,7 @@ def _check_xml(data: bytes) -> None:
 def parse_json(data: bytes) -> object:
     """The value of a JSON text: integers exact, whatever their size.
 
-    Raises BodyError for what is not UTF-8, nested deeper than `DEEPEST`, no JSON (NaN and Infinity are none), or says
+    Raises BodyError for what is not UTF-8, nested deeper than `MAX_DEPTH`, no JSON (NaN and Infinity are none), or says
     one key of an object twice.
     """
     data = data.removeprefix(b"\xef\xbb\xbf")

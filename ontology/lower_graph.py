@@ -174,6 +174,8 @@ def _list(kind: Array, element: Primitive, one: TermLeaf, terms: list[Term]) -> 
 
 
 class _Entry(NamedTuple):
+    """A field, and the reader of its values."""
+
     field: Field
     read: Reader
 

@@ -29,6 +29,8 @@ class JsonReading(NamedTuple):
 
 
 class _Field(NamedTuple):
+    """A field, the reader of its value, and what makes its default."""
+
     field: Field
     read: Reader
     default: Callable[[], object]

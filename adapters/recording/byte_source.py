@@ -77,7 +77,7 @@ class RandomFile:
 
 
 class BytesSource:
-    """Bytes in memory as a `Source`."""
+    """Bytes in memory as a `ByteSource`."""
 
     def __init__(self, data: bytes) -> None:
         self._data = data
@@ -89,6 +89,8 @@ class BytesSource:
 
 
 class _Decompressor(Protocol):
+    """What the decompressors of bz2, LZ4 and Zstandard have in common."""
+
     @property
     def eof(self) -> bool: ...
 

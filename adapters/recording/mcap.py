@@ -47,6 +47,8 @@ _ENCODINGS = {"cdr": Encoding.CDR, "ros1": Encoding.ROS1}
 
 
 class _Record(NamedTuple):
+    """A record: its opcode, and where its content begins and how long it is, in bytes."""
+
     op: int
     data_at: int
     size: int
@@ -67,6 +69,8 @@ class _Chunk(NamedTuple):
 
 
 class _Schema(NamedTuple):
+    """A schema record: the name of a type, the encoding of its definition, and that text."""
+
     name: str
     encoding: str
     data: str

@@ -32,6 +32,8 @@ class _Due(NamedTuple):
 
 
 class _View(NamedTuple):
+    """The messages that are due, and their samples."""
+
     due: tuple[_Due, ...]
     samples: tuple[Sample, ...]
 

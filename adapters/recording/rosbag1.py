@@ -42,6 +42,8 @@ _IS_MESSAGE = _UINT32.pack(4) + b"op=" + bytes([_MESSAGE])
 
 
 class _Record(NamedTuple):
+    """A record: its opcode, its header fields, and where its data begin and how long they are, in bytes."""
+
     op: int
     header: Mapping[bytes, bytes]
     data_at: int

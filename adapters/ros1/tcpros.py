@@ -91,7 +91,7 @@ class LargeFrame:
         self.advance(len(data))
 
     def advance(self, count: int) -> None:
-        """Heed that so many bytes were written into `room`."""
+        """Count bytes that were written into `writable_view`."""
         self._filled += count
         self._missing -= count
         if self._missing and self._filled == len(self._pieces[-1]):

@@ -24,7 +24,7 @@ from rosld.server.runtime.signals import Signal
 _GLANCE = 1.0
 """Seconds between looks at whether the file has changed."""
 _MAX_AGENTS = 1000
-"""Agents whose judges are kept."""
+"""Agents whose permissions are cached."""
 _log = logging.getLogger("rosld")
 _Stamp: TypeAlias = tuple[int, int, int]
 

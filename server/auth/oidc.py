@@ -70,7 +70,7 @@ class TokenVerifier:
     _fetching: dict[Issuer, asyncio.Lock] = field(default_factory=dict)
 
     async def verify(self, token: str, issuer: Issuer) -> Claims:
-        """What a token says. Raises Unverified for one that does not count."""
+        """The claims of a token. Raises InvalidToken for one that is not accepted."""
         import jwt
 
         try:
@@ -151,6 +151,8 @@ def _is_safe(url: str, issuer: str) -> bool:
 
 
 class _NoRedirects(urllib.request.HTTPRedirectHandler):
+    """A handler that follows no redirect."""
+
     def redirect_request(self, *_: object) -> None:
         return None
 

@@ -81,6 +81,8 @@ class Selection:
 
 @dataclass(slots=True)
 class _Draft:
+    """A diagram being made: vertices by key, edges by the keys of both ends."""
+
     vertices: dict[str, Vertex] = field(default_factory=dict)
     edges: dict[tuple[str, str], Edge] = field(default_factory=dict)
 

@@ -1,10 +1,9 @@
 """Notification of changes: event streams, long polling, channels of the Solid Notifications Protocol.
 
-watches.py    how a resource tells that it may have changed
-feed.py       one resource followed for all who read it
-pace.py       how often a reader is told
-frame.py      events as bytes (WHATWG HTML 9.2)
-asked.py      what a request asks for
-stream.py     the response that goes on
-waiting.py    the answer that waits
+broadcaster.py     one resource observed for all its readers
+query_params.py    what a request for changes asks for
+event_stream.py    the changes of a resource as an event stream (WHATWG HTML 9.2)
+long_poll.py       the answer that waits for a state
+motion_stream.py, sample_stream.py, space_stream.py    streams of pictures, of numbers, of a view of space
+notification_channels.py, delivery.py    channels, and their notifications over HTTP or WebSocket
 """

@@ -93,7 +93,7 @@ class Broadcaster:
         self._seen = 0
 
     def start(self) -> None:
-        """Follow the resource. Its own watch is made by the first look."""
+        """Follow the resource. Its own watch is made when it is read first."""
         self._follows = self._general.watch(self._outdate)
 
     def stop(self) -> None:
@@ -112,7 +112,7 @@ class Broadcaster:
                 self._waiters.pop(waiter, None)
 
     def current(self) -> Observation | None:
-        """What `look` would tell, if it need not read for it."""
+        """What `observe` would return, if it need not read for it."""
         return self._moment if self._seen == self.version else None
 
     async def observe(self) -> Observation:
@@ -217,7 +217,7 @@ class Broadcasters:
 
     @contextlib.contextmanager
     def subscribe(self, resource: Resource) -> Iterator[Broadcaster]:
-        """The feed of a resource, which is watched as long as somebody follows it."""
+        """The broadcaster of a resource, which is watched as long as somebody reads it."""
         broadcaster = self._broadcasters.get(resource)
         if broadcaster is None:
             broadcaster = self._broadcasters[resource] = Broadcaster(resource, self._general)

@@ -130,7 +130,10 @@ class ComplexOffer:
 
 @dataclass(frozen=True, slots=True)
 class PropertyOffer:
-    """A property by itself; `facts` are its type and what it measures, `behind` what it is read from and written to."""
+    """A property by itself; `facts` are its type and what it measures, `sources` what it is read from and written to.
+
+    `part_of` leads to the complex resource that it is in.
+    """
 
     kind: ClassVar[str] = "property"
     value: PropertyValueView
@@ -142,7 +145,7 @@ class PropertyOffer:
 
 @dataclass(frozen=True, slots=True)
 class ActionOffer:
-    """An action by itself; `behind` is what it invokes."""
+    """An action by itself; `sources` is what it invokes."""
 
     kind: ClassVar[str] = "action"
     is_callable: bool

@@ -1,7 +1,7 @@
 """Affordances: the present state of the resources below `/resources/`, and what may be done with them.
 
-The layout says what there is, the readings what state it is in, the verdicts what follows from that. All three are
-values; here they are kept in step with the robot.
+The resource tree says what there is, the readings what state it is in, the results of conditions what is on offer. All
+three are values; here they are kept in step with the robot.
 """
 
 from __future__ import annotations

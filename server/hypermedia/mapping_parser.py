@@ -42,7 +42,7 @@ Statements: TypeAlias = Mapping[NamedNode, Sequence[Term]]
 _T = TypeVar("_T")
 
 MAX_TRIPLES = 5_000
-"""The triples a document may have. To judge so many takes a second or two, seven where all of them are wrong."""
+"""The triples a document may have. To validate so many takes a second or two, seven where all of them are wrong."""
 _MAX_VIOLATIONS = 20
 LONGEST_READING = 5.0
 """Seconds that the conditions of a document may take to be read."""
@@ -73,16 +73,16 @@ class InvalidMapping(LoweringError):
 
 
 def read_mapping(data: bytes, media_type: str, url: str, *, is_valid: bool = False) -> MappingDocument:
-    """The mapping that `data` describes, its relative IRIs resolved against `url`; `judged` as in `mapping_of`.
+    """The mapping that `data` describes, its relative IRIs resolved against `url`; `is_valid` as in `mapping_of`.
 
-    Raises BodyError for what cannot be parsed, MappingRefused for what is no mapping, ValueError for a media type that
+    Raises BodyError for what cannot be parsed, InvalidMapping for what is no mapping, ValueError for a media type that
     is no RDF syntax. Takes seconds for the largest documents: call it off the loop.
     """
     return mapping_of(parse_body(data, media_type, url), url, is_valid=is_valid)
 
 
 def load_mapping(path: Path, space: Space, name: str | None = None, *, is_valid: bool = False) -> MappingDocument:
-    """The mapping in a file, by its `name` (the file's by default) under `/mappings/`; `judged` as in `mapping_of`.
+    """The mapping in a file, by its `name` (the file's by default) under `/mappings/`; `is_valid` as in `mapping_of`.
 
     Raises OSError where there is no such file, and ValueError for one that is no mapping: each with the file's name.
     """
@@ -99,7 +99,7 @@ def load_mapping(path: Path, space: Space, name: str | None = None, *, is_valid:
 
 
 def mapping_of(body: RdfBody, url: str, *, is_valid: bool = False) -> MappingDocument:
-    """The mapping that the triples of a body describe. Raises MappingRefused.
+    """The mapping that the triples of a body describe. Raises InvalidMapping.
 
     Of one that `is_valid`, because it was read before, neither the shape of mappings nor its terms are looked at again:
     that takes its time, and rdflib.
@@ -151,7 +151,7 @@ class _Reader:
         self.conditions: dict[Term, Condition] = {}
 
     def permissions(self) -> None:
-        """Judge the document by the shape of mappings. Raises MappingRefused."""
+        """Judge the document by the shape of mappings. Raises InvalidMapping."""
         # pyshacl and rdflib, which many servers never need, take longer to import than all of the SPARQL service.
         from rosld.shapes.validation import validate_mapping
 
@@ -160,7 +160,7 @@ class _Reader:
         self.refuse()
 
     def resources(self) -> tuple[ComplexResource, ...]:
-        """The complex resources by path. Raises MappingRefused."""
+        """The complex resources by path. Raises InvalidMapping."""
         self.check_demands()
         self.refuse()
         self.check_conditions()

@@ -40,13 +40,13 @@ class Mappings:
     def replace(self, document: MappingDocument) -> None:
         """Put a document into force, in the place of the one of the same URL.
 
-        Raises MappingRefused, and changes nothing, where it and another one speak of the same path or condition.
+        Raises InvalidMapping, and changes nothing, where it and another one speak of the same path or condition.
         """
         self.check(document)
         self._become({**self._documents, document.url: document})
 
     def check(self, document: MappingDocument) -> None:
-        """Raise MappingRefused where `replace` would."""
+        """Raise InvalidMapping where `replace` would."""
         _check(document, [each for url, each in self._documents.items() if url != document.url])
 
     def remove(self, url: str) -> None:
@@ -61,7 +61,7 @@ class Mappings:
 
 
 def _check(document: MappingDocument, others: Iterable[MappingDocument]) -> None:
-    """Raise MappingRefused where a document takes what is another's."""
+    """Raise InvalidMapping where a document takes what is another's."""
     paths, conditions = _claims(document)
     found: list[Violation] = []
     for other in others:

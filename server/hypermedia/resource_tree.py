@@ -252,11 +252,11 @@ class ResourceTree:
         )
 
     def properties_in(self, conditions: Iterable[Condition]) -> tuple[Property, ...]:
-        """The properties that must be read to judge these conditions."""
+        """The properties that must be read to evaluate these conditions."""
         return self._reads((), conditions)
 
     def lock_names(self, names: Iterable[str]) -> tuple[str, ...]:
-        """What a write to these names must have its turn at, in an order that all writes share.
+        """The names that a write to these names must lock, in an order that all writes share.
 
         Nothing where no condition hangs together with them.
         """

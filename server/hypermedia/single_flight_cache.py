@@ -73,9 +73,9 @@ class SingleFlightCache(Generic[K, V]):
         shared: dict[PendingFetch[K, V], None] = {}
         others = []
         for key in keys:
-            question = self._under_way.get(key)
-            if question is not None and (question.started == 0 or question.started > since):
-                shared[question] = None
+            pending = self._under_way.get(key)
+            if pending is not None and (pending.started == 0 or pending.started > since):
+                shared[pending] = None
             else:
                 others.append(key)
         if others:
@@ -83,45 +83,45 @@ class SingleFlightCache(Generic[K, V]):
         return tuple(shared)
 
     def invalidate(self, key: K) -> None:
-        """The freshness of an answer ends, and that of a question that has begun: who asks from now on asks anew."""
+        """End the validity of an answer, and of one whose fetch has begun: it is fetched again when it is asked for."""
         self._kept.pop(key, None)
-        question = self._under_way.get(key)
-        if question is not None and question.started:
+        pending = self._under_way.get(key)
+        if pending is not None and pending.started:
             del self._under_way[key]
 
     async def stop(self) -> None:
-        """Cancel all questions."""
+        """Cancel all fetches."""
         tasks = list(self._tasks)
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
 
-    def _begin(self, keys: Sequence[K], ask: Fetch[K, V], room: Slot) -> PendingFetch[K, V]:
-        question: PendingFetch[K, V] = PendingFetch(keys)
-        question.task = asyncio.get_running_loop().create_task(self._run(question, ask, room))
-        self._tasks.add(question.task)
-        question.task.add_done_callback(self._tasks.discard)
-        self._under_way.update(dict.fromkeys(keys, question))
-        return question
+    def _begin(self, keys: Sequence[K], start: Fetch[K, V], slot: Slot) -> PendingFetch[K, V]:
+        pending: PendingFetch[K, V] = PendingFetch(keys)
+        pending.task = asyncio.get_running_loop().create_task(self._run(pending, start, slot))
+        self._tasks.add(pending.task)
+        pending.task.add_done_callback(self._tasks.discard)
+        self._under_way.update(dict.fromkeys(keys, pending))
+        return pending
 
-    async def _run(self, question: PendingFetch[K, V], ask: Fetch[K, V], room: Slot) -> Mapping[K, V]:
+    async def _run(self, pending: PendingFetch[K, V], start: Fetch[K, V], slot: Slot) -> Mapping[K, V]:
         answers: Mapping[K, V] = {}
         try:
-            async with room:
-                question.started = next(self._turns)
-                answers = await ask(question.keys)
+            async with slot:
+                pending.started = next(self._turns)
+                answers = await start(pending.keys)
             return answers
         finally:
-            self._settle(question, answers)
+            self._settle(pending, answers)
 
-    def _settle(self, question: PendingFetch[K, V], answers: Mapping[K, V]) -> None:
-        """Keep the answers, but for those whose freshness was ended meanwhile."""
+    def _settle(self, pending: PendingFetch[K, V], answers: Mapping[K, V]) -> None:
+        """Cache the answers, but for those that were invalidated meanwhile."""
         until = asyncio.get_running_loop().time() + self._freshness
-        for key in question.keys:
-            if self._under_way.get(key) is question:
+        for key in pending.keys:
+            if self._under_way.get(key) is pending:
                 del self._under_way[key]
                 if key in answers and self._freshness > 0:
                     self._kept.pop(key, None)
-                    self._kept[key] = CacheEntry(answers[key], question.started, until)
+                    self._kept[key] = CacheEntry(answers[key], pending.started, until)
         while len(self._kept) > _MAX_ENTRIES:
             del self._kept[next(iter(self._kept))]

@@ -41,7 +41,7 @@ def apply_update(
     store. Else a literal is only itself.
 
     Raises Problems: 400 for what cannot be parsed, 422 for what reaches beyond the one graph (GRAPH, WITH, USING, LOAD,
-    SERVICE, whole-graph operations). Raises Grown where more than `limit` triples come of it.
+    SERVICE, whole-graph operations). Raises TooManyTriples where more than `limit` come of it.
     """
     checked = check_update_of_one_graph(_text(data))
     rewritten = rewrite_update(checked, base)

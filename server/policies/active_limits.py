@@ -28,7 +28,7 @@ class ActiveLimits:
         self.current = Limits.from_graphs(initial, space)
         """All of them; a change makes another object."""
         self.lock = asyncio.Lock()
-        """Held while a write is judged and done."""
+        """Held while a write is validated and done."""
         self._given = tuple(initial)
         self._kept: dict[str, tuple[Triple, ...]] = {}
         self._space = space

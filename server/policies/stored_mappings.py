@@ -22,14 +22,14 @@ _log = logging.getLogger("rosld")
 
 
 def stored_mapping(triples: bytes, url: str) -> MappingDocument:
-    """The mapping that is kept as these N-Triples. Raises MappingRefused."""
+    """The mapping that is kept as these N-Triples. Raises InvalidMapping."""
     return mapping_of(index_quads(parse(triples, RdfFormat.N_TRIPLES), url), url)
 
 
 def initial_mappings(settings: Settings, adapter: Adapter, space: Space) -> Iterator[MappingDocument]:
     """The mapping documents to begin with: the robot's own, and those of the settings. Raises ValueError.
 
-    What is shipped was judged when it was made.
+    What is shipped was validated when it was made.
     """
     shipped = adapter.capabilities.mapping
     if shipped is not None:

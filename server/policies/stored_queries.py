@@ -34,7 +34,7 @@ class StoredQueries:
         self.version = records.version
         """The number of the last change of records below `/queries/`: it rises, from one run to the next too."""
         self.lock = asyncio.Lock()
-        """Held while a write is judged and done."""
+        """Held while a write is validated and done."""
         self._records = records
         self._space = space
         self._outlines: _Remembered[StoredQuery] = _Remembered(_KEPT)

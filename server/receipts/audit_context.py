@@ -1,7 +1,7 @@
 """The audit context of a request: what it did so far, of which its receipt is made.
 
-Whatever tells the robot something tells the account `under_way` of it, so that a resource can forget neither to tell
-what it touches nor what came of it. What a resource has to say beyond that it says to its exchange's.
+Whatever writes to the robot records that in `current_audit`, so that no resource can forget what it touches or what
+came of it. What a resource has to add, it adds to the context of its exchange.
 """
 
 from __future__ import annotations

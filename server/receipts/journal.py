@@ -110,7 +110,7 @@ class Journal:
         return entry.id
 
     def find(self, id: str) -> JournalEntry:
-        """A write by the id of its receipt. Raises Forgotten."""
+        """A write by the id of its receipt. Raises NoSuchReceipt."""
         try:
             return self._entries[id]
         except KeyError as error:

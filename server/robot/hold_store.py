@@ -269,7 +269,7 @@ class _Running:
         self._keepers = 0
 
     async def publish(self, deadline: float) -> None:
-        """Publish the message once. Raises what the gate and the adapter raise."""
+        """Publish the message once. Raises what the interlock and the adapter raise."""
         topic, message = self.hold.topic, self.hold.message
         data = message.encode_at(time.time_ns(), self._adapter.capabilities.encoding)
         await self._adapter.publish_for_hold(

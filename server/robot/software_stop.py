@@ -267,7 +267,7 @@ class SoftwareStop:
         self._revise()
 
     async def _carried_out(self, mapped: StopCommand, deadline: float) -> Reached | str | None:
-        """Call or publish what a mapping names, past the gate; words where it was refused by what is at rest."""
+        """Call or publish what a mapping names, past the interlock; words where it was refused by what is at rest."""
         try:
             return await self._tell(mapped, deadline)
         except (RosError, LoweringError, ValueError) as error:

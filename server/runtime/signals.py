@@ -27,6 +27,8 @@ class Signal:
 
 
 class _SignalWatch:
+    """A watch of a signal, for what `concerns` says; None: for everything."""
+
     def __init__(
         self, wake: Callable[[], None], concerns: Callable[[str], bool] | None, among: dict[_SignalWatch, None]
     ) -> None:

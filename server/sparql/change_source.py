@@ -46,6 +46,8 @@ class ChangeSource(Protocol):
 
 
 class _Nothing:
+    """A `ChangeSource` without graphs."""
+
     version = 0
 
     def last_change(self, graph: str) -> int:

@@ -184,7 +184,7 @@ class StorageError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class RecordChange:
-    """A path whose record, or whose list of members, changed after some version; `gone`: it is no more."""
+    """A path whose record, or whose list of members, changed after some version; `is_removed`: it is no more."""
 
     path: str
     version: int

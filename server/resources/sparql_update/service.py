@@ -53,13 +53,13 @@ from rosld.server.sparql.update.parser import read_update
 from rosld.server.storage import Conflict, ConflictCause, Write
 
 ATTEMPTS = 4
-"""Times that an update is drawn where what it is drawn over changes before it is carried out."""
+"""Times that an update is delta where what it is delta over changes before it is carried out."""
 _LIVE = ("topics", "parameters", "resources")
 """The routes whose graphs hold values that change by themselves."""
 _PATIENCE = 1.0
 """Seconds that an update lets others of the same graphs go first."""
 _CHANGED = frozenset({ConflictCause.CHANGED, ConflictCause.THERE, ConflictCause.MISSING})
-"""Why what an update was drawn over is no longer so."""
+"""Why the graphs are no longer those that an update was evaluated over."""
 _INLINE = 16 * 1024
 """Characters of an update up to which it is read on the loop."""
 
@@ -99,7 +99,7 @@ class UpdateService:
         self._read_operations = partial(read_update, prefixes=analyser.prefixes, base=analyser.base, bounds=bounds)
         self._at = at
         self._keyed_lock = keyed_lock
-        self._line = KeyedLock(_PATIENCE)
+        self._update_lock = KeyedLock(_PATIENCE)
 
     async def answer(
         self, request: UpdateRequest, *, dry_run: bool, accept: str | None, permissions: Permissions = ALLOW_ALL
@@ -129,10 +129,10 @@ class UpdateService:
             seconds=settings.query_time_limit,
             limit=settings.body_limit,
         )
-        async with self._in_line(operations):
+        async with self._serialize_updates(operations):
             while True:
                 try:
-                    return await self._drawn_and_done(operations, permissions, dry_run=dry_run)
+                    return await self._evaluate_and_write(operations, permissions, dry_run=dry_run)
                 except RefusedGraphs as refusal:
                     left = without_silent_on(operations, refusal.graphs)
                     if len(left) == len(operations):
@@ -140,36 +140,35 @@ class UpdateService:
                     operations = left
 
     @contextlib.asynccontextmanager
-    async def _in_line(self, operations: Sequence[Operation]) -> AsyncIterator[None]:
+    async def _serialize_updates(self, operations: Sequence[Operation]) -> AsyncIterator[None]:
         """Within it updates that name the same graphs come one after the other.
 
-        Else each would find changed what it was drawn over. Nothing else hangs on it, so whoever has waited for long
-        goes ahead.
+        Else each would find changed what it was evaluated over. Nothing else depends on it, so one that has waited for
+        long goes ahead.
         """
         async with contextlib.AsyncExitStack() as held:
             with contextlib.suppress(Problem):
                 for graph in sorted(named_graphs(operations)):
-                    await held.enter_async_context(self._line.acquire(graph))
+                    await held.enter_async_context(self._update_lock.acquire(graph))
             yield
 
-    async def _drawn_and_done(
+    async def _evaluate_and_write(
         self, operations: Sequence[Operation], permissions: Permissions, *, dry_run: bool
     ) -> Response:
         more: frozenset[str] = frozenset()
-        turns: frozenset[str] = frozenset()
+        locked: frozenset[str] = frozenset()
         for _ in range(ATTEMPTS):
-            async with self._lock_graphs(
-                turns
-            ):  # where others write these graphs all the time, it is drawn in its turn
-                drawn = await self._evaluator.evaluate(operations, more)
-                unseen = self._unseen(drawn)
+            # Where others write these graphs all the time, it is evaluated under their locks.
+            async with self._lock_graphs(locked):
+                delta = await self._evaluator.evaluate(operations, more)
+                unseen = self._unseen(delta)
                 if unseen - more:
                     more |= unseen
-                    drawn = await self._evaluator.evaluate(operations, more)
-                done = await self._carried_out(drawn, permissions, turns, dry_run=dry_run)
+                    delta = await self._evaluator.evaluate(operations, more)
+                done = await self._write_if_current(delta, permissions, locked, dry_run=dry_run)
             if done is not None:
                 return done
-            turns |= {change.graph for change in drawn.changes}
+            locked |= {change.graph for change in delta.changes}
         raise Problem(
             409,
             f"What this update reads or writes has changed {ATTEMPTS} times while it was planned; nothing was done.",
@@ -188,10 +187,10 @@ class UpdateService:
         location = self._session.space.location(graph)
         return None if location is None else location.kind
 
-    def _unseen(self, drawn: Delta) -> frozenset[str]:
-        """The graphs that change by themselves, and whose values were not there when the update was drawn."""
-        changed = (change.graph for change in drawn.changes)
-        return frozenset(graph for graph in changed if graph not in drawn.seen and self._kind(graph) in _LIVE)
+    def _unseen(self, delta: Delta) -> frozenset[str]:
+        """The graphs that change by themselves, and whose values were not there when the update was evaluated."""
+        changed = (change.graph for change in delta.changes)
+        return frozenset(graph for graph in changed if graph not in delta.seen and self._kind(graph) in _LIVE)
 
     def _require_manageable(self, operation: Operation) -> None:
         """Raise a 403 Problem where an operation on whole graphs is about one that clients do not keep."""
@@ -225,22 +224,22 @@ class UpdateService:
             raise Problem(403, f"It is no graph that can be written here; {base}data/ and below keep what you like.")
         return found
 
-    # From a drawing to its end
+    # From the changes to the answer
 
-    async def _carried_out(
-        self, drawn: Delta, permissions: Permissions, turns: frozenset[str], *, dry_run: bool
+    async def _write_if_current(
+        self, delta: Delta, permissions: Permissions, locked: frozenset[str], *, dry_run: bool
     ) -> Response | None:
-        """The answer; None where what the update was drawn over is no longer so. The graphs `turns` are held."""
-        targets = await self._targets(drawn.changes, permissions)
-        async with self._turns(targets, turns):
-            if not await self._holds(drawn, targets):
+        """The answer; None where a graph that the update was evaluated over has changed. `locked` are locked."""
+        targets = await self._targets(delta.changes, permissions)
+        async with self._lock_targets(targets, locked):
+            if not await self._is_current(delta, targets):
                 return None
             plans = await self._plans(targets)
             if dry_run:
                 return report_response(
                     [ReportEntry(graph, plan.description, Outcome.PLANNED) for graph, plan in plans], dry_run=True
                 )
-            if not await self._holds(drawn, targets):
+            if not await self._is_current(delta, targets):
                 return None
             return await self._carry_out(plans)
 
@@ -270,7 +269,7 @@ class UpdateService:
             yield
 
     @contextlib.asynccontextmanager
-    async def _turns(self, targets: Sequence[Target], held_already: Set[str]) -> AsyncIterator[None]:
+    async def _lock_targets(self, targets: Sequence[Target], held_already: Set[str]) -> AsyncIterator[None]:
         """Within it nobody else changes what the plans for these targets depend on."""
         async with contextlib.AsyncExitStack() as held:
             await held.enter_async_context(
@@ -283,18 +282,18 @@ class UpdateService:
                 await held.enter_async_context(self._affordances.lock(tree, *names, modified=names))
             yield
 
-    async def _holds(self, drawn: Delta, targets: Sequence[Target]) -> bool:
-        """Whether everything that the update was drawn over is as it was."""
+    async def _is_current(self, delta: Delta, targets: Sequence[Target]) -> bool:
+        """Whether all that the update was evaluated over is as it was."""
         for target in targets:
             if isinstance(target.resource, StoredResource):
                 record = self._documents.records.get(target.resource.path)
-                if record is not None and max(record.version, record.listed) > drawn.stored:
+                if record is not None and max(record.version, record.listed) > delta.stored:
                     return False
                 if (record is not None) != target.change.was_there:
                     return False
-        meant = drawn.named | {change.graph for change in drawn.changes}
+        meant = delta.named | {change.graph for change in delta.changes}
         # All topics together never stand still, so only those count that an update means.
-        seen = [each for each in drawn.seen.items() if each[0] in meant or self._kind(each[0]) != "topics"]
+        seen = [each for each in delta.seen.items() if each[0] in meant or self._kind(each[0]) != "topics"]
         return all([await self._is_as_seen(graph, token) for graph, token in seen])
 
     async def _is_as_seen(self, graph: str, token: Hashable) -> bool:

@@ -98,7 +98,7 @@ class Evaluation:
         self._transport: asyncio.ReadTransport | None = None
 
     async def run(self, dataset: int) -> bytes | AsyncIterator[bytes]:
-        """The result. Raises as `QueryProcess.answer` does."""
+        """The result. Raises Problems, and as the work does."""
         loop = asyncio.get_running_loop()
         seconds = max(0.0, self._until - time.monotonic())
         limits = self._limits._replace(seconds=seconds)

@@ -65,7 +65,7 @@ class Kind(IntEnum):
     WAITING = 3
     """As many forks are at work as may be: it waits for its turn."""
     ENDED = 4
-    """The fork has ended: how (`fork.Ended`)."""
+    """The fork has ended: how (`fork.ExitStatus`)."""
     REFUSED = 5
     """A graph cannot be stored, and is left out: why."""
 

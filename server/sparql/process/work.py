@@ -294,7 +294,7 @@ def _write(change: GraphChange) -> _Written:
 
 
 def read_changes(result: bytes) -> tuple[GraphChange, ...]:
-    """What the result of `Draw` says."""
+    """The changes in the result of `EvaluateUpdate`."""
     changes: list[_Written] = pickle.loads(result)  # from our own process
     return tuple(GraphChange(graph, was_there, _read(after)) for graph, was_there, after in changes)
 

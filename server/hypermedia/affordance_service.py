@@ -40,6 +40,7 @@ from rosld.server.hypermedia.views import (
     PropertyView,
 )
 from rosld.server.robot.session import Session
+from rosld.server.runtime.loop_time import loop_time
 from rosld.server.runtime.signals import Signal, call_every, combine_watches
 from rosld.server.runtime.version_cache import VersionCache
 from rosld.server.settings import Settings
@@ -172,7 +173,7 @@ class AffordanceService(Generic[T]):
     async def read(self, reads: Sequence[Property], *, refresh: bool = False) -> tuple[Reading, ...]:
         """The readings of these properties, read together under one deadline; `refresh`: none from before this call."""
         session = self._session
-        deadline = session.deadline(session.settings.read_deadline)
+        deadline = loop_time() + session.settings.read_deadline
         found = await self._readings.read(reads, deadline=deadline, refresh=refresh)
         return tuple(found[one.name] for one in reads)
 
@@ -209,7 +210,7 @@ class AffordanceService(Generic[T]):
     async def _watch_source(self, source: Reader, wake: Callable[[], None]) -> Watch:
         session = self._session
         if isinstance(source, GoalSource):
-            await session.goals.follow(source.name, deadline=session.deadline(session.settings.first_value_wait))
+            await session.goals.follow(source.name, deadline=loop_time() + session.settings.first_value_wait)
             return session.goals.watch(source.name, wake)
         return await session.topics.watch(source.name, wake)
 

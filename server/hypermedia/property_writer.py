@@ -46,6 +46,7 @@ from rosld.server.robot.publication import Publication, publish
 from rosld.server.robot.session import Session
 from rosld.server.robot.velocity import passes_stop
 from rosld.server.robot.write_policy import denied_reason, parameter_denied_reason
+from rosld.server.runtime.loop_time import loop_time
 from rosld.shapes.parameter import require_form
 
 
@@ -237,16 +238,18 @@ async def carry_out(session: Session, planned: PlannedWrite) -> WriteOutcome:
 
 
 async def _set(session: Session, name: str, value: ParameterValue) -> WriteOutcome:
-    deadline = session.deadline(session.settings.call_deadline)
+    deadline = loop_time() + session.settings.call_deadline
     try:
         await session.adapter.set_parameters({name: value}, deadline=deadline)
     finally:
         session.announce_write(Kind.PARAMETER, name)
-    return WriteOutcome.OTHERWISE if await has_other_values(session, {name: value}) else WriteOutcome.DONE
+    deadline = loop_time() + session.settings.call_deadline
+    is_other = await has_other_values(session.adapter, {name: value}, deadline=deadline)
+    return WriteOutcome.OTHERWISE if is_other else WriteOutcome.DONE
 
 
 async def _call(session: Session, setter: Setter, request: bytes) -> None:
-    deadline = session.deadline(session.settings.call_deadline)
+    deadline = loop_time() + session.settings.call_deadline
     response = setter.schema.response
     try:
         answer = await session.adapter.call(setter.name, setter.schema.ref, request, deadline=deadline)

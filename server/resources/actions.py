@@ -52,6 +52,7 @@ from rosld.server.robot.goal_store import Goal
 from rosld.server.robot.goals import GoalSubmission
 from rosld.server.robot.session import Session
 from rosld.server.robot.write_policy import resources_only_reason
+from rosld.server.runtime.loop_time import loop_time
 from rosld.server.runtime.version_cache import IdentityKey, VersionCache
 
 _READ_ONLY = "This server is read-only."
@@ -207,7 +208,7 @@ class ActionResource(CommandResource):
 
     async def _submit(self, exchange: Exchange, schema: ActionSchema, message: Message) -> GoalSubmission:
         """What became of a goal that was sent, once only for each Idempotency-Key."""
-        goals, deadline = self.session.goals, self.session.deadline(self.session.settings.call_deadline)
+        goals, deadline = self.session.goals, loop_time() + self.session.settings.call_deadline
         key = exchange.header("idempotency-key")
         if key is None:
             return await goals.send(self.name, schema, message, deadline=deadline)
@@ -374,7 +375,7 @@ class GoalResource(Resource):
 async def _cancel(session: Session, goal: Goal) -> Response:
     """Ask for a goal to be canceled. Raises a 409 Problem where that is refused, and RosError."""
     try:
-        await session.goals.cancel(goal, deadline=session.deadline(session.settings.call_deadline))
+        await session.goals.cancel(goal, deadline=loop_time() + session.settings.call_deadline)
     except (Refused, NotFound) as error:
         problem = problem_of(error)
         problem.status = 409
@@ -390,7 +391,7 @@ async def follow_action(session: Session, action: str) -> None:
         return
     try:
         await session.schemas.action(found.type)
-        await session.goals.follow(action, deadline=session.deadline(session.settings.first_value_wait))
+        await session.goals.follow(action, deadline=loop_time() + session.settings.first_value_wait)
     except (RosError, asyncio.TimeoutError):
         pass  # its goals cannot be read now; what is known is told
 

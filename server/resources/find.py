@@ -38,6 +38,7 @@ from rosld.server.rest.path_item import FORMAT, PathItem, QueryParameter
 from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource
 from rosld.server.rest.state import State
 from rosld.server.robot.session import Session
+from rosld.server.runtime.loop_time import loop_time
 from rosld.server.search.entry import Entry, EntryKind
 from rosld.server.search.index import Hit, Match, terms_of
 
@@ -203,7 +204,7 @@ class FindResource(Resource):
                 plan = tree.property(entry.name)
                 if plan is not None and not any(isinstance(one, TopicSource) for one in plan.source.readers):
                     found |= _read(entry.url, self.property_reader.cached(plan.source))
-        deadline = self.session.deadline(_PARAMETER_SECONDS)
+        deadline = loop_time() + _PARAMETER_SECONDS
         readings = await self.property_reader.read([*stored.values()], deadline=deadline) if stored else {}
         for url, own in stored.items():
             found |= _read(url, readings[own.name])

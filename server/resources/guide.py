@@ -16,7 +16,6 @@ from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.raw_response import bytes_response
 from rosld.server.rest.resource import LDP, RESOURCE, Resource
 from rosld.server.rest.resource_headers import resource_headers
-from rosld.server.robot.session import Session
 
 MEDIA_TYPE = "text/plain"
 
@@ -27,9 +26,9 @@ class GuideResource(Resource):
     kind = "Guide"
     links = (RESOURCE, Link(f"{LDP}NonRDFSource", "type"))
 
-    def __init__(self, session: Session) -> None:
-        super().__init__(f"{session.space.base}llms.txt")
-        self._data = guide_text(session.name, session.space, read_only=session.settings.read_only).encode("utf-8")
+    def __init__(self, space: Space, name: str, *, read_only: bool) -> None:
+        super().__init__(f"{space.base}llms.txt")
+        self._data = guide_text(name, space, read_only=read_only).encode("utf-8")
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem("What a language model needs to know", (MEDIA_TYPE,), OBJECT, (), streams=False)

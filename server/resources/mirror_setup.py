@@ -143,7 +143,7 @@ class _Reading:
             await asyncio.wait_for(self._read(self._parameters()), _LONGEST_READING)
 
     async def _read(self, needs: Needs) -> None:
-        async with self._materializer.materialize(needs, deadline=self._session.deadline(_LONGEST_READING)):
+        async with self._materializer.materialize(needs, deadline=loop_time() + _LONGEST_READING):
             pass
 
     def _topics(self) -> Needs:

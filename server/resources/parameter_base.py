@@ -18,6 +18,7 @@ from rosld.server.rest.resource import Answer, ShownAnswer
 from rosld.server.robot.declared_parameters import has_other_values
 from rosld.server.robot.session import Session
 from rosld.server.robot.write_policy import parameter_denied_reason, resources_only_reason
+from rosld.server.runtime.loop_time import loop_time
 from rosld.server.runtime.signals import call_every, combine_watches
 
 _LOOK_AGAIN_SECONDS = 1.0
@@ -62,7 +63,7 @@ class ParameterBase(CommandResource):
         return (self.session.space.document_shape("Parameter"),)
 
     async def _value(self) -> ParameterValue | None:
-        deadline = self.session.deadline(self.session.settings.call_deadline)
+        deadline = loop_time() + self.session.settings.call_deadline
         return (await self.session.adapter.get_parameters([self.name], deadline=deadline)).get(self.name)
 
     def _plain(self, value: ParameterValue) -> bytes:
@@ -87,7 +88,7 @@ class ParameterBase(CommandResource):
 
     async def _set(self, values: Mapping[str, ParameterValue]) -> None:
         await self._require_settable(values)
-        deadline = self.session.deadline(self.session.settings.call_deadline)
+        deadline = loop_time() + self.session.settings.call_deadline
         try:
             await self.session.adapter.set_parameters(values, deadline=deadline)
         finally:
@@ -96,7 +97,8 @@ class ParameterBase(CommandResource):
     async def _answer(self, asked: Mapping[str, ParameterValue]) -> Answer:
         """What a write answers: 204, or what there is now where a node has made something else of what was asked."""
         values = {name: value for each, whole in asked.items() for name, value in leaf_values(each, whole)}
-        if await has_other_values(self.session, values):
+        deadline = loop_time() + self.session.settings.call_deadline
+        if await has_other_values(self.session.adapter, values, deadline=deadline):
             return ShownAnswer(self, await self.state())
         return Response(status_code=204)
 
@@ -105,7 +107,7 @@ class ParameterBase(CommandResource):
         for name in gone:
             self._require_open(graph, name, {})
             require_not_fixed(graph, name, delete=True)
-        deadline = self.session.deadline(self.session.settings.call_deadline)
+        deadline = loop_time() + self.session.settings.call_deadline
         try:
             await self.session.adapter.delete_parameters(gone, deadline=deadline)
         finally:

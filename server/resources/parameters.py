@@ -48,6 +48,7 @@ from rosld.server.rest.resource import READ, Answer, CreatedAnswer, Resource, pe
 from rosld.server.rest.state import State
 from rosld.server.robot.session import Session
 from rosld.server.robot.write_policy import parameter_denied_reason
+from rosld.server.runtime.loop_time import loop_time
 from rosld.server.runtime.version_cache import VersionCache
 from rosld.shapes.parameter import declared_triples, require_form
 
@@ -300,7 +301,7 @@ class ParameterTree(ParameterContainer):
     async def _free_name(self, slug: str | None) -> str:
         kept = "".join(char if char.isalnum() or char == "_" else "_" for char in redact_tokens(slug or "")[:_MAX_SLUG])
         name = names.join((*self.namespace, kept or f"parameter_{secrets.token_hex(3)}"))
-        deadline = self.session.deadline(self.session.settings.call_deadline)
+        deadline = loop_time() + self.session.settings.call_deadline
         taken = await self.session.adapter.get_parameters([name], deadline=deadline)
         return f"{name}_{secrets.token_hex(3)}" if taken else name
 

@@ -16,6 +16,7 @@ from rosld.server.rest.formats import JSON
 from rosld.server.rest.ros_problems import problem_of
 from rosld.server.robot.calls import CallOutcome, IdempotencyKeyReused
 from rosld.server.robot.session import Session
+from rosld.server.runtime.loop_time import loop_time
 
 
 async def read_request(
@@ -62,7 +63,7 @@ async def call_service(
     exchange: Exchange, session: Session, service: str, schema: ServiceSchema, request: Message
 ) -> CallOutcome:
     """Call a service, once only for each Idempotency-Key. Raises a 422 Problem for a key of another request."""
-    deadline = session.deadline(session.settings.call_deadline)
+    deadline = loop_time() + session.settings.call_deadline
     key = exchange.header("idempotency-key")
     if key is None:
         return await session.calls.call(service, schema, request, deadline=deadline)

@@ -5,22 +5,21 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from rosld.adapters.model import ParameterValue, RosError
-from rosld.server.robot.session import Session
+from rosld.server.robot.audited_adapter import AuditedAdapter
 
 
-async def has_other_values(session: Session, asked: Mapping[str, ParameterValue]) -> bool:
+async def has_other_values(adapter: AuditedAdapter, asked: Mapping[str, ParameterValue], *, deadline: float) -> bool:
     """Whether a node has another value than was asked for.
 
     Only parameters that nodes declare are read again: all others are kept as they are set. What cannot be read now was
     set all the same.
     """
-    parameters = session.graph.parameters
+    parameters = adapter.graph.parameters
     declared = [name for name in asked if name in parameters and parameters[name].descriptor is not None]
     if not declared:
         return False
-    deadline = session.deadline(session.settings.call_deadline)
     try:
-        made = await session.adapter.get_parameters(declared, deadline=deadline)
+        made = await adapter.get_parameters(declared, deadline=deadline)
     except RosError:
         return False
     return any(made[name] != asked[name] for name in declared if name in made)

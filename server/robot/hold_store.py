@@ -27,6 +27,7 @@ from rosld.server.robot.schedule import LeaseExpired, Publish, Schedule, Wait
 from rosld.server.robot.session import Session
 from rosld.server.robot.write_policy import denied_reason
 from rosld.server.runtime.identifiers import new_identifier
+from rosld.server.runtime.loop_time import loop_time
 from rosld.server.runtime.signals import Signal
 
 _REMEMBERED = 1000
@@ -137,7 +138,7 @@ class Holds:
         holder = interlock.held[hold.topic] = Holder(hold.holder.name, session.space.hold(hold.id))
         running = _Running(self, session.adapter, session.limiter, hold)
         try:
-            await running.publish(session.deadline(session.settings.publish_wait))
+            await running.publish(loop_time() + session.settings.publish_wait)
             self._require_passage(hold.message)
             if self._closed is not None:
                 raise Problem(503, f"No hold can begin: {self._closed}.")

@@ -30,7 +30,7 @@ async def publish(session: Session, publication: Publication) -> Published:
     """Publish, waiting a moment for somebody to listen. Raises a 429 Problem where the topic is published too often."""
     topic = publication.topic
     require_rate(session.limiter, topic)
-    deadline = session.deadline(session.settings.publish_wait)
+    deadline = loop_time() + session.settings.publish_wait
     try:
         return await session.adapter.publish(
             topic,

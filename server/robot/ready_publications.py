@@ -12,6 +12,7 @@ from rosld.adapters.base import Watch
 from rosld.adapters.model import RosError
 from rosld.server.robot.session import Session
 from rosld.server.robot.velocity import commanded_topics
+from rosld.server.runtime.loop_time import loop_time
 from rosld.server.runtime.woken_task import WokenTask
 
 _log = logging.getLogger("rosld")
@@ -45,7 +46,7 @@ class ReadyPublications:
             if topic.type is None:
                 continue
             try:
-                await session.adapter.advertise(topic.name, topic.type, deadline=session.deadline(_PATIENCE))
+                await session.adapter.advertise(topic.name, topic.type, deadline=loop_time() + _PATIENCE)
             except (RosError, ValueError) as error:
                 if self._failures.get(topic.name) != str(error):
                     _log.warning("%s cannot be advertised for the stop: %s", topic.name, error)

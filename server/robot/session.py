@@ -109,15 +109,11 @@ class Session:
         for listener in self._write_listeners:
             listener(kind, name)
 
-    def deadline(self, seconds: float) -> float:
-        """The loop time so many seconds from now."""
-        return loop_time() + seconds
-
     async def open(self) -> None:
         """Open the adapter unless it is, and follow its graph. Raises what `Adapter.open` raises."""
         self._follower.open()
         self.goals.start()
-        await self.adapter.open(self, deadline=self.deadline(OPEN_SECONDS))
+        await self.adapter.open(self, deadline=loop_time() + OPEN_SECONDS)
         self.topics.start()
 
     def follow(self) -> None:

@@ -19,6 +19,7 @@ from rosld.server.robot.ready_publications import ReadyPublications
 from rosld.server.robot.session import Session
 from rosld.server.robot.velocity import commanded_topics, subscribers_of
 from rosld.server.robot.zero_publisher import Reached, ZeroPublisher
+from rosld.server.runtime.loop_time import loop_time
 from rosld.server.runtime.signals import Signal
 
 _log = logging.getLogger("rosld")
@@ -153,7 +154,7 @@ class SoftwareStop:
         stop_state = self.stop_state or StopState(by.name, time.time_ns(), reason, session.space.stop)
         session.interlock.engage(stop_state)
         self._count += 1
-        deadline = session.deadline(session.settings.call_deadline)
+        deadline = loop_time() + session.settings.call_deadline
         graph, space = session.graph, session.space
         commanded = self._commanded_topics(graph)
         for topic in commanded:
@@ -175,8 +176,8 @@ class SoftwareStop:
         _log.warning("%s.", stop_state.words.rstrip("."))
         self._revise()
         session.changes.emit()
-        while self._running and session.deadline(0) < deadline:
-            await asyncio.wait(self._running, timeout=deadline - session.deadline(0))
+        while self._running and loop_time() < deadline:
+            await asyncio.wait(self._running, timeout=deadline - loop_time())
         if self.warning is not None:
             _log.error("%s", self.warning)
 
@@ -243,7 +244,7 @@ class SoftwareStop:
             self._revise()
 
     async def _publish_zero(self, topic: Topic) -> Reached:
-        begun = self._session.deadline(0)
+        begun = loop_time()
         try:
             return await self._zero.publish(topic)
         except (RosError, ValueError):
@@ -258,7 +259,7 @@ class SoftwareStop:
         step = self._steps.get(_zero_on(topic))
         if reached is None or step is None or step.status is not StepStatus.FAILED:
             return
-        words = f"told late, {self._session.deadline(0) - begun:.1f} s after the stop"
+        words = f"told late, {loop_time() - begun:.1f} s after the stop"
         words = "; ".join(each for each in (words, _missed_subscribers(reached)) if each)
         self._steps[step.description] = replace(
             step, status=StepStatus.DONE, words=words, subscribers=reached.subscribers

@@ -256,7 +256,7 @@ class RobotGraphs:
         if not resources:
             return ()
         session = self._session
-        until = min(deadline, session.deadline(session.settings.call_deadline))
+        until = min(deadline, loop_time() + session.settings.call_deadline)
         try:
             values = await session.adapter.get_parameters([one.name for one in resources], deadline=until)
         except RosError:

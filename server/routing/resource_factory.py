@@ -253,7 +253,8 @@ class ResourceFactory:
         return ontology_route(self.session.space, self.states, location)
 
     def guide(self) -> GuideResource:
-        return GuideResource(self.session)
+        session = self.session
+        return GuideResource(session.space, session.name, read_only=session.settings.read_only)
 
     def openapi(self, resolve: Find) -> OpenApiResource:
         services = self.services

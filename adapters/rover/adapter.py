@@ -48,7 +48,7 @@ from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.rover import messages, parameters, requests
 from rosld.adapters.rover.encoder import ENCODING, encode
 from rosld.adapters.rover.graph import ACTIONS, ROSLD, SERVICES, TOPICS, rover_graph
-from rosld.adapters.rover.navigation import Declined, Ended, Outcome
+from rosld.adapters.rover.navigation import Declined, JourneyEnd, Outcome
 from rosld.adapters.rover.settings import DEFAULTS, NODE
 from rosld.adapters.rover.simulation import Answer, Simulation, Start
 from rosld.adapters.rover.topics import CMD_VEL, LATCHED, LIGHTS, NAVIGATE_TO, PERIODIC, ROSOUT, SET_LIGHTS
@@ -322,7 +322,7 @@ class Rover:
         data = encode(self._action(NAVIGATE_TO).feedback, feedback)
         self._tell(journey.id, GoalEvent(time_ns, GoalStatus.EXECUTING, feedback=data, own=True))
 
-    def _tell_end(self, ended: Ended) -> None:
+    def _tell_end(self, ended: JourneyEnd) -> None:
         time_ns = time.time_ns()
         result = messages.navigation_result(ended, self._simulation.state.motion, time_ns)
         data = encode(self._action(NAVIGATE_TO).result, result)

@@ -16,7 +16,7 @@ from rosld.adapters.rover import camera, png, scan
 from rosld.adapters.rover.battery import CAPACITY, CELLS
 from rosld.adapters.rover.drive import Motion, wheel_speeds
 from rosld.adapters.rover.grid import RESOLUTION, grid_of
-from rosld.adapters.rover.navigation import Ended, Journey, Pose, remaining_length
+from rosld.adapters.rover.navigation import Journey, JourneyEnd, Pose, remaining_length
 from rosld.adapters.rover.settings import NODE, Settings
 from rosld.adapters.rover.simulation import LogLine, Severity, State
 from rosld.adapters.rover.world import World
@@ -245,7 +245,7 @@ def navigation_feedback(journey: Journey, motion: Motion, time_ns: int) -> Field
     }
 
 
-def navigation_result(ended: Ended, motion: Motion, time_ns: int) -> Fields:
+def navigation_result(ended: JourneyEnd, motion: Motion, time_ns: int) -> Fields:
     """rosld_rover/NavigateTo's result."""
     return {"message": ended.message, "pose": pose_stamped(_pose_of(motion), time_ns)}
 

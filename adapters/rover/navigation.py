@@ -61,7 +61,7 @@ class Journey:
 
 
 @dataclass(frozen=True, slots=True)
-class Ended:
+class JourneyEnd:
     """A goal that has ended, how, and the words for it."""
 
     id: str
@@ -132,21 +132,23 @@ def velocity_towards(journey: Journey, motion: Motion, limits: Limits) -> Veloci
     return Velocity(min(limits.speed, 0.05 + 1.2 * rest) * math.cos(aside), _turn(aside, limits))
 
 
-def end_of(journey: Journey, motion: Motion, world: World, is_empty: bool) -> Ended | None:
+def end_of(journey: Journey, motion: Motion, world: World, is_empty: bool) -> JourneyEnd | None:
     """How the goal has ended, None while it is pursued. The map does not have every obstacle."""
     if journey.is_canceling:
-        return Ended(journey.id, Outcome.CANCELED, "canceled")
+        return JourneyEnd(journey.id, Outcome.CANCELED, "canceled")
     if is_empty:
-        return Ended(journey.id, Outcome.ABORTED, "the battery is empty")
+        return JourneyEnd(journey.id, Outcome.ABORTED, "the battery is empty")
     if journey.problem is not None:
-        return Ended(journey.id, Outcome.ABORTED, journey.problem)
+        return JourneyEnd(journey.id, Outcome.ABORTED, journey.problem)
     if not journey.corners:
         turned = abs(wrap_angle(journey.goal.heading - motion.heading)) < _ALIGNED
-        return Ended(journey.id, Outcome.SUCCEEDED, "arrived") if turned else None
+        return JourneyEnd(journey.id, Outcome.SUCCEEDED, "arrived") if turned else None
     distance = min(_LOOK_AHEAD, math.dist((motion.x, motion.y), journey.corners[0]))
     if motion.velocity.speed > 0 and (motion.is_bumped or is_blocked_ahead(world, motion, distance)):
         place = f"({motion.x:.2f}, {motion.y:.2f})"
-        return Ended(journey.id, Outcome.ABORTED, f"an obstacle that is not on the map blocks the way ahead of {place}")
+        return JourneyEnd(
+            journey.id, Outcome.ABORTED, f"an obstacle that is not on the map blocks the way ahead of {place}"
+        )
     return None
 
 

@@ -15,8 +15,8 @@ from typing import NamedTuple
 from rosld.adapters.rover.battery import Battery, drain
 from rosld.adapters.rover.drive import RADIUS, STANDSTILL, Motion, Velocity, drive, is_blocked_ahead
 from rosld.adapters.rover.navigation import (
-    Ended,
     Journey,
+    JourneyEnd,
     Outcome,
     Pose,
     depart,
@@ -81,7 +81,7 @@ class State:
     has_lights: bool = False
     is_docked: bool = False
     journey: Journey | None = None
-    ended: tuple[Ended, ...] = ()
+    ended: tuple[JourneyEnd, ...] = ()
 
     @property
     def is_at_rest(self) -> bool:
@@ -197,7 +197,7 @@ class Simulation:
         self.advance(now)
         state = self.state
         if state.journey is not None:
-            end = Ended(state.journey.id, Outcome.ABORTED, "another goal took its place")
+            end = JourneyEnd(state.journey.id, Outcome.ABORTED, "another goal took its place")
             self._become(replace(state, ended=(*state.ended, end)))
         self.state = replace(self.state, journey=depart(id, goal, self.state.motion, self.world))
         self._lines.append(LogLine(Severity.INFO, f"navigating to ({goal.x:g}, {goal.y:g})"))
@@ -216,7 +216,7 @@ class Simulation:
         self.advance(now)
         self.settings = settings_of(values)
 
-    def take_ended(self) -> tuple[Ended, ...]:
+    def take_ended(self) -> tuple[JourneyEnd, ...]:
         """The goals that have ended since this was last asked for."""
         ended = self.state.ended
         if ended:

@@ -27,7 +27,7 @@ from rosld.server.history.ordered_recording import RecordingOrder, RecordingRefu
 from rosld.server.history.recording_notes import RecordingNotes
 from rosld.server.history.recording_writer import RecordingWriter, active_recordings, complete_active
 from rosld.server.history.uploads import NAME as FILE_NAME
-from rosld.server.history.uploads import SUFFIXES, NotTaken, receive_file, remove_drafts
+from rosld.server.history.uploads import SUFFIXES, UploadRefused, receive_file, remove_drafts
 from rosld.server.settings import Settings
 
 log = logging.getLogger("rosld.history")
@@ -212,7 +212,7 @@ class Recordings:
             finally:
                 draft.unlink(missing_ok=True)
             await self._open(name, path)
-        except NotTaken as error:
+        except UploadRefused as error:
             raise RecordingRefused(f"{name} is not taken: {error}", is_too_large=error.is_too_large) from error
         finally:
             self._receiving.discard(name)

@@ -24,7 +24,7 @@ _STEP = 1 << 20
 _DRAFT, _INFLATED = ".part", ".inflated"
 
 
-class NotTaken(Exception):
+class UploadRefused(Exception):
     """A file that is not taken as a recording; `is_too_large` where it is more than may be kept."""
 
     def __init__(self, words: str, *, is_too_large: bool = False) -> None:
@@ -35,7 +35,7 @@ class NotTaken(Exception):
 async def receive_file(folder: Path, name: str, chunks: AsyncIterator[bytes], limit: int) -> tuple[Path, str]:
     """Write what comes to a hidden file: where that is, and the suffix it should have.
 
-    What is compressed by zstd is inflated to at most `limit` bytes. Raises NotTaken, OSError, and what `chunks` does.
+    What is compressed by zstd is inflated to at most `limit` bytes. Raises UploadRefused, OSError, and as `chunks`.
     """
     draft = folder / f".{name}{_DRAFT}"
     try:
@@ -85,10 +85,10 @@ def _inflate(packed: Path, target: Path, limit: int) -> None:
                 size += len(block)
                 if size > limit:
                     words = f"it inflates to more than the {limit} bytes that the setting `upload_limit` allows"
-                    raise NotTaken(words, is_too_large=True)
+                    raise UploadRefused(words, is_too_large=True)
                 _write(out.write, target.parent, block)
     except (zstd.ZstdError, EOFError) as error:
-        raise NotTaken(f"it cannot be decompressed: {error}") from error
+        raise UploadRefused(f"it cannot be decompressed: {error}") from error
 
 
 def _head(path: Path) -> bytes:
@@ -99,5 +99,7 @@ def _head(path: Path) -> bytes:
 def _suffix(path: Path) -> str:
     head = _head(path)
     if head not in SUFFIXES:
-        raise NotTaken("this is neither a ROS 1 bag nor an MCAP file nor a ROS 2 database, nor one compressed by zstd")
+        raise UploadRefused(
+            "this is neither a ROS 1 bag nor an MCAP file nor a ROS 2 database, nor one compressed by zstd"
+        )
     return SUFFIXES[head]

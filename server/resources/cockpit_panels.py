@@ -67,7 +67,7 @@ _COMMANDED = frozenset({"services", "actions", "resources", "topics", "parameter
 """The kinds of URLs that a panel offers to send something to: all that reaches the robot."""
 
 
-class Hidden(Exception):
+class PanelHidden(Exception):
     """The agent may not know of what a panel shows, or may not do what it offers."""
 
 
@@ -136,7 +136,7 @@ class PanelReader:
     async def _fill(self, panel: Panel) -> FilledPanel | None:
         try:
             content, version = await asyncio.wait_for(self._content(panel), _PATIENCE)
-        except Hidden:
+        except PanelHidden:
             return None
         except (TimeoutError, asyncio.TimeoutError):
             content = WordsContent(f"There was no answer within {_PATIENCE:g} s.")
@@ -160,7 +160,7 @@ class PanelReader:
         if words:
             return WordsContent(words), words
         if not all(map(self._permissions.may_read, panel.shows)):
-            raise Hidden
+            raise PanelHidden
         url = panel.shows[0]
         match panel.kind:
             case PanelKind.PLOT:
@@ -273,7 +273,7 @@ class PanelReader:
         if "POST" not in topic.methods():
             raise Problem(405, topic.deny_reason("POST"))
         if not self._permissions.may("POST", url):
-            raise Hidden
+            raise PanelHidden
         if self._session.is_stopped:
             raise Problem(423, "The robot is stopped: it is not driven until it is released.")
         form = next((each for each in await topic.forms() if isinstance(each, HoldForm) and each.pad), None)
@@ -290,7 +290,7 @@ class PanelReader:
             versions.append(version)
         may = [each for each in found if self._permissions.may(each.method, each.action)]
         if found and not may:
-            raise Hidden
+            raise PanelHidden
         if not may and self._session.is_stopped:
             raise Problem(423, "The robot is stopped: nothing is sent to it until it is released.")
         if not may:

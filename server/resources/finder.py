@@ -22,7 +22,7 @@ from rosld.server.robot.session import Session
 from rosld.server.runtime.version_cache import IdentityKey
 from rosld.server.search.catalog import catalog_of
 from rosld.server.search.entry import Catalog
-from rosld.server.search.index import Found, SearchIndex
+from rosld.server.search.index import SearchIndex, SearchResults
 
 _MANY_NAMES = 1000
 """Names from which an index is made on a thread: ten thousand take a quarter of a second."""
@@ -50,7 +50,7 @@ class Finder:
         self._of_kept: _Index | None = None
         self._making = asyncio.Lock()
 
-    async def find(self, terms: Sequence[str], permissions: Permissions, limit: int) -> Found:
+    async def find(self, terms: Sequence[str], permissions: Permissions, limit: int) -> SearchResults:
         """What has all these terms and may be read, the best first, at most `limit` of it."""
         async with self._making:
             self._of_robot = await self._robot_index(self._of_robot)
@@ -58,7 +58,7 @@ class Finder:
         may_read: Callable[[str], bool] | None = None if permissions.is_unrestricted else permissions.may_read
         found = [each.index.find(terms, limit, may_read) for each in (self._of_robot, self._of_kept)]
         hits = sorted((hit for each in found for hit in each.hits), key=lambda hit: hit.rank)
-        return Found(hits[:limit], sum(each.total for each in found))
+        return SearchResults(hits[:limit], sum(each.total for each in found))
 
     async def _robot_index(self, known: _Index | None) -> _Index:
         tree = await self._affordances.tree()

@@ -22,7 +22,7 @@ from rosld.server.robot.session import Session
 _MAX_REFERENCE = 1000
 
 
-class Plotted(NamedTuple):
+class NumberReference(NamedTuple):
     """A number that is plotted: the topic's name, the path of the field."""
 
     topic: str
@@ -40,7 +40,7 @@ class NumberFinder:
         self._history = history
         self._permissions = permissions
 
-    async def locate(self, reference: str) -> Plotted:
+    async def locate(self, reference: str) -> NumberReference:
         """The topic and the field that a `y` names. Raises Problems."""
         url, _, path = reference.partition("#")
         space = self._session.space
@@ -59,9 +59,9 @@ class NumberFinder:
             return await self._of_property(location.name, url, path)
         if location.name not in self._session.graph.topics:
             raise Problem(404, f"There is no topic {location.name}.")
-        return Plotted(location.name, path)
+        return NumberReference(location.name, path)
 
-    async def _of_property(self, name: str, url: str, path: str) -> Plotted:
+    async def _of_property(self, name: str, url: str, path: str) -> NumberReference:
         """The field of the topic that a property is read from."""
         plan = (await self._affordances.tree()).property(name)
         if plan is None:
@@ -70,9 +70,9 @@ class NumberFinder:
         if source is None or not self._permissions.may_read(self._session.space.topic(source.name)):
             raise Problem(422, f"{url} is not read from a topic: only what a robot tells by itself is drawn over time.")
         fields = [] if source.schema is None else source.schema.type.fields
-        return Plotted(source.name, path or (fields[0].name if len(fields) == 1 else ""))
+        return NumberReference(source.name, path or (fields[0].name if len(fields) == 1 else ""))
 
-    async def describe(self, number: Plotted) -> PlottedNumber:
+    async def describe(self, number: NumberReference) -> PlottedNumber:
         """What a number is, and what is recorded of it. Raises Problems."""
         topic = self._session.graph.topics[number.topic]
         url = self._session.space.topic(number.topic)

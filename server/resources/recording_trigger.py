@@ -59,7 +59,7 @@ class MappedCondition(Resource):
         return await offers.watch(tree.properties_in([self.condition]), wake)
 
 
-class Followed:
+class FollowedCondition:
     """What a recording waits for: the resource, and whether its condition holds as an agent may see it."""
 
     def __init__(self, resource: Resource, expression: str, permissions: Permissions) -> None:
@@ -96,17 +96,17 @@ class RecordingTriggers:
         """Have those wait that did before the server was restarted."""
         recordings.resume(self.occurrences)
 
-    async def follow(self, order: RecordingOrder, permissions: Permissions) -> Followed:
+    async def follow(self, order: RecordingOrder, permissions: Permissions) -> FollowedCondition:
         """What an order waits for. Raises 403, 422 Problems where it cannot be waited for with these permissions."""
         trigger, space = order.trigger, self._session.space
         assert trigger is not None, "what waits has a trigger"
         try:
             if trigger.resource is None:
                 resource = _mapped_condition(space, self._affordances, self._mappings, trigger.condition, permissions)
-                followed = Followed(resource, "value = true", permissions)
+                followed = FollowedCondition(resource, "value = true", permissions)
             else:
                 found = _resource(space, trigger.resource, self._find, permissions)
-                followed = Followed(found, trigger.condition, permissions)
+                followed = FollowedCondition(found, trigger.condition, permissions)
             await followed.resource.prepare()
             followed.until.holds(await followed.resource.state())
         except Problem as problem:
@@ -134,7 +134,7 @@ class RecordingTriggers:
                 async for _ in found:
                     yield partial(may_read_topic, self._session.space, followed.permissions)
 
-    async def _changes(self, one: ArmedRecording, followed: Followed) -> AsyncGenerator[None, None]:
+    async def _changes(self, one: ArmedRecording, followed: FollowedCondition) -> AsyncGenerator[None, None]:
         """Yields each time that the condition comes to hold; ends where it could not be ordered any more."""
         broadcaster, waiter, held = Broadcaster(followed.resource, self._session.changes), Waiter(), False
         watch = None if self._authenticator is None else self._authenticator.changed.watch(broadcaster.wake_all)

@@ -18,7 +18,7 @@ from rosld.server.robot.interlock import StopState
 from rosld.server.robot.ready_publications import ReadyPublications
 from rosld.server.robot.session import Session
 from rosld.server.robot.velocity import commanded_topics, subscribers_of
-from rosld.server.robot.zero_publisher import Reached, ZeroPublisher
+from rosld.server.robot.zero_publisher import Receivers, ZeroPublisher
 from rosld.server.runtime.loop_time import loop_time
 from rosld.server.runtime.signals import Signal
 
@@ -217,7 +217,7 @@ class SoftwareStop:
     def _goals(self) -> list[Goal]:
         return [goal for goal in self._session.goals.all() if goal.is_own and goal.is_cancelable]
 
-    def _begin(self, does: str, work: Awaitable[Reached | str | None], *touches: str, tells: bool = True) -> None:
+    def _begin(self, does: str, work: Awaitable[Receivers | str | None], *touches: str, tells: bool = True) -> None:
         self._steps[does] = StopStep(does, touches, StepStatus.RUNNING, tells=tells)
         task = asyncio.ensure_future(self._follow(does, work))
         self._running.add(task)
@@ -227,7 +227,7 @@ class SoftwareStop:
         self._running.discard(task)
         self._revise()
 
-    async def _follow(self, does: str, work: Awaitable[Reached | str | None]) -> None:
+    async def _follow(self, does: str, work: Awaitable[Receivers | str | None]) -> None:
         fate, words, reached = StepStatus.DONE, None, None
         try:
             found = await work
@@ -243,7 +243,7 @@ class SoftwareStop:
             self._steps[does] = replace(self._steps[does], status=fate, words=words, subscribers=count)
             self._revise()
 
-    async def _publish_zero(self, topic: Topic) -> Reached:
+    async def _publish_zero(self, topic: Topic) -> Receivers:
         begun = loop_time()
         try:
             return await self._zero.publish(topic)
@@ -255,7 +255,7 @@ class SoftwareStop:
 
     async def _note_late(self, topic: str, begun: float) -> None:
         """Have the step of a topic succeed after all, where zero reaches a subscriber once the step has failed."""
-        reached = await self._zero.reached_late(topic)
+        reached = await self._zero.wait_received_late(topic)
         step = self._steps.get(_zero_on(topic))
         if reached is None or step is None or step.status is not StepStatus.FAILED:
             return
@@ -267,7 +267,7 @@ class SoftwareStop:
         _log.warning("while the robot was stopped: %s: %s", step.description, words)
         self._revise()
 
-    async def _carried_out(self, mapped: StopCommand, deadline: float) -> Reached | str | None:
+    async def _carried_out(self, mapped: StopCommand, deadline: float) -> Receivers | str | None:
         """Call or publish what a mapping names, past the interlock; words where it was refused by what is at rest."""
         try:
             return await self._tell(mapped, deadline)
@@ -276,7 +276,7 @@ class SoftwareStop:
                 raise
             return f"it is at rest already: {error}"
 
-    async def _tell(self, mapped: StopCommand, deadline: float) -> Reached | None:
+    async def _tell(self, mapped: StopCommand, deadline: float) -> Receivers | None:
         session, encoding = self._session, self._session.adapter.capabilities.encoding
         if mapped.service is not None:
             service = session.graph.services.get(mapped.service)
@@ -298,7 +298,7 @@ class SoftwareStop:
         published = await session.adapter.publish_always(mapped.topic, schema.ref, data, deadline=deadline)
         if not published.matched:
             raise ValueError(f"no subscriber of {mapped.topic} was there to get it")
-        return Reached(published.matched, subscribers_of(topic, session.graph))
+        return Receivers(published.matched, subscribers_of(topic, session.graph))
 
     def _message(self, schema: MessageSchema, mapped: StopCommand) -> Message:
         return lowerer(schema, self._session.lifting).from_json(parse_json(mapped.content.encode()), defaults=True)
@@ -324,7 +324,7 @@ def _zero_on(topic: str) -> str:
     return f"publish zero on {topic}"
 
 
-def _missed_subscribers(reached: Reached | None) -> str | None:
+def _missed_subscribers(reached: Receivers | None) -> str | None:
     """Which subscribers were not reached, in words; None where all were."""
     if reached is None:
         return None

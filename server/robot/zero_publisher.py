@@ -41,7 +41,7 @@ _ABREAST = 2
 
 
 @dataclass(frozen=True, slots=True)
-class Reached:
+class Receivers:
     """How many subscribers zero went to, and how many there are."""
 
     subscribers: int
@@ -56,7 +56,7 @@ class ZeroPublisher:
         self._running: dict[str, _Repetition] = {}
         self._advertised: set[str] = set()
 
-    async def publish(self, topic: Topic) -> Reached:
+    async def publish(self, topic: Topic) -> Receivers:
         """Begin to publish zero on a topic; return when its subscribers got it.
 
         Raises Unreachable where none did, ValueError where there is no zero, and what the adapter raises.
@@ -72,16 +72,16 @@ class ZeroPublisher:
             self._advertised.add(name)
         before = self._running.get(name)
         if before is not None and not before.is_heard:
-            return await before.reached()  # the robot is stopped again, which makes it no faster
+            return await before.wait_received()  # the robot is stopped again, which makes it no faster
         if before is not None:
             before.cancel()
         repetition = self._running[name] = _Repetition(session, name, zero, subscribers_of(topic, graph))
-        return await repetition.reached()
+        return await repetition.wait_received()
 
-    async def reached_late(self, topic: str) -> Reached | None:
+    async def wait_received_late(self, topic: str) -> Receivers | None:
         """Wait until a subscriber got what `publish` could not bring to it in time; None where none does."""
         repetition = self._running.get(topic)
-        return None if repetition is None else await repetition.reached_late()
+        return None if repetition is None else await repetition.wait_received_late()
 
     async def over(self) -> None:
         """Wait until zero is published no more."""
@@ -112,14 +112,14 @@ class _Repetition:
         self._loop = asyncio.get_running_loop()
         self._until = 0.0
         self._patient_until = 0.0
-        self._reached = Reached(0, expected)
+        self._reached = Receivers(0, expected)
         self._heard: asyncio.Future[None] = self._loop.create_future()
         self._heard_by_all = asyncio.Event()
         self._error: Exception | None = None
         self._try_longer()
         self._task = self._loop.create_task(self._run())
 
-    async def reached(self) -> Reached:
+    async def wait_received(self) -> Receivers:
         """Wait until it was heard; how many heard it. Raises Unreachable, and what the adapter raised last."""
         if not self._heard.done():
             self._try_longer()
@@ -131,7 +131,7 @@ class _Repetition:
             await asyncio.wait_for(self._heard_by_all.wait(), _ALL_SECONDS)
         return self._reached
 
-    async def reached_late(self) -> Reached | None:
+    async def wait_received_late(self) -> Receivers | None:
         """Wait until it was heard, however long; how many heard it, None where it ended before."""
         await asyncio.wait([self._heard])
         return self._reached if self._heard.exception() is None else None
@@ -191,7 +191,7 @@ class _Repetition:
         if not matched:
             return
         reached = self._reached
-        self._reached = Reached(max(matched, reached.subscribers), reached.expected)
+        self._reached = Receivers(max(matched, reached.subscribers), reached.expected)
         if matched >= reached.expected:
             self._heard_by_all.set()
         if not self._heard.done():

@@ -79,7 +79,7 @@ class Hit(NamedTuple):
     field: str | None
 
 
-class Found(NamedTuple):
+class SearchResults(NamedTuple):
     """The best entries that fit, and how many do."""
 
     hits: list[Hit]
@@ -121,14 +121,14 @@ class SearchIndex:
             for name in entry.types:
                 self._by_type.setdefault(name, []).append(number)
 
-    def find(self, terms: Sequence[str], limit: int, may_read: Callable[[str], bool] | None = None) -> Found:
+    def find(self, terms: Sequence[str], limit: int, may_read: Callable[[str], bool] | None = None) -> SearchResults:
         """The entries that fit all terms and whose URLs may be read, the best first, at most `limit` of them."""
         fits = [self._fits(term) for term in terms]
         shared = set(fits[0]).intersection(*fits[1:]) if fits else set[int]()
         if may_read is not None:
             shared = {number for number in shared if may_read(self._entries[number].url)}
         best = nsmallest(limit, ((sum(fit[number] for fit in fits), number) for number in shared))
-        return Found([self._hit(number, points, terms, fits) for points, number in best], len(shared))
+        return SearchResults([self._hit(number, points, terms, fits) for points, number in best], len(shared))
 
     def _hit(self, number: int, points: int, terms: Sequence[str], fits: Sequence[_Fits]) -> Hit:
         entry = self._entries[number]

@@ -31,7 +31,7 @@ from running import begun, run
 from std_srvs.srv import SetBool, Trigger
 
 from rosld.adapters.rover import messages, requests
-from rosld.adapters.rover.navigation import Declined, Ended, Outcome
+from rosld.adapters.rover.navigation import Declined, JourneyEnd, Outcome
 from rosld.adapters.rover.settings import DEFAULTS, PARAMETERS, Declaration, problem_of
 from rosld.adapters.rover.simulation import LogLine, Severity, Simulation, Start
 from rosld.adapters.rover.source import read_source
@@ -175,7 +175,7 @@ class Rover(Node):
 
     async def pursue(self, handle: Any) -> NavigateTo.Result:
         id = bytes(handle.goal_id.uuid).hex()
-        ended: Ended = await self.ends[id]
+        ended: JourneyEnd = await self.ends[id]
         del self.goals[id], self.ends[id]
         ways = {Outcome.SUCCEEDED: handle.succeed, Outcome.ABORTED: handle.abort}
         ways.get(ended.outcome, handle.canceled)()

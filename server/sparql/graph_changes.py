@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Hashable, Iterator, Mapping
 from typing import NamedTuple
 
 from rosld.server.sparql.graph_rendering import INLINE
@@ -19,17 +19,15 @@ class GraphChange(NamedTuple):
     size: int
 
 
-def find_changes(
-    snapshot: Snapshot, state: TargetState, pinned: Container[str], lasting: Sequence[str]
-) -> dict[str, GraphChange]:
+def find_changes(snapshot: Snapshot, state: TargetState, pinned: Container[str]) -> dict[str, GraphChange]:
     """What the target must be sent to hold what a snapshot says, by graph. Nothing newer than that is touched.
 
-    Extras that are `pinned` by queries that are about to begin, or `lasting` for looks at everything, do not go.
+    Extras that are `pinned` by queries that are about to begin do not go.
     """
     changes: dict[str, GraphChange] = {}
     if snapshot.revision != state.descriptions:
         changes.update(_changed_descriptions(snapshot, state))
-    changes.update(_vanished_graphs(snapshot, state, pinned, lasting))
+    changes.update(_vanished_graphs(snapshot, state, pinned))
     for entry in snapshot.entries:
         description = snapshot.described[entry.iri].token if entry.iri in snapshot.described else None
         held = state.held.get(entry.iri)
@@ -52,13 +50,13 @@ def _changed_descriptions(snapshot: Snapshot, state: TargetState) -> Iterator[tu
 
 
 def _vanished_graphs(
-    snapshot: Snapshot, state: TargetState, pinned: Container[str], lasting: Sequence[str]
+    snapshot: Snapshot, state: TargetState, pinned: Container[str]
 ) -> Iterator[tuple[str, GraphChange]]:
     """What was there for an earlier query only, and values that a look at everything no longer finds."""
     if not state.extras and not snapshot.needs.is_everything:
         return
     found = {entry.iri for entry in snapshot.entries}
-    for iri in state.extras.difference(found, lasting):
+    for iri in state.extras - found:
         if iri not in pinned and state.held[iri].snapshot < snapshot.number:
             entry = snapshot.described.get(iri)
             yield iri, GraphChange(entry, entry and entry.token, False, 0)
@@ -67,6 +65,17 @@ def _vanished_graphs(
             entry = snapshot.described.get(iri)
             if entry is not None and state.held[iri].snapshot < snapshot.number:
                 yield iri, GraphChange(entry, entry.token, False, state.held[iri].size)
+
+
+def without_pinned(
+    changes: Mapping[str, GraphChange], state: TargetState, pinned: Container[str]
+) -> dict[str, GraphChange]:
+    """The changes but those that take away an extra that was pinned after they were found."""
+    return {
+        iri: change
+        for iri, change in changes.items()
+        if change.has_values or iri not in pinned or iri not in state.extras
+    }
 
 
 def note_changes(

@@ -69,7 +69,8 @@ class Snapshot(NamedTuple):
 
     `number` orders snapshots. `revision` is that of its descriptions, `described`. `entries` are the graphs with live
     values, `has_values` is whether the source was asked for these. `writes` is how many writes had ended before it was
-    begun, `ended` is when it was complete (monotonic seconds).
+    begun, `ended` is when it was complete (monotonic seconds). `lasting` are the extras of the last look at everything
+    where that was still good enough: one for which nothing was looked at again rests on them.
     """
 
     number: int
@@ -80,6 +81,7 @@ class Snapshot(NamedTuple):
     needs: Needs
     writes: int
     ended: float
+    lasting: Sequence[str] = ()
 
     @property
     def extras(self) -> list[str]:

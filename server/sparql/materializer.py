@@ -16,7 +16,14 @@ from itertools import count
 from typing import NamedTuple
 
 from rosld.server.sparql.change_source import NOTHING, ChangeSource
-from rosld.server.sparql.graph_changes import GraphChange, find_changes, is_small, note_changes, renderings
+from rosld.server.sparql.graph_changes import (
+    GraphChange,
+    find_changes,
+    is_small,
+    note_changes,
+    renderings,
+    without_pinned,
+)
 from rosld.server.sparql.graph_rendering import render_graphs, render_in_thread
 from rosld.server.sparql.graph_source import GraphEntry, GraphSource, MentionedDocuments, Snapshot
 from rosld.server.sparql.needs import Needs
@@ -121,7 +128,7 @@ class Materializer:
         """Bring the dataset to what the needs ask for. What is returned is kept until it is given to `end`."""
         self._state.follow_restart()
         snapshot = await self._take_snapshot(needs, deadline)
-        extras = snapshot.extras
+        extras = (*snapshot.extras, *snapshot.lasting)
         self._pinned.update(extras)
         try:
             wanted = self.stored.versions
@@ -154,11 +161,14 @@ class Materializer:
         writes = self._source.writes
         revision, described = self._descriptions()
         entries: Sequence[GraphEntry] = ()
-        asked = self._must_read_values(needs, described)
+        recent = self._recent
+        asked = self._must_read_values(needs, described, recent)
         if asked:
             entries = await self._source.live(needs, deadline=deadline)
             revision, described = self._descriptions()
-        return Snapshot(next(self._numbers), revision, described, asked, entries, needs, writes, time.monotonic())
+        lasting = () if recent is None else recent.unnamed
+        number, ended = next(self._numbers), time.monotonic()
+        return Snapshot(number, revision, described, asked, entries, needs, writes, ended, lasting)
 
     def _descriptions(self) -> tuple[Hashable, Mapping[str, GraphEntry]]:
         revision = self._source.revision
@@ -166,12 +176,12 @@ class Materializer:
             self._described = (revision, self._source.descriptions())
         return self._described
 
-    def _must_read_values(self, needs: Needs, described: Mapping[str, GraphEntry]) -> bool:
+    def _must_read_values(self, needs: Needs, described: Mapping[str, GraphEntry], last: Snapshot | None) -> bool:
+        """Whether the last look at everything is not good enough for these needs."""
         if not needs.documents <= described.keys():
             return True
         if not needs.demands:
             return False
-        last = self._recent
         return last is None or not needs.is_everything or not last.needs.covers(needs) or not self._holds(last)
 
     @property
@@ -187,8 +197,7 @@ class Materializer:
         return self._state.extras.issuperset(last.unnamed)
 
     def _find_changes(self, snapshot: Snapshot) -> dict[str, GraphChange]:
-        recent = self._recent
-        return find_changes(snapshot, self._state, self._pinned, () if recent is None else recent.unnamed)
+        return find_changes(snapshot, self._state, self._pinned)
 
     def _send_small(self, snapshot: Snapshot) -> bool:
         """Make small changes here and now. False, with nothing changed, where they are not or others are being made."""
@@ -207,7 +216,8 @@ class Materializer:
             generation = self._state.generation
             texts = await render_in_thread(renderings(changes))
             self._state.require(generation)
-            self._send(snapshot, changes, texts)
+            changes = without_pinned(changes, self._state, self._pinned)  # others have begun meanwhile
+            self._send(snapshot, changes, {iri: texts[iri] for iri in changes})
 
     def _send(self, snapshot: Snapshot, changes: Mapping[str, GraphChange], texts: Mapping[str, str | None]) -> None:
         self._state.require(self._state.generation)

@@ -44,6 +44,8 @@ class RobotSource:
         self.values: dict[int, int] = dict.fromkeys(range(count), 0)
         self.silent: set[int] = set()
         self.bags: dict[str, str] = {}
+        self.unnamed: dict[str, str] = {}
+        """As `bags`, but there for who looks at everything."""
         self.looks: list[Needs] = []
         self.rendered: list[str] = []
         self.pause: Callable[[], Coroutine[Any, Any, None]] | None = None
@@ -72,7 +74,12 @@ class RobotSource:
             for topic in self._named(needs)
             if topic not in self.silent and needs.wants_topic(self.url(topic), {f"p/msg/T{topic % 10}"})
         ]
-        found += [self._bag(iri) for iri in self.bags if iri in needs.documents]
+        found += [self._bag(iri, words) for iri, words in self.bags.items() if iri in needs.documents]
+        found += [
+            self._bag(iri, words)
+            for iri, words in self.unnamed.items()
+            if needs.is_everything or iri in needs.documents
+        ]
         if self.delay is not None:
             await self.delay()
         return found
@@ -84,8 +91,8 @@ class RobotSource:
         named = [int(iri.removeprefix(start)) for iri in sorted(needs.graphs) if iri.startswith(start)]
         return [topic for topic in named if topic < self.count]
 
-    def _bag(self, iri: str) -> GraphEntry:
-        return GraphEntry(iri, self.bags[iri], lambda: f'<{iri}> <{ROS}words> "{self.bags[iri]}" .\n')
+    def _bag(self, iri: str, words: str) -> GraphEntry:
+        return GraphEntry(iri, words, lambda: f'<{iri}> <{ROS}words> "{words}" .\n')
 
     def _entry(self, topic: int, live: bool) -> GraphEntry:
         url, value = self.url(topic), self.values[topic]

@@ -8,6 +8,18 @@ from typing import Any
 
 import pytest
 
+
+class _Clock:
+    """A clock that goes on by a step each time that it is read."""
+
+    def __init__(self, step: float) -> None:
+        self._now, self._step = 0.0, step
+
+    def monotonic(self) -> float:
+        self._now += self._step
+        return self._now
+
+
 # The classes are those of conftest.py, which arrive as fixtures.
 Make = Any
 ALL = "SELECT (COUNT(*) AS ?n) { ?s ?p ?o }"
@@ -178,6 +190,55 @@ def test_another_query_does_not_take_away_what_one_has_named_and_not_yet_seen(
             assert message in await endpoint.graphs()
         async with endpoint.materializer.materialize(other, deadline=deadline):
             assert message not in await endpoint.graphs()
+
+    run(scenario())
+
+
+def test_what_a_look_at_everything_rests_on_stays_though_it_grows_old_meanwhile(
+    make_source: Make, make_endpoint: Make, run: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def scenario() -> None:
+        source = make_source()
+        status = "http://robot/status"
+        source.unnamed[status] = "fine"
+        endpoint = make_endpoint(source, interval=1.5)
+        for step in (0.0, 1.0):  # the second time the look is 1 s old at first, and 2 s when it is asked for once more
+            monkeypatch.setattr("rosld.server.sparql.materializer.time", _Clock(step))
+            await endpoint.text(ALL)
+            assert status in await endpoint.graphs()
+        assert len(source.looks) == 1
+
+    run(scenario())
+
+
+def test_what_was_to_go_when_a_query_that_rests_on_it_began_stays(
+    make_source: Make, make_endpoint: Make, run: Make
+) -> None:
+    async def scenario() -> None:
+        source = make_source(1000, 20)
+        status = "http://robot/status"
+        source.unnamed[status] = "fine"
+        endpoint = make_endpoint(source, interval=3600.0)
+        await endpoint.start()
+        deadline = asyncio.get_running_loop().time() + 30
+        everything = endpoint.service.check(ALL).needs
+        values = endpoint.service.check("SELECT ?x { ?m <https://w3id.org/rosld/types/p/msg/T7#f0> ?x }").needs
+        may_go_on = asyncio.Event()
+        source.pause = may_go_on.wait
+        other = asyncio.ensure_future(endpoint.materializer.begin(values, None, deadline))
+        while not source.looks:  # noqa: ASYNC110 - what it is at, it tells nobody
+            await asyncio.sleep(0)
+        source.pause = None
+        endpoint.materializer.end(await endpoint.materializer.begin(everything, None, deadline))
+        source.tick()
+        source.rendered.clear()
+        may_go_on.set()
+        while not source.rendered:  # noqa: ASYNC110
+            await asyncio.sleep(0)
+        await endpoint.materializer.begin(everything, None, deadline)
+        await other
+        assert len(source.looks) == 2
+        assert status in await endpoint.graphs()
 
     run(scenario())
 

@@ -175,6 +175,7 @@ class Actions:
         stamp = time.time_ns()
         id = f"{self._caller}-{next(self._numbers)}-{stamp // 1_000_000_000}.{stamp % 1_000_000_000:09d}"
         known = _Known(now(), goal=goal, decided=asyncio.get_running_loop().create_future(), is_own=True)
+        # Before anything is sent: what the server says of the goal finds it, and is held until the goal is decided.
         self._goals(action)[id] = known
         followed = self._begin(action)
         try:

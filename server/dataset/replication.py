@@ -190,6 +190,7 @@ class Mirror:
             begun = time.monotonic()
             try:
                 await self._refresh_or_warn()
+                # A request in its thread cannot be cancelled with `run`: `close` waits for the round, or interrupts it.
                 self._round = _in_thread(self._tell_round)
                 more = await asyncio.shield(self._round)
             except StoreError as error:

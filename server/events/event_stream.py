@@ -140,6 +140,7 @@ class EventStream(EndlessResponse):
 
     async def _follow(self, broadcaster: Broadcaster, writer: EventWriter) -> None:
         waiter = Waiter()
+        # Before the state is read: a change that comes meanwhile has another version, and is not waited for.
         version = broadcaster.version
         told, edition = await broadcaster.observe(), self._stream_format.version()
         if not self._is_known(told.state):
@@ -156,7 +157,7 @@ class EventStream(EndlessResponse):
                     await asyncio.sleep(seconds)
                 version = broadcaster.version
                 moment = broadcaster.current() or await broadcaster.observe()
-                if not self._stream_format.is_valid():
+                if not self._stream_format.is_valid():  # once more: the rights may have ended while it waited or read
                     return
                 if moment is not told or self._stream_format.version() != edition:
                     told, edition = moment, self._stream_format.version()

@@ -194,6 +194,7 @@ class HistoryWriter:
             return
         segment, writer, _ = self._current
         with self._lock:
+            # Until the index has them, readers find their messages here: each is always in one of the three.
             self._closing = tuple(chunks)
             for chunk in chunks:
                 del self._open[chunk.topic]

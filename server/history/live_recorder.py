@@ -37,6 +37,7 @@ class LiveRecorder:
         """Record no more for a sink; it is closed when this returns."""
         if self._wanted.pop(sink, None) is None:
             return
+        # In this order: what has come until now is still the sink's, what comes from now on is not.
         self._feed.take()
         self._feed.assign()
         loop, done = asyncio.get_running_loop(), asyncio.Event()

@@ -141,6 +141,7 @@ class RecordingTriggers:
         broadcaster.start()
         try:
             while True:
+                # Before the state is read, so that a change that comes meanwhile is not waited for.
                 version = broadcaster.version
                 state = (await broadcaster.observe()).state
                 holds, problem = _judge(followed.until, state)

@@ -46,7 +46,7 @@ class Drawings:
         if kept is not None and kept.sample is sample:
             return kept
         async with self._turns.setdefault(topic, asyncio.Lock()):
-            kept = self._kept.get(topic)
+            kept = self._kept.get(topic)  # it may have been drawn while this one waited
             if kept is None or kept.sample is not sample:
                 kept = await self._draw(sample)
                 self._kept.pop(topic, None)

@@ -320,6 +320,7 @@ class _Running:
                 return
             case Publish(after=after):
                 self._schedule = after
+                # One that the robot has not taken yet is not joined by another: this time is left out.
                 if self._publishing is None or self._publishing.done():
                     self._publishing = self._loop.create_task(self._published())
                 until = min(after.due, after.expires)

@@ -161,7 +161,7 @@ class SoftwareStop:
             self._begin(_zero_on(topic.name), self._publish_zero(topic), space.topic(topic.name))
         for each, iri in self._mapped():
             self._begin(_words(each), self._carried_out(each, deadline), *self._touched_urls(each, iri))
-        silent = {topic.name for topic in commanded}
+        silent = {topic.name for topic in commanded}  # the stop itself publishes zero there
         for hold, ended in self._holds.end_all(stop_state.words, silent):
             tells = hold.release_message is not None and hold.topic not in silent
             self._begin(_end_of(hold), ended, space.hold(hold.id), space.topic(hold.topic), tells=tells)

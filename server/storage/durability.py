@@ -148,6 +148,7 @@ class Durability:
             with self._at_work:
                 error = self._sync() if waiting else None
             _tell(waiting, error)
+            # After a failed sync a record that is not durable may be undone, and then needs the blobs that it set free.
             if self.failure is None:
                 with self._at_work:
                     self._remove(freed)

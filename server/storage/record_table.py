@@ -255,6 +255,7 @@ class RecordTable:
             if container is None or number <= last or record.path in there:
                 raise ValueError(f"{record.path} comes without its container, or twice")
             last = number
+            # A number is the version at which a record was made (`_insert`): versions go on above all that come back.
             self._next = max(self._next, number) + 1
             self._row(number, self._next, container, record)
             self._execute("DELETE FROM gone WHERE path = ?", (record.path,))

@@ -180,6 +180,7 @@ class AbsentResource(StoredResource):
                 )
             )[-1]
         except Conflict as error:
+            # The preconditions of a conditional request were checked while nothing was here, so it is not tried again.
             if error.path != self.path or error.cause is not ConflictCause.THERE or exchange.is_conditional:
                 raise conflict_problem(self.documents.space, error) from error
             return await self._patch_there(exchange)

@@ -59,7 +59,7 @@ class WorkerPool:
         Raises Problems: 503 where too much waits or a worker ended early, 507 where its memory did not suffice.
         """
         data = _pickle(work)
-        if data is None:
+        if data is None:  # such as rights that depend on types, which only this process knows
             return await asyncio.to_thread(work)
         if self._waiting >= MAX_QUEUED:
             raise Problem(503, "Too many large documents are being worked on: try again.", headers={"Retry-After": "5"})

@@ -326,7 +326,7 @@ class AffordanceService(Generic[T]):
 
     def _held_at(self, own: Property) -> str | None:
         """The URL at which the topic is held that a property is written to, where that commands a velocity."""
-        match current_writer(self._session, own):
+        match current_writer(self._session.adapter, self._session.settings, own):
             case TopicSource(name=name, schema=schema) if schema is not None and schema.ref.name in COMMANDS:
                 return self._session.space.topic(name)
         return None
@@ -355,7 +355,7 @@ class AffordanceService(Generic[T]):
 
     def is_writable(self, own: Property) -> bool:
         """Whether ROS and the settings let a property be written now, whatever conditions say."""
-        return current_writer(self._session, own) is not None
+        return current_writer(self._session.adapter, self._session.settings, own) is not None
 
     def is_callable(self, plan: ActionPlan) -> bool:
         """Whether ROS and the settings let an action be invoked now, whatever conditions say."""

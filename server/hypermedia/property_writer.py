@@ -47,6 +47,7 @@ from rosld.server.robot.session import Session
 from rosld.server.robot.velocity import passes_stop
 from rosld.server.robot.write_policy import denied_reason, parameter_denied_reason
 from rosld.server.runtime.loop_time import loop_time
+from rosld.server.settings import Settings
 from rosld.shapes.parameter import require_form
 
 
@@ -77,30 +78,30 @@ class WriteOutcome(Enum):
 # Who writes
 
 
-def current_writer(session: Session, property: Property) -> Writer | None:
+def current_writer(adapter: AuditedAdapter, settings: Settings, property: Property) -> Writer | None:
     """What writes the property now: the first of its writers that may; None where none may."""
-    return next((one for one in property.writers if _refusal(session, one) is None), None)
+    return next((one for one in property.writers if _refusal(adapter, settings, one) is None), None)
 
 
-def not_writable_reason(session: Session, property: Property) -> str:
+def not_writable_reason(adapter: AuditedAdapter, settings: Settings, property: Property) -> str:
     """Why nothing writes the property now, in sentences."""
-    if session.settings.read_only:
+    if settings.read_only:
         return "This server is read-only."
-    reasons = [reason for one in property.writers if (reason := _refusal(session, one)) is not None]
+    reasons = [reason for one in property.writers if (reason := _refusal(adapter, settings, one)) is not None]
     return " ".join(reasons) or f"{property.name} has no setter, no parameter and no topic that could be written."
 
 
-def _refusal(session: Session, writer: Writer) -> str | None:
+def _refusal(adapter: AuditedAdapter, settings: Settings, writer: Writer) -> str | None:
     """Why a writer must not be used now, in a sentence; None where it may be."""
-    if session.settings.read_only:
+    if settings.read_only:
         return "This server is read-only."
     match writer:
         case Setter():
-            return _setter_refusal(session.adapter, writer.name)
+            return _setter_refusal(adapter, writer.name)
         case ParameterSource():
-            return _parameter_refusal(session.adapter, writer.name)
+            return _parameter_refusal(adapter, writer.name)
         case TopicSource():
-            return _topic_refusal(session.adapter, session.settings.allow_publish, writer)
+            return _topic_refusal(adapter, settings.allow_publish, writer)
 
 
 def _setter_refusal(adapter: AuditedAdapter, name: str) -> str | None:
@@ -145,7 +146,7 @@ def plan_write(session: Session, property: Property, content: object, *, default
     Raises a 405 Problem where nothing writes it now, and LoweringError for what does not fit; the `path` of a violation
     is "" for a scalar.
     """
-    writer = current_writer(session, property)
+    writer = current_writer(session.adapter, session.settings, property)
     match writer:
         case Setter(schema=service):
             return _plan_message(session, property, writer, service.request, content, defaults)
@@ -157,7 +158,7 @@ def plan_write(session: Session, property: Property, content: object, *, default
                 require_form(None if parameter is None else parameter.descriptor, content)
             return PlannedWrite(property.name, writer, StoredValue(_parameter_value(property.kind, content)))
         case _:
-            raise Problem(405, not_writable_reason(session, property))
+            raise Problem(405, not_writable_reason(session.adapter, session.settings, property))
 
 
 def _parameter_value(kind: ValueKind, content: object) -> ParameterValue:

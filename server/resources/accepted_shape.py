@@ -27,6 +27,7 @@ from rosld.server.rest.resource import ABSENT, Resource
 from rosld.server.rest.state import State
 from rosld.server.robot.audited_adapter import AuditedAdapter
 from rosld.server.robot.session import Session
+from rosld.server.settings import Settings
 from rosld.shapes.accepted import Accepted, accepted_message_document, accepted_value_document
 from rosld.shapes.accepted_values import PARAMETERS, OpenParameter
 from rosld.shapes.demand import NO_DEMAND, Demand
@@ -101,22 +102,22 @@ async def property_shape(
     shape: str,
 ) -> Document | None:
     """What a property may be made; None where nothing writes it, or nothing tells its type."""
-    writer = property_writer(session, plan.source)
+    writer = property_writer(session.adapter, session.settings, plan.source)
     kinds = [] if writer is None else await _of_writer(session, affordances, limit_checks, plan, writer)
     title = f"What {plan.source.name} may be made"
     return accepted_value_document(shape, url, rdf.value, kinds, session.space, title) if kinds else None
 
 
-def property_writer(session: Session, own: Property) -> Writer | None:
+def property_writer(adapter: AuditedAdapter, settings: Settings, own: Property) -> Writer | None:
     """What writes a property, now or else when it may."""
-    return current_writer(session, own) or next(iter(own.writers), None)
+    return current_writer(adapter, settings, own) or next(iter(own.writers), None)
 
 
-def has_property_shape(session: Session, plan: PropertyPlan) -> bool:
+def has_property_shape(adapter: AuditedAdapter, settings: Settings, plan: PropertyPlan) -> bool:
     """Whether `property_shape` has a shape of a property."""
-    match property_writer(session, plan.source):
+    match property_writer(adapter, settings, plan.source):
         case ParameterSource(name=name):
-            return plan.member.field is None and has_parameter_shape(session.graph, name)
+            return plan.member.field is None and has_parameter_shape(adapter.graph, name)
         case TopicSource(schema=schema):
             return schema is not None
         case Setter():
@@ -136,7 +137,7 @@ async def require_property_text(
 ) -> None:
     """Raise LoweringError where a body writes a text of a property that limits are about as octets."""
     octets = [each for each in body.literals() if each.datatype in BINARIES] if limit_checks.limits else []
-    writer = property_writer(session, plan.source) if octets else None
+    writer = property_writer(session.adapter, session.settings, plan.source) if octets else None
     for kind, demand in () if writer is None else await _of_writer(session, affordances, limit_checks, plan, writer):
         if isinstance(kind, MessageSchema):
             require_no_octets(body, limited_texts(demand, kind, session.space))

@@ -92,7 +92,7 @@ def _value_of_property(session: Session, affordances: AffordanceService[State], 
     """What a property is written as: a scalar where its message is one."""
     tree = affordances.cached_tree() or affordances.last_tree
     plan = None if tree is None else tree.property(name)
-    writer = None if plan is None else property_writer(session, plan.source)
+    writer = None if plan is None else property_writer(session.adapter, session.settings, plan.source)
     match writer:
         case ParameterSource(name=parameter):
             found = _place(

@@ -174,7 +174,7 @@ class MemberResource(CommandResource):
             return "This server is read-only."
         plan = tree.property(self.name) if tree is not None else None
         if plan is not None and method in ("PUT", "PATCH"):
-            return not_writable_reason(self.session, plan.source)
+            return not_writable_reason(self.session.adapter, self.session.settings, plan.source)
         return f"{self.name} does not answer {method}."
 
     @property
@@ -188,7 +188,8 @@ class MemberResource(CommandResource):
         action = tree.action(self.name) if tree is not None else None
         plan = tree.property(self.name) if tree is not None else None
         is_invoked = action is not None and action.request is not None
-        return is_invoked or (plan is not None and has_property_shape(self.session, plan))
+        adapter, settings = self.session.adapter, self.session.settings
+        return is_invoked or (plan is not None and has_property_shape(adapter, settings, plan))
 
     async def accepted(self, url: str) -> Document | None:
         tree = await self.affordances.tree()

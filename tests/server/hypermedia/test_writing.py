@@ -75,6 +75,14 @@ def run(main: Awaitable[T]) -> T:
     return asyncio.run(main)  # type: ignore[arg-type]
 
 
+def writer_of(robot: Session, own: Property) -> Writer | None:
+    return current_writer(robot.adapter, robot.settings, own)
+
+
+def reason_of(robot: Session, own: Property) -> str:
+    return not_writable_reason(robot.adapter, robot.settings, own)
+
+
 class Flight:
     """The embedded aircraft as a robot, with what was written to it."""
 
@@ -246,11 +254,11 @@ def test_publishing_obeys_the_rate() -> None:
 
 def test_the_setter_writes_what_a_sensor_s_topic_shows() -> None:
     async def main(flight: Flight) -> None:
-        assert isinstance(current_writer(flight.robot, flight.property(SPEED)), Setter)
+        assert isinstance(writer_of(flight.robot, flight.property(SPEED)), Setter)
         only_topic = replace(flight.property(SPEED), writers=(flight.property(SPEED).writers[-1],))
         assert isinstance(only_topic.writers[0], TopicSource)
-        assert current_writer(flight.robot, only_topic) is None
-        assert "is published by /aircraft" in not_writable_reason(flight.robot, only_topic)
+        assert writer_of(flight.robot, only_topic) is None
+        assert "is published by /aircraft" in reason_of(flight.robot, only_topic)
 
     flown(main)
 
@@ -258,8 +266,8 @@ def test_the_setter_writes_what_a_sensor_s_topic_shows() -> None:
 def test_a_read_only_server_writes_nothing() -> None:
     async def main(flight: Flight) -> None:
         for own in flight.catalogue.properties.values():
-            assert current_writer(flight.robot, own) is None
-            assert not_writable_reason(flight.robot, own) == "This server is read-only."
+            assert writer_of(flight.robot, own) is None
+            assert reason_of(flight.robot, own) == "This server is read-only."
         with pytest.raises(Problem) as caught:
             flight.plan(POWER, "on")
         assert caught.value.status == 405
@@ -269,7 +277,7 @@ def test_a_read_only_server_writes_nothing() -> None:
 
 def test_each_property_of_the_aircraft_has_the_writer_it_should() -> None:
     async def main(flight: Flight) -> None:
-        writers = {name: current_writer(flight.robot, own) for name, own in flight.catalogue.properties.items()}
+        writers = {name: writer_of(flight.robot, own) for name, own in flight.catalogue.properties.items()}
         assert {name: writer.name for name, writer in writers.items() if writer is not None} == {
             **{name: name for name in flight.catalogue.by_parameter},
             POWER: "/aircraft/set_power",
@@ -346,31 +354,31 @@ def writable(*writers: Writer) -> Property:
 
 def test_the_first_writer_that_may_write_now_does() -> None:
     everything = writable()
-    assert current_writer(robot()[0], everything) is SETTER
+    assert writer_of(robot()[0], everything) is SETTER
     no_service = replace(WHOLE_GRAPH, services={})
-    assert current_writer(robot(no_service)[0], everything) == ParameterSource(X)
-    assert current_writer(robot(WHOLE_GRAPH, {Operation.SET_PARAMETER})[0], everything) == ParameterSource(X)
-    assert current_writer(robot(replace(no_service, parameters={}))[0], everything) is TOPIC
-    assert current_writer(robot(WHOLE_GRAPH, {Operation.PUBLISH})[0], everything) is TOPIC
-    assert current_writer(robot(WHOLE_GRAPH, {Operation.PUBLISH}, allow_publish=())[0], everything) is None
-    assert current_writer(robot(Graph(1))[0], everything) is None
-    assert current_writer(robot()[0], Property(X, OpenKind())) is None
+    assert writer_of(robot(no_service)[0], everything) == ParameterSource(X)
+    assert writer_of(robot(WHOLE_GRAPH, {Operation.SET_PARAMETER})[0], everything) == ParameterSource(X)
+    assert writer_of(robot(replace(no_service, parameters={}))[0], everything) is TOPIC
+    assert writer_of(robot(WHOLE_GRAPH, {Operation.PUBLISH})[0], everything) is TOPIC
+    assert writer_of(robot(WHOLE_GRAPH, {Operation.PUBLISH}, allow_publish=())[0], everything) is None
+    assert writer_of(robot(Graph(1))[0], everything) is None
+    assert writer_of(robot()[0], Property(X, OpenKind())) is None
 
 
 def test_why_nothing_writes_is_told_of_every_writer() -> None:
-    told = not_writable_reason(robot(Graph(1))[0], writable())
+    told = reason_of(robot(Graph(1))[0], writable())
     assert told == (
         "There is no service /robot/set_x any more. There is no parameter /robot/x any more. "
         "There is no topic /robot/x any more."
     )
     uncallable = {"/robot/set_x": Service("/robot/set_x", SET.ref, (), "its definition is not known")}
     nothing = robot(replace(WHOLE_GRAPH, services=uncallable), ())[0]
-    assert not_writable_reason(nothing, writable()) == (
+    assert reason_of(nothing, writable()) == (
         "The service /robot/set_x cannot be called: its definition is not known. "
         "The parameter /robot/x of this fake cannot be set. Nothing can be published on /robot/x of a fake."
     )
-    assert not_writable_reason(robot()[0], writable(TopicSource(X, None))) == "The type of /robot/x is not known."
-    assert not_writable_reason(robot()[0], Property(X, OpenKind())) == (
+    assert reason_of(robot()[0], writable(TopicSource(X, None))) == "The type of /robot/x is not known."
+    assert reason_of(robot()[0], Property(X, OpenKind())) == (
         "/robot/x has no setter, no parameter and no topic that could be written."
     )
 

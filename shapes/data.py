@@ -25,6 +25,11 @@ def query_shape(url: str) -> Document:
     return _document("query.ttl", url)
 
 
+def recording_shape(url: str) -> Document:
+    """The shapes graph of the orders of recordings, about the document at `url`."""
+    return _document("recording.ttl", url)
+
+
 @cache
 def _document(name: str, url: str) -> Document:
     text = (files("rosld.shapes") / name).read_bytes()

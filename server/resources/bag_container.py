@@ -75,6 +75,10 @@ class BagContainer(Resource):
     def conforms_to(self) -> Sequence[str]:
         return (self.session.space.document_shape("Container"),)
 
+    @property
+    def constrained_by(self) -> str | None:
+        return self.session.space.shape("recording")
+
     async def state(self) -> State:
         members = bag_urls(self.session.space, self.recordings)
         version = members, tuple(self.session.graph.topics)  # the page has a form that names them

@@ -24,23 +24,37 @@ MAX_TOPICS = 1000
 _MAX_NAME = 1000
 _MAX_SECONDS = 30 * 86400.0
 MAX_TRIGGERED = 100
-_SECONDS: DataSchema = {"type": "number", "minimum": 0}
+_SECONDS: DataSchema = {"type": "number", "minimum": 0, "maximum": _MAX_SECONDS}
 _TRIGGER: DataSchema = {
     "type": "object",
+    "description": "It begins as a condition comes to hold.",
     "properties": {
-        "resource": TEXT,
-        "condition": TEXT,
-        "limit": {"type": "integer", "minimum": 1, "maximum": MAX_TRIGGERED},
+        "resource": {**TEXT, "description": "The URL of the value that the condition is about."},
+        "condition": {
+            **TEXT,
+            "description": "As in ?until=: percentage < 0.2; or the IRI of one of a mapping.",
+        },
+        "limit": {
+            "type": "integer",
+            "minimum": 1,
+            "maximum": MAX_TRIGGERED,
+            "description": "How many recordings it begins, one after another; 1 where it is missing.",
+        },
     },
     "required": ["condition"],
 }
 SCHEMA: DataSchema = {
     "type": "object",
     "properties": {
-        "name": TEXT,
-        "topics": {"type": "array", "items": TEXT, "minItems": 1},
-        "before": _SECONDS,
-        "duration": _SECONDS,
+        "name": {**TEXT, "description": "What it is called, /bags/NAME/; else by the time at which it begins."},
+        "topics": {
+            "type": "array",
+            "items": TEXT,
+            "minItems": 1,
+            "description": "Names of topics, or globs such as /camera/*.",
+        },
+        "before": {**_SECONDS, "description": "Seconds of the history that it begins with."},
+        "duration": {**_SECONDS, "description": "Seconds after which it ends; else PATCH ends it."},
         "trigger": _TRIGGER,
     },
     "required": ["topics"],

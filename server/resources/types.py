@@ -44,12 +44,13 @@ from rosld.server.settings import Settings
 from rosld.server.storage import Put, Record
 from rosld.server.storage.record_documents import record_document
 from rosld.shapes.cockpit import cockpit_shape
-from rosld.shapes.data import data_shape, documents_shape, query_shape
+from rosld.shapes.data import data_shape, documents_shape, query_shape, recording_shape
 from rosld.shapes.mapping import mapping_shape
 from rosld.shapes.message import SHACL_SHACL, shape_document
 
 COCKPIT, DATA, DOCUMENTS, LIMITS, MAPPING, QUERY = "cockpit", "data", "documents", "limits", "mapping", "query"
-SHAPES_GRAPHS = (COCKPIT, DATA, DOCUMENTS, LIMITS, MAPPING, QUERY)
+RECORDING = "recording"
+SHAPES_GRAPHS = (COCKPIT, DATA, DOCUMENTS, LIMITS, MAPPING, QUERY, RECORDING)
 """What lies below `/shapes/` beside the shapes of types, and what clients keep there."""
 
 _HASH = QueryParameter("hash", "Which of several definitions of one name.")
@@ -60,6 +61,7 @@ _SUMMARIES = {
     "limits": "The limits in force",
     "mapping": "The shape of mapping documents",
     "query": "The shape of stored queries",
+    "recording": "The shape of the orders of recordings",
 }
 
 
@@ -184,6 +186,7 @@ _SHAPES: Mapping[str, Callable[[str], Document]] = {
     COCKPIT: cockpit_shape,
     MAPPING: mapping_shape,
     QUERY: query_shape,
+    RECORDING: recording_shape,
 }
 
 

@@ -8,7 +8,9 @@ from html import unescape
 from pathlib import Path
 from typing import Any
 
+import pyshacl
 import pytest
+import rdflib
 
 from tests.server.auth.conftest import token, tokens
 from tests.server.history.test_recordings import MERGE_PATCH, ROS, SPEED, count, end, value
@@ -104,6 +106,38 @@ def test_a_condition_of_a_mapping_triggers_a_recording_also_when_ordered_in_rdf(
     until(lambda: value(http, "/bags/started/", "recordingStatus") == "recording", "the trigger")
     assert http.delete("/bags/started/").status_code == 204
     power(http, is_on=False)
+
+
+def test_what_a_recording_is_ordered_by_is_told_by_the_container_in_shacl_and_json_schema(armed: Any) -> None:
+    http = armed.http
+    shape, constrains = f"{armed.url}shapes/recording", 'rel="http://www.w3.org/ns/ldp#constrainedBy"'
+    assert f"<{shape}>; {constrains}" in http.get("/bags/", headers=JSON).headers["link"]
+    refused = http.post("/bags/", content="<> a <#T> .", headers={"Content-Type": "text/turtle"})
+    assert refused.status_code == 422
+    assert f"<{shape}>; {constrains}" in refused.headers["link"]
+    graph = shacl_graph(http.get("/shapes/recording", headers={"Accept": "text/turtle"}).text, shape)
+    trigger = f'<{ROS}triggerCondition> "data < -1" ; <{ROS}triggerResource> </topics{SPEED}>'
+    named = f'<{ROS}name> "shaped" ; <{ROS}secondsBefore> 1'
+    for body, fits in (
+        (f'<> <{ROS}recordsTopic> "{SPEED}", "/camera/*" ; {named} ; {trigger} .', True),
+        (f'<> <{ROS}recordsTopic> "aircraft" .', False),
+        (f'<> <{ROS}recordsTopic> "*" ; <{ROS}secondsLong> -1 .', False),
+        (f'<> <{ROS}recordsTopic> "*" ; <{ROS}name> "../x" .', False),
+        (f'<> <{ROS}recordsTopic> "*" ; {trigger} ; <{ROS}triggerLimit> 101 .', False),
+    ):
+        data = rdflib.Graph().parse(data=body, format="turtle", publicID=f"{armed.url}bags/")
+        assert pyshacl.validate(data, shacl_graph=graph)[0] is fits, body
+        answer = http.post("/bags/", content=body, headers={"Content-Type": "text/turtle"})
+        assert answer.status_code == (201 if fits else 422), answer.text
+    assert http.delete("/bags/shaped/").status_code == 204
+    described = http.get("/openapi.json?below=/bags/").json()["paths"]["/bags/"]["post"]["requestBody"]["content"]
+    members = described["application/json"]["schema"]["properties"]
+    assert members.keys() == {"topics", "name", "before", "duration", "trigger"}
+    assert all("description" in each for each in members.values())
+
+
+def shacl_graph(text: str, url: str) -> rdflib.Graph:
+    return rdflib.Graph().parse(data=text, format="turtle", publicID=url)
 
 
 EXTRA = """

@@ -221,7 +221,7 @@ class Recording(Protocol):
 
     @property
     def identity(self) -> str:
-        """What tells it from all other recordings, of the same name too: a few letters and digits.
+        """An identifier (letters and digits) that no other recording has, also none of the same name.
 
         While it is the same a message's index means the same message.
         """
@@ -328,7 +328,7 @@ class Adapter(Protocol):
         ...
 
     async def send_goal(self, action: str, type: TypeRef, goal: bytes, *, deadline: float) -> GoalId:
-        """Send a goal, and say what it is known by once it is accepted; what becomes of it is told to the sink.
+        """Send a goal and return its id once it is accepted; what follows is announced to the sink.
 
         `goal` is a message of the type's goal. Raises Refused (with the server's words) where it is rejected, TimedOut,
         Unreachable, NotFound.
@@ -347,7 +347,7 @@ class Adapter(Protocol):
         ...
 
     async def follow_goals(self, action: str, *, deadline: float) -> Watch:
-        """Have the sink told of all goals of an action, those of others too, until the watch is closed. Counted.
+        """Announce all goals of an action to the sink, those of others too, until the watch is closed. Counted.
 
         Returns once what can be known of them now was told, at the latest at the deadline. Of goals that rosld sent it
         is told without this, until they have ended. Raises NotFound.

@@ -53,11 +53,11 @@ class LocalTopics:
         self._advertisings = 0
 
     def subscribe(self, topic: str, depth: int) -> Subscription:
-        """Begin to look at a topic, whether or not it is there yet."""
+        """Subscribe to a topic, whether or not it is there yet."""
         return self._slot(topic).subscribe(depth)
 
     def is_subscribed(self, topic: str) -> bool:
-        """Whether anybody looks at a topic."""
+        """Whether a topic has a subscription."""
         slot = self._slots.get(topic)
         return slot is not None and slot.subscriptions > 0
 

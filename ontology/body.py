@@ -88,7 +88,7 @@ class RdfBody:
                 yield from (each for each in objects if isinstance(each, Literal))
 
     def roots(self) -> list[Subject]:
-        """The subjects that are nobody's object."""
+        """The subjects that are no object of a triple."""
         inner = {each for properties in self.subjects.values() for objects in properties.values() for each in objects}
         return [subject for subject in self.subjects if subject not in inner]
 

@@ -24,7 +24,7 @@ _TERMS: Mapping[GoalStatus, NamedNode] = {status: ros.terms()[status.value.capit
 def action_document(
     action: Action, space: Space, graph: Graph, goals: Sequence[str] = (), *, takes_goals: bool = False
 ) -> Document:
-    """An action: its type, who serves it and who sends goals to it, the shapes of what is sent and told, its goals.
+    """The document of an action: its type, its servers and clients, the shapes of its messages, its goals.
 
     `takes_goals`: a goal can be sent here now, and a form says how.
     """
@@ -87,7 +87,7 @@ class GoalView:
 
 
 def goal_document(goal: GoalView, space: Space, settings: LiftSettings = _SETTINGS) -> Document:
-    """One goal of an action: what was asked for, how it stands, what was told of it last and what it came to."""
+    """The document of a goal: its message, its status, the latest feedback, the result."""
     url = space.goal(goal.id)
     subject = NamedNode(url)
     messages: list[LiftedMessage] = []
@@ -122,7 +122,7 @@ def goal_document(goal: GoalView, space: Space, settings: LiftSettings = _SETTIN
 def goal_outline(
     id: str, action: str, status: GoalStatus, times_ns: tuple[int | None, int | None], words: str | None, space: Space
 ) -> list[Triple]:
-    """What is told of a goal in a list, too: of which action it is, how it stands, and when it was sent and ended."""
+    """The triples of a goal that lists have, too: its action, its status, when it was sent and when it ended."""
     return triples_about(
         NamedNode(space.goal(id)),
         (rdf.type, ros.Goal),

@@ -75,7 +75,7 @@ class HoldView:
 
 
 def hold_document(hold: HoldView, space: Space, settings: LiftSettings = _SETTINGS) -> Document:
-    """One hold: the topic, the message and how often it is published, whose it is and until when, what comes then."""
+    """The document of a hold: topic, message, rate, holder, lease, and what is published at its end."""
     url = space.hold(hold.id)
     subject = NamedNode(url)
     messages = [LiftedMessage("#message", lifter(hold.message[0], settings), hold.message[1])]
@@ -107,7 +107,7 @@ def hold_document(hold: HoldView, space: Space, settings: LiftSettings = _SETTIN
 def hold_outline(
     id: str, topic: str, holder: str, rate: float, created_ns: int, last_error: str | None, space: Space
 ) -> list[Triple]:
-    """What is told of a hold in a list, too: of which topic, whose it is, since when, and what is wrong with it."""
+    """The triples of a hold that lists have, too: its topic, its holder, since when, and its last error."""
     return triples_about(
         NamedNode(space.hold(id)),
         (rdf.type, ros.Hold),

@@ -35,7 +35,7 @@ class MemberOutline:
 
 
 def member_triples(member: MemberOutline, space: Space) -> list[Triple]:
-    """What is told of a member of a list."""
+    """The triples of a member of a list."""
     relation = None if member.kind is None else _TYPE_RELATIONS.get(member.kind)
     return triples_about(
         NamedNode(member.url),

@@ -65,7 +65,7 @@ class CallView:
 
 
 def call_document(call: CallView, space: Space, settings: LiftSettings = _SETTINGS) -> Document:
-    """One call of a service: what was asked, what was answered, what became of it."""
+    """The document of a call: its request, its response, its outcome."""
     url = space.call(call.id)
     halves = {"request": call.request, "response": call.response}
     messages = tuple(
@@ -85,7 +85,7 @@ def call_document(call: CallView, space: Space, settings: LiftSettings = _SETTIN
 def call_outline(
     id: str, service: str, state: str, times_ns: tuple[int, int | None], words: str | None, space: Space
 ) -> list[Triple]:
-    """What is told of a call in a list, too: of which service it is, what became of it, and when."""
+    """The triples of a call that lists have, too: its service, its outcome, its times."""
     return triples_about(
         NamedNode(space.call(id)),
         (rdf.type, ros.Call),

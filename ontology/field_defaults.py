@@ -28,7 +28,7 @@ def stated_default(field: Field) -> Plain | None:
 
 
 def zero_value(kind: Primitive) -> Scalar:
-    """What a primitive is where nobody says anything."""
+    """The default of a primitive."""
     if kind.name in STRINGS:
         return ""
     if kind.name == "bool":

@@ -230,7 +230,7 @@ def _member(body: RdfBody, member: Term, container: NamedNode, path: str, depth:
 
 
 def lower_term(term: Term, path: str = "") -> ParameterValue:
-    """The value that a term of RDF stands for. Raises LoweringError with the `path` where it stands for none."""
+    """The value of an RDF term. Raises LoweringError with the `path` for a term that has none."""
     if not isinstance(term, Literal):
         raise _error(path, "expected a literal as ros:value", str(term))
     if term.language is not None:

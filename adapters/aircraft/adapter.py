@@ -162,7 +162,7 @@ class Aircraft:
         return list(dict.fromkeys([*self._types.values(), *(each.type for each in self._topics.advertised.values())]))
 
     async def subscribe(self, topic: str, *, depth: int = 1) -> Subscription:
-        """Begin to look at a topic, whether or not it is there yet."""
+        """Subscribe to a topic, whether or not it is there yet."""
         return self._topics.subscribe(topic, depth)
 
     def age_ns(self, sample: Sample) -> int:
@@ -234,7 +234,7 @@ class Aircraft:
             await self.cancel_goal(GoalId(action, self._fly.id), deadline=deadline)
 
     async def follow_goals(self, action: str, *, deadline: float) -> Watch:
-        """All its goals are ours, and told in any case."""
+        """Return a watch without effect: all its goals are announced in any case."""
         self._action(action)
         return NoWatch()
 

@@ -143,7 +143,7 @@ class RecordingAdapter:
         return [] if self._bag is None else self._bag.types()
 
     async def subscribe(self, topic: str, *, depth: int = 1) -> Subscription:
-        """Begin to look at a topic, whether or not it is recorded."""
+        """Subscribe to a topic, whether or not it is recorded."""
         return PlayerSubscription(self._player(topic), depth)
 
     def age_ns(self, sample: Sample) -> int:

@@ -123,7 +123,7 @@ class TopicPlayer:
         self._set_timer(due)
 
     def close(self) -> None:
-        """Wake nobody any more."""
+        """Stop waking watches."""
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None

@@ -122,13 +122,13 @@ class Client:
         self._wanted.set()
 
     def refresh_soon(self) -> None:
-        """Make the graph anew, once for all that is learnt in this turn of the loop."""
+        """Rebuild the graph, once for all that is learnt in this turn of the loop."""
         if not self._refreshing:
             self._refreshing = True
             asyncio.get_running_loop().call_soon(self.refresh)
 
     def refresh(self) -> None:
-        """Make the graph anew and tell of it where it changed. A graph that is stale stays as it is."""
+        """Rebuild the graph and announce it where it changed. A graph that is stale stays as it is."""
         self._refreshing = False
         if self._identity is not None:
             self._show(compose(self.graph, self._observation(), self.facts, self.types.unreadable))

@@ -51,7 +51,7 @@ class Services:
                 probe.add_done_callback(self._probes.discard)
 
     def forget(self) -> None:
-        """Ask everything anew at the next look."""
+        """Forget which services were asked for their types, so that all are asked again at the next poll."""
         self._asked.clear()
 
     async def asked(self, patience: float) -> None:

@@ -108,7 +108,7 @@ class Ros2Adapter:
         return {}
 
     async def open(self, sink: Sink, *, deadline: float) -> None:
-        """Join the domain and look around. Raises Unreachable where the middleware cannot be started."""
+        """Join the domain and discover the system. Raises Unreachable where the middleware cannot be started."""
         if self._system is not None:
             return
         thread = IoThread("rosld-ros2")
@@ -187,7 +187,7 @@ class Ros2Adapter:
         return list(met)
 
     async def subscribe(self, topic: str, *, depth: int = 1) -> TopicSubscription:
-        """Begin to read a topic; nothing is taken before somebody looks."""
+        """Subscribe to a topic; no message is taken before one is read."""
         thread, system = self._running()
         depth = max(1, depth)
         feed = self._feeds.get(topic)
@@ -262,7 +262,7 @@ class Ros2Adapter:
         await thread.run(system.cancel_goals(action, _until(deadline)))
 
     async def follow_goals(self, action: str, *, deadline: float) -> Watch:
-        """Have the sink told of all goals of an action. Raises NotFound."""
+        """Announce all goals of an action to the sink. Raises NotFound."""
         thread, system = self._running()
         return _Following(thread, await thread.run(system.follow_goals(action, _until(deadline))))
 

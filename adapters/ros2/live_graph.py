@@ -25,7 +25,7 @@ class LiveGraph:
         self._before_leaving: tuple[Graph, float] | None = None
 
     def update(self, seen: Observation, known: GraphInputs, *, has_robot: bool) -> None:
-        """Make the graph anew from what was seen; where all nodes of the robot have gone it is stale."""
+        """Rebuild the graph from what was seen; where all nodes of the robot have gone it is stale."""
         if has_robot or not self.has_robot:
             self.has_robot = has_robot
             graph = compose(self.current, seen, known)

@@ -64,7 +64,7 @@ class System:
         return self._graph.current
 
     async def open(self, until: float) -> None:
-        """Look until the system has shown itself: discovery takes a moment, and nobody says when it is over."""
+        """Poll until discovery has found the system, whose end no event announces."""
         self.waiter.start()
         watch_parameter_events(self._participant, self.waiter, self._parameter_event)
         loop = asyncio.get_running_loop()
@@ -154,7 +154,7 @@ class System:
         await self.actions.cancel_all(name, until)
 
     async def follow_goals(self, name: str, until: float) -> Callable[[], None]:
-        """Have the sink told of all goals of an action until what is returned is called. Raises Refused, NotFound."""
+        """Announce all goals of an action to the sink until what is returned is called. Raises Refused, NotFound."""
         return await self.actions.follow(self._action(name), until)
 
     def _action(self, name: str) -> Action:
@@ -185,7 +185,7 @@ class System:
         self.refresh()
 
     def refresh(self) -> None:
-        """Make the graph anew and tell of it where it changed."""
+        """Rebuild the graph and announce it where it changed."""
         self._refreshing = False
         seen = self._discovery.seen
         has_robot = any(self._is_robots(name) for name in foreign_nodes(seen, self._participant.hidden_name))
@@ -193,7 +193,7 @@ class System:
         self._readers.follow_all(self.graph, lambda topic: seen.publishers.get(topic, ()))
 
     def refresh_soon(self) -> None:
-        """Make the graph anew, once for all that happens in this turn of the loop."""
+        """Rebuild the graph, once for all that happens in this turn of the loop."""
         if not self._refreshing:
             self._refreshing = True
             asyncio.get_running_loop().call_soon(self.refresh)

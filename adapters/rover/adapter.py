@@ -143,7 +143,7 @@ class Rover:
         return list(dict.fromkeys([*self._types.values(), *own]))
 
     async def subscribe(self, topic: str, *, depth: int = 1) -> Subscription:
-        """Begin to look at a topic; the first who does sees what the rover says there now."""
+        """Subscribe to a topic; the first subscription has what the rover publishes there now."""
         is_first = not self._topics.is_subscribed(topic)
         subscription = self._topics.subscribe(topic, depth)
         if is_first and topic in PERIODIC and self._sink is not None:
@@ -223,7 +223,7 @@ class Rover:
             await self.cancel_goal(GoalId(action, journey.id), deadline=deadline)
 
     async def follow_goals(self, action: str, *, deadline: float) -> Watch:
-        """All its goals are ours, and told in any case."""
+        """Return a watch without effect: all its goals are announced in any case."""
         self._action(action)
         return NoWatch()
 

@@ -176,7 +176,7 @@ class Rights:
 
     @cached_property
     def key(self) -> str:
-        """A name for these rights: agents with the same rules share it. It tells nothing of the rules."""
+        """A key that agents with the same rules share, and that reveals nothing of the rules."""
         said = sorted(
             f"{sorted(mode.value for mode in rule.modes)}{[glob.text for glob in rule.globs]}{rule.types}{rule.deny}"
             for rule in self.rules

@@ -18,7 +18,7 @@ class ReplicaState:
         self._size = 0
 
     def difference(self, graph: str, text: str) -> Edit | None:
-        """What makes of the graph, as it was told last, what the text says. None where that must be told whole.
+        """The edit from a graph as it was sent last to what the text says; None where it must be sent whole.
 
         The text is N-Triples, each triple on a line of its own and always written the same. It is remembered.
         """
@@ -39,7 +39,7 @@ class ReplicaState:
         )
 
     def forget(self, graph: str) -> None:
-        """The graph was told something else, or is gone."""
+        """Forget the triples of a graph, which was sent something else or is gone."""
         self._size -= len(self._texts.pop(graph, ""))
 
     def clear(self) -> None:

@@ -65,7 +65,7 @@ class GraphOwnership(Protocol):
 
     @property
     def heartbeat_graph(self) -> str:
-        """The IRI of the graph that says who told what last: what it is about, too."""
+        """The IRI of the graph that says when this server last updated the store; it describes itself."""
         ...
 
     def is_ours(self, graph: str) -> bool:
@@ -80,8 +80,8 @@ class GraphOwnership(Protocol):
 class ReplicationSource(Protocol):
     """The dataset that is replicated. `graphs` and `ntriples` are called in any thread, and raise StoreError."""
 
-    def watch(self, told: Callable[[Collection[str], Sequence[Edit]], None], begun: Callable[[], None]) -> None:
-        """Call `told` with the names of graphs that are replaced and with edits, `begun` when all begins anew."""
+    def watch(self, changed: Callable[[Collection[str], Sequence[Edit]], None], restarted: Callable[[], None]) -> None:
+        """Call `changed` with the names of replaced graphs and with edits, `restarted` when the dataset begins anew."""
         ...
 
     def graphs(self) -> Collection[str]:

@@ -103,7 +103,7 @@ class Broadcaster:
                 watch.close()
 
     async def wait(self, waiter: Waiter, version: int) -> None:
-        """Until there may be something newer than `version`, or somebody else wakes the sleeper."""
+        """Wait until there may be something newer than `version`, or something else wakes the waiter."""
         if self.version == version:
             self._waiters[waiter] = None
             try:
@@ -254,7 +254,7 @@ class Broadcasters:
         return done
 
     def wake_all(self) -> None:
-        """Have all readers look again: what they may read may be something else now."""
+        """Have all readers read the state again: their rights may have changed."""
         for broadcaster in tuple(self._broadcasters.values()):
             broadcaster.wake_all()
 

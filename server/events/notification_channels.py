@@ -120,7 +120,7 @@ class Channels:
         return channel
 
     def close(self, channel: Channel) -> None:
-        """End a channel, and whoever receives from it, unless that is the task at hand."""
+        """End a channel, and the task that sends to its receiver unless that is the current one."""
         self._kept.pop(channel.token, None)
         if channel.receiver is not None and channel.receiver is not asyncio.current_task():
             channel.receiver.cancel()

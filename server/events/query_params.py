@@ -20,7 +20,7 @@ def stream_is_preferred(accept: str | None, offers: tuple[str, ...]) -> bool:
 
 
 def parse_rate(query: Mapping[str, str]) -> float:
-    """`?rate=`: at most so many events a second. More than can be had gives what can be had. A 400 Problem else."""
+    """`?rate=`: at most so many events a second, cut to what can be had. Raises a 400 Problem for what is no rate."""
     wanted = _number(query, "rate", DEFAULT_RATE)
     if wanted is None or wanted < MIN_RATE:
         raise Problem(

@@ -125,7 +125,7 @@ class ArmedRecordings:
         return one
 
     async def disarm(self, name: str) -> bool:
-        """Have a recording wait no more; whether there was one that did. What it has begun goes on. Raises OSError."""
+        """Disarm a recording; return whether there was one. What it has begun to record goes on. Raises OSError."""
         one = self.all.pop(name, None)
         if one is None:
             return False

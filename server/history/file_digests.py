@@ -41,7 +41,7 @@ class FileDigests:
         return self._known[path]
 
     def forget(self, path: Path) -> None:
-        """The file is gone; another one may have its name."""
+        """Forget the digest of a file that is gone: another one may have its name."""
         self._known.pop(path, None)
 
     def watch(self, path: Path, wake: Callable[[], None]) -> Watch:

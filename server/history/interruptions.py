@@ -44,6 +44,6 @@ class Interruptions:
             log.error("that the recording %s was interrupted cannot be stored: %s", name, error)
 
     async def remove(self, name: str) -> None:
-        """The recording is gone. Raises OSError."""
+        """Forget the interruption of a recording that is gone. Raises OSError."""
         if self._reasons.pop(name, None) is not None:
             await asyncio.to_thread(self._notes.remove, INTERRUPTED, name)

@@ -185,11 +185,11 @@ class Recordings:
         return await self._armed.arm(name, order, agent, occurrences)
 
     async def disarm(self, name: str) -> bool:
-        """Have a recording wait no more; whether there was one that did. What it has begun goes on. Raises OSError."""
+        """Disarm a recording; return whether there was one. What it has begun to record goes on. Raises OSError."""
         return await self._armed.disarm(name)
 
     def can_be_named(self, name: str) -> bool:
-        """Whether a recording may be called this: it is a name, and nobody's."""
+        """Whether a recording may have this name: it is a valid name, and not in use."""
         return FILE_NAME.fullmatch(name) is not None and not self._is_taken(name)
 
     async def end(self, name: str) -> None:

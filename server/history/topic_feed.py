@@ -118,7 +118,7 @@ class LiveFeed:
         self._changed = True
 
     def start(self) -> None:
-        """Begin to look."""
+        """Begin to take messages, ten times a second."""
         self._task = asyncio.get_running_loop().create_task(self._run())
 
     def assign(self) -> None:

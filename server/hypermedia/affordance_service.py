@@ -373,7 +373,7 @@ class AffordanceService(Generic[T]):
 
     @asynccontextmanager
     async def lock(self, tree: ResourceTree, *names: str, modified: Iterable[str] = ()) -> AsyncIterator[None]:
-        """Hold what hangs together with these names by conditions: nobody else writes it through rosld meanwhile.
+        """Lock these names and all that conditions relate to them: nobody else writes those through rosld meanwhile.
 
         The same holds for the properties `modified`, whose new values are made of their old ones. Raises a 503 Problem
         where the others take too long.

@@ -104,7 +104,7 @@ class PropertyReader:
         self._parameter_room = asyncio.Semaphore(_PARAMETER_CALLS)
 
     def cached(self, property: Property) -> Reading | None:
-        """The reading that is still good, the very same object as before: at once, asking nobody."""
+        """The cached reading that is still valid, the same object as before, without I/O."""
         kept = self._kept.get(property.name)
         if kept is None:
             return None

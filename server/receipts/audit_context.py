@@ -37,7 +37,7 @@ class AuditContext:
         self.length = 0
 
     def begin(self) -> None:
-        """The request is understood as a write: from now on it leaves a receipt, whatever becomes of it."""
+        """Mark the request as a write: from now on it leaves a receipt, whatever its outcome."""
         self.is_write = True
         current_audit.set(self)
 
@@ -46,7 +46,7 @@ class AuditContext:
         self.is_write = False
 
     def add_step(self, does: str, *touches: str) -> None:
-        """A step of what the write comes to, and the URLs of what it touches. One that is told already is no other."""
+        """Add a step of the write and the URLs of what it touches; one that is there already is not added again."""
         if not self.plan:
             self.plan, self.touched = (does,), touches
             return

@@ -95,7 +95,7 @@ class Journal:
         return None if self._disk is None else self._disk.problem
 
     def start(self) -> None:
-        """Look now and then at what has become too old."""
+        """Begin to remove entries that have become too old."""
         self._look_again()
 
     def add(self, asked: AuditEntry) -> str:
@@ -134,7 +134,7 @@ class Journal:
         return found[::-1]
 
     def on_dropped(self, told: Callable[[JournalEntry], None]) -> None:
-        """Call `told` with each that is forgotten from now on."""
+        """Call the listener with each entry that is forgotten from now on."""
         self._dropped = told
 
     async def close(self) -> None:

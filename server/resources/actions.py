@@ -184,7 +184,7 @@ class ActionResource(CommandResource):
         return schema, message
 
     async def send(self, exchange: Exchange, schema: ActionSchema, message: Message) -> CreatedAnswer:
-        """Send a goal: it is created if it is accepted. Raises whatever else becomes of it."""
+        """Send a goal: 201 once it is accepted. Raises RosError and Problems where it is not."""
         sending = await self._submit(exchange, schema, message)
         problem = _failure(self.session.space, self.name, sending)
         if problem is not None or sending.goal is None:

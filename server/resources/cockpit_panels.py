@@ -121,7 +121,7 @@ class PanelReader:
         return there, len(found) - len(there)
 
     async def watch(self, cockpit: Cockpit, wake: Callable[[], None]) -> Watch:
-        """Call `wake` whenever a value may have changed; what tells of no change is looked for now and then."""
+        """Call `wake` whenever a value may have changed; what announces no change is polled."""
         watches = [self._sources.software_stop.changes.watch(wake), call_every(_LOOK_SECONDS, wake)]
         kinds = (PanelKind.VALUE, PanelKind.BUTTON)
         for url in {url for each in cockpit.panels if each.kind in kinds for url in each.shows}:

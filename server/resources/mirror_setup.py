@@ -88,9 +88,9 @@ class _Dataset:
         self._process = process
         self._materializer = materializer
 
-    def watch(self, told: Callable[[Collection[str], Sequence[Edit]], None], begun: Callable[[], None]) -> None:
-        self._process.on_change(told)
-        self._process.on_start(begun)
+    def watch(self, changed: Callable[[Collection[str], Sequence[Edit]], None], restarted: Callable[[], None]) -> None:
+        self._process.on_change(changed)
+        self._process.on_start(restarted)
 
     def graphs(self) -> Collection[str]:
         names: list[str] = pickle.loads(self._result(ListGraphs()))  # from our own process

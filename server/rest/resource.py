@@ -74,7 +74,7 @@ class Resource:
         return hash((self.url, self.variant_key))
 
     async def prepare(self) -> None:
-        """Learn what must be known before anything else can be told. Called first on each request."""
+        """Read what the other methods need. Called first on each request."""
 
     @property
     def is_absent(self) -> bool:

@@ -36,7 +36,7 @@ class GoalFollower:
             self._unfollow(action)
 
     async def follow(self, action: str, *, deadline: float) -> bool:
-        """Have all goals of an action told from now on; whether they are. The first look waits."""
+        """Follow all goals of an action from now on; return whether they are followed. The first call waits."""
         following = self._followed.get(action)
         if following is None:
             opening = asyncio.ensure_future(self._adapter.follow_goals(action, deadline=deadline))
@@ -51,7 +51,7 @@ class GoalFollower:
         return True
 
     def is_followed(self, action: str) -> bool:
-        """Whether the robot tells all goals of an action now."""
+        """Whether all goals of an action are announced now."""
         following = self._followed.get(action)
         opening = None if following is None else following.opening
         return opening is not None and opening.done() and not opening.cancelled() and opening.exception() is None

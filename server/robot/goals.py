@@ -93,7 +93,7 @@ class Goals:
         return self._store.current(action)
 
     def is_followed(self, action: str) -> bool:
-        """Whether all that becomes known of an action's goals is told now."""
+        """Whether all goals of an action are announced now."""
         return self._follower.is_followed(action)
 
     def find(self, id: str) -> Goal:
@@ -222,7 +222,7 @@ class Goals:
     # Looking at what others do
 
     async def follow(self, action: str, *, deadline: float) -> None:
-        """Hear of all goals of an action from now on, until nobody has looked for a while. The first look waits."""
+        """Follow all goals of an action, until nobody has read them for a while. The first call waits."""
         if await self._follower.follow(action, deadline=deadline):
             self._drain()
 

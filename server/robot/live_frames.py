@@ -37,7 +37,7 @@ class LiveFrames:
         self._turn = asyncio.Lock()
 
     async def look(self) -> FrameBuffer:
-        """The frames as of now; the first look waits a moment for what is published."""
+        """The frames as of now; the first call waits a moment for what is published."""
         self._looked_at = loop_time()
         if self._task is None:
             self._task = asyncio.get_running_loop().create_task(self._run())

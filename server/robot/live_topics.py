@@ -112,7 +112,7 @@ class LiveTopics:
         return [topic for topic, look in looks if look.subscription.latest()]
 
     def find_view(self, topic: str) -> TopicView | None:
-        """The view of a topic if it is there, subscribed to and has a value: at once, asking nobody."""
+        """The view of a topic if it is there, subscribed to and has a value, without waiting."""
         look = self._looks.get(topic)
         if look is None or topic not in self._adapter.graph.topics:
             return None
@@ -126,7 +126,7 @@ class LiveTopics:
         return None if look is None or topic not in self._adapter.graph.topics else self._refresh(look)
 
     def current_view(self, topic: str) -> TopicView:
-        """The view as of now, without values where none has come: at once, asking nobody."""
+        """The view as of now, without values where none has come, without waiting."""
         return self.find_view(topic) or self.last_view(topic) or EMPTY_VIEW
 
     def last_view(self, topic: str) -> TopicView | None:

@@ -70,7 +70,7 @@ class Session:
 
     @property
     def is_stopped(self) -> bool:
-        """Whether nothing may tell the robot anything but to stand still."""
+        """Whether the robot is stopped: all writes are refused but those that stop it."""
         return self.interlock.stop_state is not None
 
     @property
@@ -129,7 +129,7 @@ class Session:
         await self.adapter.close()
 
     def graph_changed(self, graph: Graph) -> None:
-        """`Sink`: look at what the graph now holds."""
+        """`Sink`: the graph has changed."""
         self._follower.call_soon(self._follower.on_graph_changed)
 
     def goal_changed(self, goal: GoalId, event: GoalEvent) -> None:

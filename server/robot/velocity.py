@@ -17,7 +17,7 @@ LEFT_OUT = "!"
 
 
 def is_velocity_topic(topic: Topic, graph: Graph, globs: Sequence[str]) -> bool:
-    """Whether zero on a topic has the robot stand still: by its type, or by the globs of --stop-zero.
+    """Whether zero on a topic stops the robot: by the topic's type, or by the globs of --stop-zero.
 
     Topics that belong to ROS itself never do, whatever a glob says.
     """

@@ -30,7 +30,7 @@ class VersionCache(Generic[T]):
         return value
 
     def clear(self) -> None:
-        """Have all of them made anew from now on."""
+        """Remove all values."""
         self._entries.clear()
 
     def get_or_make(self, url: str, version: Hashable, make: Callable[[], T]) -> T:

@@ -90,5 +90,5 @@ class Snapshot(NamedTuple):
 
     @property
     def unnamed(self) -> list[str]:
-        """Those of them that a look at everything brings although nobody names them."""
+        """Those of them that needs of everything include although no query names them."""
         return [iri for iri in self.extras if iri not in self.needs.documents]

@@ -107,7 +107,7 @@ class Needs:
         return any(demand.parameters and (demand.graphs is None or url in demand.graphs) for demand in self.demands)
 
     def covers(self, other: Needs) -> bool:
-        """Whether whoever brings all of this has brought all of the other, documents aside."""
+        """Whether these needs include all of the other's, documents aside."""
         return all(any(_is_for(mine, one) for mine in self.demands) for one in other.demands)
 
     def restrict_to(self, graphs: Collection[str]) -> Needs:

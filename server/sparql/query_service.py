@@ -172,7 +172,7 @@ class QueryService:
     async def run_on_snapshot(
         self, needs: Needs, graphs: frozenset[str] | None, prepare: Callable[[], Awaitable[Work]]
     ) -> tuple[bytes, SeenVersions]:
-        """What a work comes to over a dataset that holds what the needs ask for, and what it has seen there.
+        """Run work over a dataset that has what the needs ask for; return its result and the versions that it saw.
 
         `graphs` are the only ones that are looked at, None for all. `prepare` makes the work once the dataset is there.
         Raises as `answer` does.

@@ -121,7 +121,7 @@ NO_STATEMENTS = Statements(b"")
 
 
 def is_small(data: bytes) -> bool:
-    """Whether a body is read in an instant, and comes to little more than it is itself."""
+    """Whether a body is small enough to be parsed in this process."""
     if len(data) <= _TINY_BYTES:
         return True
     return len(data) <= SMALL_BYTES and _LONG.search(data) is None

@@ -51,7 +51,7 @@ class UpdateEvaluator:
         self._analyser = analyser
 
     async def evaluate(self, operations: Sequence[Operation], more: frozenset[str] = frozenset()) -> Delta:
-        """What operations come to now; `more` are graphs whose values are to be there beside those they name.
+        """The changes that operations make now; `more` are graphs whose values they need beside those that they name.
 
         Raises Problems as a query does, and those of `evaluate.evaluate`.
         """

@@ -22,8 +22,8 @@ class LocalStore(MemoryStore):
         super().__init__()
         self._told: list[Callable[[Collection[str], Sequence[Edit]], None]] = []
 
-    def watch(self, told: Callable[[Collection[str], Sequence[Edit]], None], begun: Callable[[], None]) -> None:
-        self._told.append(told)
+    def watch(self, changed: Callable[[Collection[str], Sequence[Edit]], None], restarted: Callable[[], None]) -> None:
+        self._told.append(changed)
 
     def replace(self, graphs: Mapping[str, str | None], edits: Sequence[Edit] = ()) -> None:
         super().replace(graphs, edits)

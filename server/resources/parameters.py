@@ -101,6 +101,12 @@ class ParameterResource(ParameterBase):
         is_kept = parameter is None or parameter.node is None  # one that was just set is in no graph yet
         return _AT_START if is_kept and self.session.adapter.capabilities.parameter_server else None
 
+    async def select_variant(self, exchange: Exchange) -> Resource:
+        """Itself, or its shape. Raises a 404 Problem for its past."""
+        if exchange.method in ("GET", "HEAD") and (asked := exchange.query.keys() & {"at", "timemap", "series"}):
+            raise Problem(404, f"?{min(asked)}: nothing records the values of parameters: ask for the present one.")
+        return await super().select_variant(exchange)
+
     def methods(self) -> frozenset[str]:
         methods = READ
         if self._is_allowed(Operation.SET_PARAMETER):

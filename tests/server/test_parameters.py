@@ -27,6 +27,14 @@ def test_a_parameter_is_created_read_updated_and_deleted(plane: httpx.Client, va
     assert plane.get(created.headers["location"]).status_code == 404
 
 
+@pytest.mark.parametrize("query", ["at=-5", "timemap", "series=value"])
+def test_a_parameter_has_no_past_and_says_so(plane: httpx.Client, query: str) -> None:
+    assert plane.put("/parameters/p", json=4).status_code == 201
+    answer = plane.get(f"/parameters/p?{query}", headers=JSON)
+    assert answer.status_code == 404, "the present value is no answer to what it was"
+    assert "nothing records the values of parameters" in answer.json()["detail"]
+
+
 def test_rdf_and_json_set_the_same(plane: httpx.Client) -> None:
     turtle = f"<> <{ROS}value> 4.5 ."
     assert plane.put("/parameters/p", content=turtle, headers={"Content-Type": "text/turtle"}).status_code == 201

@@ -93,7 +93,10 @@ def deleted(http: Any) -> None:
 def test_without_the_option_there_are_no_versions(http: Any) -> None:
     put(http, 1, "/data/unversioned")
     put(http, 2, "/data/unversioned")
-    answer = http.get("/data/unversioned?at=2020-01-01T00:00:00Z", headers=NTRIPLES)
+    answer = http.get("/data/unversioned", headers=NTRIPLES)
     assert '"2"' in answer.text
-    assert "memento-datetime" not in answer.headers
     assert "timemap" not in answer.headers.get("link", "")
+    for query in ("at=2020-01-01T00:00:00Z", "timemap"):
+        asked = http.get(f"/data/unversioned?{query}", headers={"Accept": "application/json"})
+        assert asked.status_code == 404, "what is now is no answer to what was"
+        assert "rosld serve --versions N" in asked.json()["detail"]

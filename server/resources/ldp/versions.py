@@ -115,10 +115,15 @@ def version_at(records: Records, path: str, time_ns: int) -> Record | None:
 
 def former_of(documents: Documents, path: str, exchange: Exchange) -> Resource | None:
     """What a request asks of the past of a document; None where it asks for nothing. Raises Problems: 302, 400, 404."""
-    if exchange.method not in ("GET", "HEAD") or not has_versions(documents.settings, path):
+    if exchange.method not in ("GET", "HEAD"):
         return None
     query, wanted = exchange.query, exchange.headers.get("accept-datetime")
-    if "timemap" not in query and "at" not in query and wanted is None:
+    asked = next((name for name in ("timemap", "at") if name in query), None)
+    if not has_versions(documents.settings, path):
+        if asked is not None and path.startswith(_ROOTS) and documents.settings.versions == 0:
+            raise Problem(404, f"?{asked}: no former versions are kept here: rosld serve --versions N keeps them.")
+        return None
+    if asked is None and wanted is None:
         return None
     times = memento_times(documents.records, path)
     if not times:
@@ -133,6 +138,6 @@ def former_of(documents: Documents, path: str, exchange: Exchange) -> Resource |
             raise Problem(404, f"There was no /{path} at {query['at'][:60]}, or that version is not kept any more.")
         return FormerDocument(documents, record, at_ns, query["at"])
     assert wanted is not None
-    asked = parse_accept_datetime(wanted)
-    chosen = max((each for each in times if each <= asked), default=times[0])
+    at_ns = parse_accept_datetime(wanted)
+    chosen = max((each for each in times if each <= at_ns), default=times[0])
     raise found(memento_url(url, chosen), timegate_links(url))

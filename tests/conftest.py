@@ -13,6 +13,8 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, settings
 
+from rosld.server.sparql.process import client
+from tests.forked import fork_query_process
 from tests.groups import group_of
 
 settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -22,6 +24,9 @@ settings.load_profile("any machine")
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 """Hundreds of servers are started: one that must compile its modules takes 1.6 times the CPU until it answers."""
+
+vars(client)["spawn"] = fork_query_process
+"""A test's own server runs in the test's process: its query process, which takes twice as long to start, is forked."""
 
 NOTHING_SKIPPED = os.environ.get("CI", "").lower() == "true"
 

@@ -1,7 +1,8 @@
-"""`rosld` in a fork of a process that has imported it.
+"""`rosld` and its query process in forks of a process that has imported them.
 
-A server takes a fifth of the CPU until it answers. It is the same program otherwise, with a process, a main thread and
-descriptors of its own; the command itself is run by the tests of the command line.
+A server takes a fifth of the CPU until it answers, a query process a tenth. They are the same programs otherwise, each
+with a process, a main thread and descriptors of its own. The command itself is run by tests of the command line, and
+whatever runs as a process of its own starts its query process as it does everywhere.
 """
 
 from __future__ import annotations
@@ -9,11 +10,19 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import socket
 import subprocess
 import sys
+import tempfile
+from contextlib import suppress
 from multiprocessing.context import get_spawning_popen
-from typing import Any, TextIO
+from typing import Any, TextIO, cast
 
+from rosld.server.dataset.encoding import NAMESPACE, VARIABLE
+from rosld.server.sparql.process.child import SpawnedProcess
+from rosld.server.sparql.process.frames import SharedStatus
+
+os.environ[VARIABLE] = NAMESPACE  # the private namespace of the server is that of its query process
 _CONTEXT = multiprocessing.get_context("forkserver")
 _CONTEXT.set_forkserver_preload(["tests.forked_imports"])
 
@@ -44,17 +53,23 @@ def _run(arguments: tuple[str, ...], output: _Descriptor, errors: _Descriptor, e
     main(prog_name="rosld")
 
 
-class ForkedProcess:
-    """A `rosld` that runs, with what the tests use of `subprocess.Popen`."""
+def _run_query_process(connection: _Descriptor, status: _Descriptor, concurrency: int, queue: int) -> None:
+    from rosld.server.sparql.process.main import main
 
-    def __init__(self, *arguments: str) -> None:
-        self.args = ["rosld", *arguments]
-        reading, writing = os.pipe()
-        self.stdout: TextIO = os.fdopen(reading, encoding="utf-8")
-        given = (arguments, _Descriptor(writing), _Descriptor(2), dict(os.environ))
-        self._process = _CONTEXT.Process(target=_run, args=given)
-        self._process.start()
-        os.close(writing)
+    os.setsid()
+    os.dup2(connection.number, 0)
+    os.close(connection.number)
+    sys.argv = ["-c", str(status.number), str(concurrency), str(queue)]
+    main()
+
+
+class ForkedProcess:
+    """A process that runs, with what is used of `subprocess.Popen`."""
+
+    def __init__(self, process: multiprocessing.process.BaseProcess, *args: str) -> None:
+        self.args = args
+        self._process = process
+        process.start()
 
     @property
     def pid(self) -> int:
@@ -74,14 +89,42 @@ class ForkedProcess:
         self._process.join(timeout)
         if self._process.exitcode is None:
             raise subprocess.TimeoutExpired(self.args, timeout or 0)
-        self.stdout.close()
         return self._process.exitcode
 
     def send_signal(self, number: signal.Signals) -> None:
         """Send it a signal, unless it has ended."""
         if self.poll() is None:
-            os.kill(self.pid, number)
+            with suppress(ProcessLookupError):  # it has just ended, of which nobody has told yet
+                os.kill(self.pid, number)
 
     def kill(self) -> None:
         """End it as a crash would."""
         self.send_signal(signal.SIGKILL)
+
+
+class ForkedCommand(ForkedProcess):
+    """`rosld` with these arguments; what it prints is in `stdout`."""
+
+    def __init__(self, *arguments: str) -> None:
+        reading, writing = os.pipe()
+        self.stdout: TextIO = os.fdopen(reading, encoding="utf-8")
+        given = (arguments, _Descriptor(writing), _Descriptor(2), dict(os.environ))
+        super().__init__(_CONTEXT.Process(target=_run, args=given), "rosld", *arguments)
+        os.close(writing)
+
+    def wait(self, timeout: float | None = None) -> int:
+        code = super().wait(timeout)
+        self.stdout.close()
+        return code
+
+
+def fork_query_process(concurrency: int, queue: int) -> SpawnedProcess:
+    """In place of `rosld.server.sparql.process.child.spawn`."""
+    ours, theirs = socket.socketpair()
+    with theirs, tempfile.TemporaryFile() as file:
+        file.truncate(SharedStatus.SIZE)
+        given = (_Descriptor(theirs.fileno()), _Descriptor(file.fileno()), concurrency, queue)
+        process = ForkedProcess(_CONTEXT.Process(target=_run_query_process, args=given, daemon=True))
+        status = SharedStatus(file.fileno())
+    ours.setblocking(False)
+    return cast("subprocess.Popen[bytes]", process), ours, status

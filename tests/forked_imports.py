@@ -1,4 +1,4 @@
-"""What every server imports, imported once for all that are forked."""
+"""What every server and query process imports, imported once for all that are forked."""
 
 import gc
 
@@ -7,7 +7,8 @@ import rosld.adapters.recording
 import rosld.adapters.ros1
 import rosld.adapters.rover
 import rosld.server.app
-import rosld.server.cli.serve  # noqa: F401
+import rosld.server.cli.serve
+import rosld.server.sparql.process.main  # noqa: F401
 
 gc.collect()
 gc.freeze()  # what is shared is not written to by each collection

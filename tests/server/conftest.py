@@ -15,7 +15,7 @@ from pyoxigraph import RdfFormat, Triple, parse
 
 from rosld.adapters.base import AdapterOptions
 from rosld.adapters.registry import adapter_for
-from tests.forked import ForkedProcess
+from tests.forked import ForkedCommand
 from tests.server.robots.made_up import robot, served, serving
 
 __all__ = ["robot", "serving"]
@@ -24,7 +24,7 @@ __all__ = ["robot", "serving"]
 class Served:
     """A running server: its process, its entry URL, a client for it."""
 
-    def __init__(self, process: subprocess.Popen[str] | ForkedProcess, url: str) -> None:
+    def __init__(self, process: subprocess.Popen[str] | ForkedCommand, url: str) -> None:
         self.process = process
         self.url = url
         self.http = httpx.Client(base_url=url, timeout=60)
@@ -43,9 +43,9 @@ class Served:
 def start(*arguments: str, python: str = sys.executable, environment: Mapping[str, str] | None = None) -> Served:
     """`rosld serve ARGUMENTS` on a free port: a fork, or the command itself with a Python and an environment."""
     command = ["serve", *arguments, "--port", "0"]
-    process: subprocess.Popen[str] | ForkedProcess
+    process: subprocess.Popen[str] | ForkedCommand
     if environment is None:
-        process = ForkedProcess(*command)
+        process = ForkedCommand(*command)
     else:
         whole = [python, "-m", "rosld", *command]
         process = subprocess.Popen(whole, env=environment, stdout=subprocess.PIPE, text=True)

@@ -16,7 +16,7 @@ from pyoxigraph import NamedNode, RdfFormat, Triple, parse
 from rosld.ontology.vocab import ldp
 from rosld.server.http import link
 from rosld.server.http.link import Link
-from tests.forked import ForkedProcess
+from tests.forked import ForkedCommand
 
 TURTLE = "text/turtle"
 ROBOT = (
@@ -116,9 +116,9 @@ def triples(answer: httpx.Response) -> set[Triple]:
     return {quad.triple for quad in parse(answer.content, format=syntax, base_iri=str(answer.url))}
 
 
-def start(*arguments: str) -> tuple[ForkedProcess, Served]:
+def start(*arguments: str) -> tuple[ForkedCommand, Served]:
     """`rosld serve ARGUMENTS` on a free port."""
-    process = ForkedProcess("serve", *arguments, "--port", "0")
+    process = ForkedCommand("serve", *arguments, "--port", "0")
     url = process.stdout.readline().strip()
     assert url.startswith("http"), f"{process.args} printed {url!r}"
     return process, Served(url, httpx.Client(timeout=15))
@@ -142,7 +142,7 @@ def running(*arguments: str) -> Iterator[Served]:
 @pytest.fixture(scope="module")
 def start_and_kill() -> Iterator[Callable[..., Served]]:
     """Starts servers that are killed when the tests of a file are over, whatever they are at."""
-    started: list[ForkedProcess] = []
+    started: list[ForkedCommand] = []
 
     def serve(*arguments: str) -> Served:
         process, served = start(*arguments)

@@ -13,7 +13,7 @@ import pytest
 from pyoxigraph import CanonicalizationAlgorithm, Dataset, NamedNode, Quad, RdfFormat, Triple, parse
 
 from rosld.ontology.vocab import dcterms, ldp, rdf
-from tests.forked import ForkedProcess
+from tests.forked import ForkedCommand
 
 TURTLE = "text/turtle"
 EX = "http://example.org/"
@@ -122,7 +122,7 @@ def _is_managed(triple: Triple, url: NamedNode) -> bool:
 @contextmanager
 def running(*arguments: str) -> Iterator[Endpoint]:
     """A server that ends afterwards, and in order."""
-    process = ForkedProcess("serve", "aircraft", *arguments, "--port", "0")
+    process = ForkedCommand("serve", "aircraft", *arguments, "--port", "0")
     url = process.stdout.readline().strip()
     assert url.startswith("http"), f"{process.args} printed {url!r}"
     with httpx.Client(timeout=20) as http:

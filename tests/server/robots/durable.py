@@ -9,13 +9,13 @@ from pathlib import Path
 
 import httpx
 
-from tests.forked import ForkedProcess
+from tests.forked import ForkedCommand
 
 
 @contextmanager
 def running(folder: Path, port: int) -> Iterator[httpx.Client]:
     """A server on a folder of data, at the one port that the folder's URLs have."""
-    process = ForkedProcess("serve", "aircraft", "--data", str(folder), "--port", str(port))
+    process = ForkedCommand("serve", "aircraft", "--data", str(folder), "--port", str(port))
     try:
         with httpx.Client(base_url=process.stdout.readline().strip(), timeout=15) as client:
             yield client

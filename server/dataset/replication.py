@@ -1,13 +1,13 @@
 """Replication: copies the dataset of this server to another store, in the background.
 
-The dataset here stays what queries are answered from; the other store follows at a rate, and may hold the graphs of
-other servers too: which graphs are ours their IRIs tell, and no other is ever touched. What is to be told is kept as
-names (`pending_changes.py`) and read from the dataset when it is told, and of a small graph only what differs is
-(`replica_state.py`): stores age by what is replaced in them. While the other store cannot be reached nothing else waits
-for it.
+Queries are answered from the dataset here; the other store follows at a rate. It may hold the graphs of other servers
+too: a graph belongs to a server by its IRI, and those of others are never touched. Changes wait as names of graphs
+(`pending_changes.py`), which are read from the dataset when they are sent, and of a small graph only what differs is
+sent (`replica_state.py`): stores grow with what is replaced in them. While the other store cannot be reached nothing
+else waits for it.
 
-A graph of its own there, the seal, says which run of which server told what is there, and when it did so last. A store
-that lost something, or was put back to an earlier day, does not hold the seal as it was left: it is told all anew.
+A graph of its own there, the heartbeat, says which run of which server sent what is there, and when it did so last. A
+store that lost something, or was restored from a backup, does not have the last heartbeat: all is sent to it again.
 """
 
 from __future__ import annotations
@@ -137,7 +137,7 @@ class Mirror:
         self,
         source: ReplicationSource,
         target: RemoteStore,
-        territory: GraphOwnership,
+        ownership: GraphOwnership,
         refresh: Callable[[], Awaitable[None]],
         *,
         interval: float,
@@ -148,7 +148,7 @@ class Mirror:
     ) -> None:
         self._source = source
         self._target = target
-        self._territory = territory
+        self._ownership = ownership
         self._refresh = refresh
         self._interval = interval
         self._run_name = run_name
@@ -161,11 +161,11 @@ class Mirror:
         self._told_ns: int | None = None
         self._failure: str | None = None
         self._failures = 0
-        self._moments: list[str] = []  # what the seal may say of when: one line unless requests failed
+        self._moments: list[str] = []  # what the heartbeat may say of when: one line unless requests failed
         self._whole = False  # whether everything was noted since this server began
-        self._confirmed = False  # whether the seal was found since
+        self._confirmed = False  # whether the heartbeat was found since
         self._renewed = 0.0  # when that was begun
-        self._seen = -1  # the connections at which the seal was found to be right
+        self._seen = -1  # the connections at which the heartbeat was found to be right
         self._ending = False
         self._unrefreshed = False
         self._round: asyncio.Future[bool] | None = None
@@ -215,8 +215,8 @@ class Mirror:
             await asyncio.wait([self._round], timeout=_LAST / 3)
         if self._failure is None and self._told_ns is not None and (self._round is None or self._round.done()):
             self._target.set_timeout(_LAST)
-            gone = [_Part(graph, None, ()) for graph in self._territory.transient_graphs()]
-            ended = _in_thread(lambda: self._seal(ros.Stale, gone))
+            gone = [_Part(graph, None, ()) for graph in self._ownership.transient_graphs()]
+            ended = _in_thread(lambda: self._write_heartbeat(ros.Stale, gone))
             await asyncio.wait([ended], timeout=_LAST)
             if not ended.done() or ended.exception() is not None:
                 _log.warning("%s keeps graphs of this server that are true no more", self._target.url)
@@ -247,7 +247,7 @@ class Mirror:
     # --- in the thread of a round
 
     def _tell_round(self) -> bool:
-        """Tell the first of what waits, the seal at least; whether more waits. Raises StoreError."""
+        """Tell the first of what waits, the heartbeat at least; whether more waits. Raises StoreError."""
         if self._pending.overflowed:
             self._whole = False
             _log.warning("more changes wait for %s than are kept apart: all is told anew", self._target.url)
@@ -282,37 +282,37 @@ class Mirror:
     def _begin_anew(self) -> None:
         self._whole, self._confirmed, self._renewed = False, False, time.monotonic()
         self._pending.clear()
-        there = [name for name in self._target.graphs_with_prefix(self._territory.base) if self._is_subject(name)]
+        there = [name for name in self._target.graphs_with_prefix(self._ownership.base) if self._is_subject(name)]
         self._pending.replace_all(dict.fromkeys((*there, *self._source.graphs())))
         self._refused.clear()
         self._told.clear()
-        self._seal(ros.Live)
+        self._write_heartbeat(ros.Live)
         self._whole = True
 
     def _is_subject(self, graph: str) -> bool:
-        return graph != self._territory.heartbeat_graph and self._territory.is_ours(graph)
+        return graph != self._ownership.heartbeat_graph and self._ownership.is_ours(graph)
 
     def _is_sealed(self) -> bool:
-        seal = NamedNode(self._territory.heartbeat_graph)
-        found = self._target.query(f"SELECT ?p ?o {{ GRAPH {seal} {{ {seal} ?p ?o }} }}")
+        heartbeat = NamedNode(self._ownership.heartbeat_graph)
+        found = self._target.query(f"SELECT ?p ?o {{ GRAPH {heartbeat} {{ {heartbeat} ?p ?o }} }}")
         assert isinstance(found, QuerySolutions)
         said = [(row["p"], row["o"]) for row in found]
         runs = [value for predicate, value in said if predicate == ros.revision]
-        moments = [f"{seal} {predicate} {value} .\n" for predicate, value in said if predicate == dcterms.modified]
+        moments = [f"{heartbeat} {predicate} {value} .\n" for predicate, value in said if predicate == dcterms.modified]
         return runs == [Literal(self._run_name)] and len(moments) == 1 and moments[0] in self._moments
 
-    def _seal(self, state: NamedNode, batch: Sequence[_Part] = ()) -> None:
-        """Tell these graphs, and the seal whole."""
-        seal = NamedNode(self._territory.heartbeat_graph)
+    def _write_heartbeat(self, state: NamedNode, batch: Sequence[_Part] = ()) -> None:
+        """Send these graphs, and the whole heartbeat."""
+        heartbeat = NamedNode(self._ownership.heartbeat_graph)
         said = ((rdf.type, ros.Mirror), (ros.revision, Literal(self._run_name)), (ros.state, state))
         moment = self._moment()
-        text = "".join(f"{seal} {predicate} {value} .\n" for predicate, value in said) + moment
+        text = "".join(f"{heartbeat} {predicate} {value} .\n" for predicate, value in said) + moment
         self._moments.append(moment)
-        self._replace({**{part.graph: part.text for part in batch}, seal.value: text}, ())
+        self._replace({**{part.graph: part.text for part in batch}, heartbeat.value: text}, ())
         self._moments = [moment]
 
     def _moment(self) -> str:
-        return f"{NamedNode(self._territory.heartbeat_graph)} {dcterms.modified} {instant(time.time_ns())} .\n"
+        return f"{NamedNode(self._ownership.heartbeat_graph)} {dcterms.modified} {instant(time.time_ns())} .\n"
 
     def _tell_all(self, taken: PendingBatch, now: float) -> None:
         left = _REFUSALS
@@ -387,10 +387,10 @@ class Mirror:
         if len(self._moments) > _MOMENTS:
             self._whole = False  # too much is unknown
         moment = self._moment()
-        sealing = Edit(self._territory.heartbeat_graph, moment, "".join(self._moments))
+        beat = Edit(self._ownership.heartbeat_graph, moment, "".join(self._moments))
         self._moments.append(moment)
         graphs = {part.graph: part.text for part in batch if not part.edits}
-        self._replace(graphs, [*(edit for part in batch for edit in part.edits), sealing])
+        self._replace(graphs, [*(edit for part in batch for edit in part.edits), beat])
         self._moments = [moment]
 
     def _replace(self, graphs: Mapping[str, str | None], edits: Sequence[Edit]) -> None:

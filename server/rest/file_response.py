@@ -65,12 +65,12 @@ async def file_response(
     if_range: str | None = None,
     head: bool = False,
 ) -> Response:
-    """The answer to a GET (or HEAD) of the file at `path` of `size` bytes, with `headers` (lower-case names) beside
-    its own.
+    """The answer to a GET (or HEAD) of the file at `path` of `size` bytes.
 
-    200 with all of it, or 206 with what Range asks for while If-Range holds. `etag` is quoted; If-Match and
-    If-None-Match are judged before (RFC 9110 13.2.2). `name` is what it is called when it is saved. The file is opened
-    here, off the loop, and what is removed afterwards is still sent whole. Raises a 416 Problem and FileNotFoundError.
+    `headers` (lower-case names) are sent beside its own. 200 with all of it, or 206 with what Range asks for while
+    If-Range holds. `etag` is quoted; If-Match and If-None-Match are checked before (RFC 9110 13.2.2). `name` is what it
+    is called when it is saved. The file is opened here, off the loop, and what is removed afterwards is still sent
+    whole. Raises a 416 Problem and FileNotFoundError.
     """
     spans = None if head else ranges.select_ranges(range_, if_range, etag, size)
     pieces: list[Piece]

@@ -185,8 +185,10 @@ def member_derived_uris(members: Iterable[tuple[str, str | None]]) -> Iterator[s
 
 
 def membership_declaration(membership: Membership, container_url: str) -> list[Triple]:
-    """What a Direct or Indirect container says of its own membership triples, each exactly once (LDP 5.4.1.3, 5.4.1.4,
-    5.5.1.2), whether its client said it or left it to the defaults."""
+    """What a Direct or Indirect container says of its own membership triples, each once.
+
+    It is the same whether its client said it or left it to the defaults (LDP 5.4.1.3, 5.4.1.4, 5.5.1.2).
+    """
     container = NamedNode(container_url)
     relation = ldp.isMemberOfRelation if membership.inverse else ldp.hasMemberRelation
     said = [

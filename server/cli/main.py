@@ -28,6 +28,19 @@ _KINDS: Mapping[str, click.ParamType[Any]] = {
 }
 
 
+class _GlobCommand(click.Command):
+    """A command with options that are globs, which a shell replaces by names of files where they are not quoted."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        try:
+            return super().parse_args(ctx, args)
+        except click.UsageError as error:
+            if "unexpected extra argument" not in error.message:
+                raise
+            words = "Quote globs, such as --history '*': a shell puts names of files in their place"
+            raise click.UsageError(f"{error.message}. {words}", ctx) from error
+
+
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
 @click.version_option(rosld.__version__, prog_name="rosld", message="%(prog)s %(version)s")
 def main() -> None:
@@ -127,7 +140,7 @@ def _others() -> str:
     return "\b\nWith --setting NAME VALUE (and their defaults):\n" + "\n".join(rows)
 
 
-@main.command(epilog=_others())
+@main.command(cls=_GlobCommand, epilog=_others())
 @click.argument("source")
 @_options()
 @click.option("--setting", "others", nargs=2, multiple=True, metavar="NAME VALUE", help="Any other setting; see below.")
@@ -186,7 +199,7 @@ def lift(recording: Path, output: Path, base_url: str, inline_limit: int, types:
     run(recording, output, base, AdapterOptions(types=types), LiftSettings(inline_limit=inline_limit))
 
 
-@main.command(short_help="Record live topics of SOURCE into FILE.")
+@main.command(cls=_GlobCommand, short_help="Record live topics of SOURCE into FILE.")
 @click.argument("source", default="ros2:")
 @_output("Where to write: an .mcap file.")
 @click.option("--topic", "topics", multiple=True, metavar="GLOB", help="What to record; default: all. Repeatable.")

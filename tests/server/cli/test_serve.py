@@ -165,6 +165,17 @@ def test_an_option_that_is_none_is_a_usage_error(arguments: tuple[str, ...]) -> 
     assert "Usage" in result.stderr
 
 
+@pytest.mark.parametrize(
+    "arguments",
+    [("serve", "rover", "--history", "docs", "README.md"), ("record", "rover", "-o", "x.mcap", "--topic", "a", "b")],
+)
+def test_a_glob_that_a_shell_has_replaced_is_told_of(arguments: tuple[str, ...]) -> None:
+    result = CliRunner().invoke(main, arguments)
+    assert result.exit_code == 2
+    assert "unexpected extra argument" in result.stderr
+    assert "Quote globs, such as --history '*'" in result.stderr
+
+
 @pytest.mark.parametrize("arguments", [["--help"], ["serve", "--help"], ["lift", "--help"], ["types", "--help"]])
 def test_help_explains_itself_with_examples(arguments: list[str]) -> None:
     result = CliRunner().invoke(main, arguments)

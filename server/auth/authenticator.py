@@ -21,7 +21,7 @@ from rosld.server.auth.rules import AUTHENTICATED
 from rosld.server.auth.tokens import parse_credentials
 from rosld.server.runtime.signals import Signal
 
-_GLANCE = 1.0
+_POLL_SECONDS = 1.0
 """Seconds between looks at whether the file has changed."""
 _MAX_AGENTS = 1000
 """Agents whose permissions are cached."""
@@ -113,7 +113,7 @@ class Authenticator:
     async def watch_file(self) -> None:
         """Read the file again whenever it changes, for ever: to be cancelled. What cannot be read changes nothing."""
         while True:
-            await asyncio.sleep(_GLANCE)
+            await asyncio.sleep(_POLL_SECONDS)
             await self.reload_if_changed()
 
     async def reload_if_changed(self) -> None:

@@ -133,7 +133,7 @@ class Rights:
         if found is None:
             if len(self._known) >= _MAX_DECISIONS:
                 self._known.clear()
-            found = self._known[key] = self._judge(mode, path, types)
+            found = self._known[key] = self._evaluate(mode, path, types)
         return found
 
     def may_subtree(self, mode: Mode, path: Path) -> bool:
@@ -183,7 +183,7 @@ class Rights:
         )
         return hashlib.blake2b("\n".join(said).encode(), digest_size=6, key=_SECRET).hexdigest()
 
-    def _judge(self, mode: Mode, path: Path, types: Types | None) -> bool:
+    def _evaluate(self, mode: Mode, path: Path, types: Types | None) -> bool:
         found = [rule.deny for rule in self.rules if rule.covers(mode, path, types)]
         return bool(found) and not any(found)
 

@@ -103,12 +103,12 @@ def evaluate(
 
 def check_preconditions(method: str, current: ETag | None, *, if_match: str | None, if_none_match: str | None) -> bool:
     """As `evaluate`, raising the 412 Problem; True means: answer 304."""
-    verdict = evaluate(method, current, if_match=if_match, if_none_match=if_none_match)
-    if verdict is PreconditionResult.PRECONDITION_FAILED:
+    result = evaluate(method, current, if_match=if_match, if_none_match=if_none_match)
+    if result is PreconditionResult.PRECONDITION_FAILED:
         raise Problem(
             412, "The resource is not in the state the request asks for; read it again.", headers=_told(current)
         )
-    return verdict is PreconditionResult.NOT_MODIFIED
+    return result is PreconditionResult.NOT_MODIFIED
 
 
 def require_if_match(if_match: str | None, why: str) -> str:

@@ -218,8 +218,8 @@ class AffordanceService(Generic[T]):
 
     def complex_view(self, plan: ComplexPlan, snapshot: Snapshot) -> ComplexView:
         """A complex resource with all that it offers now. Raises a 404 Problem where it is not there."""
-        verdicts = snapshot.results
-        self.require_exists(plan.exists_when, verdicts, plan.path)
+        results = snapshot.results
+        self.require_exists(plan.exists_when, results, plan.path)
         space = self._session.space
         mapped = plan.mapped
         return ComplexView(
@@ -227,7 +227,7 @@ class AffordanceService(Generic[T]):
             plan.path,
             tuple(
                 Member(
-                    self.member_affordance(one, self._is_open and verdicts.hold(one.write_conditions)),
+                    self.member_affordance(one, self._is_open and results.hold(one.write_conditions)),
                     snapshot.readings[one.source.name],
                     one.field,
                 )
@@ -236,14 +236,14 @@ class AffordanceService(Generic[T]):
             tuple(
                 self.action_affordance(action)
                 for action in plan.actions
-                if self._is_open and verdicts.hold(action.conditions)
+                if self._is_open and results.hold(action.conditions)
             ),
             tuple(
                 LinkAffordance(link.relation, url_of(link.target, space))
                 for link in plan.links
-                if verdicts.hold(link.conditions)
+                if results.hold(link.conditions)
             ),
-            tuple(url_of(child.path, space) for child in plan.children if verdicts.hold(child.conditions)),
+            tuple(url_of(child.path, space) for child in plan.children if results.hold(child.conditions)),
             None if plan.parent is None else url_of(plan.parent, space),
             mapped.title if mapped else None,
             mapped.iri if mapped else None,
@@ -279,9 +279,9 @@ class AffordanceService(Generic[T]):
         """Whether anything is on offer now: nothing is while the robot is stopped."""
         return not self._session.is_stopped
 
-    def require_exists(self, conditions: Iterable[Condition], verdicts: ConditionResults, name: str) -> None:
+    def require_exists(self, conditions: Iterable[Condition], results: ConditionResults, name: str) -> None:
         """Raise a 404 Problem with the reason where a condition of something's being there does not hold."""
-        broken = verdicts.violations(conditions)
+        broken = results.violations(conditions)
         if broken:
             raise Problem(
                 404,
@@ -298,8 +298,8 @@ class AffordanceService(Generic[T]):
         """Whether all of each group of conditions hold now. Raises RosError where that cannot be read."""
         if not any(conditions):
             return [True] * len(conditions)
-        verdicts = self.snapshot(tree, self.cached_readings(reads) or await self.read(reads)).results
-        return [verdicts.hold(each) for each in conditions]
+        results = self.snapshot(tree, self.cached_readings(reads) or await self.read(reads)).results
+        return [results.hold(each) for each in conditions]
 
     def member_affordance(self, plan: MemberPlan, write: bool) -> PropertyAffordance:
         """A property as it can be used; `write`: its conditions hold. What has no URL of its own affords nothing."""

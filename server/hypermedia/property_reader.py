@@ -135,7 +135,7 @@ class PropertyReader:
         readings: dict[str, Reading] = {}
         stored, others = [], []
         for one in properties:
-            reading = self._standing(one, attempt.since)
+            reading = self._valid_reading(one, attempt.since)
             if reading is not None:
                 readings[one.name] = reading
                 continue
@@ -164,7 +164,7 @@ class PropertyReader:
         for answers in (self._looks, self._getters, self._parameters):
             await answers.stop()
 
-    def _standing(self, property: Property, since: int) -> Reading | None:
+    def _valid_reading(self, property: Property, since: int) -> Reading | None:
         """What is known, as far as it does for who wants nothing older than `since`: what comes by itself is new."""
         reading = self.cached(property)
         return reading if reading is None or reading.fresh_until is None or not since else None
@@ -183,8 +183,8 @@ class PropertyReader:
                 part, result = await self._read_goal(property.name, reader, attempt)
             else:
                 result = (await self._get({property.name: reader.name}, attempt))[property.name]
-            if (standing := self._standing(property, attempt.since)) is not None:
-                return standing  # somebody else was waiting for the same
+            if (found := self._valid_reading(property, attempt.since)) is not None:
+                return found  # somebody else was waiting for the same
             results.append(result)
             if result.found.value is not None:
                 break
@@ -194,7 +194,7 @@ class PropertyReader:
         """Properties that are nothing but parameters, fetched together."""
         results = await self._get({one.name: one.readers[0].name for one in properties}, attempt)
         return {
-            one.name: self._standing(one, attempt.since) or self._keep(one, None, [results[one.name]])
+            one.name: self._valid_reading(one, attempt.since) or self._keep(one, None, [results[one.name]])
             for one in properties
         }
 

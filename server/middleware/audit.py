@@ -34,15 +34,15 @@ class Recorder:
 
     def note(self, exchange: Exchange, scope: Scope, response: Response) -> str:
         """Note a write; the identifier of its receipt. `scope` is the request as it came."""
-        account, body = exchange.audit, exchange.consumed_body
+        context, body = exchange.audit, exchange.consumed_body
         kept, digest = (None, None) if body is None else excerpt(body)
-        length = account.length if body is None else len(body)
-        if account.sent is not None:
-            digest = account.sent.digest()
+        length = context.length if body is None else len(body)
+        if context.sent is not None:
+            digest = context.sent.digest()
         return self._journal.add(
             AuditEntry(
                 exchange.agent,
-                account.started_ns,
+                context.started_ns,
                 time.time_ns(),
                 exchange.method,
                 self._space.base + _path(scope["raw_path"], len(self._space.path)),
@@ -51,12 +51,12 @@ class Recorder:
                 kept,
                 length,
                 digest,
-                account.plan,
-                account.touched,
-                account.matched,
+                context.plan,
+                context.touched,
+                context.matched,
                 response.status_code,
                 _location(response) if response.status_code == 201 else None,
-                account.refusal,
+                context.refusal,
             )
         )
 

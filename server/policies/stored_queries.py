@@ -83,7 +83,7 @@ class StoredQueries:
         assert record.blob is not None
         found = self._checked.known(record.blob)
         if found is None:
-            found = await asyncio.to_thread(self._checked.get, record.blob, lambda: self._judge(record))
+            found = await asyncio.to_thread(self._checked.get, record.blob, lambda: self._parse_record(record))
         if isinstance(found, str):
             url = self._space.base + record.path
             raise Problem(409, f"What is kept at {url} is no stored query (any more): {found}. PUT one that is.")
@@ -106,7 +106,7 @@ class StoredQueries:
         except ValueError as error:
             return StoredQuery(name, f"It is no stored query (any more): {error}", (), content)
 
-    def _judge(self, record: Record) -> StoredQuery | str:
+    def _parse_record(self, record: Record) -> StoredQuery | str:
         name = name_of(record.path)
         assert record.blob is not None
         try:

@@ -77,6 +77,6 @@ current_audit: ContextVar[AuditContext | None] = ContextVar("under_way", default
 
 def record_step(does: str, *touches: str) -> None:
     """Record a step of the write that is under way, as `AuditContext.add_step` does."""
-    account = current_audit.get()
-    if account is not None:
-        account.add_step(does, *touches)
+    context = current_audit.get()
+    if context is not None:
+        context.add_step(does, *touches)

@@ -226,8 +226,8 @@ class DescribedResource(Resource):
         return bytes_response(exchange, body, JSON_LD, etag, resource_headers(self).items())
 
     def _headers(self) -> list[tuple[bytes, bytes]]:
-        standing = {**resource_headers(self), "vary": "Accept"}
-        return [(name.encode("latin-1"), value.encode("latin-1")) for name, value in standing.items()]
+        fixed_headers = {**resource_headers(self), "vary": "Accept"}
+        return [(name.encode("latin-1"), value.encode("latin-1")) for name, value in fixed_headers.items()]
 
 
 def _content(body: bytes) -> list[tuple[bytes, bytes]]:

@@ -35,8 +35,8 @@ from rosld.server.robot.diagnostic_states import (
     LevelChange,
     LevelTimes,
     changes_of,
-    judge,
     read_states,
+    state_at,
     worst_first,
 )
 from rosld.server.robot.session import Session
@@ -164,7 +164,7 @@ class DiagnosticsResource(Resource):
         now = max(view.times.values(), default=0) if self.session.adapter.recordings else time.time_ns()
         period = 1.0 / view.rate if view.rate else 0.0
         states = read_states(topic, decoded.message, view.times, view.newest.received_ns)
-        return [self.level_times.note(judge(each, now, period), now) for each in states]
+        return [self.level_times.note(state_at(each, now, period), now) for each in states]
 
     async def _past(self, graph: Graph, topic: str) -> Sequence[LevelChange]:
         """What the part said within the last hour, as far as it is recorded; nothing where nothing is."""

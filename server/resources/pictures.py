@@ -102,14 +102,14 @@ async def picture_response(
     form = _form(exchange, media_type)
     schema = await _schema(schemas, sample)
     etag = ETag(f"{pictures.instance_id}-{sample_identity(sample)}", _variant(form))
-    standing = {**resource_headers(resource), "x-content-type-options": "nosniff"}
+    fixed_headers = {**resource_headers(resource), "x-content-type-options": "nosniff"}
     if check_preconditions(
         "GET", etag, if_match=exchange.header("if-match"), if_none_match=exchange.header("if-none-match")
     ):
-        told = {**standing, "etag": str(etag), "vary": "Accept", "cache-control": "no-cache"}
+        told = {**fixed_headers, "etag": str(etag), "vary": "Accept", "cache-control": "no-cache"}
         return RawResponse(304, b"", [(key.encode("latin-1"), value.encode("latin-1")) for key, value in told.items()])
     data = await _draw(pictures, name, schema, sample, form)
-    return bytes_response(exchange, data, media_type, etag, standing.items())
+    return bytes_response(exchange, data, media_type, etag, fixed_headers.items())
 
 
 async def picture_motion(

@@ -186,8 +186,13 @@ class QueryRunner:
             results,
             notices,
         )
-        standing = {**resource_headers(resource), **self.pages.headers, "vary": "Accept", "cache-control": "no-cache"}
-        headers = {**also, **standing}
+        fixed_headers = {
+            **resource_headers(resource),
+            **self.pages.headers,
+            "vary": "Accept",
+            "cache-control": "no-cache",
+        }
+        headers = {**also, **fixed_headers}
         return Response(html.render_query(page), status, headers, "text/html; charset=utf-8")
 
 

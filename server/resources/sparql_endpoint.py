@@ -131,20 +131,20 @@ def results_response(answer: QueryAnswer) -> Response:
     The field `Unread-Graphs` tells what it was not asked over: a list of containers, each with the number of graphs
     (RFC 9651 3.1).
     """
-    standing = _STANDING
+    fixed_headers = _FIXED_HEADERS
     if answer.unread:
         unread = ", ".join(f"{container};count={count}" for container, count in answer.unread.items())
-        standing = (*_STANDING, (b"unread-graphs", unread.encode("ascii")))
+        fixed_headers = (*_FIXED_HEADERS, (b"unread-graphs", unread.encode("ascii")))
     if isinstance(answer.body, bytes):
         length = (b"content-length", b"%d" % len(answer.body))
         kind = (b"content-type", answer.content_type.encode("ascii"))
-        return RawResponse(200, answer.body, [kind, length, *standing])
+        return RawResponse(200, answer.body, [kind, length, *fixed_headers])
     stream: AsyncIterator[bytes] = answer.body
-    headers = {name.decode(): value.decode() for name, value in standing}
+    headers = {name.decode(): value.decode() for name, value in fixed_headers}
     return StreamingResponse(stream, headers={**headers, "Content-Type": answer.content_type})
 
 
-_STANDING: tuple[tuple[bytes, bytes], ...] = ((b"vary", b"Accept"), (b"cache-control", b"no-cache"))
+_FIXED_HEADERS: tuple[tuple[bytes, bytes], ...] = ((b"vary", b"Accept"), (b"cache-control", b"no-cache"))
 _UNREAD = {
     "topics": "{} topics that nobody subscribes to",
     "resources": "{} resources below /resources/",

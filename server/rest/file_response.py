@@ -85,7 +85,7 @@ async def file_response(
         pieces = [each for pair in zip(frame.heads, spans, strict=True) for each in pair] + [frame.tail]
         added["content-type"] = frame.content_type
     length = sum(map(len, pieces))
-    added |= {"content-length": str(length), "etag": etag, **_standing(media_type, name)}
+    added |= {"content-length": str(length), "etag": etag, **_fixed_headers(media_type, name)}
     status, encoded = 200 if spans is None else 206, _encode({"cache-control": "no-cache", **headers, **added})
     if head:
         return RawResponse(status, b"", encoded)
@@ -185,7 +185,7 @@ def _whole(path: Path, pieces: Iterable[Piece]) -> bytes:
         return b"".join(piece if isinstance(piece, bytes) else _bytes(file, piece) for piece in pieces)
 
 
-def _standing(media_type: str, name: str | None) -> dict[str, str]:
+def _fixed_headers(media_type: str, name: str | None) -> dict[str, str]:
     """What every answer with a file says, whole or in part."""
     return {
         "accept-ranges": "bytes",

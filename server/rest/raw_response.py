@@ -32,8 +32,8 @@ def bytes_response(
 
     `more` are headers beside those of the bytes themselves.
     """
-    standing = {"etag": str(etag), "vary": "Accept", "cache-control": "no-cache", **dict(more)}
-    headers = [(name.encode("latin-1"), value.encode("latin-1")) for name, value in standing.items()]
+    fixed_headers = {"etag": str(etag), "vary": "Accept", "cache-control": "no-cache", **dict(more)}
+    headers = [(name.encode("latin-1"), value.encode("latin-1")) for name, value in fixed_headers.items()]
     if check_preconditions(
         "GET", etag, if_match=exchange.header("if-match"), if_none_match=exchange.header("if-none-match")
     ):

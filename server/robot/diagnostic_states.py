@@ -79,7 +79,7 @@ def _level(value: object) -> Level:
     return Level(number) if number in Level.__members__.values() else Level.ERROR
 
 
-def judge(state: DiagnosticState, now_ns: int, period: float) -> DiagnosticState:
+def state_at(state: DiagnosticState, now_ns: int, period: float) -> DiagnosticState:
     """The state as of now: stale where nothing was heard for `STALE_SECONDS`, or for three periods of a slow topic."""
     silent = (now_ns - state.received_ns) / 1e9
     return replace(state, level=Level.STALE) if silent > max(STALE_SECONDS, 3 * period) else state

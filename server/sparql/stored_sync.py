@@ -23,7 +23,7 @@ _log = logging.getLogger("rosld.sparql")
 
 _MUCH = 1000
 """Changes that are not left for a query to find."""
-_GLANCE = 1.0
+_POLL_SECONDS = 1.0
 """Seconds between looks at how many there are."""
 _SHORT_OF_MEMORY = 30.0
 """Seconds until what there was no memory for is tried again, unless a query asks for it."""
@@ -96,7 +96,7 @@ class StoredSync:
                     pass
                 except Exception:  # the next query, or the next time, may have more luck
                     _log.exception("what clients keep cannot be brought to the dataset now")
-            await asyncio.sleep(_GLANCE)
+            await asyncio.sleep(_POLL_SECONDS)
 
     @property
     def versions(self) -> Sequence[int]:
@@ -128,7 +128,7 @@ class StoredSync:
             if not transfer.task.done():
                 now = loop.time()
                 if now < until and transfer.seconds_left < _PATIENCE:
-                    await asyncio.wait([transfer.task], timeout=min(until, now + _GLANCE) - now)
+                    await asyncio.wait([transfer.task], timeout=min(until, now + _POLL_SECONDS) - now)
                 else:
                     raise process_restarting(min(_LONGEST_RETRY, 1 + int(transfer.seconds_left)), str(transfer))
             if transfer.task.done():

@@ -90,10 +90,10 @@ def _snapshot(folder: Path, gone: IO[bytes]) -> Iterator[NumberedRecord]:
     """All entries as they are at one moment; at the end the paths of what is gone then are in `gone`."""
     try:
         with contextlib.closing(connect(folder)) as connection:
-            ledger = RecordTable(connection)
+            table = RecordTable(connection)
             connection.execute("BEGIN")
-            yield from ledger.all_records()
-            for path in ledger.tombstones():
+            yield from table.all_records()
+            for path in table.tombstones():
                 gone.write(_line(path))
             connection.execute("ROLLBACK")
     except sqlite3.Error as error:
@@ -214,17 +214,17 @@ class _Moved:
 def _replace_all(connection: sqlite3.Connection, entries: Iterable[NumberedRecord], gone: Iterable[str]) -> list[str]:
     """Put entries in place of all records; the blobs set free."""
     connection.execute("PRAGMA synchronous = FULL")
-    ledger = RecordTable(connection)
+    table = RecordTable(connection)
     try:
-        ledger.begin()
-        freed = ledger.restore(entries, gone, time.time_ns())
-        ledger.commit()
+        table.begin()
+        freed = table.restore(entries, gone, time.time_ns())
+        table.commit()
     except sqlite3.Error as error:
         raise storage_error(error) from error
     except DatabaseBusy as error:
         raise StorageError("Something else is writing to these records for too long: try again.") from error
     finally:
-        ledger.rollback()
+        table.rollback()
     return freed
 
 

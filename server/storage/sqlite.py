@@ -112,7 +112,7 @@ class SqliteRecords:
         self._connection = _connect_where_full(folder) if folder is not None else connect(None)
         try:
             keep_versions(self._connection, versions)
-            self._ledger = RecordTable(self._connection, self._cache.get)
+            self._table = RecordTable(self._connection, self._cache.get)
             self._make_roots(roots)
             if folder is not None:
                 self._keep_in(folder)
@@ -122,18 +122,18 @@ class SqliteRecords:
         except BaseException:
             self._connection.close()
             raise
-        self._told = self._ledger.version
+        self._told = self._table.version
 
     def _make_roots(self, roots: Sequence[str]) -> None:
-        self._ledger.begin()
+        self._table.begin()
         for root in roots:
-            self._ledger.create_root(root, time.time_ns())
-        self._ledger.commit()
+            self._table.create_root(root, time.time_ns())
+        self._table.commit()
 
     def _keep_in(self, folder: Path) -> None:
         self._connection.execute("PRAGMA busy_timeout = 0")  # from now on the loop waits, not SQLite
         blobs = Blobs(folder / BLOBS, durable=True)
-        blobs.sweep(self._ledger.blob_ids)
+        blobs.sweep(self._table.blob_ids)
         self._received.use(blobs)
         sync_folder(folder)
         reserve = DiskReserve(folder)
@@ -151,11 +151,11 @@ class SqliteRecords:
 
     @property
     def identity(self) -> str:
-        return self._ledger.identity
+        return self._table.identity
 
     @property
     def version(self) -> int:
-        return self._ledger.version
+        return self._table.version
 
     @property
     def failure(self) -> str | None:
@@ -172,7 +172,7 @@ class SqliteRecords:
         found = self._cache.get(path)
         if found is None:
             self._attach()
-            found = self._ledger.find(path)
+            found = self._table.find(path)
             if found is not None:
                 self._cache.put(found)
         return found
@@ -183,22 +183,22 @@ class SqliteRecords:
         self._differences.clear()
 
     def versions(self, path: str) -> Sequence[FormerVersion]:
-        return self._ledger.versions(path)
+        return self._table.versions(path)
 
     def version_at(self, path: str, time_ns: int) -> Record | None:
-        return self._ledger.version_at(path, time_ns)
+        return self._table.version_at(path, time_ns)
 
     def is_tombstone(self, path: str) -> bool:
-        return self._ledger.is_tombstone(path)
+        return self._table.is_tombstone(path)
 
     def members(self, path: str, *, after: int = 0, limit: int = 1000) -> Sequence[Member]:
-        return self._ledger.members(path, after, limit)
+        return self._table.members(path, after, limit)
 
     def last_member_numbers(self, path: str, *, up_to: int | None = None, limit: int = 1000) -> Sequence[int]:
-        return self._ledger.last_member_numbers(path, up_to, limit)
+        return self._table.last_member_numbers(path, up_to, limit)
 
     def changes_since(self, after: int, *, limit: int = _CHANGES) -> Sequence[RecordChange]:
-        return self._ledger.changes_since(after, limit)
+        return self._table.changes_since(after, limit)
 
     def writes_since(self, record: Record, after: int) -> Sequence[RecordWrite] | None:
         return self._differences.since(record, after)
@@ -227,7 +227,7 @@ class SqliteRecords:
 
     def _rewritten(self, write: Write) -> Record | None:
         """In memory, where nobody else writes: a write that needs no transaction around it; None where it does."""
-        record = self._ledger.apply_single(write, time.time_ns()) if isinstance(write, Put) else None
+        record = self._table.apply_single(write, time.time_ns()) if isinstance(write, Put) else None
         if isinstance(write, Put) and record is not None:
             self._cache.put(record)
             self._differences.add(write, record)
@@ -255,16 +255,16 @@ class SqliteRecords:
         return outcomes
 
     def _commit(self, jobs: Sequence[WriteBatch]) -> Sequence[Effects | Conflict]:
-        ledger = self._ledger
-        foreign = ledger.begin()
+        table = self._table
+        foreign = table.begin()
         try:
             if foreign:
                 self._notice()
             now = time.time_ns()
-            outcomes = [ledger.apply(job.writes, job.received, now) for job in jobs]
-            ledger.commit()
+            outcomes = [table.apply(job.writes, job.received, now) for job in jobs]
+            table.commit()
         except BaseException:
-            ledger.rollback()
+            table.rollback()
             raise
         return outcomes
 
@@ -291,7 +291,7 @@ class SqliteRecords:
     async def _reopen(self) -> None:
         """Go on with a database opened anew, without what was undone. While it is opened nothing can be read."""
         assert self._durability is not None
-        former = self._ledger
+        former = self._table
         former.suspend("its log is being opened anew, try again")
         self.clear_cache()
         try:
@@ -302,10 +302,10 @@ class SqliteRecords:
             _log.error("%s", error)
             return
         self._connection.execute("PRAGMA busy_timeout = 0")
-        self._ledger = RecordTable(self._connection, self._cache.get)
+        self._table = RecordTable(self._connection, self._cache.get)
         undone = () if self._durability.failure is not None else tuple(self._undone)
         try:
-            self._ledger.take_over(former, undone)
+            self._table.take_over(former, undone)
         except (StorageError, DatabaseBusy) as error:
             _log.error("what was not kept may still be found by queries: %s", error)
         self._undone.difference_update(undone)
@@ -367,7 +367,7 @@ class SqliteRecords:
         return end
 
     def _tell(self, applied: Effects) -> None:
-        self._told = max(self._told, self._ledger.version)
+        self._told = max(self._told, self._table.version)
         if self._watchers:
             self._wake(applied.changes())
 
@@ -392,7 +392,7 @@ class SqliteRecords:
         try:
             if self._durability is not None and self._durability.failure is not None and self._group is not None:
                 self._group.recover()
-            elif self._ledger.changed_elsewhere():
+            elif self._table.changed_elsewhere():
                 self._notice()
         except (sqlite3.Error, StorageError) as error:
             _log.error("the records cannot be read: %s", error)
@@ -400,7 +400,7 @@ class SqliteRecords:
     def _notice(self) -> None:
         """Another process has changed something: forget what was read, tell what has changed."""
         self.clear_cache()
-        while changed := self._ledger.changes_since(self._told, _CHANGES):
+        while changed := self._table.changes_since(self._told, _CHANGES):
             self._told = changed[-1].version
             self._wake(changed)
 

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from rdflib import Graph, Namespace
 
-from rosld.server.robot.diagnostic_states import DiagnosticState, Level, LevelTimes, changes_of, judge, worst_first
+from rosld.server.robot.diagnostic_states import DiagnosticState, Level, LevelTimes, changes_of, state_at, worst_first
 from tests.waiting import until
 
 ARRAY = "diagnostic_msgs/msg/DiagnosticArray"
@@ -89,7 +89,7 @@ def state(name: str, level: Level, received: float = 0.0, message: str = "") -> 
     ("silent", "period", "is_stale"), [(4.9, 1, False), (5.1, 1, True), (20, 10, False), (31, 10, True)]
 )
 def test_a_part_is_stale_once_it_has_been_silent(silent: float, period: float, is_stale: bool) -> None:
-    judged = judge(state("a", Level.OK, 100.0), int((100 + silent) * 1e9), period)
+    judged = state_at(state("a", Level.OK, 100.0), int((100 + silent) * 1e9), period)
     assert (judged.level is Level.STALE) == is_stale
     assert judged.said is Level.OK
 
@@ -99,7 +99,7 @@ def test_a_level_has_the_time_since_when_it_lasts() -> None:
     levels = (Level.OK, Level.OK, Level.ERROR, Level.ERROR, Level.OK)
     heard = [times.note(state("a", level, second), now).since_ns // 10**9 for second, level in enumerate(levels)]
     assert heard == [0, 0, 2, 2, 4]
-    late = times.note(judge(state("a", Level.OK, 4), 60 * 10**9, 1.0), 60 * 10**9)
+    late = times.note(state_at(state("a", Level.OK, 4), 60 * 10**9, 1.0), 60 * 10**9)
     assert (late.level, late.since_ns) == (Level.STALE, 60 * 10**9)
     found = worst_first([times.note(state(name, level, second), 0) for name, level, second in (
         ("calm", Level.OK, 9), ("old", Level.ERROR, 5), ("new", Level.ERROR, 7))])  # fmt: skip

@@ -17,8 +17,10 @@ from rosld.adapters.ros2.wait_set import Waiter
 _IDLE = 30.0
 _FIRST_LOOK = 0.002
 _LONGEST_LOOK = 0.05
-_SETTLING = 0.02
+_SETTLING = 0.05
 _LONGEST_SETTLING = 0.5
+_SETTLING_STEPS = 10
+"""Parts in which that is waited: on a busy machine each takes longer, as it does for the server to hear of us."""
 
 
 @dataclass(eq=False)
@@ -110,7 +112,10 @@ class Calls:
             line.settled = False
         if not line.settled:
             now = self._loop.time()
-            await asyncio.sleep(max(0.0, min(max(_SETTLING, now - began), _LONGEST_SETTLING, (until - now) / 2)))
+            settling = min(max(_SETTLING, now - began), _LONGEST_SETTLING)
+            for _ in range(_SETTLING_STEPS):
+                if self._loop.time() - now < (until - now) / 2:
+                    await asyncio.sleep(settling / _SETTLING_STEPS)
             line.settled = True
 
     async def _answer(self, service: str, line: _Line, request: object, until: float) -> object:

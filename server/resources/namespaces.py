@@ -112,6 +112,12 @@ def with_hidden(url: str) -> str:
     return f"{url}?{HIDDEN}"
 
 
+def listing_query(place: PagePosition | None, *, hidden: bool) -> str:
+    """The query of a listing's URL: of the page at `place`, of all where it is None; with `hidden` members or without."""
+    parts = [HIDDEN] if hidden else []
+    return "&".join(parts if place is None else [*parts, page_query(place.token)])
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ListedNamespace:
     """A namespace of one route as it is listed in one graph. `hidden`: hidden members are asked for."""
@@ -299,8 +305,7 @@ class NamespaceContainer(Resource):
 
     @property
     def query(self) -> str:
-        parts = [HIDDEN] if self._hidden else []
-        return "&".join(parts if self._place is None else [*parts, page_query(self._place.token)])
+        return listing_query(self._place, hidden=self._hidden)
 
     def navigation_links(self) -> tuple[SequenceLink, ...]:
         members = self._listed().members

@@ -18,16 +18,16 @@ from rosld.server.http.link import render
 from rosld.server.http.problem import Problem
 from rosld.server.resources.limit_checks import LimitChecks
 from rosld.server.resources.namespaces import (
-    HIDDEN,
     ListedNamespace,
     count_members,
     is_of_hidden,
+    listing_query,
     member_keys,
     with_hidden,
 )
 from rosld.server.resources.parameter_base import ParameterBase
 from rosld.server.resources.parameter_values import omit_parameters
-from rosld.server.rest.paging import MAX_PAGE_SIZE, LdpPage, PagePosition, page_of_names, page_query
+from rosld.server.rest.paging import MAX_PAGE_SIZE, LdpPage, PagePosition, page_of_names
 from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE
 from rosld.server.rest.state import State
 from rosld.server.robot.session import Session
@@ -70,8 +70,7 @@ class ParameterContainer(ParameterBase):
 
     @property
     def query(self) -> str:
-        parts = [HIDDEN] if self._hidden else []
-        return "&".join(parts if self._place is None else [*parts, page_query(self._place.token)])
+        return listing_query(self._place, hidden=self._hidden)
 
     async def state(self) -> State:
         return self.state_of(await self._value())

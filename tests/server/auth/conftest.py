@@ -11,6 +11,7 @@ import httpx
 import pytest
 
 from rosld.server.auth.tokens import token_digest
+from tests.server.auth.issuer import Issuer
 from tests.server.conftest import Served
 
 UNHURRIED = ("--setting", "client_rate", "100000")
@@ -122,3 +123,11 @@ def guarded(guard: Callable[..., Guarded]) -> Guarded:
 
 
 TURTLE = {"Content-Type": "text/turtle"}
+
+
+@pytest.fixture(scope="module")
+def issuer() -> Iterator[Issuer]:
+    found = Issuer()
+    yield found
+    found.server.shutdown()
+    found.server.server_close()

@@ -5,13 +5,13 @@ from __future__ import annotations
 import csv
 import io
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import httpx
 import pytest
 
 from tests.server.auth.conftest import Guarded
-from tests.server.auth.test_oidc import Issuer
+from tests.server.auth.issuer import Issuer
 from tests.server.history.test_recordings import SPEED, count, value
 from tests.waiting import until
 
@@ -37,14 +37,6 @@ paths = ["/topics/aircraft/**"]
 deny = true
 """
 TOPICS = "SELECT DISTINCT ?name { ?topic ros:name ?name ; ros:past ?message }"
-
-
-@pytest.fixture(scope="module")
-def issuer() -> Iterator[Issuer]:
-    found = Issuer()
-    yield found
-    found.server.shutdown()
-    found.server.server_close()
 
 
 @pytest.fixture

@@ -113,7 +113,7 @@ def with_hidden(url: str) -> str:
 
 
 def listing_query(place: PagePosition | None, *, hidden: bool) -> str:
-    """The query of a listing's URL: of the page at `place`, of all where it is None; with `hidden` members or without."""
+    """The query of a listing's URL: of the page at `place`, or of all; with `hidden` members or without."""
     parts = [HIDDEN] if hidden else []
     return "&".join(parts if place is None else [*parts, page_query(place.token)])
 

@@ -158,7 +158,7 @@ def _suggestion(schema: MessageSchema, path: str) -> str:
         paths = [".".join(each) for each in number_paths(schema)]
         near = [each for each in paths if each.startswith(f"{path}.")] or paths
         few = ", ".join(near[:_MAX_NAMED])
-        return f"; numbers are {few}{', ...' if len(near) > _MAX_NAMED else ''}" if few else ""
+        return f"; numbers are {few}{' and others' if len(near) > _MAX_NAMED else ''}" if few else ""
 
 
 def columns(series: Series) -> dict[str, list[float | str]]:

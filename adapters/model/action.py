@@ -29,6 +29,11 @@ class GoalStatus(Enum):
         """Whether nothing comes after it."""
         return self not in (GoalStatus.ACCEPTED, GoalStatus.EXECUTING, GoalStatus.CANCELING)
 
+    @property
+    def is_settled(self) -> bool:
+        """Whether it has ended as its server says; a goal that is lost may be pursued still."""
+        return self.is_final and self is not GoalStatus.LOST
+
 
 @dataclass(frozen=True, slots=True)
 class Action:

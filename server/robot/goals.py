@@ -152,6 +152,37 @@ class Goals:
         if goal.key is not None:
             await self._adapter.cancel_goal(goal.key, deadline=deadline)
 
+    async def wait_ended(self, id: str, *, seconds: float) -> bool:
+        """Wait until a goal has ended, for so long at most; return whether it has."""
+        return await self._wait_true(
+            id, lambda: (goal := self._store.get(id)) is not None and goal.status.is_settled, seconds
+        )
+
+    async def wait_all_ended(self, action: str, *, seconds: float) -> bool:
+        """Wait until every goal of an action has ended, whoever sent it; return whether one is known and all have."""
+
+        def have_ended() -> bool:
+            goals = self.of_action(action)
+            return bool(goals) and all(goal.status.is_settled for goal in goals)
+
+        await self.follow(action, deadline=asyncio.get_running_loop().time() + seconds)
+        return self.is_followed(action) and await self._wait_true(action, have_ended, seconds)
+
+    async def _wait_true(self, about: str, is_true: Callable[[], bool], seconds: float) -> bool:
+        """Wait until something is true that changes of a goal or an action may make true; return whether it is."""
+        deadline = asyncio.get_running_loop().time() + seconds
+        changed = asyncio.Event()
+        watch = self.changes.watch(changed.set, lambda changed: changed == about)
+        try:
+            while not is_true():
+                await asyncio.wait_for(changed.wait(), deadline - asyncio.get_running_loop().time())
+                changed.clear()
+            return True
+        except (asyncio.TimeoutError, TimeoutError):
+            return False
+        finally:
+            watch.close()
+
     # Hearing of goals
 
     def on_event(self, key: GoalId, event: GoalEvent) -> None:
@@ -192,7 +223,7 @@ class Goals:
     def _after(self, goal: Goal, event: GoalEvent, count: int) -> Goal:
         """The goal after an event: no status comes after one that is final, but that of a goal thought lost."""
         status = goal.status
-        if event.status is not None and (_rank(event.status) >= _rank(status) and not _is_settled(status)):
+        if event.status is not None and (_rank(event.status) >= _rank(status) and not status.is_settled):
             status = event.status
         schema = goal.schema or self._schemas(goal.action)
         changed = replace(goal, status=status, schema=schema, is_own=goal.is_own or event.own)
@@ -254,14 +285,10 @@ def _rank(status: GoalStatus) -> int:
     return _ORDER.get(status, _ENDED)
 
 
-def _is_settled(status: GoalStatus) -> bool:
-    return status.is_final and status is not GoalStatus.LOST
-
-
 def _merge(first: GoalEvent, second: GoalEvent) -> GoalEvent:
     """Two events as one: of each thing what was told last, of the status what is further on."""
     status, words = second.status, second.words
-    if first.status is not None and (status is None or _is_settled(first.status)):
+    if first.status is not None and (status is None or first.status.is_settled):
         status, words = first.status, first.words if first.words is not None else words
     return GoalEvent(
         second.received_ns,

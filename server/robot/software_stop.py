@@ -8,6 +8,7 @@ import time
 from collections.abc import Awaitable, Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
+from functools import partial
 
 from rosld.adapters.model import Action, Graph, Message, MessageSchema, RosError, Topic
 from rosld.ontology.lower import LoweringError, lowerer, parse_json
@@ -24,6 +25,8 @@ from rosld.server.runtime.signals import Signal
 
 _log = logging.getLogger("rosld")
 _NOTHING = "no topic of a velocity type has a subscriber (--stop-zero names others), and no mapping says what stops it"
+_ENDING_SECONDS = 1.0
+"""How long a goal is watched that could not be canceled: that it has ended may become known after the refusal."""
 
 
 class StepStatus(Enum):
@@ -160,19 +163,23 @@ class SoftwareStop:
         for topic in commanded:
             self._begin(_zero_on(topic.name), self._publish_zero(topic), space.topic(topic.name))
         for each, iri in self._mapped():
-            self._begin(_words(each), self._carried_out(each, deadline), *self._touched_urls(each, iri))
+            at_rest = partial(self._is_at_rest, each)
+            self._begin(_words(each), self._tell(each, deadline), *self._touched_urls(each, iri), is_at_rest=at_rest)
         silent = {topic.name for topic in commanded}  # the stop itself publishes zero there
         for hold, ended in self._holds.end_all(stop_state.words, silent):
             tells = hold.release_message is not None and hold.topic not in silent
             self._begin(_end_of(hold), ended, space.hold(hold.id), space.topic(hold.topic), tells=tells)
         ended_actions = {action.name for action in self._ended_actions(graph)}
         for name in sorted(ended_actions):
-            self._begin(_end_of_all(name), session.adapter.cancel_goals(name, deadline=deadline), space.action(name))
+            canceled = session.adapter.cancel_goals(name, deadline=deadline)
+            at_rest = partial(session.goals.wait_all_ended, name, seconds=_ENDING_SECONDS)
+            self._begin(_end_of_all(name), canceled, space.action(name), is_at_rest=at_rest)
         for goal in self._goals():
             if goal.action not in ended_actions:
                 canceled = session.goals.cancel(goal, deadline=deadline)
+                at_rest = partial(session.goals.wait_ended, goal.id, seconds=_ENDING_SECONDS)
                 words = f"cancel the goal {goal.id} of {goal.action}"
-                self._begin(words, canceled, space.goal(goal.id), space.action(goal.action))
+                self._begin(words, canceled, space.goal(goal.id), space.action(goal.action), is_at_rest=at_rest)
         _log.warning("%s.", stop_state.words.rstrip("."))
         self._revise()
         session.changes.emit()
@@ -217,9 +224,17 @@ class SoftwareStop:
     def _goals(self) -> list[Goal]:
         return [goal for goal in self._session.goals.all() if goal.is_own and goal.is_cancelable]
 
-    def _begin(self, does: str, work: Awaitable[Receivers | str | None], *touches: str, tells: bool = True) -> None:
+    def _begin(
+        self,
+        does: str,
+        work: Awaitable[Receivers | None],
+        *touches: str,
+        tells: bool = True,
+        is_at_rest: Callable[[], Awaitable[bool]] | None = None,
+    ) -> None:
+        """Begin a step. `is_at_rest` tells of one that fails whether what it ends has ended: that is no failure."""
         self._steps[does] = StopStep(does, touches, StepStatus.RUNNING, tells=tells)
-        task = asyncio.ensure_future(self._follow(does, work))
+        task = asyncio.ensure_future(self._follow(does, work, is_at_rest))
         self._running.add(task)
         task.add_done_callback(self._over)
 
@@ -227,14 +242,19 @@ class SoftwareStop:
         self._running.discard(task)
         self._revise()
 
-    async def _follow(self, does: str, work: Awaitable[Receivers | str | None]) -> None:
+    async def _follow(
+        self, does: str, work: Awaitable[Receivers | None], is_at_rest: Callable[[], Awaitable[bool]] | None
+    ) -> None:
         fate, words, reached = StepStatus.DONE, None, None
         try:
-            found = await work
-            words, reached = (found, None) if isinstance(found, str) else (_missed_subscribers(found), found)
+            reached = await work
+            words = _missed_subscribers(reached)
         except (RosError, LoweringError, ValueError) as error:
-            fate, words = StepStatus.FAILED, str(error)
-            _log.error("while the robot was stopped: %s: %s", does, words)
+            if is_at_rest is not None and await is_at_rest():
+                words = f"it is at rest already: {error}"
+            else:
+                fate, words = StepStatus.FAILED, str(error)
+                _log.error("while the robot was stopped: %s: %s", does, words)
         except Exception as error:
             fate, words = StepStatus.FAILED, "the server failed; its log says more"
             _log.exception("while the robot was stopped: %s", does, exc_info=error)
@@ -267,16 +287,8 @@ class SoftwareStop:
         _log.warning("while the robot was stopped: %s: %s", step.description, words)
         self._revise()
 
-    async def _carried_out(self, mapped: StopCommand, deadline: float) -> Receivers | str | None:
-        """Call or publish what a mapping names, past the interlock; words where it was refused by what is at rest."""
-        try:
-            return await self._tell(mapped, deadline)
-        except (RosError, LoweringError, ValueError) as error:
-            if not await self._is_at_rest(mapped):
-                raise
-            return f"it is at rest already: {error}"
-
     async def _tell(self, mapped: StopCommand, deadline: float) -> Receivers | None:
+        """Call or publish what a mapping names, past the interlock."""
         session, encoding = self._session, self._session.adapter.capabilities.encoding
         if mapped.service is not None:
             service = session.graph.services.get(mapped.service)

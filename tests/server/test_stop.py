@@ -13,8 +13,9 @@ from typing import Any
 import httpx
 import pytest
 
-from rosld.adapters.base import Published
-from rosld.adapters.model import TypeRef
+from rosld.adapters import aircraft
+from rosld.adapters.base import AdapterOptions, Published
+from rosld.adapters.model import GoalEvent, GoalId, GoalStatus, Refused, TypeRef
 from tests.server.robots.asking import mapped
 from tests.server.robots.made_up import MadeUp, served
 from tests.waiting import until
@@ -350,6 +351,47 @@ def test_goals_sent_from_here_are_canceled_and_a_goal_of_a_robot_that_stands_can
     assert http.get("/topics/cockpit/display", headers=JSON).json() == {"data": "stopped"}
     assert http.post("/actions/aircraft/fly", json={"distance": 1.0}).status_code == 423
     assert http.post("/resources/aircraft/start").status_code in (409, 423)
+
+
+class EndsMeanwhile:
+    """The aircraft, whose action server refuses to cancel; `ends` says whether the goal has ended just then."""
+
+    def __init__(self, *, ends: bool) -> None:
+        self._inner: Any = aircraft.adapter("aircraft", AdapterOptions())
+        self._ends = ends
+        self._goal = GoalId("/aircraft/fly", "")
+        self._sink: Any = None
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._inner, name)
+
+    async def open(self, sink: Any, *, deadline: float) -> None:
+        self._sink = sink
+        await self._inner.open(sink, deadline=deadline)
+
+    async def send_goal(self, *arguments: Any, **named: Any) -> GoalId:
+        self._goal = await self._inner.send_goal(*arguments, **named)
+        return self._goal
+
+    async def cancel_goal(self, goal: GoalId, *, deadline: float) -> None:
+        if self._ends:  # as a server does: its status comes after its refusal
+            aborted = GoalEvent(time.time_ns(), GoalStatus.ABORTED, own=True)
+            asyncio.get_running_loop().call_later(0.05, self._sink.goal_changed, goal, aborted)
+        raise Refused("the goal is not canceled: the server refuses to cancel it")
+
+    async def cancel_goals(self, action: str, *, deadline: float) -> None:
+        await self.cancel_goal(self._goal, deadline=deadline)
+
+
+@pytest.mark.parametrize("whose", ["own", "others"])
+@pytest.mark.parametrize("ends", [True, False], ids=["ended", "goes on"])
+def test_a_goal_that_ends_before_it_is_canceled_leaves_nothing_moving(whose: str, ends: bool) -> None:
+    with served(EndsMeanwhile(ends=ends), stop_cancels=whose) as http:  # type: ignore[arg-type]
+        assert http.post("/services/aircraft/start", json={}).status_code == 201
+        assert http.post("/actions/aircraft/fly", json={"distance": 5000.0}).status_code == 201
+        told = stopped(http)
+        [step] = [each for each in told["steps"] if each["does"].startswith("cancel")]
+        assert (step["state"], told["warning"] is None) == (("Succeeded", True) if ends else ("Failed", False)), told
 
 
 def test_the_robot_is_stopped_while_queries_and_slow_calls_saturate_the_server(

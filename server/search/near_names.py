@@ -1,9 +1,11 @@
-"""Names near one that is not there: with the same last segment, with few typing errors in it, or with it as a part."""
+"""Names near one that is not there: with the same last segment or with its words, and few typing errors in these."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from itertools import islice
+
+from rosld.server.search.words import words_of
 
 MAX_NEAR = 5
 """Names that are told of at the most."""
@@ -13,27 +15,34 @@ _MIN_PART = 3
 _MAX_COMPARED = 1000
 """Last segments that are compared letter by letter: a robot may have thousands that differ in a number alone."""
 _BEYOND = _MAX_EDITS + 1
-"""The distance of segments of which one begins with the other."""
+"""The distance of segments of which one begins with the other; names that only share words are further away."""
+_MAX_WORDS = 8
+"""Words of a last segment that are looked for."""
 
 
 class NearNames:
     """Finds the names near another one; names of containers end in a slash, as they do in URLs.
 
     The last segments are compared, whatever the case of their letters: a wrong namespace is as frequent as a typing
-    error. Each has a mask of the characters in it, so that of thousands few are compared.
+    error. Then come names that have all words of the last segment, one of them at least in their own. Each segment and
+    each word has a mask of the characters in it, so that of thousands few are compared.
     """
 
     def __init__(self, names: Iterable[str]) -> None:
         self._by_last: dict[str, list[str]] = {}
+        self._by_word: dict[str, list[str]] = {}
         for name in names:
             self._by_last.setdefault(_last(name), []).append(name)
+            for word in words_of(name):
+                self._by_word.setdefault(word, []).append(name)
         self._masks = [(last, _mask(last)) for last in self._by_last]
+        self._word_masks = [(word, _mask(word)) for word in self._by_word]
 
     def of(self, name: str, limit: int = MAX_NEAR) -> list[str]:
         """The names nearest to `name`, the nearest first; `name` itself is none of them."""
         wanted, home = _last(name), _home(name)
         mask, edits = _mask(wanted), max_edits(wanted)
-        found = []
+        distances = self._with_words(words_of(_last_segment(name)))
         near = (
             last
             for last, other in self._masks
@@ -42,8 +51,28 @@ class NearNames:
         for last in islice(near, _MAX_COMPARED):
             distance = _distance(wanted, last, edits)
             if distance is not None:
-                found += [(distance, _home(each) != home, len(each), each) for each in self._by_last[last]]
+                distances |= dict.fromkeys(self._by_last[last], distance)
+        found = [(distance, _home(each) != home, len(each), each) for each, distance in distances.items()]
         return [each for *_, each in sorted(found) if each.rstrip("/") != name.rstrip("/")][:limit]
+
+    def _with_words(self, wanted: Sequence[str]) -> dict[str, int]:
+        """Return how far the names are that have all these words, with few typing errors, one in the last segment."""
+        found: dict[str, int] = {}
+        known: set[str] = set()
+        for index, word in enumerate(wanted[:_MAX_WORDS]):
+            mask, edits = _mask(word), max_edits(word)
+            errors: dict[str, int] = {}
+            for other, other_mask in self._word_masks:
+                if (mask ^ other_mask).bit_count() > 2 * edits or (count := edit_distance(word, other, edits)) > edits:
+                    continue
+                known.add(other)
+                for name in self._by_word[other]:
+                    errors[name] = min(count, errors.get(name, count))
+            beyond = _BEYOND + 1
+            found = {
+                name: found.get(name, beyond) + count for name, count in errors.items() if not index or name in found
+            }
+        return {name: far for name, far in found.items() if not known.isdisjoint(words_of(_last_segment(name)))}
 
 
 def max_edits(word: str) -> int:
@@ -83,8 +112,12 @@ def edit_distance(one: str, other: str, limit: int) -> int:
     return last[-1]
 
 
+def _last_segment(name: str) -> str:
+    return name.rstrip("/").rpartition("/")[2]
+
+
 def _last(name: str) -> str:
-    return name.rstrip("/").rpartition("/")[2].casefold()
+    return _last_segment(name).casefold()
 
 
 def _home(name: str) -> str:

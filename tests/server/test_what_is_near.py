@@ -5,8 +5,10 @@ from __future__ import annotations
 import httpx
 import pytest
 
+from rosld.adapters.base import AdapterOptions
 from rosld.adapters.model import Action, TypeRef
-from tests.server.robots.made_up import MadeUp, Serving
+from rosld.adapters.rover import rover_adapter
+from tests.server.robots.made_up import MadeUp, Serving, served
 
 HTML = {"Accept": "text/html"}
 
@@ -26,6 +28,7 @@ def http(robot: MadeUp, serving: Serving) -> httpx.Client:
     ("asked", "near"),
     [
         ("topics/battery", ["topics/battery_state"]),
+        ("topics/batery", ["topics/battery_state"]),
         ("topics/batery_state", ["topics/battery_state"]),
         ("topics/image_raw", ["topics/camera/front/image_raw"]),
         ("topics/camra/", ["topics/camera/"]),
@@ -44,6 +47,24 @@ def test_what_is_spelt_wrong_is_answered_with_what_is_near(http: httpx.Client, a
     assert answer.json()["near"] == [f"{http.base_url}{each}" for each in near]
     page = http.get(f"/{asked}", headers=HTML).text
     assert f'<a href="/{near[0]}">' in page
+
+
+def test_names_of_the_rover_are_found_by_words_that_are_spelt_wrong() -> None:
+    meant = {
+        "batery": "battery_state",
+        "cmdvel": "cmd_vel",
+        "camra_info": "camera/camera_info",
+        "diagnostcs": "diagnostics",
+        "imgae": "camera/image_raw",
+        "comprssed": "camera/image_raw/compressed",
+    }
+    with served(rover_adapter("rover", AdapterOptions())) as http:
+        for misspelt, name in meant.items():
+            near = http.get(f"/topics/{misspelt}").json()["near"]
+            assert near[0] == f"{http.base_url}topics/{name}", misspelt
+            assert len(near) <= 3, near
+        for unlike in ("laser", "battery_level"):
+            assert "near" not in http.get(f"/topics/{unlike}").json()
 
 
 def test_what_is_near_is_linked_in_rdf(http: httpx.Client) -> None:

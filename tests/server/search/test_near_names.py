@@ -69,7 +69,14 @@ def test_looking_through_masks_leaves_out_no_name_of_few_edits(names: list[str],
         ("/camera/image_raw", ["/camera/rear/image_raw", "/camera/front/image_raw"]),
         ("/camra/", ["/camera/"]),
         ("/robot1/odom", ["/odom"]),
+        ("/batery", ["/battery_state"]),
+        ("/batterystat", ["/battery_state"]),
+        ("/BatteryStates", ["/battery_state"]),
+        ("/stat", ["/battery_state"]),
+        ("/vel", ["/cmd_vel"]),
+        ("/camra_imgae", ["/camera/rear/image_raw", "/camera/front/image_raw"]),
         ("/gripper", []),
+        ("/gripper_state", []),
         ("/", []),
     ],
 )
@@ -79,3 +86,4 @@ def test_typing_errors_and_wrong_namespaces_are_near(wanted: str, found: list[st
 
 def test_no_more_than_five_are_told() -> None:
     assert len(NearNames(f"/robot{number}/odom" for number in range(50)).of("/odom")) == 5
+    assert len(NearNames(f"/robot{number}/joint_state" for number in range(50)).of("/jont")) == 5

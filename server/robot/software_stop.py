@@ -159,6 +159,7 @@ class SoftwareStop:
         self._count += 1
         deadline = loop_time() + session.settings.call_deadline
         graph, space = session.graph, session.space
+        at_rest: Callable[[], Awaitable[bool]]
         commanded = self._commanded_topics(graph)
         for topic in commanded:
             self._begin(_zero_on(topic.name), self._publish_zero(topic), space.topic(topic.name))

@@ -268,7 +268,10 @@ class Adapter(Protocol):
         ...
 
     async def open(self, sink: Sink, *, deadline: float) -> None:
-        """Connect. When it returns the graph is there; raises Unreachable (or NotFound for a missing file)."""
+        """Connect. When it returns the graph is there; Stale for a robot that is off, which is then waited for.
+
+        Raises Unreachable for what no waiting helps (a middleware that does not start), NotFound for a missing file.
+        """
         ...
 
     async def close(self) -> None:

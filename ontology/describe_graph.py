@@ -69,7 +69,7 @@ def entry_document(
         (rdf.type, ros.Graph),
         *CONTAINER,
         (dcterms.title, text(f"The computation graph ({system})")),
-        *_state(graph),
+        *graph_state(graph),
         (ros.robot, robot),
         (ros.hasMaster, NamedNode(f"{space.base}#master") if graph.master else None),
         *(((ros.simulatedTime, boolean(True)),) if graph.simulated_time else ()),
@@ -117,7 +117,8 @@ def _section_triples(graph: Graph, space: Space) -> Iterator[Triple]:
         yield from triples_about(NamedNode(space.container(route)), *said)
 
 
-def _state(graph: Graph) -> list[Statement]:
+def graph_state(graph: Graph) -> list[Statement]:
+    """Whether the robot is seen; if not since when and why."""
     match graph.state:
         case Live():
             return [(ros.state, ros.Live)]

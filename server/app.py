@@ -87,7 +87,7 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
         "space": partial(SpaceResource, session, scene, factory.history, broadcasters),
     }
     changing: dict[str, Callable[[], Resource]] = {
-        "status": partial(StatusResource, space, services.storage_problems, watchdog),
+        "status": partial(StatusResource, space, lambda: session.graph, services.storage_problems, watchdog),
         **({} if mirror is None else {"mirror": partial(ReplicationResource, space, mirror)}),
     }
     frames = partial(FramesResource, space, session.adapter, scene)

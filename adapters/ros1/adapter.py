@@ -102,7 +102,7 @@ class Ros1Adapter:
         return {}
 
     async def open(self, sink: Sink, *, deadline: float) -> None:
-        """Connect to the master. Raises Unreachable."""
+        """Look for the master. One that does not answer is waited for, with a graph that is Stale until it does."""
         thread = IoThread("rosld-ros1")
         thread.start()
         self._thread = thread
@@ -111,18 +111,10 @@ class Ros1Adapter:
 
         async def begin() -> Client:
             client = Client(self._master, self._graph.own_node, self._options, self._library, sink)
-            await asyncio.wait_for(client.open(), left)
+            await client.open(left)
             return client
 
-        try:
-            self._client = await thread.run(begin())
-        except (TimedOut, asyncio.TimeoutError) as error:
-            await thread.stop(1.0)
-            host, port = self._master
-            raise Unreachable(f"the master at {host}:{port} does not answer in time") from error
-        except Unreachable as error:
-            await thread.stop(1.0)
-            raise Unreachable(f"no ROS 1 master: {error}; start roscore, or name it: ros1://HOST:PORT") from error
+        self._client = await thread.run(begin())
 
     async def close(self) -> None:
         """Unregister everything; idempotent, and over within two seconds even if the master hangs."""

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Coroutine, Iterable, Mapping, Sequence
 
 from rosld.adapters.base import AdapterOptions, ParameterValue, Sink
-from rosld.adapters.model import Graph, Master, RosError
+from rosld.adapters.model import Graph, Master, RosError, TimedOut, Unreachable
 from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.ros1.actions import Actions
 from rosld.adapters.ros1.graph import Observation, SystemState, compose, stale
@@ -40,7 +40,7 @@ class Client:
         self, uri: tuple[str, int], own_node: str, options: AdapterOptions, library: TypeLibrary, publish_graph: Sink
     ) -> None:
         host, port = uri
-        self.graph = Graph(0, own_node=own_node)
+        self.graph = Graph(0, master=Master(f"http://{host}:{port}"), own_node=own_node)
         self._sink = publish_graph
         self._own_node = own_node
         self._hosts = Hosts(options.host_map, host)
@@ -74,8 +74,21 @@ class Client:
         self._checked: dict[str, float] = {}
         self._looking = asyncio.Lock()
 
-    async def open(self) -> None:
-        """Look for the first time. Raises Unreachable, TimedOut."""
+    async def open(self, patience: float) -> None:
+        """Look for the first time, for at most `patience` seconds, and begin to poll.
+
+        A robot that is off is waited for: the graph is Stale until its master answers.
+        """
+        try:
+            await asyncio.wait_for(self._first_look(), patience)
+        except asyncio.TimeoutError:
+            self._lost(TimedOut(f"the ROS 1 master at {self.master.uri} does not answer in time"))
+        except RosError as error:
+            self._lost(Unreachable(f"no ROS 1 master yet: {error}; start roscore, or name another: ros1://HOST:PORT"))
+        loop = asyncio.get_running_loop()
+        self._tasks += [loop.create_task(self._watch_system()), loop.create_task(self._watch_parameters())]
+
+    async def _first_look(self) -> None:
         await self._look()
         if self._removing is not None:
             await asyncio.wait([self._removing], timeout=_FIRST_PATIENCE)
@@ -84,8 +97,6 @@ class Client:
         await self.services.asked(1.0)
         await self.reconfigurables.wait_described(_FIRST_PATIENCE)
         self.refresh()
-        loop = asyncio.get_running_loop()
-        self._tasks += [loop.create_task(self._watch_system()), loop.create_task(self._watch_parameters())]
 
     async def close(self) -> None:
         """Unregister everything and stop; quick even if the master hangs."""

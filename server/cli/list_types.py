@@ -8,12 +8,24 @@ from contextlib import contextmanager
 
 import click
 
-from rosld.adapters.base import Adapter, AdapterOptions, NullSink
-from rosld.adapters.model import Graph, TypeRef
+from rosld.adapters.base import Adapter, AdapterOptions, NullSink, Sink
+from rosld.adapters.model import Graph, Stale, TypeRef, Unreachable
 from rosld.adapters.registry import adapter_for
 from rosld.server.cli.failure import user_errors
 
 OPEN_SECONDS = 5.0
+
+
+async def open_at_once(adapter: Adapter, sink: Sink) -> None:
+    """Open an adapter for a command that does not wait for a robot that is off.
+
+    Raises Unreachable for one, and what `Adapter.open` raises.
+    """
+    await adapter.open(sink, deadline=asyncio.get_running_loop().time() + OPEN_SECONDS)
+    state = adapter.graph.state
+    if isinstance(state, Stale):
+        await adapter.close()
+        raise Unreachable(state.why)
 
 
 @contextmanager
@@ -25,7 +37,7 @@ def open_source(source: str, options: AdapterOptions) -> Iterator[Adapter]:
     adapter = adapter_for(source, options)
     loop = asyncio.new_event_loop()
     try:
-        loop.run_until_complete(adapter.open(NullSink(), deadline=loop.time() + OPEN_SECONDS))
+        loop.run_until_complete(open_at_once(adapter, NullSink()))
         yield adapter
     finally:
         loop.run_until_complete(adapter.close())

@@ -16,6 +16,7 @@ from rosld.adapters.base import Adapter, AdapterOptions, NullSink
 from rosld.adapters.model import Graph
 from rosld.adapters.registry import adapter_for
 from rosld.server.cli.failure import Failure, user_errors
+from rosld.server.cli.list_types import open_at_once
 from rosld.server.history.history_writer import require_room
 from rosld.server.history.live_recorder import LiveRecorder
 from rosld.server.history.recording_writer import RecordingWriter
@@ -23,7 +24,6 @@ from rosld.server.robot.schemas import Schemas
 from rosld.server.serving.end_signals import end_signals
 from rosld.server.settings import check_topic_glob
 
-_OPEN_SECONDS = 5.0
 _PROGRESS_SECONDS = 1.0
 
 
@@ -71,7 +71,7 @@ class _Recording(NullSink):
         ended = asyncio.Event()
         for number in end_signals():
             loop.add_signal_handler(number, ended.set)
-        await self._adapter.open(self, deadline=loop.time() + _OPEN_SECONDS)
+        await open_at_once(self._adapter, self)
         try:
             writer = RecordingWriter(
                 self._output, self._adapter.capabilities.encoding, self._schemas.definition_of, require_room

@@ -1,4 +1,4 @@
-"""`/status`: how promptly the server itself answers, and what is wrong with its storage."""
+"""`/status`: how promptly the server itself answers, whether it sees the robot, and what is wrong with its storage."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from collections.abc import Callable, Sequence
 import orjson
 from pyoxigraph import NamedNode
 
+from rosld.adapters.model import Graph, Stale
+from rosld.ontology.describe_graph import graph_state
 from rosld.ontology.document import Document
 from rosld.ontology.triples import RDF_SOURCE, date_time_literal, double, text, triples_about
 from rosld.ontology.urls import Space
@@ -23,13 +25,20 @@ ROUTE = "status"
 
 
 class StatusResource(Resource):
-    """The pauses of the event loop, and the problems of storage."""
+    """The pauses of the event loop, the state of the robot's graph, and the problems of storage."""
 
     kind = "Server status"
 
-    def __init__(self, space: Space, storage_problems: Callable[[], tuple[str, ...]], watchdog: Watchdog) -> None:
+    def __init__(
+        self,
+        space: Space,
+        graph: Callable[[], Graph],
+        storage_problems: Callable[[], tuple[str, ...]],
+        watchdog: Watchdog,
+    ) -> None:
         super().__init__(space.base + ROUTE)
         self._space = space
+        self._graph = graph
         self._storage_problems = storage_problems
         self._watchdog = watchdog
 
@@ -37,7 +46,15 @@ class StatusResource(Resource):
         seconds: DataSchema = {"type": "number", "minimum": 0}
         told: DataSchema = dict.fromkeys(("longestPause", "longestWork", "recentPause"), seconds)
         told = {**told, **dict.fromkeys(("longestPauseEnd", "longestPauseCode", "longestWorkCode"), nullable(TEXT))}
-        summary = "How promptly the server itself answers, what is wrong with its storage"
+        told["robot"] = {
+            "type": "object",
+            "properties": {
+                "state": {"enum": ["Live", "Stale"]},
+                "staleSince": nullable(TEXT),
+                "reason": nullable(TEXT),
+            },
+        }
+        summary = "How promptly the server itself answers, whether it sees the robot, what is wrong with its storage"
         return PathItem(summary, plain={"type": "object", "properties": told})
 
     @property
@@ -45,18 +62,20 @@ class StatusResource(Resource):
         return (self._space.document_shape("ServerStatus"),)
 
     async def state(self) -> State:
-        pauses, problems = self._watchdog.pauses, self._storage_problems()
-        return State(lambda: status_document(self.url, pauses, problems), lambda: _plain(pauses, problems))
+        pauses, problems, graph = self._watchdog.pauses, self._storage_problems(), self._graph()
+        return State(
+            lambda: status_document(self._space, pauses, graph, problems), lambda: _plain(pauses, graph, problems)
+        )
 
 
-def status_document(url: str, pauses: Pauses, storage_problems: Sequence[str] = ()) -> Document:
+def status_document(space: Space, pauses: Pauses, graph: Graph, storage_problems: Sequence[str] = ()) -> Document:
     """The RDF of a server's status; times are in seconds."""
-    longest = pauses.longest
+    longest, status = pauses.longest, NamedNode(space.base + ROUTE)
     return Document(
-        url,
-        tuple(
-            triples_about(
-                NamedNode(url),
+        status.value,
+        (
+            *triples_about(
+                status,
                 (rdf.type, ros.ServerStatus),
                 *RDF_SOURCE,
                 (ros.longestPause, double(round(longest.seconds, 4))),
@@ -66,13 +85,15 @@ def status_document(url: str, pauses: Pauses, storage_problems: Sequence[str] = 
                 (ros.longestWorkCode, text(pauses.busiest.code)),
                 (ros.recentPause, double(round(pauses.recent, 4))),
                 *((ros.storageProblem, text(problem)) for problem in storage_problems),
-            )
+            ),
+            *triples_about(NamedNode(space.base), (ros.hasServerStatus, status), *graph_state(graph)),
         ),
     )
 
 
-def _plain(pauses: Pauses, storage_problems: Sequence[str]) -> bytes:
-    end = date_time_literal(pauses.longest.ended_ns)
+def _plain(pauses: Pauses, graph: Graph, storage_problems: Sequence[str]) -> bytes:
+    end, robot = date_time_literal(pauses.longest.ended_ns), graph.state
+    since = date_time_literal(robot.since_ns) if isinstance(robot, Stale) else None
     return orjson.dumps(
         {
             "longestPause": round(pauses.longest.seconds, 4),
@@ -82,5 +103,10 @@ def _plain(pauses: Pauses, storage_problems: Sequence[str]) -> bytes:
             "longestWorkCode": pauses.busiest.code,
             "recentPause": round(pauses.recent, 4),
             "storageProblem": [*storage_problems],
+            "robot": {
+                "state": type(robot).__name__,
+                "staleSince": None if since is None else since.value,
+                "reason": robot.why if isinstance(robot, Stale) else None,
+            },
         }
     )

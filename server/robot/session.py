@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 from collections.abc import Callable, Mapping
 from fnmatch import fnmatchcase
 
 from rosld.adapters.base import Adapter
-from rosld.adapters.model import ActionSchema, GoalEvent, GoalId, Graph, Kind, RosError, TypeRef
+from rosld.adapters.model import ActionSchema, GoalEvent, GoalId, Graph, Kind, Live, RosError, Stale, TypeRef
 from rosld.ontology.lift import LiftSettings
 from rosld.ontology.urls import Space
 from rosld.server.robot.audited_adapter import AuditedAdapter
@@ -24,6 +25,8 @@ from rosld.server.runtime.woken_task import WokenTask
 from rosld.server.settings import Settings
 
 OPEN_SECONDS = 5.0
+
+_log = logging.getLogger("rosld")
 
 
 class Session:
@@ -150,12 +153,13 @@ class Session:
 
 
 class GraphFollower:
-    """Follows the graph of a session: subscribes to eager topics, and learns the types in use."""
+    """Follows the graph of a session: subscribes to eager topics, learns types, logs when the robot goes and comes."""
 
     def __init__(self, session: Session) -> None:
         self._session = session
         self._following = WokenTask(self._follow)
         self._loop: asyncio.AbstractEventLoop | None = None
+        self._is_stale = False
 
     def open(self) -> None:
         """Take the running loop for the one on which changes are announced."""
@@ -169,16 +173,28 @@ class GraphFollower:
 
     def on_graph_changed(self) -> None:
         """Look at the graph, which may have changed."""
+        self._log_state()
         self._following.wake()
         self._session.changes.emit()
 
     def start(self) -> None:
         """Follow, from the graph of now on."""
+        self._log_state()
         self._following.start()
 
     async def stop(self) -> None:
         """Follow no longer; idempotent."""
         await self._following.stop()
+
+    def _log_state(self) -> None:
+        """Log when the robot can be seen no longer, or not yet, and when it is there."""
+        graph = self._session.graph
+        match graph.state:
+            case Stale(_, why) if not self._is_stale:
+                _log.warning("the robot cannot be seen, and is waited for: %s", why)
+            case Live() if self._is_stale:
+                _log.info("the robot is there: %d nodes, %d topics", len(graph.nodes), len(graph.topics))
+        self._is_stale = isinstance(graph.state, Stale)
 
     async def _follow(self) -> None:
         graph = self._session.graph

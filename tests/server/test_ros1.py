@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -15,7 +12,7 @@ from typing import Any
 import httpx
 import pytest
 
-from tests.adapters.ros1.system import running
+from tests.adapters.ros1.system import RosSystem, require_ros, running
 
 HERE = Path(__file__).parent
 TYPES = "https://w3id.org/rosld/types/"
@@ -309,15 +306,28 @@ def test_a_killed_node_and_a_killed_master_are_survived(tmp_path: Path, start_se
         assert served.stop() == 0
 
 
-@pytest.mark.parametrize("source", ["ros1://127.0.0.1:1", "ros1://no-such-host.invalid:11311"])
-def test_an_unreachable_master_is_said_in_one_line(source: str) -> None:
-    command = [sys.executable, "-m", "rosld", "serve", source, "--port", "0"]
-    environment = {key: value for key, value in os.environ.items() if key != "ROS_MASTER_URI"}
-    done = subprocess.run(command, capture_output=True, text=True, timeout=30, env=environment, check=False)
-    assert done.returncode != 0
-    assert done.stdout == ""
-    assert len(done.stderr.strip().splitlines()) == 1, done.stderr
-    assert "Traceback" not in done.stderr
+def test_a_robot_that_is_off_when_rosld_starts_is_served_when_it_comes(
+    tmp_path: Path, serve: Callable[..., Any]
+) -> None:
+    require_ros()
+    system = RosSystem(tmp_path)
+    served = serve(system.source)
+    assert "Stale" in served.http.get("/").text
+    assert served.http.put("/topics/cmd_vel", json={"linear": {"x": 0.1}}).status_code == 404
+    try:
+        system.start_master()
+        publisher = system.publish("/beat", "std_msgs/String", "data: first", name="heart")
+        system.node("listener.py", "/said", "std_msgs/String")
+        ready(served, "/topics/beat")
+        until(lambda: served.http.get("/topics/beat", headers=JSON).json() == {"data": "first"}, "the robot's message")
+        writable(served, "/topics/said")
+        assert served.http.put("/topics/said", json={"data": "x"}).status_code == 204
+        assert "Stale" not in served.http.get("/").text
+        assert served.http.get("/status", headers=JSON).json()["robot"]["state"] == "Live"
+        publisher.stop()
+        assert served.stop() == 0
+    finally:
+        system.close()
 
 
 def test_a_type_that_is_nested_in_a_nodes_own_type_has_its_page_and_its_shape(ros: Any, robot: Any) -> None:

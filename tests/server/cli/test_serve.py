@@ -124,10 +124,24 @@ def test_a_file_that_is_no_recording_is_told_in_one_line(tmp_path: Path) -> None
     assert "text.bag" in failure(str(tmp_path / "text.bag"), "--port", "0").stderr
 
 
-def test_an_unreachable_master_is_told_in_one_line() -> None:
+@pytest.mark.parametrize("host", ["127.0.0.1", "no-such-host.invalid"])
+def test_a_ros_1_robot_that_is_off_is_waited_for_which_is_said_everywhere(host: str, tmp_path: Path) -> None:
     with closing(socket.create_server(("127.0.0.1", 0))) as closed:
-        port = closed.getsockname()[1]
-    assert str(port) in failure(f"ros1://127.0.0.1:{port}", "--port", "0").stderr
+        source = f"ros1://{host}:{closed.getsockname()[1]}"
+    with serving(source, "--port", "0") as (process, url):
+        assert process.stderr is not None
+        logged = process.stderr.readline()
+        robot = httpx.get(f"{url}status", headers={"Accept": "application/json"}).json()["robot"]
+        assert robot["state"] == "Stale"
+        assert robot["staleSince"]
+        assert host in robot["reason"]
+        assert robot["reason"] in logged
+        for path in ("", "status"):
+            assert robot["reason"] in httpx.get(url + path, headers={"Accept": "text/turtle"}).text
+        assert "The robot cannot be seen" in httpx.get(url, headers={"Accept": "text/html"}).text
+    for command in (["types", source], ["record", source, "-o", str(tmp_path / "x.mcap")]):
+        done = CliRunner().invoke(main, command)  # what does not wait for a robot ends
+        assert (done.exit_code, host in done.stderr, done.stderr.count("\n")) == (1, True, 1), done.stderr
 
 
 def test_an_unknown_scheme_is_told_in_one_line() -> None:

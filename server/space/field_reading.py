@@ -49,3 +49,8 @@ def read_pose(pose: Fields) -> Transform:
 def read_rotation(quaternion: Fields) -> Quaternion:
     """A geometry_msgs/Quaternion. Raises NoRotation."""
     return unit_quaternion(*(float(getattr(quaternion, axis)) for axis in "xyzw"))
+
+
+def is_rotation_set(quaternion: Fields) -> bool:
+    """Whether a geometry_msgs/Quaternion is other than all zero, as messages of ROS 1 begin."""
+    return any(getattr(quaternion, axis) for axis in "xyzw")

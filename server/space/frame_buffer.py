@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from rosld.adapters.model import Message, Sample
-from rosld.server.space.field_reading import Fields, frame_name, read_rotation, read_stamp, read_vector
+from rosld.server.space.field_reading import Fields, frame_name, is_rotation_set, read_rotation, read_stamp, read_vector
 from rosld.server.space.transform import IDENTITY, Transform, compose, interpolate, invert
 
 STATIC_TOPIC = "/tf_static"
@@ -20,6 +20,9 @@ _MAX_KEPT = 2000
 """Transforms of one frame: 10 s at 200 Hz."""
 _FIRST_CHOICES = ("map", "odom", "world", "earth")
 """The frames that a view is fixed to by itself (REP 105), the best first."""
+
+
+_ALL_ZERO = "Its quaternion is all zero: it is drawn without a rotation here, and tf2 ignores the transform"
 
 
 class NoTransform(LookupError):
@@ -81,7 +84,7 @@ class _History:
 
 
 class FrameBuffer:
-    """All frames. `problems` says of each frame whose newest transform is none why it is not taken.
+    """All frames. `problems` says what is wrong with the newest transform of a frame: mostly why it is not taken.
 
     `version` rises whenever a transform is added.
     """
@@ -101,8 +104,10 @@ class FrameBuffer:
                 child, parent = frame_name(each.child_frame_id), frame_name(each.header.frame_id)
                 self._add(_read(each, parent, child, source, is_static=is_static))
                 self.problems.pop(child, None)
+                if not is_rotation_set(each.transform.rotation):
+                    self._report(child, _ALL_ZERO)
             except (AttributeError, TypeError, ValueError, OverflowError) as error:
-                self._refuse(child, str(error))
+                self._report(child, str(error))
         self.version += 1
 
     def _add(self, each: FrameTransform) -> None:
@@ -113,7 +118,7 @@ class FrameBuffer:
             history = self._histories[each.child] = _History()
         history.add(each)
 
-    def _refuse(self, child: str, why: str) -> None:
+    def _report(self, child: str, why: str) -> None:
         if len(self.problems) < MAX_FRAMES:
             self.problems[child] = why
 

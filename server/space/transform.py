@@ -9,7 +9,7 @@ Vector: TypeAlias = tuple[float, float, float]
 Quaternion: TypeAlias = tuple[float, float, float, float]
 """x, y, z, w."""
 _SHORTEST = 1e-6
-"""Lengths of a quaternion below which it is no rotation: messages that nobody filled in have four zeros."""
+"""Lengths of a quaternion below which it is no rotation, unless it is all zero."""
 _ALMOST_EQUAL = 0.9995
 """Cosines of half the angle above which slerp divides by almost nothing."""
 
@@ -29,7 +29,12 @@ IDENTITY = Transform((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 
 
 def unit_quaternion(x: float, y: float, z: float, w: float) -> Quaternion:
-    """The rotation that four numbers stand for. Raises NoRotation."""
+    """Return the rotation that four numbers stand for. Raises NoRotation.
+
+    All zero, as in a message that nobody filled in, is the identity: RViz draws it so.
+    """
+    if not (x or y or z or w):
+        return IDENTITY.rotation
     length = math.sqrt(x * x + y * y + z * z + w * w)
     if not math.isfinite(length) or length < _SHORTEST:
         raise NoRotation(f"The quaternion ({x:g}, {y:g}, {z:g}, {w:g}) is no rotation")

@@ -107,7 +107,7 @@ def test_what_is_not_drawn_is_refused_in_words(rover: httpx.Client, query: str, 
 
 def test_hostile_messages_are_said_and_hold_nothing_up() -> None:
     robot = MadeUp()
-    turned = {"base": {"rotation": dict.fromkeys("xyzw", 0.0)}, "odom": {"rotation": {"w": 1.0}}}
+    turned = {"base": {"rotation": {"w": "NaN"}}, "odom": {"rotation": {"w": 1.0}}}
     transforms = [
         {"header": {"frame_id": "map"}, "child_frame_id": child, "transform": each} for child, each in turned.items()
     ]
@@ -119,7 +119,7 @@ def test_hostile_messages_are_said_and_hold_nothing_up() -> None:
         assert http.get("/topics/grid", headers={"Accept": "image/png"}).status_code == 422
         robot.publishes("/grid", {"info": {"width": 5000, "height": 1, "resolution": 0.1}, "data": [100] + [0] * 4999})
         answer = http.get("/topics/grid?format=png&width=1000")
-    assert told["goal"]["problem"].startswith("There is no frame called base: The quaternion (0, 0, 0, 0)")
+    assert told["goal"]["problem"].startswith("There is no frame called base: The quaternion (0, 0, 0, nan)")
     assert told["grid"]["problem"] == "The cells of the grid are nan m wide"
     picture = np.asarray(Image.open(io.BytesIO(answer.content)))
     assert picture.shape == (1, 1000)
@@ -140,18 +140,36 @@ def test_frames_are_a_tree_and_what_is_odd_is_said(rover: httpx.Client) -> None:
     assert "<#laser>" in rover.get("/frames", headers={"Accept": "text/turtle"}).text
 
 
+def test_a_quaternion_of_zeros_is_drawn_without_a_rotation() -> None:
+    robot, zeros = MadeUp(), dict.fromkeys("xyzw", 0.0)
+    info = {"width": 3, "height": 2, "resolution": 1.0, "origin": {"position": {"x": 2.0}, "orientation": zeros}}
+    robot.topic("/grid", GRID, {"header": {"frame_id": "map"}, "info": info, "data": [0] * 6})
+    robot.topic("/goal", POSE, {"header": {"frame_id": "map"}, "pose": {"orientation": zeros}})
+    with served(robot) as http:
+        found = events(http, "?show=topics/grid&show=topics/goal", lambda all: bool(things(all, 0) and things(all, 1)))
+    ((grid,), (goal,)) = things(found, 0), things(found, 1)
+    assert (grid["problem"], goal["problem"]) == ("", "")
+    assert grid["drawing"]["grid"]["origin"] == [2, 0, 0, 0, 0, 0, 1]
+    assert goal["drawing"]["arrows"] == [[0, 0, 0, 0, 0, 0, 1]]
+
+
 def test_frames_of_two_trees_of_a_loop_and_without_a_rotation_have_words() -> None:
-    upright, none = {"rotation": {"w": 1.0}}, {"rotation": dict.fromkeys("xyzw", 0.0)}
+    upright, none = {"rotation": {"w": 1.0}}, {"rotation": {"w": "NaN"}}
+    zeros = {"rotation": dict.fromkeys("xyzw", 0.0)}
     said = [("map", "base", upright), ("one", "two", upright), ("two", "one", upright), ("map", "arm", none)]
+    said.append(("base", "unset", zeros))
     transforms = [
         {"header": {"frame_id": parent}, "child_frame_id": child, "transform": each} for parent, child, each in said
     ]
     robot = MadeUp()
     robot.topic("/tf", TF, {"transforms": transforms})
     with served(robot) as http:
-        problems = {each["name"]: each["problem"] for each in http.get("/frames", headers=JSON).json()["frames"]}
+        frames = {each["name"]: each for each in http.get("/frames", headers=JSON).json()["frames"]}
+        problems = {name: each["problem"] for name, each in frames.items()}
         page = http.get("/frames", headers={"Accept": "text/html"}).text
     assert problems["base"] == ""
     assert "below itself" in problems["one"] + problems["two"]
     assert "is no rotation" in problems["arm"]
+    assert problems["unset"].startswith("Its quaternion is all zero")
+    assert frames["unset"]["pose"] == [0, 0, 0, 0, 0, 0, 1]
     assert "2 trees that nothing connects" in page

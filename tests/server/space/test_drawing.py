@@ -58,7 +58,7 @@ def test_an_ellipse_has_the_axes_of_the_covariance() -> None:
 @pytest.mark.parametrize(
     ("type_name", "value", "words"),
     [
-        ("geometry_msgs/msg/PoseStamped", {"pose": {"orientation": {"w": 0.0}}}, "is no rotation"),
+        ("geometry_msgs/msg/PoseStamped", {"pose": {"orientation": {"w": "NaN"}}}, "is no rotation"),
         ("geometry_msgs/msg/PointStamped", {"point": {"x": "NaN"}}, "nan is no coordinate"),
         ("nav_msgs/msg/OccupancyGrid", {"info": {"resolution": 0.0}}, "cells of the grid are 0 m wide"),
         ("sensor_msgs/msg/LaserScan", {**SCAN, "angle_increment": "NaN", "ranges": [1.0]}, "are no numbers"),

@@ -107,7 +107,7 @@ def test_time_that_begins_anew_forgets_what_was_said_before() -> None:
 def test_what_is_no_tree_and_what_is_no_transform_is_said() -> None:
     nan = float("nan")
     buffer = buffer_of(
-        ("map", "base", 1, (0, 0, 0), (0, 0, 0, 0)),
+        ("map", "base", 1, (0, 0, 0), (0, 0, 0, nan)),
         ("map", "odom", 1, (nan, 0, 0), UPRIGHT),
         ("one", "two", 1, (1, 0, 0), UPRIGHT),
         ("two", "one", 1, (1, 0, 0), UPRIGHT),
@@ -119,7 +119,7 @@ def test_what_is_no_tree_and_what_is_no_transform_is_said() -> None:
     assert "is no rotation" in buffer.problems["base"]
     assert buffer.problems["odom"] == "nan is no coordinate"
     assert "its own parent" in buffer.problems["self"]
-    with pytest.raises(NoTransform, match=r"There is no frame called base: The quaternion \(0, 0, 0, 0\)"):
+    with pytest.raises(NoTransform, match=r"There is no frame called base: The quaternion \(0, 0, 0, nan\)"):
         buffer.look_up("arm", "base")
     with pytest.raises(NoTransform, match="names no frame"):
         buffer.look_up("arm", "")

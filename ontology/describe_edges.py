@@ -10,11 +10,16 @@ from rosld.ontology.describe_graph import NodeView
 from rosld.ontology.document import Document
 from rosld.ontology.triples import RDF_SOURCE, Statement, statements, text, triples_about
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import dcterms, ros
+from rosld.ontology.vocab import dcterms, rdfs, ros
 
 
-def edges_document(url: str, views: Mapping[str, NodeView], space: Space, shown: Set[str]) -> Document:
-    """The nodes among the URLs `shown`, each with those of them that it publishes, subscribes to, provides, asks."""
+def edges_document(
+    url: str, views: Mapping[str, NodeView], space: Space, shown: Set[str], problems: Iterable[tuple[str, str]]
+) -> Document:
+    """The nodes among the URLs `shown`, each with those of them that it publishes, subscribes to, provides, asks.
+
+    `problems` are URLs with what is wrong with the things there, in words.
+    """
     triples: list[Triple] = [*triples_about(NamedNode(url), *RDF_SOURCE, (dcterms.title, text("Who talks to whom")))]
 
     def links(predicate: NamedNode, urls: Iterable[str]) -> list[Statement]:
@@ -29,4 +34,6 @@ def edges_document(url: str, views: Mapping[str, NodeView], space: Space, shown:
                 *links(ros.provides, (*map(space.service, view.provides), *map(space.action, view.serves))),
                 *links(ros.sendsGoalsTo, map(space.action, view.sends_goals_to)),
             )
+    for thing, words in problems:
+        triples += triples_about(NamedNode(thing), (rdfs.comment, text(words)))
     return Document(url, tuple(triples))

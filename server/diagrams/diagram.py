@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -37,7 +37,8 @@ class VertexKind(Enum):
 class Vertex:
     """A thing of the graph, or `count` of them folded into one.
 
-    `rate` is in messages a second, 0.0 where it is not known; `problem` says in words what is wrong with it.
+    `rate` is in messages a second, 0.0 where it is not known; `problem` says in words what is wrong with it. Nobody
+    subscribes to a topic that `is_unheard`, which is not wrong.
     """
 
     key: str
@@ -47,6 +48,21 @@ class Vertex:
     rate: float = 0.0
     problem: str = ""
     count: int = 1
+    is_unheard: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Traffic:
+    """What this server knows of a topic besides the graph.
+
+    `rate` is in messages a second, 0.0 until it is measured; `silence` says in words since when nothing comes of what
+    came steadily; the server itself publishes or subscribes to it or not.
+    """
+
+    rate: float = 0.0
+    silence: str = ""
+    is_published: bool = False
+    is_subscribed: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +82,14 @@ class Diagram:
     vertices: tuple[Vertex, ...]
     edges: tuple[Edge, ...]
     total: int
+
+    @property
+    def problems(self) -> Sequence[tuple[Vertex, str]]:
+        """What is wrong, each with the vertex that it is about: the receiving one of an edge."""
+        by_key = {each.key: each for each in self.vertices}
+        found = [(each, each.problem) for each in self.vertices if each.problem]
+        ends = ((by_key[each.target], by_key[each.source].name, each.problem) for each in self.edges)
+        return [*found, *((target, f"{source}: {problem}") for target, source, problem in ends if problem)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,16 +120,16 @@ def draw_graph(
     graph: Graph,
     space: Space,
     selection: Selection,
-    rate: Callable[[str], float],
+    traffic: Callable[[Topic], Traffic],
     may_read: Callable[[str], bool],
 ) -> Diagram:
-    """The diagram of a graph, without what the reader may not know of. `rate` gives that of a topic by its name."""
+    """The diagram of a graph, without what the reader may not know of. `traffic` is asked once about each topic."""
     draft = _Draft()
-    for vertex in _vertices(graph, space, selection, rate):
+    for vertex in _vertices(graph, space, selection, traffic):
         if may_read(vertex.url):
             draft.vertices[vertex.key] = vertex
     for topic in graph.topics.values():
-        _connect_topic(draft, topic, rate(topic.name))
+        _connect_topic(draft, topic)
     for service in graph.services.values():
         for node in service.providers:
             draft.connect(_key(VertexKind.SERVICE, service.name), _key(VertexKind.NODE, node))
@@ -123,15 +147,16 @@ def _key(kind: VertexKind, name: str) -> str:
     return f"{kind.value} {name}"
 
 
-def _vertices(graph: Graph, space: Space, selection: Selection, rate: Callable[[str], float]) -> Iterator[Vertex]:
+def _vertices(
+    graph: Graph, space: Space, selection: Selection, traffic: Callable[[Topic], Traffic]
+) -> Iterator[Vertex]:
     """All vertices, in the order of their kinds and names."""
     for name, node in sorted(graph.nodes.items()):
         problem = f"does not answer: {node.unreachable}" if node.unreachable else ""
         yield Vertex(_key(VertexKind.NODE, name), VertexKind.NODE, name, space.node(name), problem=problem)
     for name, topic in sorted(graph.topics.items()):
         if selection.everything or not (name in _OF_ROS or graph.is_of_action(name)):
-            key = _key(VertexKind.TOPIC, name)
-            yield Vertex(key, VertexKind.TOPIC, name, space.topic(name), rate(name), _topic_problem(topic))
+            yield _topic_vertex(topic, graph.own_node, space.topic(name), traffic(topic))
     for name, service in sorted(graph.services.items()):
         if selection.everything or not (name.rpartition("/")[2] in _OF_NODES or names.action_of(name)):
             problem = f"cannot be called: {service.uncallable}" if service.uncallable else ""
@@ -140,18 +165,26 @@ def _vertices(graph: Graph, space: Space, selection: Selection, rate: Callable[[
         yield Vertex(_key(VertexKind.ACTION, name), VertexKind.ACTION, name, space.action(name))
 
 
-def _topic_problem(topic: Topic) -> str:
+def _topic_vertex(topic: Topic, own_node: str, url: str, traffic: Traffic) -> Vertex:
+    """A topic. A subscriber without a publisher is wrong, a publisher without a subscriber is not."""
+    is_awaited = any(each.node != own_node for each in topic.subscribers)
+    problem = ""
     if len(topic.types) > 1:
-        return f"types that contradict each other: {', '.join(ref.name for ref in topic.types)}"
-    if topic.publishers and not topic.subscribers:
-        return "unheard: nobody subscribes"
-    if topic.subscribers and not topic.publishers:
-        return "silent: nobody publishes"
-    return ""
+        problem = f"types that contradict each other: {', '.join(ref.name for ref in topic.types)}"
+    elif is_awaited and not topic.publishers and not traffic.is_published:
+        problem = "silent: nobody publishes"
+    elif topic.publishers:
+        problem = traffic.silence
+    is_unheard = not (topic.subscribers or traffic.is_subscribed)
+    key = _key(VertexKind.TOPIC, topic.name)
+    return Vertex(key, VertexKind.TOPIC, topic.name, url, traffic.rate, problem, is_unheard=is_unheard)
 
 
-def _connect_topic(draft: _Draft, topic: Topic, rate: float) -> None:
+def _connect_topic(draft: _Draft, topic: Topic) -> None:
     own = _key(VertexKind.TOPIC, topic.name)
+    if own not in draft.vertices:
+        return
+    rate = draft.vertices[own].rate
     deaf: dict[str, Mismatch] = {}
     for each in mismatches(topic.publishers, topic.subscribers, _MAX_MISMATCHES):
         deaf.setdefault(each.subscriber, each)
@@ -160,7 +193,9 @@ def _connect_topic(draft: _Draft, topic: Topic, rate: float) -> None:
     for endpoint in topic.subscribers:
         words = endpoint.unreachable or ""
         if (one := deaf.get(endpoint.node)) is not None:
-            words = f"does not hear {one.publisher}: {one.policy} {one.offered} is offered, {one.requested} requested"
+            is_known = _key(VertexKind.NODE, one.publisher) in draft.vertices
+            publisher = one.publisher if is_known else "a publisher"
+            words = f"does not hear {publisher}: {one.policy} {one.offered} is offered, {one.requested} requested"
         draft.connect(own, _key(VertexKind.NODE, endpoint.node), rate, words)
 
 

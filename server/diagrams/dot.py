@@ -12,7 +12,7 @@ _SHAPES = {
     VertexKind.SERVICE: "shape=box, style=dotted",
     VertexKind.ACTION: "shape=box, style=dashed",
 }
-_BAD = 'color="#93231c", fontcolor="#93231c"'
+_BAD, _UNHEARD = 'color="#93231c", fontcolor="#93231c"', 'color="#cfd3d3", fontcolor="#5c676b"'
 
 
 def write_dot(diagram: Diagram) -> str:
@@ -24,8 +24,8 @@ def write_dot(diagram: Diagram) -> str:
 def _vertex(vertex: Vertex) -> str:
     words = f"{vertex.name} ({vertex.count} {vertex.kind.value}s)" if vertex.count > 1 else vertex.name
     told = "\n".join(filter(None, (words, vertex.problem)))
-    bad = f", {_BAD}" if vertex.problem else ""
-    return f"  {_quote(vertex.key)} [{_SHAPES[vertex.kind]}, label={_quote(told)}, URL={_quote(vertex.url)}{bad}];"
+    state = f", {_BAD}" if vertex.problem else f", {_UNHEARD}" if vertex.is_unheard else ""
+    return f"  {_quote(vertex.key)} [{_SHAPES[vertex.kind]}, label={_quote(told)}, URL={_quote(vertex.url)}{state}];"
 
 
 def _edge(edge: Edge) -> str:

@@ -45,7 +45,7 @@ def _by_neighbours(depth: int) -> Grouping:
             if vertex.kind is VertexKind.NODE:
                 return None
             ends = frozenset(before[vertex.key]), frozenset(after[vertex.key])
-            return vertex.kind, bool(vertex.problem), _namespace(vertex)[:depth], *ends
+            return vertex.kind, bool(vertex.problem), vertex.is_unheard, _namespace(vertex)[:depth], *ends
 
         return key_of
 
@@ -110,4 +110,5 @@ def _folded(group: Sequence[Vertex], graph_url: str) -> Vertex:
         sum(each.rate for each in group),
         problem,
         count,
+        all(each.is_unheard for each in group),
     )

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import NamedTuple
@@ -11,8 +11,11 @@ from typing import NamedTuple
 _GAP_X, _GAP_Y = 56.0, 12.0
 _MARGIN = 12.0
 _SWEEPS = 8
-_BEND = 4.0
-"""The height that an edge takes where it passes a rank."""
+_BEND = 6.0
+"""The height that an edge takes where it passes a rank, its gap included."""
+_PAGE = (1300.0, 900.0)
+"""Pixels of width and height: what is higher is set in several columns, as far as the page is filled better then."""
+_MAX_COLUMNS = 6
 
 
 class Size(NamedTuple):
@@ -48,12 +51,59 @@ class _Layers:
 
 
 def lay_out(sizes: Mapping[str, Size], edges: Iterable[tuple[str, str]]) -> Layout:
-    """Places for boxes of these sizes and edges between them; boxes without edges stand below all others."""
+    """Places for boxes of these sizes and edges between them; boxes without edges stand below all others.
+
+    Ranks are split into several columns where the drawing is higher than a page.
+    """
     pairs = list(dict.fromkeys(pair for pair in edges if pair[0] != pair[1]))
     ends = {key for pair in pairs for key in pair}
     connected = [key for key in sizes if key in ends]
+    return min(_layouts(sizes, pairs, connected), key=_pages)
+
+
+def _layouts(sizes: Mapping[str, Size], pairs: Sequence[tuple[str, str]], connected: Sequence[str]) -> Iterator[Layout]:
+    """Layouts to choose from, up to the first that fits on a page."""
     forward = _acyclic(connected, pairs)
-    ranks = _rank(connected, forward)
+    choices = [(forward, _rank(connected, forward))]
+    if (three := _three_ranks(connected, pairs)) is not None:
+        choices.append(({pair if three[pair[0]] < three[pair[1]] else pair[::-1] for pair in pairs}, three))
+    for forward, ranks in choices:
+        found, layers = _lay_out_ranks(sizes, pairs, connected, forward, ranks)
+        yield found
+        ordered = [[key for key in rank if isinstance(key, str)] for rank in layers.ranks]
+        tallest = max(map(len, ordered), default=0)
+        for columns in range(2, _MAX_COLUMNS + 1):
+            if _pages(found) <= 1:
+                return
+            wrapped = _wrap(ordered, max(-(-tallest // columns), 1))
+            found, _ = _lay_out_ranks(sizes, pairs, list(wrapped), forward, wrapped)
+            yield found
+
+
+def _pages(layout: Layout) -> float:
+    """By how much a drawing is larger than a page."""
+    return max(layout.size.width / _PAGE[0], layout.size.height / _PAGE[1])
+
+
+def _wrap(ordered: Sequence[Sequence[str]], most: int) -> dict[str, int]:
+    """Ranks of at most so many boxes: neighbours in a rank come to stand in columns beside each other."""
+    ranks: dict[str, int] = {}
+    first = 0
+    for rank in ordered:
+        columns = -(-len(rank) // most)
+        ranks |= {key: first + index % columns for index, key in enumerate(rank)}
+        first += columns
+    return ranks
+
+
+def _lay_out_ranks(
+    sizes: Mapping[str, Size],
+    pairs: Iterable[tuple[str, str]],
+    connected: Sequence[str],
+    forward: set[tuple[str, str]],
+    ranks: Mapping[str, int],
+) -> tuple[Layout, _Layers]:
+    """The layout of boxes in these ranks, and their order."""
     layers, chains = _layers(connected, forward, ranks)
     _order(layers)
     centres, lefts, widths = _places(layers, sizes)
@@ -71,7 +121,7 @@ def lay_out(sizes: Mapping[str, Size], edges: Iterable[tuple[str, str]]) -> Layo
             route += [Point(lefts[rank], centres[bend]), Point(lefts[rank] + widths[rank], centres[bend])]
         route.append(Point(corners[end].x, centres[end]))
         routes[pair] = route[::-1] if turned else route
-    return Layout(corners, routes, Size(right + _MARGIN, bottom + _MARGIN))
+    return Layout(corners, routes, Size(right + _MARGIN, bottom + _MARGIN)), layers
 
 
 def _acyclic(keys: Sequence[str], pairs: Sequence[tuple[str, str]]) -> set[tuple[str, str]]:
@@ -122,6 +172,33 @@ def _rank(keys: Sequence[str], forward: set[tuple[str, str]]) -> dict[str, int]:
     return ranks
 
 
+def _three_ranks(keys: Sequence[str], pairs: Iterable[tuple[str, str]]) -> dict[str, int] | None:
+    """Nodes on both sides of all else, by which way most of their edges go; None where edges join two of a kind.
+
+    A node both publishes and subscribes, so that a robot is full of cycles, and the longest way through it too long.
+    """
+    near, flow = defaultdict[str, list[str]](list), Counter[str]()
+    for source, target in pairs:
+        near[source].append(target)
+        near[target].append(source)
+        flow[source] += 1
+        flow[target] -= 1
+    is_middle: dict[str, bool] = {}
+    for root in keys:
+        if root in is_middle:
+            continue
+        is_middle[root], waiting = False, [root]
+        while waiting:
+            key = waiting.pop()
+            for other in near[key]:
+                if other not in is_middle:
+                    is_middle[other] = not is_middle[key]
+                    waiting.append(other)
+                elif is_middle[other] is is_middle[key]:
+                    return None
+    return {key: 1 if is_middle[key] else 0 if flow[key] >= 0 else 2 for key in keys}
+
+
 def _layers(
     keys: Sequence[str], forward: set[tuple[str, str]], ranks: Mapping[str, int]
 ) -> tuple[_Layers, dict[tuple[str, str], list[tuple[tuple[str, str], int]]]]:
@@ -167,7 +244,9 @@ def _order(layers: _Layers) -> None:
 
 def _places(layers: _Layers, sizes: Mapping[str, Size]) -> tuple[dict[Hashable, float], list[float], list[float]]:
     """The y of each centre, the x at which each rank begins, and how wide it is."""
-    heights = {key: sizes[key].height if isinstance(key, str) else _BEND for rank in layers.ranks for key in rank}
+    heights = {
+        key: sizes[key].height + _GAP_Y if isinstance(key, str) else _BEND for rank in layers.ranks for key in rank
+    }
     widths = [max((sizes[key].width for key in rank if isinstance(key, str)), default=0.0) for rank in layers.ranks]
     lefts, x = [], _MARGIN
     for width in widths:
@@ -184,7 +263,7 @@ def _places(layers: _Layers, sizes: Mapping[str, Size]) -> tuple[dict[Hashable, 
                 wanted.append(sum(centres[each] for each in near) / len(near) if near else centres[key])
             centres |= _spread(rank, wanted, heights)
     top = min((centres[key] - heights[key] / 2 for key in centres), default=0.0)
-    return {key: y - top + _MARGIN for key, y in centres.items()}, lefts, widths
+    return {key: y - top + _MARGIN - _GAP_Y / 2 for key, y in centres.items()}, lefts, widths
 
 
 def _spread(
@@ -194,7 +273,7 @@ def _spread(
     offsets, offset = [], 0.0
     for index, key in enumerate(rank):
         if index:
-            offset += (heights[rank[index - 1]] + heights[key]) / 2 + _GAP_Y
+            offset += (heights[rank[index - 1]] + heights[key]) / 2
         offsets.append(offset)
     pools: list[tuple[float, int]] = []
     for value, each in zip(wanted, offsets, strict=True):
@@ -210,7 +289,7 @@ def _place_apart(
     sizes: Mapping[str, Size], keys: Sequence[str], corners: dict[str, Point], right: float, bottom: float
 ) -> tuple[float, float]:
     """Put boxes without edges in rows below all others; the size of all."""
-    limit = max(right, 900.0)
+    limit = max(right, _PAGE[0])
     x, y, row = _MARGIN, bottom + _GAP_Y, 0.0
     for key in keys:
         size = sizes[key]

@@ -17,13 +17,14 @@ _LONGEST = 34
 _UNPRINTABLE = re.compile(r"[^\x20-\x7e\xa0-\ud7ff\uf900-\ufdcf\ufdf0-\ufffd]|[\u202a-\u202e\u2066-\u2069]")
 _STYLE = """
 svg { font: 13px ui-sans-serif, system-ui, "Segoe UI", Roboto, "Liberation Sans", sans-serif; color-scheme: light dark;
-  --ink: #1f2629; --quiet: #5c676b; --card: #ffffff; --edge: #8a9295; --accent: #0f5f66;
+  --ink: #1f2629; --quiet: #5c676b; --line: #cfd3d3; --card: #ffffff; --edge: #8a9295; --accent: #0f5f66;
   --bad: #93231c; --wash: #eef3f1; }
-@media (prefers-color-scheme: dark) { svg { --ink: #e2e6e4; --quiet: #9ca8ab; --card: #1a2023; --edge: #6d797d;
-  --accent: #80cac6; --bad: #f2a59d; --wash: #1e2729; background: #14191b; } }
+@media (prefers-color-scheme: dark) { svg { --ink: #e2e6e4; --quiet: #9ca8ab; --line: #3c474b; --card: #1a2023;
+  --edge: #6d797d; --accent: #80cac6; --bad: #f2a59d; --wash: #1e2729; background: #14191b; } }
 .vertex rect { fill: var(--card); stroke: var(--edge); } .vertex.node rect { fill: var(--wash); stroke: var(--accent); }
 .vertex.service rect { stroke-dasharray: 2 3; } .vertex.action rect { stroke-dasharray: 7 3; }
 .vertex text { fill: var(--ink); } .vertex .words { fill: var(--quiet); font-size: 11px; }
+.vertex.unheard rect { stroke: var(--line); } .vertex.unheard text { fill: var(--quiet); }
 .vertex.bad rect { stroke: var(--bad); stroke-width: 2; } .vertex.bad .words { fill: var(--bad); }
 .edge path { fill: none; stroke: var(--edge); } .edge.bad path { stroke: var(--bad); stroke-dasharray: 5 4; }
 .arrow { fill: var(--edge); } .edge.bad .arrow { fill: var(--bad); } a { text-decoration: none; }
@@ -69,11 +70,12 @@ def _size(vertex: Vertex, words: str) -> Size:
 
 def _vertex(vertex: Vertex, words: str, size: Size, layout: Layout, href: Callable[[str], str | None]) -> str:
     x, y = layout.corners[vertex.key]
-    bad = " bad" if vertex.problem else ""
+    state = " bad" if vertex.problem else " unheard" if vertex.is_unheard else ""
     round_corner = 14 if vertex.kind is VertexKind.NODE else 3
-    told = "; ".join(filter(None, (f"{vertex.kind.value} {label(vertex)}", vertex.problem)))
+    unheard = "nobody subscribes" if vertex.is_unheard else ""
+    told = "; ".join(filter(None, (f"{vertex.kind.value} {label(vertex)}", vertex.problem, unheard)))
     body = (
-        f'<g class="vertex {vertex.kind.value}{bad}"><title>{_text(told)}</title>'
+        f'<g class="vertex {vertex.kind.value}{state}"><title>{_text(told)}</title>'
         f'<rect x="{x:.1f}" y="{y:.1f}" width="{size.width:.0f}" height="{size.height:.0f}" rx="{round_corner}"></rect>'
         f'<text x="{x + _PADDING:.1f}" y="{y + 19.5:.1f}">{_text(label(vertex))}</text>'
         + (f'<text class="words" x="{x + _PADDING:.1f}" y="{y + 35.5:.1f}">{_text(words)}</text>' if words else "")

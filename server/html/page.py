@@ -332,7 +332,7 @@ class GraphPage:
     """The page at `/graph`: `svg` is its drawing, already escaped, of `shown` vertices that stand for `total` things.
 
     `below` is the name that it is limited to, `namespaces` are those to choose from, `problems` are what is wrong, each
-    with the URL and the name of what it is wrong with.
+    with the URL of what it is wrong with.
     """
 
     site: Site
@@ -343,7 +343,7 @@ class GraphPage:
     below: str = ""
     everything: bool = False
     namespaces: tuple[str, ...] = ()
-    problems: tuple[tuple[str, str, str], ...] = ()
+    problems: tuple[tuple[str, str], ...] = ()
     notices: tuple[Notice, ...] = ()
 
 

@@ -343,7 +343,7 @@ def render_graph(page: GraphPage) -> bytes:
         formats=[replace(each, query=query) for each in (*_GRAPH_FORMATS, *ALTERNATES)],
         problems=[
             (anchor, escape_controls(words))
-            for url, _, words in page.problems
+            for url, words in page.problems
             if (anchor := page.site.anchor(url)) is not None
         ],
     )

@@ -10,12 +10,13 @@ import orjson
 from starlette.responses import Response
 
 from rosld.adapters.base import Watch
-from rosld.adapters.model import Graph
+from rosld.adapters.model import Graph, Topic
 from rosld.ontology.describe_edges import edges_document
 from rosld.ontology.describe_graph import node_views
+from rosld.ontology.literals import date_time
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.diagrams import dot, svg
-from rosld.server.diagrams.diagram import Diagram, Selection, draw_graph, namespaces_of
+from rosld.server.diagrams.diagram import Diagram, Selection, Traffic, draw_graph, namespaces_of
 from rosld.server.diagrams.fold import fold
 from rosld.server.html import Csrf, Form, GraphPage, Notice, Site, render_graph
 from rosld.server.http import negotiation
@@ -32,13 +33,18 @@ from rosld.server.rest.raw_response import bytes_response
 from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource
 from rosld.server.rest.resource_headers import resource_headers
 from rosld.server.rest.state import State
+from rosld.server.robot.diagnostic_states import STALE_SECONDS
 from rosld.server.robot.session import Session
+from rosld.server.robot.topic_view import EMPTY_VIEW, TopicView
+from rosld.server.robot.velocity import OCCASIONAL_TYPES
 from rosld.server.runtime.signals import call_every
 
 _DRAWINGS = {"svg": svg.MEDIA_TYPE, "dot": dot.MEDIA_TYPE}
 _MAX_NAME = 300
 _MAX_PROBLEMS = 200
 _LOOK_SECONDS = 2.0
+_STEADY = 10
+"""Messages of a publisher from which on it can fall silent: fewer are single events."""
 _POLICY = "default-src 'none'; style-src 'unsafe-inline'; frame-ancestors 'none'"
 """Of a drawing by itself: its own style, and nothing else."""
 _PARAMETERS = (
@@ -61,6 +67,7 @@ _PLAIN: DataSchema = {
                     "url": URI,
                     "rate": {"type": "number"},
                     "problem": TEXT,
+                    "unheard": {"type": "boolean"},
                 },
                 "required": ["name", "kind", "url"],
             },
@@ -131,7 +138,8 @@ class GraphResource(Resource):
         diagram = self._diagram(graph)
         plain = _plain(diagram)
         views, urls = node_views(graph), frozenset(each.url for each in diagram.vertices)
-        describe = partial(edges_document, self.url, views, self.session.space, urls)
+        problems = [(each.url, words) for each, words in diagram.problems]
+        describe = partial(edges_document, self.url, views, self.session.space, urls, problems)
         return State(describe, lambda: plain, digest(plain))
 
     def _graph(self) -> Graph:
@@ -139,12 +147,28 @@ class GraphResource(Resource):
         return listed_graph(self.session.graph, self.session.adapter.capabilities)
 
     def _diagram(self, graph: Graph) -> Diagram:
-        return draw_graph(graph, self.session.space, self._selection, self._rate, self._permissions.may_read)
+        return draw_graph(graph, self.session.space, self._selection, self._traffic, self._permissions.may_read)
 
-    def _rate(self, topic: str) -> float:
-        """The rate of a topic to two digits, as far as it is known without a look: it shall not change all the time."""
-        view = self.session.topics.last_view(topic)
-        return float(f"{view.rate:.2g}") if view is not None else 0.0
+    def _traffic(self, topic: Topic) -> Traffic:
+        """What is known of a topic without subscribing to it; the rate has two digits, to change rarely."""
+        session, view = self.session, self.session.topics.peek(topic.name) or EMPTY_VIEW
+        silence = "" if any(each.name in OCCASIONAL_TYPES for each in topic.types) else self._silence(view)
+        return Traffic(
+            0.0 if silence else float(f"{view.rate:.2g}"),
+            silence,
+            topic.name in session.adapter.published,
+            session.adapter.subscriptions[topic.name] > 0,
+        )
+
+    def _silence(self, view: TopicView) -> str:
+        """Since when nothing comes, where messages came at least once a second."""
+        newest = view.newest
+        if newest is None or view.rate < 1.0 or newest.sequence < _STEADY:
+            return ""
+        if self.session.adapter.age_ns(newest) < STALE_SECONDS * 1e9:
+            return ""
+        since = date_time(0, newest.received_ns)
+        return f"fell silent: no message since {since}, {view.rate:.2g} a second before"
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
         """The drawing as SVG, folded where it is large, or whole as DOT, where that is preferred."""
@@ -173,13 +197,7 @@ class GraphResource(Resource):
     def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
         diagram = self._diagram(self._graph())
         folded = fold(diagram, self._base)
-        names = {each.key: each for each in diagram.vertices}
-        problems = [(each.url, each.name, each.problem) for each in diagram.vertices if each.problem]
-        problems += [
-            (names[each.target].url, names[each.target].name, f"{names[each.source].name}: {each.problem}")
-            for each in diagram.edges
-            if each.problem
-        ]
+        problems = [(each.url, words) for each, words in diagram.problems[:_MAX_PROBLEMS]]
         return render_graph(
             GraphPage(
                 site,
@@ -190,7 +208,7 @@ class GraphResource(Resource):
                 self._selection.below,
                 self._selection.everything,
                 namespaces_of(diagram),
-                tuple(problems[:_MAX_PROBLEMS]),
+                tuple(problems),
                 tuple(notices),
             )
         )
@@ -202,6 +220,7 @@ def _plain(diagram: Diagram) -> bytes:
         {"name": each.name, "kind": each.kind.value, "url": each.url}
         | ({"rate": each.rate} if each.rate else {})
         | ({"problem": each.problem} if each.problem else {})
+        | ({"unheard": True} if each.is_unheard else {})
         for each in diagram.vertices
     ]
     edges = [

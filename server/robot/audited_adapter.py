@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 
@@ -12,16 +13,37 @@ from rosld.server.receipts.audit_context import current_audit, record_step
 from rosld.server.robot.interlock import WriteInterlock
 
 
+class _CountedSubscription:
+    """A subscription that is counted until it is closed; what reads it is the adapter's own."""
+
+    def __init__(self, inner: Subscription, topic: str, counts: Counter[str]) -> None:
+        self.latest = inner.latest
+        self.watch = inner.watch
+        self._inner = inner
+        self._topic = topic
+        self._counts = counts
+        self._is_open = True
+        counts[topic] += 1
+
+    def close(self) -> None:
+        """Close the subscription. Idempotent."""
+        if self._is_open:
+            self._is_open = False
+            self._counts[self._topic] -= 1
+            self._inner.close()
+
+
 class AuditedAdapter:
     """An `Adapter` behind the interlock that records each write in the audit context of its request.
 
     `inner` is the adapter itself, for what reads by calling (getters). `published` are the topics that were published
-    to, until they are no longer advertised.
+    to, until they are no longer advertised; `subscriptions` counts those that are open, by topic.
     """
 
     def __init__(self, inner: Adapter, interlock: WriteInterlock, space: Space) -> None:
         self.inner = inner
         self.published: set[str] = set()
+        self.subscriptions = Counter[str]()
         self._interlock = interlock
         self._space = space
         self._topic_url = lru_cache(maxsize=4096)(space.topic)
@@ -160,7 +182,7 @@ class AuditedAdapter:
 
     async def subscribe(self, topic: str, *, depth: int = 1) -> Subscription:
         """`Adapter.subscribe`."""
-        return await self.inner.subscribe(topic, depth=depth)
+        return _CountedSubscription(await self.inner.subscribe(topic, depth=depth), topic, self.subscriptions)
 
     def age_ns(self, sample: Sample) -> int:
         """`Adapter.age_ns`."""

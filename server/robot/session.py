@@ -46,7 +46,7 @@ class Session:
         live = LiveSettings(
             settings.first_value_wait, settings.idle_time, settings.subscription_budget, tuple(settings.subscribe)
         )
-        self.topics = LiveTopics(adapter, self.schemas, live)
+        self.topics = LiveTopics(self.adapter, self.schemas, live)
         self.calls = Calls(
             self.adapter,
             lambda service: self.announce_write(Kind.SERVICE, service),

@@ -15,6 +15,12 @@ from rosld.server.robot.write_policy import is_reserved
 LEFT_OUT = "!"
 """What begins a glob of --stop-zero whose topics are told nothing."""
 
+OCCASIONAL_TYPES = COMMANDS | {
+    "geometry_msgs/msg/PointStamped", "geometry_msgs/msg/PoseStamped", "nav_msgs/msg/Path",
+    "rcl_interfaces/msg/Log", "rosgraph_msgs/msg/Log", "sensor_msgs/msg/Joy", "trajectory_msgs/msg/JointTrajectory",
+}  # fmt: skip
+"""Types of what is published while something is under way: their topics fall silent when all is well."""
+
 
 def is_velocity_topic(topic: Topic, graph: Graph, globs: Sequence[str]) -> bool:
     """Whether zero on a topic stops the robot: by the topic's type, or by the globs of --stop-zero.

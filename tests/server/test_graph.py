@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 
 import httpx
 import pytest
-from rdflib import Graph, URIRef
+from rdflib import RDFS, Graph, URIRef
 
 from rosld.adapters.base import AdapterOptions
 from rosld.adapters.registry import adapter_for
@@ -78,7 +78,35 @@ def test_a_part_of_it_is_drawn_and_described(rover: httpx.Client) -> None:
     page = get(rover, "graph?below=/camera", "text/html").text
     assert "below <bdi>/camera</bdi>" in page
     assert page.count("<rect") == 4
-    assert "unheard: nobody subscribes" in page
+
+
+def test_red_is_only_what_is_wrong_and_all_forms_say_the_same(robot: Any, serving: Any, monkeypatch: Any) -> None:
+    robot.topics(["/unheard", "/recorded", "/steady", "/spoken"], "std_msgs/msg/String")
+    robot.topic("/wished", "std_msgs/msg/String", published=False, heard=True)
+    http = serving()
+    for name in ("recorded", "steady"):
+        get(http, f"topics/{name}", "application/json")
+    for _ in range(12):
+        robot.publishes("/steady", {"data": ""})
+        get(http, "topics/steady", "application/json")
+    monkeypatch.setattr("rosld.server.resources.graph.STALE_SECONDS", 0.0)
+    vertices = {each["name"]: each for each in get(http, accept="application/json").json()["vertices"]}
+    assert {name for name, each in vertices.items() if each.get("unheard")} == {"/unheard", "/spoken"}
+    problems = {name: each["problem"] for name, each in vertices.items() if "problem" in each}
+    assert problems.keys() == {"/wished", "/steady"}
+    assert problems["/wished"] == "silent: nobody publishes"
+    assert problems["/steady"].startswith("fell silent: no message since 20")
+    turtle = Graph().parse(data=get(http).text, format="turtle")
+    said = {str(thing).rpartition("/topics")[2]: str(words) for thing, words in turtle.subject_objects(RDFS.comment)}
+    assert said == problems
+    page = get(http, accept="text/html").text
+    assert page.count('class="vertex topic bad"') == 2
+    assert page.count('class="error"') == 2
+    drawing = get(http, "graph?format=svg").text
+    assert (drawing.count('topic bad"'), drawing.count('topic unheard"')) == (2, 2)
+    robot.publishes("/steady", {"data": ""})
+    monkeypatch.undo()
+    assert "fell silent" not in get(http, accept="text/html").text
 
 
 def test_a_name_is_text_on_the_page(robot: Any, serving: Any) -> None:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from rosld.adapters.model import Action, Endpoint, Graph, Node, Service, Topic, TypeRef
 from rosld.adapters.model.qos import Qos
 from rosld.ontology.urls import Space
-from rosld.server.diagrams.diagram import Diagram, Selection, VertexKind, common_prefix, draw_graph
+from rosld.server.diagrams.diagram import Diagram, Selection, Traffic, VertexKind, common_prefix, draw_graph
 from rosld.server.diagrams.fold import MAX_VERTICES, fold
 from rosld.server.diagrams.layout import Size, lay_out
 from rosld.server.diagrams.svg import thickness, write_svg
@@ -46,7 +46,7 @@ def graph(*topics: Topic, services: Iterable[Service] = (), actions: Iterable[Ac
 
 
 def drawn(found: Graph, below: str = "", *, everything: bool = False, hidden: str = "?") -> Diagram:
-    return draw_graph(found, SPACE, Selection(below, everything), lambda _: 0.0, lambda url: hidden not in url)
+    return draw_graph(found, SPACE, Selection(below, everything), lambda _: Traffic(), lambda url: hidden not in url)
 
 
 def edges(diagram: Diagram) -> set[str]:
@@ -84,11 +84,12 @@ def test_everything_is_connected_the_way_that_messages_calls_and_goals_go() -> N
 
 def test_what_is_wrong_is_said_in_words() -> None:
     assert problems(drawn(ROBOT)) == {
-        "topic /lonely": "unheard: nobody subscribes",
         "topic /wished": "silent: nobody publishes",
         "topic /camera/image -> node /nav":
             "does not hear /camera: reliability best_effort is offered, reliable requested",
     }  # fmt: skip
+    assert [each.name for each in drawn(ROBOT).vertices if each.is_unheard] == ["/lonely"]
+    assert "/camera:" not in str(problems(drawn(ROBOT, hidden="/nodes/camera")))
 
 
 def test_the_topics_of_an_action_of_ros_1_are_drawn_as_the_action_alone() -> None:
@@ -138,7 +139,6 @@ def test_three_hundred_topics_are_folded_to_what_can_be_read(count: int, spread:
     assert folded
     assert len(found.edges) <= 2 * MAX_VERTICES
     assert all(each.url.startswith(("http://robot/graph?below=/area_", "http://robot/topics/")) for each in folded)
-    assert any("unheard" in each.problem for each in found.vertices)
     kinds = {each.key: each.kind for each in found.vertices}
     assert all(kinds[each.source] is not kinds[each.target] for each in found.edges)
 
@@ -147,6 +147,18 @@ def test_a_small_graph_is_not_folded() -> None:
     assert fold(drawn(ROBOT), "http://robot/graph") == drawn(ROBOT)
     assert common_prefix(["/a/b/c", "/a/b/d"]) == "/a/b"
     assert common_prefix(["/a", "/b"]) == "/"
+
+
+@pytest.mark.parametrize("subscribers", [["/logger"], []], ids=["all are recorded by one node", "nobody subscribes"])
+def test_three_hundred_topics_are_drawn_on_one_page(subscribers: list[str]) -> None:
+    part = "/arm_{0}/{1}", "/arm_{0}/driver"
+    topics = (topic(part[0].format(n % 65, n), [part[1].format(n % 65)], subscribers) for n in range(325))
+    flat = (topic(f"/topic_{n}", [f"/node_{n % 60}"], [f"/node_{n * 7 % 60}"]) for n in range(325))
+    for robot in (graph(*topics), graph(*flat), large(325, 5)):
+        text = write_svg(fold(drawn(robot), "http://robot/graph"), lambda url: url, "robot", alone=True)
+        width, height = (float(ElementTree.fromstring(text).get(side, "")) for side in ("width", "height"))
+        assert height <= 1000
+        assert 300 < width < 1400
 
 
 @settings(max_examples=60, deadline=None)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 
-from rosld.ontology.vocab import PREFIXES
+from rosld.ontology.vocab import PREFIXES, hctl, htv, td
 from rosld.server.dataset import QueryError
 from rosld.server.dataset.encoding import NAMESPACE
 from rosld.server.dataset.shared_triples import Lookup
@@ -30,11 +30,13 @@ from rosld.server.sparql.syntax.lexer import (
 )
 from rosld.server.sparql.syntax.query import parse_query
 from rosld.server.sparql.syntax.token import Kind
-from rosld.server.sparql.syntax.tree import Group, Query, Variable, graphs_around
+from rosld.server.sparql.syntax.tree import TYPE, Group, Iri, Pattern, Query, Variable, graphs_around
 from rosld.server.sparql.vocabulary_view import VocabularyView
 
 _KEPT = 512
 _NO_RELATIONS = frozenset[str]()
+_OFFERS = (td.iri, hctl.iri, htv.iri)
+"""The vocabularies of affordances and forms."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +48,7 @@ class Analysis:
     graphs that all its patterns stand in (GRAPH), None where one may match in others. `plan` is how to find out whether
     it takes long over a dataset, None where it may. `asks_age`: it calls ros:age, as far as is known. `functions` are
     those that it calls by IRI, `lookups` what its patterns look for in the default graph. `names_graphs`: there is a
-    GRAPH. `past` is what it asks of recorded messages.
+    GRAPH. `past` is what it asks of recorded messages. `finds_offers`: its patterns may match affordances and forms.
     """
 
     text: str
@@ -62,6 +64,7 @@ class Analysis:
     lookups: tuple[Lookup, ...] = ()
     names_graphs: bool = False
     past: PastQuery | None = None
+    finds_offers: bool = True
 
 
 class Analyser:
@@ -124,6 +127,7 @@ class Analyser:
             default_lookups(query),
             names_graphs(query.where),
             past,
+            query.form == "DESCRIBE" or _finds_offers(query.where),
         )
 
     def _used_prefixes(self, checked: CheckedText) -> Mapping[str, str]:
@@ -143,6 +147,18 @@ def _names_any(group: Group) -> bool:
     """Whether there is a GRAPH with a variable, which may stand for any graph even with no pattern in it."""
     inner = (*group.children, *group.filters)
     return isinstance(group.graph, Variable) or any(map(_names_any, inner))
+
+
+def _finds_offers(group: Group) -> bool:
+    """Whether a pattern may match what says of a resource that something may be done with it."""
+    return any(map(_is_of_offers, group.patterns)) or any(map(_finds_offers, (*group.children, *group.filters)))
+
+
+def _is_of_offers(pattern: Pattern) -> bool:
+    if pattern.predicates is None or any(each.startswith(_OFFERS) for each in pattern.predicates):
+        return True
+    is_typed = isinstance(pattern.object, Iri) and not pattern.object.value.startswith(_OFFERS)
+    return TYPE in pattern.predicates and (pattern.repeated or not is_typed)
 
 
 def parse_problem(error: QueryError, text: str) -> Problem:

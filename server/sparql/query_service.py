@@ -139,7 +139,7 @@ class QueryService:
             async with self._sync(needs, limits, _scope(analysis, request)):
                 query = self._query(analysis, request, permissions, self._hiding(past))
                 work = AnswerWork(query, media_type, limits.rows, least)
-                body = await self._run_work(work, analysis.text, limits, until, disconnected, permissions)
+                body = await self._run_work(work, analysis, limits, until, disconnected, permissions)
             if not least or (body := await _whole(body)):
                 break
         return QueryAnswer(media_type, body, unread)
@@ -161,9 +161,7 @@ class QueryService:
             async with self._sync(needs, limits, _scope(analysis, request)):
                 query = self._query(analysis, request, permissions, self._hiding(past))
                 work = FirstRows(query, limit, least)
-                whole = await _whole(
-                    await self._run_work(work, analysis.text, limits, until, disconnected, permissions)
-                )
+                whole = await _whole(await self._run_work(work, analysis, limits, until, disconnected, permissions))
             if whole:
                 break
         table: ResultRows = pickle.loads(whole)  # from our own process
@@ -297,21 +295,21 @@ class QueryService:
     async def _run_work(
         self,
         work: Work,
-        text: str,
+        analysis: Analysis,
         limits: Limits,
         until: float,
         disconnected: Disconnected | None,
         permissions: Permissions,
     ) -> bytes | AsyncIterator[bytes]:
         dataset = 0
-        if not permissions.may_read_all:
+        if not (permissions.is_unrestricted or (permissions.may_read_all and not analysis.finds_offers)):
             if self._restricted is None:
                 raise Problem(403, "Queries are for those who may read everything.")
             dataset = await self._restricted.dataset_for(permissions, limits, until)
         try:
             return await self._process.answer(work, limits, until, disconnected, dataset)
         except QueryError as error:
-            raise parse_problem(error, text) from error
+            raise parse_problem(error, analysis.text) from error
 
 
 async def _whole(body: bytes | AsyncIterator[bytes]) -> bytes:

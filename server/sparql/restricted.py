@@ -1,4 +1,4 @@
-"""Restricted datasets, for agents that may not read everything: one a set of rights, updated when it is queried.
+"""Restricted datasets, for agents that may not read or do everything: one a set of rights, updated when it is queried.
 
 An explicit dataset of the graphs that may be read would hide these graphs, but not what other graphs say of them, and
 costs every query anew. A restricted dataset costs a copy of what changed, once for all agents of the same rights, and

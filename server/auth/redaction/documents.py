@@ -55,7 +55,7 @@ class _Redaction:
                 self._is_hidden(each.subject)
                 or self._is_hidden(each.object)
                 or each.subject in parts
-                or each.predicate in _TELLING
+                or (each.predicate in _TELLING and not self._permissions.may_read_all)
             )
         ]
         after = self._remove_unusable_forms(after)

@@ -98,6 +98,13 @@ class Settings:
         option=True,
         metavar="GLOB",
     )
+    allow_non_finite: tuple[str, ...] = setting(
+        (),
+        "Topics, services, actions and parameters that are sent any number: NaN, infinities, and what is larger than a "
+        "command may be (3.4e38, velocities 1e6). Repeatable.",
+        option=True,
+        metavar="GLOB",
+    )
     stop_zero: tuple[str, ...] = setting(
         (),
         "Topics on which a stop publishes zero, beside those that command velocities by their type (Twist, "
@@ -374,6 +381,8 @@ class Settings:
             check_topic_glob("--subscribe", glob)
         for glob in self.allow_publish:
             check_topic_glob("--allow-publish", glob)
+        for glob in self.allow_non_finite:
+            check_topic_glob("--allow-non-finite", glob)
         for glob in self.stop_zero:
             check_topic_glob("--stop-zero", glob.removeprefix("!"))
         for origin in self.cors_origins:

@@ -42,7 +42,7 @@ def accepted_message_document(
     """
     writer, class_ = ShapesWriter(url), NamedNode(space.class_of(schema.ref.name))
     _describe(writer, space, title, demand)
-    fields = AcceptedFields(writer, schema, space, AcceptedValues(writer), is_target=True)
+    fields = AcceptedFields(writer, schema, space, AcceptedValues(writer, demand.largest), is_target=True)
     write_message_shapes(writer, schema, space, fields)
     if schema.type.fields:
         present = writer.blank(
@@ -72,7 +72,8 @@ def accepted_value_document(
     The value is of one of these `kinds`, and fulfils what limits demand of that.
     """
     writer, root = ShapesWriter(url), NamedNode(subject)
-    values, alternatives = AcceptedValues(writer), list[Value]()
+    # Whatever the kind, it is sent to the same topic, service or parameter.
+    values, alternatives = AcceptedValues(writer, kinds[0][1].largest), list[Value]()
     _describe(writer, space, title, Demand(is_all=all(demand.is_all for _, demand in kinds)))
     for kind, demand in kinds:
         if isinstance(kind, MessageSchema):

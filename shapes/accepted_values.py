@@ -2,7 +2,8 @@
 
 Whoever writes Turtle by hand says `1` or `0.5` where ROS has a double, and a program says whatever numbers its language
 has. So any number of XSD is taken that the field can hold: for an integer all integers, and decimals that are whole;
-for a float all numbers, rounded to the nearest, and INF, -INF and NaN. What is taken is what these shapes say.
+for a float all numbers, rounded to the nearest, and INF, -INF and NaN where it is no command. What is taken is what
+these shapes say.
 """
 
 from __future__ import annotations
@@ -16,8 +17,9 @@ from rosld.adapters.model import Array, ParameterType, Primitive
 from rosld.ontology.coercion import RANGES, SPECIALS
 from rosld.ontology.lexical import NUMBERS
 from rosld.ontology.literals import DATATYPES, OCTETS, STRINGS
-from rosld.ontology.triples import Statement, Value, integer, text
+from rosld.ontology.triples import Statement, Value, double, integer, text
 from rosld.ontology.vocab import rdf, rdfs, sh, xsd
+from rosld.shapes.command_numbers import LARGEST_NUMBER
 from rosld.shapes.lexical_patterns import (
     WHOLE_DECIMAL,
     base64_pattern,
@@ -74,10 +76,14 @@ _WIDE = {xsd.long: RANGES["int64"], xsd.unsignedLong: RANGES["uint64"]}
 
 
 class AcceptedValues:
-    """The shapes of values in one shapes graph: each is written when it is first asked for."""
+    """The shapes of values in one shapes graph: each is written when it is first asked for.
 
-    def __init__(self, writer: ShapesWriter) -> None:
+    `largest` is the largest absolute value of all floats, which are finite; None where they may be any.
+    """
+
+    def __init__(self, writer: ShapesWriter, largest: float | None = None) -> None:
         self._writer = writer
+        self._largest = largest
         self._written: set[str] = set()
 
     def scalar(self, kind: Primitive) -> NamedNode:
@@ -105,7 +111,10 @@ class AcceptedValues:
             octets = [(sh.datatype, xsd.base64Binary), (sh.pattern, text(base64_pattern()))]
             return self._node_shape("octets", lambda: octets)
         element = PARAMETER_ARRAYS[type]
-        array = [(sh.datatype, rdf.JSON), (sh.pattern, text(parameter_array_pattern(element)))]
+        array = [
+            (sh.datatype, rdf.JSON),
+            (sh.pattern, text(parameter_array_pattern(element, is_finite=self._largest is not None))),
+        ]
         return self._node_shape(f"{element.name}-array", lambda: array)
 
     def open_parameter(self, kind: OpenParameter) -> NamedNode:
@@ -189,7 +198,7 @@ class AcceptedValues:
                 (sh.maxInclusive, integer(greatest)),
                 self._either(*_integers(), whole),
             ]
-        return [self._float(_RANGES[kind.name])]
+        return [self._either(*self._floats(kind.name), *_integers(self._range(kind.name)), *self._specials())]
 
     def _string(self, kind: Primitive) -> Statement:
         """A string is bounded in bytes, which SHACL cannot count: in characters it is as long at most."""
@@ -199,29 +208,38 @@ class AcceptedValues:
             [(sh.datatype, xsd.hexBinary), (sh.pattern, text(hex_pattern(bound=kind.bound)))],
         )
 
-    def _float(self, within: Sequence[Statement]) -> Statement:
-        finite = [
-            [(sh.datatype, xsd.double), *within],
-            # Not every validator looks whether an xsd:float is one.
-            [(sh.datatype, xsd.float), *_RANGES["float32"]],
-            [(sh.datatype, xsd.decimal), *within],
-        ]
-        special = [Literal(name, datatype=datatype) for datatype in _FLOATS for name in SPECIALS]
-        return self._either(*finite, *_integers(within), [(sh.in_, self._writer.list_of(special))])
+    def _floats(self, name: str) -> Iterator[Sequence[Statement]]:
+        """An alternative for each datatype of numbers with a fraction, within the range of a float."""
+        # NaN is within no range, and what is no xsd:float is none; not every validator has it so.
+        finite = [] if self._largest is None else [(sh.not_, self._not_a_number())]
+        yield [(sh.datatype, xsd.double), *self._range(name), *finite]
+        yield [(sh.datatype, xsd.float), *self._range("float32"), *finite]
+        yield [(sh.datatype, xsd.decimal), *self._range(name)]
+
+    def _range(self, name: str) -> Sequence[Statement]:
+        if self._largest is None:
+            return _RANGES[name]
+        if self._largest == LARGEST_NUMBER:
+            return _RANGES["float32"]
+        return (sh.minInclusive, double(-self._largest)), (sh.maxInclusive, double(self._largest))
+
+    def _specials(self) -> Iterator[Sequence[Statement]]:
+        """An alternative for what is no finite number, where that is taken."""
+        if self._largest is None:
+            names = [Literal(name, datatype=datatype) for datatype in _FLOATS for name in SPECIALS]
+            yield [(sh.in_, self._writer.list_of(names))]
 
     def _open(self, kind: OpenParameter) -> Statement:
         integers = self._scalar(Primitive(f"int{kind.bits}"))
-        reals: list[Sequence[Statement]] = [[(sh.datatype, xsd.double), *_RANGES["float64"]]]
-        reals += [[(sh.datatype, xsd.float), *_RANGES["float32"]], [(sh.datatype, xsd.decimal), *_RANGES["float64"]]]
-        special = [Literal(name, datatype=datatype) for datatype in _FLOATS for name in SPECIALS]
-        reals += [] if kind.is_in_xml else [[(sh.in_, self._writer.list_of(special))]]
+        specials = () if kind.is_in_xml else self._specials()
         zone = "" if kind.is_in_xml else r"([.][0-9]{1,6}0*)?(Z|[+-][0-9]{2}:[0-9]{2})?"
         moment = rf"^\s*[0-9]{{4}}-[0-9]{{2}}-[0-9]{{2}}T[0-9]{{2}}:[0-9]{{2}}:[0-9]{{2}}{zone}\s*$"
         return self._either(
             [(sh.datatype, xsd.string), (sh.pattern, text(_XML_TEXT if kind.is_in_xml else None))],
             self._scalar(Primitive("bool")),
             integers,
-            *reals,
+            *self._floats("float64"),
+            *specials,
             [(sh.datatype, xsd.base64Binary), (sh.pattern, text(base64_pattern()))],
             [(sh.datatype, xsd.dateTime), (sh.pattern, text(moment))],
             [(sh.datatype, rdf.JSON), (sh.pattern, text(r"^\s*\["))],
@@ -229,7 +247,7 @@ class AcceptedValues:
 
     def _array(self, kind: Array, element: Primitive) -> Sequence[Statement]:
         writer = self._writer
-        pattern = json_array_pattern(kind, element)
+        pattern = json_array_pattern(kind, element, is_finite=self._largest is not None)
         literals: list[Value] = [writer.blank((sh.datatype, rdf.JSON), (sh.pattern, text(pattern)))]
         if element.name in OCTETS:
             octets = {xsd.base64Binary: base64_pattern, xsd.hexBinary: hex_pattern}

@@ -15,13 +15,15 @@ class Demand:
 
     `bounds` are those of single scalars, by dotted path ("" is the value itself). `value_parts` are limits that say
     more, by the same paths, and `type_parts` those on all messages of a type, by its name. `is_all` is False where
-    limits hold that none of these can say.
+    limits hold that none of these can say. `largest` is the largest absolute value of all floats, which are finite;
+    None where they may be any.
     """
 
     bounds: Sequence[tuple[str, Bounds]] = ()
     is_all: bool = True
     value_parts: Sequence[tuple[str, LimitPart]] = ()
     type_parts: Sequence[tuple[str, LimitPart]] = ()
+    largest: float | None = None
 
     def __and__(self, other: Demand) -> Demand:
         """What demands both."""
@@ -30,23 +32,26 @@ class Demand:
             self.is_all and other.is_all,
             (*self.value_parts, *other.value_parts),
             (*self.type_parts, *other.type_parts),
+            min((each for each in (self.largest, other.largest) if each is not None), default=None),
         )
 
     def of_bounds(self) -> Demand:
         """What bounds can say of it."""
-        return Demand(self.bounds, self.is_all and not self.value_parts and not self.type_parts)
+        is_all = self.is_all and not self.value_parts and not self.type_parts
+        return Demand(self.bounds, is_all, largest=self.largest)
 
     def of_ranges(self) -> Demand:
         """What ranges of numbers can say of it."""
         ranges = [(path, each) for path, each in self.bounds if each == each.range]
-        return Demand(ranges, self.of_bounds().is_all and len(ranges) == len(self.bounds))
+        is_all = self.of_bounds().is_all and len(ranges) == len(self.bounds)
+        return Demand(ranges, is_all, largest=self.largest)
 
     def at(self, path: str) -> Demand:
         """What is demanded of the value at a path, where that is written alone; `is_all` is False where more is."""
         bounds = [("", each) for where, each in self.bounds if where == path]
         parts = [("", each) for where, each in self.value_parts if where == path]
         is_all = self.is_all and len(parts) == len(self.value_parts) and not self.type_parts
-        return Demand(bounds, is_all, parts)
+        return Demand(bounds, is_all, parts, largest=self.largest)
 
 
 NO_DEMAND = Demand()

@@ -60,9 +60,12 @@ def hex_pattern(length: int | None = None, bound: int | None = None) -> str:
     return rf"^([0-9A-Fa-f]{{2}}){counts}$"
 
 
-def json_array_pattern(kind: Array, element: Primitive) -> str:
-    """An array of a primitive in JSON; of more than 1000 elements the number is not told."""
-    one = _json_element(element)
+def json_array_pattern(kind: Array, element: Primitive, *, is_finite: bool = False) -> str:
+    """An array of a primitive in JSON; of more than 1000 elements the number is not told.
+
+    `is_finite`: its floats are finite, also as float32.
+    """
+    one = _json_element(element, is_finite=is_finite)
     least, most = (kind.length, kind.length) if kind.length is not None else (0, kind.bound)
     if most == 0:
         return rf"^{_SPACE}\[{_SPACE}\]{_SPACE}$"
@@ -71,18 +74,22 @@ def json_array_pattern(kind: Array, element: Primitive) -> str:
     return rf"^{_SPACE}\[{_SPACE}{elements if least else f'({elements})?'}\]{_SPACE}$"
 
 
-def parameter_array_pattern(element: Primitive) -> str:
-    """An array of a primitive in JSON, as parameters have it: what JSON cannot hold is an object with a datatype."""
-    one = f"({_parameter_element(element)})"
+def parameter_array_pattern(element: Primitive, *, is_finite: bool = False) -> str:
+    """An array of a primitive in JSON, as parameters have it: what JSON cannot hold is an object with a datatype.
+
+    `is_finite`: its floats are finite, also as float32.
+    """
+    one = f"({_parameter_element(element, is_finite=is_finite)})"
     return rf"^{_SPACE}\[{_SPACE}({one}({_SPACE},{_SPACE}{one})*{_SPACE})?\]{_SPACE}$"
 
 
-def _parameter_element(kind: Primitive) -> str:
+def _parameter_element(kind: Primitive, *, is_finite: bool) -> str:
     if kind.name in RANGES:
         number = integer_pattern(*RANGES[kind.name])
         return f"{number}|{_typed_object(number, 'integer')}"
     if kind.name in _FLOATS:
-        return f"-?({'|'.join(_FLOATS[kind.name])})|{_typed_object('(NaN|-?INF)', 'double')}"
+        finite = f"-?({'|'.join(_FLOATS['float32' if is_finite else kind.name])})"
+        return finite if is_finite else f"{finite}|{_typed_object('(NaN|-?INF)', 'double')}"
     return _json_element(kind) if kind.name == "bool" else rf'"{_CHARACTER}*"'
 
 
@@ -93,7 +100,7 @@ def _typed_object(value: str, datatype: str) -> str:
     return rf"\{{{_SPACE}({comma.join(members)}|{comma.join(reversed(members))}){_SPACE}\}}"
 
 
-def _json_element(kind: Primitive) -> str:
+def _json_element(kind: Primitive, *, is_finite: bool = False) -> str:
     if kind.name == "bool":
         return "(true|false)"
     if kind.name in STRINGS:
@@ -105,7 +112,8 @@ def _json_element(kind: Primitive) -> str:
     if kind.name in RANGES:
         number = integer_pattern(*RANGES[kind.name])
         return f'({number}|"{number}")' if kind.name.endswith("64") else number
-    return f'(-?({"|".join(_FLOATS[kind.name])})|"([+-]?INF|NaN|-0[.]0|{_WIDE})")'
+    numbers = "|".join(_FLOATS["float32" if is_finite else kind.name])
+    return f'(-?({numbers})|"({"" if is_finite else "[+-]?INF|NaN|"}-0[.]0|{_WIDE})")'
 
 
 def integer_pattern(least: int, greatest: int) -> str:

@@ -3,7 +3,7 @@
 They describe JSON as rosld writes it: integers that a double might not hold are strings of digits; NaN, INF and -INF
 are strings; octets are base64; an array that may be too large to be written is an object with the URL of its bytes
 then. Of a string that is too large, or not UTF-8, and of a value that is not there (null) they say nothing, so that
-plain values keep plain schemas.
+plain values keep plain schemas. What is sent is a command: its floats are numbers, those of a velocity have a range.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from rosld.ontology.lexical import NUMBERS, parse_boolean
 from rosld.ontology.lift import LiftSettings
 from rosld.ontology.literals import OCTETS, SAFE_INTEGER, STRINGS, special_float, wide_integer_json
 from rosld.ontology.vocab import xsd
+from rosld.shapes.command_numbers import LARGEST_VELOCITY, is_any_number_meant, largest_number
 from rosld.shapes.value import UNBOUNDED, Bounds, Measure, MessageShape, ScalarShape, ValueShape
 
 Json: TypeAlias = "bool | int | float | str | list[Json] | dict[str, Json] | None"
@@ -29,6 +30,8 @@ DataSchema: TypeAlias = dict[str, Json]
 
 _MAX_NODES = 2000
 _DEEPEST = 32
+_FLOATS = frozenset({"float32", "float64"})
+_VELOCITIES: DataSchema = {"minimum": -LARGEST_VELOCITY, "maximum": LARGEST_VELOCITY}
 _SPECIALS: DataSchema = {"type": "string", "enum": ["NaN", "INF", "-INF"]}
 _DIGITS: DataSchema = {"type": "string", "pattern": "^-?[0-9]{16,20}$"}
 _ELIDED: DataSchema = {
@@ -51,7 +54,8 @@ def value_schema(shape: ValueShape, lifting: LiftSettings = _SETTINGS, *, sent: 
         return _Schemas(shape.schema, shape.bounds, lifting, sent).fields(fields)
     if isinstance(shape, ScalarShape) and shape.is_parameter:
         return _parameter_schema(shape) | _unit(shape.measure)
-    return _scalar(shape.kind if isinstance(shape, ScalarShape) else None, shape.bounds) | _unit(shape.measure)
+    kind = shape.kind if isinstance(shape, ScalarShape) else None
+    return _scalar(kind, shape.bounds, is_finite=sent) | _unit(shape.measure)
 
 
 def message_schema(schema: MessageSchema, lifting: LiftSettings = _SETTINGS, *, sent: bool = False) -> DataSchema:
@@ -67,6 +71,7 @@ class _Schemas:
         self._bounds = bounds
         self._limit = lifting.inline_limit
         self._sent = sent
+        self._range = _VELOCITIES if sent and largest_number(schema) == LARGEST_VELOCITY else {}
         self._left = _MAX_NODES
 
     def fields(self, fields: Iterable[Field], path: tuple[str, ...] = ()) -> DataSchema:
@@ -74,7 +79,8 @@ class _Schemas:
         properties: dict[str, Json] = {}
         for field in fields:
             inner = (*path, field.name)
-            properties[field.name] = self._field(field.type, inner) | (
+            is_finite = self._sent and not is_any_number_meant(field)
+            properties[field.name] = self._field(field.type, inner, is_finite=is_finite) | (
                 self._default(field, inner) if self._sent else {}
             )
         return {"type": "object", "properties": properties, **({} if self._sent else {"required": list(properties)})}
@@ -95,12 +101,13 @@ class _Schemas:
             return {"default": "" if _is_octets(kind) else []}
         return {}
 
-    def _field(self, kind: FieldType, path: tuple[str, ...]) -> DataSchema:
+    def _field(self, kind: FieldType, path: tuple[str, ...], *, is_finite: bool) -> DataSchema:
         self._left -= 1
         if isinstance(kind, Array):
             return self._array(kind, path)
         if isinstance(kind, Primitive):
-            return _scalar(kind, self._bounds.get(".".join(path), UNBOUNDED))
+            found = _scalar(kind, self._bounds.get(".".join(path), UNBOUNDED), is_finite=is_finite)
+            return self._range | found if kind.name in _FLOATS else found
         if self._left < 0 or len(path) >= _DEEPEST:
             return {"type": "object"}
         return self.fields(self._types[kind.name].fields, path)
@@ -117,9 +124,10 @@ class _Schemas:
 
     def _element(self, kind: Primitive | Nested, path: tuple[str, ...]) -> DataSchema:
         if isinstance(kind, Nested):
-            return self._field(kind, path)
-        if kind.name.startswith("float"):
-            return {"oneOf": [{"type": "number"}, {"type": "string", "enum": ["NaN", "INF", "-INF", "-0.0"]}]}
+            return self._field(kind, path, is_finite=self._sent)
+        if kind.name in _FLOATS:
+            specials: list[Json] = ["-0.0"] if self._sent else ["NaN", "INF", "-INF", "-0.0"]
+            return {"oneOf": [{"type": "number"}, {"type": "string", "enum": specials}]}
         return _scalar(kind, UNBOUNDED)
 
     def _may_be_elided(self, kind: Array) -> bool:
@@ -151,8 +159,8 @@ def _octets(kind: Array) -> DataSchema:
 # Scalars
 
 
-def _scalar(kind: Primitive | None, bounds: Bounds) -> DataSchema:
-    """One scalar: of a primitive or, without one, of any type, within bounds."""
+def _scalar(kind: Primitive | None, bounds: Bounds, *, is_finite: bool = False) -> DataSchema:
+    """One scalar: of a primitive or, without one, of any type, within bounds; a float may have to be finite."""
     if bounds.choices:
         choices = _choices(bounds.choices)
         return {**_type(kind), "enum": choices} if choices else _type(kind)
@@ -173,7 +181,7 @@ def _scalar(kind: Primitive | None, bounds: Bounds) -> DataSchema:
         return {"type": "boolean"}
     if kind.name in RANGES:
         return _integer(kind, limits)
-    return {"type": "number", **limits} if limits else {"oneOf": [{"type": "number"}, _SPECIALS]}
+    return {"type": "number", **limits} if limits or is_finite else {"oneOf": [{"type": "number"}, _SPECIALS]}
 
 
 def _parameter_schema(shape: ScalarShape) -> DataSchema:

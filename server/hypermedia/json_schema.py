@@ -36,7 +36,7 @@ def patch_schema(schema: DataSchema) -> Schema:
 def _part(schema: Schema) -> Schema:
     members = schema.get("properties")
     if not isinstance(members, dict):
-        return schema
+        return {name: each for name, each in schema.items() if name != "default"}  # what is left out stays as it is
     return {"type": "object", "properties": {name: _part(cast(Schema, each)) for name, each in members.items()}}
 
 

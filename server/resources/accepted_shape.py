@@ -30,7 +30,7 @@ from rosld.server.robot.session import Session
 from rosld.server.settings import Settings
 from rosld.shapes.accepted import Accepted, accepted_message_document, accepted_value_document
 from rosld.shapes.accepted_values import PARAMETERS, OpenParameter
-from rosld.shapes.demand import NO_DEMAND, Demand
+from rosld.shapes.demand import Demand
 from rosld.shapes.limited_texts import is_limited_text, limited_texts
 from rosld.shapes.message import SHACL_SHACL
 
@@ -155,7 +155,8 @@ async def _of_parameter(adapter: AuditedAdapter, limit_checks: LimitChecks, name
     if descriptor.type is None:
         in_xml = adapter.capabilities.parameter_server
         return [(OpenParameter(32 if in_xml else 64, in_xml), demand.of_ranges())]
-    return [(descriptor.type, demand if is_scalar else Demand(is_all=demand == NO_DEMAND))]
+    is_array = Demand(is_all=demand == Demand(largest=demand.largest), largest=demand.largest)
+    return [(descriptor.type, demand if is_scalar else is_array)]
 
 
 async def _of_writer(

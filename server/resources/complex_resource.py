@@ -113,12 +113,12 @@ class ComplexResource(CommandResource):
         described = () if plan is None else plan.members
         for one in described:
             shown = offers.member_affordance(one, write=True)
-            value = value_schema(shown.shape, schemas.lifting)
+            value, taken = (value_schema(shown.shape, schemas.lifting, sent=each) for each in (False, True))
             if len(described) > _MANY_MEMBERS and "properties" in value:
-                value = {"type": "object", "description": f"As {shown.url} has it."}
+                value = taken = {"type": "object", "description": f"As {shown.url} has it."}
             members[one.name], read[one.name] = shown.url, nullable(read_schema(value))
             if offers.is_writable(one.source):
-                sent[one.name] = patch_schema(value)
+                sent[one.name] = patch_schema(taken)
         patch: DataSchema = {"type": "object", "properties": sent, "additionalProperties": False}
         return PathItem(
             f"The resource {self.path}",

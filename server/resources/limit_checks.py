@@ -1,12 +1,13 @@
 """Limits on what is written, wherever it is written.
 
 By the type of the message, by the URL it is sent to, and by the property that the topic, service or parameter behind
-that URL belongs to. What a node declares of a parameter is one.
+that URL belongs to. What a node declares of a parameter is one, and that the numbers of a command are finite.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence, Set
+from dataclasses import replace
 
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
@@ -15,7 +16,7 @@ from rosld.ontology.body import RdfBody, Term
 from rosld.ontology.lexical import BINARIES
 from rosld.ontology.lift import LiftSettings, lifter
 from rosld.ontology.urls import Space
-from rosld.ontology.violations import LoweringError, Violation, brief_value
+from rosld.ontology.violations import LoweringError, Path, Violation, brief_value
 from rosld.ontology.vocab import rdf, ros, sh
 from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.conditions import url_of, value_triples
@@ -23,9 +24,16 @@ from rosld.server.hypermedia.value import MessageValue, Reading, StoredValue, Va
 from rosld.server.policies.active_limits import ActiveLimits
 from rosld.server.rest.state import State
 from rosld.server.robot.audited_adapter import AuditedAdapter
+from rosld.server.robot.write_policy import any_number_hint, takes_finite_numbers
 from rosld.shapes.bounds import merge_bounds
+from rosld.shapes.command_numbers import (
+    LARGEST_NUMBER,
+    largest_number,
+    require_finite_message,
+    require_finite_parameter,
+)
 from rosld.shapes.components import component
-from rosld.shapes.demand import NO_DEMAND, Demand
+from rosld.shapes.demand import Demand
 from rosld.shapes.limit_paths import ValuePlace
 from rosld.shapes.limited_texts import limited_texts
 from rosld.shapes.limits import Limits
@@ -45,12 +53,15 @@ class LimitChecks:
         adapter: AuditedAdapter,
         affordances: AffordanceService[State],
         active: ActiveLimits,
+        allow_non_finite: tuple[str, ...] = (),
     ) -> None:
+        """`allow_non_finite` are the globs of the names that are sent any number."""
         self._space = space
         self._lifting = lifting
         self._adapter = adapter
         self._affordances = affordances
         self._active = active
+        self._allow_non_finite = allow_non_finite
 
     @property
     def limits(self) -> Limits:
@@ -61,6 +72,8 @@ class LimitChecks:
         self, kind: Kind, name: str, schema: MessageSchema, message: Message, url: str, node: str
     ) -> None:
         """Raise LoweringError where a message breaks a limit; it is about to be sent to what is called `name`."""
+        if self._takes_finite(kind, name, schema.ref.name):
+            require_finite_message(schema, message, any_number_hint(name))
         limits = self.limits
         if not limits:
             return
@@ -90,10 +103,11 @@ class LimitChecks:
     async def message_demand(self, kind: Kind, name: str, schema: MessageSchema, url: str, node: str) -> Demand:
         """What all limits demand of a message that is sent to what is called `name`, at a URL."""
         limits = self.limits
+        demand = Demand(largest=largest_number(schema) if self._takes_finite(kind, name, schema.ref.name) else None)
         if not limits:
-            return NO_DEMAND
+            return demand
         scalar = scalar_field(schema.type.fields)
-        demand = limits.demand_of_message(schema) & limits.demand_of_value(url, _LINKS[node], schema)
+        demand &= limits.demand_of_message(schema) & limits.demand_of_value(url, _LINKS[node], schema)
         for shown, field in await self._property_names(kind, name):
             if field is None:
                 demand &= limits.demand_of_value(shown, rdf.value, schema, None if scalar is None else scalar.name)
@@ -107,6 +121,7 @@ class LimitChecks:
     async def parameter_demand(self, name: str, descriptor: Descriptor) -> Demand:
         """What its node and all limits demand of a parameter that is declared as a scalar."""
         limits, demand = self.limits, declared_demand(descriptor)
+        demand = replace(demand, largest=LARGEST_NUMBER if self._takes_finite(Kind.PARAMETER, name) else None)
         if not limits:
             return demand
         place = None if descriptor.type is None else ValuePlace(descriptor.type)
@@ -133,11 +148,23 @@ class LimitChecks:
 
     async def require_parameter(self, name: str, value: ParameterValue) -> None:
         """Raise LoweringError where the value of a parameter, or of one in a tree, breaks limits or its declaration."""
+        self._require_finite_parameter(name, value)
         broken = self._declaration_violations(name, value)
         if self.limits and not broken:
             broken = await self._of_parameter(name, value)
         if broken:
             raise LoweringError(*broken)
+
+    def _takes_finite(self, kind: Kind, name: str, type: str = "") -> bool:
+        return takes_finite_numbers(self._adapter.graph, self._allow_non_finite, kind, name, type)
+
+    def _require_finite_parameter(self, name: str, value: ParameterValue, path: Path = None) -> None:
+        """Raise LoweringError where a float of a parameter, or of one in a tree, is not finite or too large."""
+        if isinstance(value, dict):
+            for key, each in value.items():
+                self._require_finite_parameter(f"{name.rstrip('/')}/{key}", each, (path, key))
+        elif self._takes_finite(Kind.PARAMETER, name):
+            require_finite_parameter(value, path, any_number_hint(name))
 
     def _declaration_violations(self, name: str, value: ParameterValue) -> list[Violation]:
         """What a value, or one in a tree, breaks of what the nodes declare."""

@@ -129,7 +129,7 @@ class MemberResource(CommandResource):
                 "PUT": WriteMethod(
                     sends=ANYTHING if sent is None else write_schema(sent), done=(200, 202, 204), query=(STRICT,)
                 ),
-                "PATCH": WriteMethod(sends=ANYTHING if value is None else patch_schema(value), done=(200, 202, 204)),
+                "PATCH": WriteMethod(sends=ANYTHING if sent is None else patch_schema(sent), done=(200, 202, 204)),
                 "POST": invoke,
             },
             has_shape=self._has_shape,

@@ -70,7 +70,7 @@ def topic_writes(
         "PUT": WriteMethod(publishes, sent, done=(200, 201, 202, 204), query=(STRICT, _LATCH)),
         "PATCH": WriteMethod(
             "Publishes the latest message with changes.",
-            OBJECT if schema is None else patch_schema(message_schema(schema)),
+            OBJECT if schema is None else patch_schema(message_schema(schema, schemas.lifting, sent=True)),
             done=(200, 202, 204),
             query=(_LATCH,),
         ),

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from functools import partial
 
-from rosld.adapters.model import Action, Graph, Message, MessageSchema, RosError, Topic
+from rosld.adapters.model import Action, Graph, Kind, Message, MessageSchema, RosError, Topic
 from rosld.ontology.lower import LoweringError, lowerer, parse_json
 from rosld.server.auth.agent import Agent
 from rosld.server.robot.goal_store import Goal
@@ -19,9 +19,11 @@ from rosld.server.robot.interlock import StopState
 from rosld.server.robot.ready_publications import ReadyPublications
 from rosld.server.robot.session import Session
 from rosld.server.robot.velocity import commanded_topics, subscribers_of
+from rosld.server.robot.write_policy import any_number_hint, takes_finite_numbers
 from rosld.server.robot.zero_publisher import Receivers, ZeroPublisher
 from rosld.server.runtime.loop_time import loop_time
 from rosld.server.runtime.signals import Signal
+from rosld.shapes.command_numbers import require_finite_message
 
 _log = logging.getLogger("rosld")
 _NOTHING = "no topic of a velocity type has a subscriber (--stop-zero names others), and no mapping says what stops it"
@@ -296,7 +298,9 @@ class SoftwareStop:
             if service is None or service.type is None:
                 raise ValueError(f"there is no service {mapped.service} that can be called")
             called = await session.schemas.service(service.type)
-            request = called.request.codec.encode(self._message(called.request, mapped), encoding)
+            request = called.request.codec.encode(
+                self._message(Kind.SERVICE, mapped.service, called.request, mapped), encoding
+            )
             answer = await session.adapter.call_always(mapped.service, called.ref, request, deadline=deadline)
             response = called.response.codec.decode(answer, encoding)
             if getattr(response, "success", True) is False:
@@ -307,14 +311,18 @@ class SoftwareStop:
         if topic is None or topic.type is None:
             raise ValueError(f"there is no topic {mapped.topic} that can be published to")
         schema = await session.schemas.message(topic.type)
-        data = schema.codec.encode(self._message(schema, mapped), encoding)
+        data = schema.codec.encode(self._message(Kind.TOPIC, mapped.topic, schema, mapped), encoding)
         published = await session.adapter.publish_always(mapped.topic, schema.ref, data, deadline=deadline)
         if not published.matched:
             raise ValueError(f"no subscriber of {mapped.topic} was there to get it")
         return Receivers(published.matched, subscribers_of(topic, session.graph))
 
-    def _message(self, schema: MessageSchema, mapped: StopCommand) -> Message:
-        return lowerer(schema, self._session.lifting).from_json(parse_json(mapped.content.encode()), defaults=True)
+    def _message(self, kind: Kind, name: str, schema: MessageSchema, mapped: StopCommand) -> Message:
+        session = self._session
+        message = lowerer(schema, session.lifting).from_json(parse_json(mapped.content.encode()), defaults=True)
+        if takes_finite_numbers(session.graph, session.settings.allow_non_finite, kind, name, schema.ref.name):
+            require_finite_message(schema, message, any_number_hint(name))
+        return message
 
     def _revise(self) -> None:
         self.revision += 1

@@ -1,4 +1,4 @@
-"""Which topics and parameters may be written to.
+"""Which topics and parameters may be written to, and where numbers have to be finite.
 
 A robot's sensors are published by its nodes; to publish there too is to lie to it. So a topic is writable when no
 other node publishes it and somebody else listens (or rosld itself advertised it); more needs an explicit permission.
@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from fnmatch import fnmatchcase
 
-from rosld.adapters.model import Graph, Topic
+from rosld.adapters.model import Graph, Kind, Topic
+from rosld.ontology.neutral_message import COMMANDS
 
 RESERVED = frozenset({"/clock", "/tf", "/tf_static", "/rosout", "/rosout_agg", "/parameter_events"})
 
@@ -38,6 +39,22 @@ def denied_reason(
     if needs_subscriber and not own and not any(endpoint.node != graph.own_node for endpoint in topic.subscribers):
         return f"No node subscribes to {name}; to publish there anyway start rosld with --allow-publish {name}."
     return type_conflict(topic)
+
+
+def takes_finite_numbers(graph: Graph, permitted: tuple[str, ...], kind: Kind, name: str, type: str = "") -> bool:
+    """Whether what is sent to a name is a command: all but messages of a topic that another node publishes, too.
+
+    `permitted` are the globs of --allow-non-finite, `type` is the name of the message's.
+    """
+    if any(fnmatchcase(name, glob) for glob in permitted):
+        return False
+    topic = graph.topics.get(name) if kind is Kind.TOPIC else None
+    return topic is None or type in COMMANDS or all(each.node == graph.own_node for each in topic.publishers)
+
+
+def any_number_hint(name: str) -> str:
+    """How to send a number that is not finite, for the end of a sentence."""
+    return f"start rosld with --allow-non-finite {name} to send it all the same"
 
 
 def resources_only_reason(name: str) -> str:

@@ -73,7 +73,12 @@ class ResourceFactory:
         self.history = services.recordings.history
         session = self.session
         self.limit_checks = LimitChecks(
-            session.space, session.lifting, session.adapter, services.affordances, services.active_limits
+            session.space,
+            session.lifting,
+            session.adapter,
+            services.affordances,
+            services.active_limits,
+            session.settings.allow_non_finite,
         )
         self._things = ThingDescriptions(
             services.session, services.affordances, services.software_stop, services.instance_id

@@ -183,3 +183,66 @@ def test_limits_that_cannot_be_held_end_the_start(serving: Serving, limits: Path
 def test_a_write_within_limits_asks_for_nothing_else(arm: MadeUp, http: httpx.Client) -> None:
     assert http.put("/resources/arm/grip", json=2).status_code == 204
     assert arm.calls == {"/arm/set_grip": 1}
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "body", "said"),
+    [
+        ("PUT", "/topics/cmd_vel", {"linear": {"x": "NaN"}}, "linear.x: must be a finite number, not NaN"),
+        ("PUT", "/topics/cmd_vel", {"angular": {"z": 1e7}}, "angular.z: must be a number from -1e+06 to 1e+06"),
+        ("PATCH", "/topics/cmd_vel", {"linear": {"x": "INF"}}, "linear.x: must be a finite number, not INF"),
+        ("POST", "/topics/cmd_vel", {"linear": {"x": "-INF"}}, "linear.x: must be a finite number, not -INF"),
+        ("PUT", "/topics/arm/efforts", {"data": [1, 1e300]}, "data.1: must be a number from -3.4e+38 to 3.4e+38"),
+        ("POST", "/services/arm/aim", {"azimuth": "NaN"}, "azimuth: must be a finite number, not NaN"),
+        ("POST", "/resources/arm/aim", {"azimuth": 1e300, "elevation": 0}, "azimuth: must be a number from"),
+        ("PUT", "/resources/cmd_vel", {"linear": {"y": "NaN"}, "angular": {}}, "linear.y: must be a finite number"),
+        ("PUT", "/parameters/arm/reach", {"@value": "NaN", "@type": "xsd:double"}, "must be a finite number, not NaN"),
+        ("PATCH", "/parameters/arm/", {"reach": 1e300, "name": "Bob"}, "must be a number from"),
+    ],
+)
+def test_a_command_takes_finite_numbers_only_by_every_way_unless_a_setting_names_it(
+    robot: MadeUp, serving: Serving, method: str, path: str, body: object, said: str
+) -> None:
+    robot.topic("/cmd_vel", "geometry_msgs/msg/Twist", published=False, heard=True)
+    robot.topic("/arm/efforts", "std_msgs/msg/Float64MultiArray", published=False, heard=True)
+    robot.parameter("/arm/reach", 1.0)
+    robot.parameter("/arm/name", "Eve")
+    robot.answer("/arm/aim", "made_up/srv/Aim", hit=True)
+    careful, bold = serving(), serving(allow_non_finite=("/cmd_vel", "/arm/*"))
+    media_type = "application/merge-patch+json" if method == "PATCH" else "application/json"
+    careful.put("/topics/cmd_vel", json={})
+    answers = [
+        http.request(
+            method,
+            path,
+            content=json.dumps(body),
+            headers={"Content-Type": media_type, "If-Match": "*", "Accept": "application/json"},
+        )
+        for http in (careful, bold)
+    ]
+    assert said in detail(answers[0], 422)
+    assert "--allow-non-finite" in answers[0].text
+    assert answers[1].status_code in (200, 201, 204), answers[1].text
+
+
+def test_what_another_node_measures_and_whatever_is_read_may_be_no_finite_number(
+    robot: MadeUp, serving: Serving
+) -> None:
+    robot.topic("/range", "std_msgs/msg/Float64", {"data": "NaN"}, heard=True)
+    http = serving(allow_publish=("/range",))
+    assert value(http, "/topics/range") == {"data": "NaN"}
+    assert http.put("/topics/range", json={"data": "INF"}).status_code == 204
+    assert robot.sent["/range"] == [{"data": "INF"}]
+
+
+def test_schemas_and_shapes_of_commands_say_that_their_numbers_are_finite(robot: MadeUp, serving: Serving) -> None:
+    robot.topic("/cmd_vel", "geometry_msgs/msg/Twist", published=False, heard=True)
+    http = serving()
+    described = http.get("/openapi.json").json()["components"]["schemas"]
+    speed = {"type": "number", "minimum": -1e6, "maximum": 1e6, "default": 0.0}
+    assert described["geometry_msgs.msg.Twist.sent"]["properties"]["linear"]["properties"]["x"] == speed
+    thing = value(http, "/.well-known/wot")
+    assert thing["actions"]["cmd_vel/hold"]["input"]["properties"]["linear"]["properties"]["x"] == speed
+    shape = http.get("/topics/cmd_vel?shape").text
+    assert "1000000.0" in shape
+    assert '"INF"' not in shape

@@ -23,6 +23,8 @@ from rosld.ontology.lower import LoweringError, lowerer
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import rdf, ros
 from rosld.shapes.accepted import accepted_message_document
+from rosld.shapes.command_numbers import largest_number, require_finite_message
+from rosld.shapes.demand import Demand
 from tests.shapes.values import LITERALS, compiled, graph, validate
 
 SPACE = Space("http://127.0.0.1:8080/")
@@ -60,14 +62,18 @@ def schema_of(fields: str, ros_version: int) -> MessageSchema:
 
 
 @cache
-def shapes_of(schema: MessageSchema) -> ShapesGraph:
-    return compiled(graph(accepted_message_document(f"{URL}?shape", schema, SPACE, "What may be written").triples))
+def shapes_of(schema: MessageSchema, *, is_command: bool = False) -> ShapesGraph:
+    demand = Demand(largest=largest_number(schema) if is_command else None)
+    document = accepted_message_document(f"{URL}?shape", schema, SPACE, "What may be written", demand)
+    return compiled(graph(document.triples))
 
 
-def refusal(schema: MessageSchema, triples: Sequence[Triple]) -> str:
-    """Why lowering refuses a body; nothing where it takes it."""
+def refusal(schema: MessageSchema, triples: Sequence[Triple], *, is_command: bool = False) -> str:
+    """Why lowering refuses a body, or a command of it would be refused; nothing where it is taken."""
     try:
-        lowerer(schema).from_body(index_triples(triples), URL)
+        message = lowerer(schema).from_body(index_triples(triples), URL)
+        if is_command:
+            require_finite_message(schema, message, "")
     except LoweringError as error:
         return str(error)
     return ""
@@ -94,8 +100,13 @@ KINDS += [
 ]
 
 
-@pytest.mark.parametrize(("ros_version", "kind"), KINDS)
-def test_a_literal_conforms_where_lowering_takes_it_and_nowhere_else(ros_version: int, kind: str) -> None:
+@pytest.mark.parametrize(
+    ("ros_version", "kind", "is_command"),
+    [*((*each, False) for each in KINDS), *((*each, True) for each in KINDS if "float" in each[1])],
+)
+def test_a_literal_conforms_where_lowering_takes_it_and_nowhere_else(
+    ros_version: int, kind: str, is_command: bool
+) -> None:
     schema = schema_of(f"{kind} value", ros_version)
     predicate = NamedNode(SPACE.property_of(schema.ref.name, "value"))
     nodes = {NamedNode(f"http://h/{at}"): each for at, each in enumerate((*LITERALS, NamedNode("http://h/x"), rdf.nil))}
@@ -103,11 +114,12 @@ def test_a_literal_conforms_where_lowering_takes_it_and_nowhere_else(ros_version
         node: [Triple(node, rdf.type, NamedNode(SPACE.class_of(schema.ref.name))), Triple(node, predicate, value)]
         for node, value in nodes.items()
     }
-    _, report, _ = validate(graph([each for triples in said.values() for each in triples]), shapes_of(schema))
+    shapes = shapes_of(schema, is_command=is_command)
+    _, report, _ = validate(graph([each for triples in said.values() for each in triples]), shapes)
     assert isinstance(report, rdflib.Graph)
     broken = {str(node) for node in report.objects(None, rdflib.SH.focusNode)}
     by_shape = {str(value) for node, value in nodes.items() if node.value not in broken}
-    by_server = {str(value) for node, value in nodes.items() if not refusal(schema, said[node])}
+    by_server = {str(value) for node, value in nodes.items() if not refusal(schema, said[node], is_command=is_command)}
     assert by_shape == by_server
     assert by_server
     assert len(by_server) < len(nodes)

@@ -197,7 +197,7 @@ def refusal(kind: MessageSchema, pairs: list[tuple[str, str]]) -> tuple[Violatio
 def test_what_was_typed_stands_in_the_form_again_beside_what_does_not_fit() -> None:
     kind = schema("geometry_msgs/msg/TwistStamped")
     typed = [("header.frame_id", "base"), ("twist.linear.x", "fast")]
-    wrong = (Violation("twist.linear.x", "must be a number (NaN, INF and -INF are numbers too)", "fast"),)
+    wrong = (Violation("twist.linear.x", "must be a number", "fast"),)
     form = MessageForm(kind, value={"twist": {"linear": {"x": 0.2}}}).with_submitted(typed, wrong)
     body = render_page(Page(SITE, "Topic", "/x", Document(URL, ()), ("GET", "PUT"), (form,))).decode()
     inputs = {each["name"]: each for each in Browser(body).inputs}

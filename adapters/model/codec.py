@@ -15,6 +15,7 @@ from rosbags.typesys.base import TypesysError, normalize_fieldname
 from rosbags.typesys.store import Typestore
 
 from rosld.adapters.model.defaults import default_texts, with_default
+from rosld.adapters.model.definition_limits import may_be_empty
 from rosld.adapters.model.sample import Encoding
 from rosld.adapters.model.schema import Array, Constant, Field, FieldType, Message, MessageType, Nested, Primitive
 from rosld.adapters.model.wire import Reader, Writer
@@ -50,9 +51,12 @@ class RosbagsCodec:
         self._types = types
         self._classes = {name: store.types[store_name(name)] for name in types}
         self._empty = frozenset(name for name, kind in types.items() if not kind.fields)
+        self._may_be_empty = may_be_empty(types)
 
     def decode(self, data: bytes, encoding: Encoding) -> Message:
         """The message in `data`; raises ValueError naming the type when it holds none."""
+        if self._may_be_empty:  # the compiled code makes as many elements as the message claims
+            return self._decode_slowly(data, encoding)
         try:
             if encoding is Encoding.ROS1:
                 return cast(Message, self._store.deserialize_ros1(data, self._stored))

@@ -25,6 +25,7 @@ from rosld.adapters.model.definition import (
     split_sections,
     split_service,
 )
+from rosld.adapters.model.definition_limits import require_bounded, require_short
 from rosld.adapters.model.derived import derived_from, enclosing_type, written_form
 from rosld.adapters.model.errors import UnknownType
 from rosld.adapters.model.rihs import action_hash, message_hash, service_hash
@@ -41,6 +42,8 @@ _ROS1_ONLY = frozenset({"control_msgs", "dynamic_reconfigure", "move_base_msgs",
 """Shipped packages whose definitions have another layout, or no meaning, in ROS 2."""
 _ROS2_ONLY = frozenset({"action_msgs"})
 _MAX_FILES = 50_000
+_MAX_NAME = 100
+"""Characters of a part of a type's name, up to which it is looked for as a file."""
 
 
 class TypeLibrary:
@@ -215,11 +218,13 @@ class TypeLibrary:
         return closed
 
     def _message(self, name: str, texts: Mapping[str, str], definition: str, hash: str | None) -> MessageSchema:
+        require_short(name, definition)
         try:
             closed = self._closure(name, texts)
             found = md5(name, closed) if self._ros_version == 1 else None
             store = typestore_of(closed)
             types = message_types(store, closed)
+            require_bounded(name, types)
             ref = TypeRef(name, _prove(name, found or message_hash(name, types), hash))
         except (KeyError, IndexError, RecursionError) as error:
             raise ValueError(f"the definition of {name} cannot be read: {error}") from error
@@ -261,7 +266,7 @@ _ACTIONLIB = ("std_msgs/msg/Header", "actionlib_msgs/msg/GoalID", "actionlib_msg
 
 
 def _plain(*parts: str) -> bool:
-    return all(part.isidentifier() for part in parts)
+    return all(part.isidentifier() and len(part) <= _MAX_NAME for part in parts)
 
 
 def _prove(name: str, found: str, wanted: str | None) -> str:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 
 from rosld.adapters.model.schema import Array, Field, FieldType, MessageType, Nested, Primitive
 
@@ -64,7 +64,8 @@ def message_hash(name: str, types: Mapping[str, MessageType]) -> str:
 
     Raises KeyError naming what lacks, RecursionError naming what is nested in itself.
     """
-    nested = {found: types[found] for found in _nested_types(name, types)}
+    nested: dict[str, MessageType] = {}
+    _collect_nested(name, types, nested)
     described = {
         "type_description": describe_type(types[name]),
         "referenced_type_descriptions": [describe_type(nested[each]) for each in sorted(nested) if each != name],
@@ -110,14 +111,17 @@ def _service(name: str) -> Mapping[str, MessageType]:
     return {name: whole, events.name: events}
 
 
-def _nested_types(name: str, types: Mapping[str, MessageType], above: tuple[str, ...] = ()) -> Iterator[str]:
+def _collect_nested(
+    name: str, types: Mapping[str, MessageType], found: dict[str, MessageType], above: tuple[str, ...] = ()
+) -> None:
+    """Add to `found` the types that a type nests, each looked at once."""
     if name in above:
         raise RecursionError(f"{name} is nested in itself")
     for field in types[name].fields:
         kind = field.type.element if isinstance(field.type, Array) else field.type
-        if isinstance(kind, Nested):
-            yield kind.name
-            yield from _nested_types(kind.name, types, (*above, name))
+        if isinstance(kind, Nested) and (kind.name not in found or kind.name in (*above, name)):
+            found[kind.name] = types[kind.name]
+            _collect_nested(kind.name, types, found, (*above, name))
 
 
 def describe_type(kind: MessageType) -> dict[str, object]:

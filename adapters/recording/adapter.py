@@ -44,7 +44,7 @@ from rosld.adapters.model import (
 from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.recording.bag import Bag, log
 from rosld.adapters.recording.files import open_storage, recording_name
-from rosld.adapters.recording.open_budget import OpenBudget
+from rosld.adapters.recording.open_budget import OpenBudget, OpeningRefused
 from rosld.adapters.recording.part import WHOLE, Part
 from rosld.adapters.recording.playback import Playback, Position
 from rosld.adapters.recording.player import PlayerSubscription, TopicPlayer
@@ -103,16 +103,25 @@ class RecordingAdapter:
         return MappingProxyType({} if self._bag is None else {self._bag.name: self._bag})
 
     async def open(self, sink: Sink, *, deadline: float) -> None:
-        """Read the index on a thread of its own, then play. Raises NotFound, or Unreachable saying what is wrong."""
+        """Read the index on a thread of its own, then play. Raises NotFound, or Unreachable saying what is wrong.
+
+        Until the deadline something must have been read, and in each such span from then on: how long all of it takes
+        is a matter of its size.
+        """
         if self._bag is not None:
             return
-        remaining = deadline - asyncio.get_running_loop().time()
+        span = max(deadline - asyncio.get_running_loop().time(), 0)
         budget = OpenBudget(self._options.recording_index_limit)
+        reading = asyncio.ensure_future(_on_a_thread(lambda: self._open(budget), lambda bag: bag.close()))
         try:
-            bag = await asyncio.wait_for(_on_a_thread(lambda: self._open(budget), lambda bag: bag.close()), remaining)
-        except asyncio.TimeoutError:
-            raise Unreachable(f"{str(self._path)!r} was not read in {max(remaining, 0):.0f} s") from None
+            worked = -1
+            while not (await asyncio.wait({reading}, timeout=span))[0]:
+                if budget.worked <= worked:
+                    raise Unreachable(f"nothing was read of {str(self._path)!r} in {span:.0f} s")
+                worked = budget.worked
+            bag = reading.result()
         finally:
+            reading.cancel()
             budget.cancel()  # nobody waits any more
         for note in bag.notes:
             log.warning("the recording %s: %s", bag.name, note)
@@ -215,10 +224,10 @@ class RecordingAdapter:
         self._library = TypeLibrary(ros_version=storage.ros_version, folders=self._options.types)
         self._encoding = Encoding.ROS1 if storage.ros_version == 1 else Encoding.CDR
         try:
-            return Bag(recording_name(self._path), self._path, storage, self._library, self._part)
+            return Bag(recording_name(self._path), self._path, storage, self._library, self._part, budget)
         except BaseException as error:
             storage.close()
-            if not isinstance(error, Damaged):
+            if not isinstance(error, Damaged | OpeningRefused):
                 raise
             raise Unreachable(f"{str(self._path)!r} cannot be played: {error}") from error
 
@@ -227,7 +236,7 @@ class RecordingAdapter:
             raise Unreachable("the recording is not open")
         player = self._players.get(topic)
         if player is None:
-            streams = [stream for stream in self._bag.streams if stream.topic == topic]
+            streams = self._bag.streams_by_topic.get(topic, [])
             player = TopicPlayer(self._bag, streams, self._playback(self._bag), self._elapsed_ns)
             if streams:  # names that are not recorded are not worth keeping
                 self._players[topic] = player
@@ -254,7 +263,7 @@ def recorded_graph(bag: Bag, revision: int) -> Graph:
 
 
 def _topic(bag: Bag, name: str) -> Topic:
-    streams = [stream for stream in bag.streams if stream.topic == name]
+    streams = bag.streams_by_topic[name]
     endpoints = [
         Endpoint(stream.publisher, stream.types[0] if len(stream.types) == 1 else None, stream.latched)
         for stream in streams

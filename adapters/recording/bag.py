@@ -5,10 +5,11 @@ from __future__ import annotations
 import logging
 import zlib
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +19,12 @@ from rosld.adapters.model import NotFound, Sample, Schema, TypeRef, Unreachable
 from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.model.names import global_name
 from rosld.adapters.recording.definitions import learn
+from rosld.adapters.recording.open_budget import OpenBudget
 from rosld.adapters.recording.part import WHOLE, Part
-from rosld.adapters.recording.storage import Damaged, RecordedConnection, Storage
+from rosld.adapters.recording.storage import Damaged, RecordedConnection, RosVersion, Storage
 
+_Key = TypeVar("_Key")
+_Value = TypeVar("_Value")
 log = logging.getLogger("rosld.recording")
 
 
@@ -41,8 +45,16 @@ class Bag:
     In memory are 40 bytes a message and the chunks read last (64 MB at most); the messages stay on the disk.
     """
 
-    def __init__(self, name: str, path: Path, storage: Storage, library: TypeLibrary, part: Part = WHOLE) -> None:
-        """Only `part` of what is stored is in it. Raises Damaged where there is nothing in that."""
+    def __init__(
+        self,
+        name: str,
+        path: Path,
+        storage: Storage,
+        library: TypeLibrary,
+        part: Part = WHOLE,
+        budget: OpenBudget | None = None,
+    ) -> None:
+        """Only `part` of what is stored is in it. Raises Damaged where there is nothing in that, and OpeningRefused."""
         self.name = name
         self.path = path
         self.format = storage.format
@@ -51,7 +63,7 @@ class Bag:
         self._storage = storage
         self._library = library
         self._connections = tuple(map(_with_global_names, storage.connections))
-        learnt = [learn(library, each, storage.ros_version) for each in self._connections]
+        learnt = _learn_all(library, self._connections, storage.ros_version, budget or OpenBudget())
         self._types = [ref for ref, _ in learnt]
         self._unreadable = [words for _, words in learnt]
         self._table = part.select(storage.messages.in_recorded_order())
@@ -60,6 +72,7 @@ class Bag:
         self.start_ns = int(self.times[0]) if self.count else 0
         self.end_ns = int(self.times[-1]) if self.count else 0
         self.streams, self._stream_of = self._as_streams()
+        self.streams_by_topic = _grouped(self.streams, [stream.topic for stream in self.streams])
         self.topics: Mapping[str, RecordedTopic] = MappingProxyType(self._as_topics())
 
     def message(self, index: int) -> RecordedMessage:
@@ -123,8 +136,8 @@ class Bag:
         if wanted.topics is None:
             return list(range(first, min(beyond, first + limit)))
         found: list[int] = []
-        for stream in self.streams:
-            if stream.topic in wanted.topics:
+        for topic in wanted.topics:
+            for stream in self.streams_by_topic.get(topic, ()):
                 begin = int(np.searchsorted(stream.positions, first))
                 found += (each for each in stream.positions[begin : begin + limit].tolist() if each < beyond)
         return sorted(found)[:limit]
@@ -134,8 +147,8 @@ class Bag:
         passed = int(np.searchsorted(self.times, time_ns, "right"))
         found = [
             int(stream.positions[count - 1])
-            for stream in self.streams
-            if stream.topic == topic and (count := int(np.searchsorted(stream.positions, passed)))
+            for stream in self.streams_by_topic.get(topic, ())
+            if (count := int(np.searchsorted(stream.positions, passed)))
         ]
         return self.message(max(found)) if found else None
 
@@ -175,30 +188,51 @@ class Bag:
         order = np.argsort(np.asarray(stream_of, np.int64)[self._table.connections], kind="stable")
         counts = np.bincount(np.asarray(stream_of, np.int64)[self._table.connections], minlength=len(numbers))
         parts = np.split(order, np.cumsum(counts)[:-1]) if len(numbers) else []
+        members = _grouped(range(len(keys)), stream_of)
         streams = tuple(
-            Stream(*key, self._types_of(number, stream_of), self._is_latched(number, stream_of), positions)
+            Stream(*key, self._types_of(members[number]), self._is_latched(members[number]), positions)
             for (key, number), positions in zip(numbers.items(), parts, strict=True)
         )
         return streams, stream_of
 
-    def _types_of(self, stream: int, stream_of: list[int]) -> tuple[TypeRef, ...]:
-        refs = (ref for ref, each in zip(self._types, stream_of, strict=True) if each == stream and ref.name)
-        return tuple(dict.fromkeys(refs))
+    def _types_of(self, connections: Iterable[int]) -> tuple[TypeRef, ...]:
+        return tuple(dict.fromkeys(ref for each in connections if (ref := self._types[each]).name))
 
-    def _is_latched(self, stream: int, stream_of: list[int]) -> bool:
-        return any(said.latched for said, each in zip(self._connections, stream_of, strict=True) if each == stream)
+    def _is_latched(self, connections: Iterable[int]) -> bool:
+        return any(self._connections[each].latched for each in connections)
 
     def _as_topics(self) -> dict[str, RecordedTopic]:
-        names = dict.fromkeys(each.topic for each in self._connections)
-        return {name: self._topic(name) for name in names}
+        members = _grouped(range(len(self._connections)), [each.topic for each in self._connections])
+        return {name: self._topic(name, mine) for name, mine in members.items()}
 
-    def _topic(self, name: str) -> RecordedTopic:
+    def _topic(self, name: str, connections: Sequence[int]) -> RecordedTopic:
         """A topic is unreadable where none of its connections can be decoded."""
-        mine = [number for number, each in enumerate(self._connections) if each.topic == name]
-        readable = [number for number in mine if self._unreadable[number] is None]
-        shown = (readable or mine)[0]
-        count = sum(len(stream.positions) for stream in self.streams if stream.topic == name)
+        readable = [number for number in connections if self._unreadable[number] is None]
+        shown = (readable or connections)[0]
+        count = sum(len(stream.positions) for stream in self.streams_by_topic[name])
         return RecordedTopic(name, self._types[shown], count, None if readable else self._unreadable[shown])
+
+
+def _grouped(values: Iterable[_Value], keys: Iterable[_Key]) -> dict[_Key, list[_Value]]:
+    """Values by their keys, in the order of the keys' first appearance."""
+    found: dict[_Key, list[_Value]] = {}
+    for value, key in zip(values, keys, strict=True):
+        found.setdefault(key, []).append(value)
+    return found
+
+
+def _learn_all(
+    library: TypeLibrary, connections: Iterable[RecordedConnection], ros_version: RosVersion, budget: OpenBudget
+) -> list[tuple[TypeRef, str | None]]:
+    """What `learn` says of each connection: asked once for all that differ in no more than topic and publisher."""
+    keys = [each._replace(topic="", publisher="", latched=False) for each in connections]
+    types = dict.fromkeys(keys)
+    budget.learn(len(types), sum(len(each.definition) for each in types))
+    known = {}
+    for key in types:
+        budget.work(0)
+        known[key] = learn(library, key, ros_version)
+    return [known[key] for key in keys]
 
 
 def _with_global_names(connection: RecordedConnection) -> RecordedConnection:

@@ -24,7 +24,7 @@ MAX_PIECE = 256 << 20
 
 Recorders close a chunk at some megabytes, or at one message that is longer.
 """
-_STEP = 1 << 20
+STEP = 1 << 20
 """Bytes that are decompressed at a time: what is held is what there is, not what a header claims."""
 
 
@@ -147,7 +147,7 @@ def inflate_file(path: Path, target: Path, check: Callable[[int], None]) -> None
     size = 0
     try:
         with zstd.ZstdFile(path) as packed, target.open("wb") as out:
-            while block := packed.read(_STEP):
+            while block := packed.read(STEP):
                 size += len(block)
                 check(size)
                 out.write(block)
@@ -163,9 +163,9 @@ def _inflate(decompressor: _Decompressor, data: bytes, most: int) -> Iterator[by
     """
     at = 0
     while most and not decompressor.eof:
-        piece = data[at : at + _STEP] if decompressor.needs_input else b""
+        piece = data[at : at + STEP] if decompressor.needs_input else b""
         at += len(piece)
-        found = decompressor.decompress(piece, max_length=min(_STEP, most))
+        found = decompressor.decompress(piece, max_length=min(STEP, most))
         if not found and not piece:
             return
         most -= len(found)

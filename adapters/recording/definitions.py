@@ -11,6 +11,7 @@ from rosbags.typesys.base import TypesysError
 from rosld.adapters.model import MessageSchema, TypeRef, UnknownType
 from rosld.adapters.model.codec import store_name
 from rosld.adapters.model.definition import split_action, split_service
+from rosld.adapters.model.definition_limits import require_short
 from rosld.adapters.model.derived import derived_from, written_form
 from rosld.adapters.model.library import SEPARATOR, TypeLibrary
 from rosld.adapters.recording.storage import RecordedConnection, RosVersion
@@ -83,6 +84,7 @@ def _parts_named(of: str, ends: Sequence[str], texts: Sequence[str]) -> Mapping[
 
 def _text_of_idl(name: str, definition: str) -> str:
     """The definition in message syntax of a type defined in OMG IDL, its dependencies appended."""
+    require_short(name, definition)
     marked = definition.startswith(f"{_IDL_SEPARATOR}IDL: ")
     parts = [part.partition("\n")[2] for part in definition.split(_IDL_SEPARATOR)[1:]] if marked else [definition]
     store = get_typestore(Stores.EMPTY)

@@ -26,6 +26,7 @@ def open_storage(path: Path, budget: OpenBudget | None = None) -> Storage:
 
 def open_file(path: Path, budget: OpenBudget) -> Storage:
     """The recording in one file. Raises Damaged, OpeningRefused and OSError."""
+    budget.allow(path.stat().st_size)
     with path.open("rb") as file:
         head = file.read(16)
     if not head:

@@ -15,6 +15,7 @@ import numpy as np
 
 from rosld.adapters.model import Encoding
 from rosld.adapters.recording.byte_source import (
+    MAX_PIECE,
     ByteSource,
     BytesSource,
     ChunkCache,
@@ -135,7 +136,7 @@ class Rosbag1:
         self._file.close()
 
     def _load(self, chunk: int) -> bytes:
-        return _inflate(self._file, self._chunks[chunk])
+        return _inflate(self._file, self._chunks[chunk], OpenBudget())
 
 
 def _read(file: RandomFile, budget: OpenBudget) -> tuple[Contents, list[_Chunk]]:
@@ -168,7 +169,7 @@ def _by_index(file: RandomFile, header: _Record, budget: OpenBudget) -> _Scan:
     scan = _Scan(budget)
     chunk_infos: list[_Record] = []
     for record in _records(file, at):
-        budget.check()
+        budget.work()
         if record.op == _CONNECTION:
             scan.add(*_connection(file, record))
         elif record.op == _CHUNK_INFO:
@@ -188,6 +189,7 @@ def _chunk_by_index(file: RandomFile, info: _Record, scan: _Scan) -> None:
     tables: list[MessageTable] = []
     try:
         for _ in range(info.uint32(b"count")):
+            scan.budget.work()
             index = _record_at(file, at)
             if index.op != _INDEX or index.size % _ENTRY.itemsize:
                 raise Damaged(f"there is no index record at {at}")
@@ -214,7 +216,7 @@ def _by_walking(file: RandomFile, at: int, budget: OpenBudget) -> _Scan:
     scan = _Scan(budget)
     try:
         for record in _records(file, at):
-            budget.check()
+            budget.work()
             if record.op == _CONNECTION:
                 scan.add(*_connection(file, record))
             elif record.op == _CHUNK:
@@ -240,11 +242,15 @@ def _walk_chunk(file: RandomFile, record: _Record, place: int, base: int, scan: 
     """Find the messages and connections of one chunk by walking through it; a damaged one is left, with a note."""
     rows = TableBuilder()
     try:
-        data = _inflate(file, scan.chunks[place - 1]) if place else read_exactly(file, record.data_at, record.size)
+        if place:
+            data = _inflate(file, scan.chunks[place - 1], scan.budget)
+        else:
+            scan.budget.work(record.size)
+            data = read_exactly(file, record.data_at, record.size)
         source = BytesSource(data)
         at = 0
         while at < source.size:
-            scan.budget.check()
+            scan.budget.work()
             inner = _record_at(source, at)
             if inner.op == _CONNECTION:
                 scan.add(*_connection(source, inner))
@@ -258,7 +264,8 @@ def _walk_chunk(file: RandomFile, record: _Record, place: int, base: int, scan: 
     scan.tables.extend(rows.tables())
 
 
-def _inflate(file: RandomFile, chunk: _Chunk) -> bytes:
+def _inflate(file: RandomFile, chunk: _Chunk, budget: OpenBudget) -> bytes:
+    budget.work(min(chunk.inflated, MAX_PIECE))
     return decompress(chunk.compression, read_exactly(file, chunk.at, chunk.size), chunk.inflated)
 
 

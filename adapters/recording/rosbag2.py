@@ -7,19 +7,23 @@ import tempfile
 from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path, PurePosixPath
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from ruamel.yaml import YAML
+from ruamel.yaml import YAML, events
 from ruamel.yaml.error import YAMLError
 
-from rosld.adapters.recording.byte_source import decompress_zstd, inflate_file
+from rosld.adapters.recording.byte_source import STEP, decompress_zstd, inflate_file
 from rosld.adapters.recording.open_budget import OpenBudget
 from rosld.adapters.recording.storage import Damaged, MessageTable, RecordedConnection, RosVersion, Storage, concatenate
 
 METADATA = "metadata.yaml"
 _RESERVE = 256 << 20
 """Bytes of the disk of the temporary files that are left to others."""
+_MAX_BYTES = 2 * 1024 * 1024
+"""Bytes of metadata: some 4,000 topics."""
+_MAX_LEVELS = 20
+_LONGEST_REASON = 200
 _SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 
 
@@ -35,7 +39,7 @@ class Rosbag2:
     """An open folder of ROS 2 files: a `Storage` whose places are those of its files, one after the other."""
 
     def __init__(self, folder: Path, open_file: Callable[[Path, OpenBudget], Storage], budget: OpenBudget) -> None:
-        metadata, notes = _metadata(folder)
+        metadata, notes = _metadata(folder, budget)
         self._per_message = metadata.compression == "message"
         self._inflated: tempfile.TemporaryDirectory[str] | None = None
         self._files: list[Storage] = []
@@ -93,6 +97,7 @@ class Rosbag2:
         if self._inflated is None:
             self._inflated = tempfile.TemporaryDirectory(prefix="rosld-")
         plain = Path(self._inflated.name) / path.stem
+        budget.allow(path.stat().st_size)
         try:
             inflate_file(path, plain, lambda _: _require_room(plain.parent, budget))
         except BaseException:
@@ -103,7 +108,7 @@ class Rosbag2:
 
 def _require_room(folder: Path, budget: OpenBudget) -> None:
     """Raise Damaged before what a file inflates to fills the disk of the temporary files."""
-    budget.check()
+    budget.work(STEP)
     if shutil.disk_usage(folder).free < _RESERVE:
         raise Damaged(
             f"it inflates to more than there is room for in {tempfile.gettempdir()}: give the environment variable "
@@ -111,22 +116,80 @@ def _require_room(folder: Path, budget: OpenBudget) -> None:
         )
 
 
-def _metadata(folder: Path) -> tuple[Metadata, list[str]]:
+def _metadata(folder: Path, budget: OpenBudget) -> tuple[Metadata, list[str]]:
     """What `metadata.yaml` says, and a note where it is missing or cannot be used."""
     path = folder / METADATA
     if not path.exists():
         return Metadata(), [f"it has no {METADATA}, so all its files were read"]
     try:
-        information = YAML(typ="safe").load(path.read_text("utf-8", "replace"))["rosbag2_bagfile_information"]
-        mode = str(information.get("compression_mode") or "").lower()
-        topics = [each["topic_metadata"] for each in information.get("topics_with_message_count") or ()]
-        return Metadata(
-            tuple(PurePosixPath(each).name for each in information["relative_file_paths"]),
-            mode if mode in ("file", "message") else "",
-            {str(each["name"]): str(each.get("type_description_hash") or "") for each in topics},
-        ), []
-    except (YAMLError, KeyError, TypeError, AttributeError, RecursionError):
-        return Metadata(), [f"its {METADATA} cannot be read, so all its files were read"]
+        information = _member(_yaml(path, budget), "rosbag2_bagfile_information")
+        topics = [_member(each, "topic_metadata") for each in _list(_member(information, "topics_with_message_count"))]
+        mode = _text(_member(information, "compression_mode")).lower()
+        files = [PurePosixPath(_text(each)).name for each in _list(_member(information, "relative_file_paths"))]
+    except (YAMLError, ValueError) as error:
+        words = " ".join(str(error).split())[:_LONGEST_REASON]
+        return Metadata(), [f"its {METADATA} cannot be read ({words}), so all its files were read"]
+    hashes = {_text(_member(each, "name")): _text(_member(each, "type_description_hash")) for each in topics}
+    return Metadata(tuple(files), mode if mode in ("file", "message") else "", hashes), []
+
+
+_Yaml: TypeAlias = "str | list[_Yaml] | dict[str, _Yaml]"
+
+
+def _yaml(path: Path, budget: OpenBudget) -> _Yaml:
+    """The value of a YAML file, all scalars as text. Raises YAMLError, and ValueError for what metadata never has.
+
+    That is more than `_MAX_BYTES`, deep nesting, and aliases, by which a short text says any amount.
+    """
+    if path.stat().st_size > _MAX_BYTES:
+        raise ValueError(f"it has more than {_MAX_BYTES} bytes")
+    root: list[_Yaml] = []
+    above: list[list[_Yaml] | dict[str, _Yaml]] = [root]
+    keys: list[str | None] = [None]
+    for event in YAML(typ="safe", pure=True).parse(path.read_text("utf-8", "replace")):
+        budget.work()
+        if isinstance(event, events.AliasEvent):
+            raise ValueError("it has aliases, which are not read here")
+        if isinstance(event, events.CollectionEndEvent):
+            above.pop()
+            keys.pop()
+        if not isinstance(event, events.ScalarEvent | events.CollectionStartEvent):
+            continue
+        value: _Yaml = []
+        if isinstance(event, events.ScalarEvent):
+            value = str(event.value)
+        elif isinstance(event, events.MappingStartEvent):
+            value = {}
+        container = above[-1]
+        if isinstance(container, list):
+            container.append(value)
+        elif keys[-1] is None and isinstance(value, str):
+            keys[-1] = value
+        elif (key := keys[-1]) is not None:
+            container[key], keys[-1] = value, None
+        else:
+            raise ValueError("a key in it is no text")
+        if not isinstance(value, str):
+            above.append(value)
+            keys.append(None)
+            if len(above) > _MAX_LEVELS:
+                raise ValueError(f"it nests deeper than {_MAX_LEVELS} levels")
+    return root[0] if root else ""
+
+
+def _member(value: _Yaml, name: str) -> _Yaml:
+    """A member of a mapping, empty where it is missing. Raises ValueError for what is no mapping."""
+    if not isinstance(value, dict):
+        raise ValueError(f"{name} is looked for in what is no mapping")
+    return value.get(name, "")
+
+
+def _list(value: _Yaml) -> list[_Yaml]:
+    return value if isinstance(value, list) else []
+
+
+def _text(value: _Yaml) -> str:
+    return value if isinstance(value, str) and value not in ("null", "~") else ""
 
 
 def _files(folder: Path, metadata: Metadata) -> Sequence[Path]:

@@ -13,10 +13,14 @@ import numpy as np
 from rosld.adapters.model import Encoding
 from rosld.adapters.recording.byte_source import MAX_PIECE
 from rosld.adapters.recording.mcap import latched
-from rosld.adapters.recording.open_budget import OpenBudget
+from rosld.adapters.recording.open_budget import OpenBudget, OpeningRefused
 from rosld.adapters.recording.storage import Damaged, MessageTable, RecordedConnection, RosVersion
 
 MAGIC = b"SQLite format 3\0"
+_STEPS = 100_000
+"""Instructions of the database's machine between two looks at what it may do."""
+_STEP_WORK = 50
+"""Units of work of an instruction."""
 _SYNTAXES = {"ros2msg": "msg", "ros2idl": "idl"}
 
 
@@ -43,7 +47,7 @@ class Sqlite:
             self._database.set_progress_handler(None, 0)
         except (sqlite3.Error, UnicodeDecodeError) as error:
             self._database.close()
-            budget.check()
+            budget.work(0)
             raise Damaged(f"it is no database of messages: {error}") from error
         except BaseException:
             self._database.close()
@@ -73,7 +77,7 @@ def _distrust(database: sqlite3.Connection, budget: OpenBudget) -> None:
     """
     if sys.version_info >= (3, 11):
         database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_PIECE)
-    database.set_progress_handler(lambda: budget.is_cancelled, 100_000)
+    database.set_progress_handler(lambda: _is_refused(budget), _STEPS)
     database.execute("PRAGMA trusted_schema = OFF")
     names = ("topics", "messages", "message_definitions")
     for name in names:
@@ -85,6 +89,15 @@ def _distrust(database: sqlite3.Connection, budget: OpenBudget) -> None:
     for (sql,) in database.execute("SELECT sql FROM sqlite_master WHERE lower(name) IN (?, ?, ?)", names):
         if str(sql).split()[:2] != ["CREATE", "TABLE"]:
             raise Damaged("its tables are not those of a recording")
+
+
+def _is_refused(budget: OpenBudget) -> bool:
+    """Whether the database is to stop: some pages of a tree that refer to each other give rows without end."""
+    try:
+        budget.work(_STEPS * _STEP_WORK)
+    except OpeningRefused:
+        return True
+    return False
 
 
 def _topics(database: sqlite3.Connection, budget: OpenBudget) -> tuple[list[RecordedConnection], dict[int, int]]:

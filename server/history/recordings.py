@@ -10,6 +10,7 @@ import time
 from collections import Counter
 from collections.abc import AsyncIterator, Awaitable, Callable, Hashable, Mapping
 from fnmatch import fnmatchcase
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -27,7 +28,15 @@ from rosld.server.history.ordered_recording import RecordingOrder, RecordingRefu
 from rosld.server.history.recording_notes import RecordingNotes
 from rosld.server.history.recording_writer import RecordingWriter, active_recordings, complete_active
 from rosld.server.history.uploads import NAME as FILE_NAME
-from rosld.server.history.uploads import SUFFIXES, UploadRefused, receive_file, remove_drafts
+from rosld.server.history.uploads import (
+    SUFFIXES,
+    UploadRefused,
+    check_recording,
+    check_seconds,
+    receive_file,
+    remove_drafts,
+)
+from rosld.server.runtime.offload import WorkerPool
 from rosld.server.settings import Settings
 
 log = logging.getLogger("rosld.history")
@@ -38,6 +47,10 @@ _REVISION_SECONDS = 5.0
 """How old what a query is told of a recording that is being made may be."""
 _MAX_RUNNING = 16
 """Recordings that are made at a time."""
+_MAX_CHECKED = 4
+"""Files that are checked at a time: one that takes long holds up no other."""
+_CHECK_BYTES = 3 * 1024 * 1024 * 1024
+"""Bytes of address space for checking one, of which the libraries take a third."""
 
 
 class UnreadableFile(NamedTuple):
@@ -91,7 +104,7 @@ class Recordings:
         self._opened: dict[str, tuple[Adapter, Recording]] = {}
         self._unreadable: dict[str, UnreadableFile] = {}
         self._receiving: set[str] = set()
-        self._one_at_a_time = asyncio.Lock()
+        self._checkers = WorkerPool(_MAX_CHECKED, memory=_CHECK_BYTES, subject="recording")
         self._settings = settings
 
     @property
@@ -207,7 +220,7 @@ class Recordings:
             draft, suffix = await receive_file(folder, name, chunks, self._settings.upload_limit)
             try:
                 # under its name it is opened again, without a limit
-                await self._close_at_once(name, draft)
+                await self._check(name, draft)
                 path = draft.replace(self._path(name, suffix))
             finally:
                 draft.unlink(missing_ok=True)
@@ -249,6 +262,7 @@ class Recordings:
     async def stop(self) -> None:
         """End all that are being made, and let go of the files."""
         await self._armed.stop()
+        await self._checkers.close()
         for name, one in list(self._running.items()):
             if one.ending is None:
                 await self._interruptions.add(name, STOPPED)
@@ -289,28 +303,28 @@ class Recordings:
                 self._unreadable[name] = UnreadableFile(path, str(error))
 
     async def _open(self, name: str, path: Path) -> None:
-        adapter, recording = await self._opened_adapter(name, path, AdapterOptions())
+        adapter, recording = await self._opened_adapter(name, path)
         self._opened[name] = adapter, recording
         self._unreadable.pop(name, None)
         self._changes += 1
 
-    async def _close_at_once(self, name: str, path: Path) -> None:
-        """Have a file opened that anybody may have made, to see whether that can be. Raises RecordingRefused."""
-        options = AdapterOptions(recording_index_limit=self._settings.upload_index_limit)
-        async with self._one_at_a_time:
-            adapter, _ = await self._opened_adapter(name, path, options)
-            await adapter.close()
+    async def _check(self, name: str, path: Path) -> None:
+        """Check in another process that a file can be opened. Raises RecordingRefused, and as `WorkerPool.run`."""
+        work = partial(check_recording, path, self._settings.upload_index_limit)
+        try:
+            await self._checkers.run(work, check_seconds(path))
+        except RosError as error:
+            raise _not_opened(name, path, error) from error
 
-    async def _opened_adapter(self, name: str, path: Path, options: AdapterOptions) -> tuple[Adapter, Recording]:
-        adapter = adapter_for(f"recording:{path}", options)
+    async def _opened_adapter(self, name: str, path: Path) -> tuple[Adapter, Recording]:
+        adapter = adapter_for(f"recording:{path}", AdapterOptions())
         deadline = asyncio.get_running_loop().time() + _OPEN_SECONDS
         try:
             await adapter.open(NullSink(), deadline=deadline)
         except RosError as error:
             with contextlib.suppress(RosError):
                 await adapter.close()
-            words = error.sentence.replace(repr(str(path)), "it")
-            raise RecordingRefused(f"{name} is not opened: {words}") from error
+            raise _not_opened(name, path, error) from error
         (recording,) = adapter.recordings.values()
         return adapter, recording
 
@@ -355,3 +369,8 @@ class Recordings:
         assert folder is not None, "there is one now"
         folder.mkdir(parents=True, exist_ok=True)
         return folder / f"{name}{suffix}"
+
+
+def _not_opened(name: str, path: Path, error: RosError) -> RecordingRefused:
+    words = error.sentence.replace(repr(str(path)), "it")
+    return RecordingRefused(f"{name} is not opened: {words}")

@@ -8,7 +8,9 @@ import sys
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 
+from rosld.adapters.base import AdapterOptions, NullSink
 from rosld.adapters.model.mcap import MAGIC
+from rosld.adapters.registry import adapter_for
 from rosld.server.history.history_writer import require_room
 
 if sys.version_info >= (3, 14):
@@ -21,6 +23,9 @@ SUFFIXES = {b"#ROSBAG ": ".bag", MAGIC: ".mcap", b"SQLite f": ".db3"}
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 _ZSTD = b"\x28\xb5\x2f\xfd"
 _STEP = 1 << 20
+_CHECK_SECONDS = 30.0
+_BYTES_PER_SECOND = 1_000_000
+"""A tenth of what reading a recording without an index of short messages comes to."""
 _DRAFT, _INFLATED = ".part", ".inflated"
 
 
@@ -46,6 +51,24 @@ async def receive_file(folder: Path, name: str, chunks: AsyncIterator[bytes], li
     except BaseException:
         draft.unlink(missing_ok=True)
         raise
+
+
+def check_recording(path: Path, index_limit: int) -> None:
+    """Open a file that anybody may have made, in a worker process, to see whether that can be. Raises RosError."""
+
+    async def check() -> None:
+        adapter = adapter_for(f"recording:{path}", AdapterOptions(recording_index_limit=index_limit))
+        try:
+            await adapter.open(NullSink(), deadline=asyncio.get_running_loop().time() + _CHECK_SECONDS)
+        finally:
+            await adapter.close()
+
+    asyncio.run(check())
+
+
+def check_seconds(path: Path) -> float:
+    """The seconds after which a worker that checks a file is killed: long enough for any that is worth its size."""
+    return _CHECK_SECONDS + path.stat().st_size / _BYTES_PER_SECOND
 
 
 def remove_drafts(folder: Path) -> None:

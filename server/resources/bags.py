@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
 
 from starlette.responses import Response
 
@@ -19,6 +18,9 @@ from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, READ, RESOUR
 from rosld.server.rest.state import State
 from rosld.server.runtime.version_cache import VersionCache
 from rosld.server.settings import Settings
+
+_TOPIC_BYTES = 200
+"""Bytes that a recording says of a topic."""
 
 
 class BagResource(Resource):
@@ -71,8 +73,14 @@ class BagResource(Resource):
         trouble = (history.problem, sum(history.dropped().values())) if is_history else None
         why = self.recordings.interruption(recording.name)
         version = recording.first, recording.count, recording.start_ns, trouble, digest, why
+        # not a partial, which another process would be asked to evaluate
         return self.states.get_or_make(
-            self.url, version, lambda: State(partial(describe_bag, self.space, self.recordings, recording))
+            self.url,
+            version,
+            lambda: State(
+                lambda: describe_bag(self.space, self.recordings, recording),
+                weight=len(recording.topics) * _TOPIC_BYTES,
+            ),
         )
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from typing import TypeAlias, TypeVar, cast
 
 from rosld.server.http.problem import Problem
-from rosld.server.runtime.offload.worker import LENGTH, Outcome
+from rosld.server.runtime.offload.worker import LENGTH, ORDER, Outcome
 
 _T = TypeVar("_T")
 _log = logging.getLogger("rosld")
@@ -36,7 +36,7 @@ MAX_QUEUED = 32
 _BUFFER = 1024 * 1024
 _AT_ONCE_SECONDS = 0.5
 """A worker that ends within these did not end by its work."""
-_START = "import sys; sys.path[:] = sys.argv[1:-2]; from rosld.server.runtime.offload.worker import main; main()"
+_START = "import sys; sys.path[:] = sys.argv[1:-1]; from rosld.server.runtime.offload.worker import main; main()"
 """What a worker runs: with the same modules as the server, wherever that found them."""
 HAS_PROCESSES = sys.platform != "win32"
 """Elsewhere a thread does the work."""
@@ -45,46 +45,56 @@ HAS_PROCESSES = sys.platform != "win32"
 class WorkerPool:
     """Does work in other processes. Belongs to one loop."""
 
-    def __init__(self, limit: int = MAX_WORKERS, seconds: float = WORK_SECONDS, memory: int = WORKER_BYTES) -> None:
+    def __init__(
+        self,
+        limit: int = MAX_WORKERS,
+        seconds: float = WORK_SECONDS,
+        memory: int = WORKER_BYTES,
+        subject: str = "document",
+    ) -> None:
+        """`subject` is the word for what is worked on."""
         self._seconds = seconds
         self._memory = memory
+        self._subject = subject
         self._free = asyncio.Semaphore(limit)
         self._waiting = 0
         self._idle: list[_Worker] = []
         self._busy: set[_Worker] = set()
 
-    async def run(self, work: Work[_T]) -> _T:
+    async def run(self, work: Work[_T], seconds: float | None = None) -> _T:
         """Do work in a worker: what it returns, or what it raises of OSError, ValueError, LookupError and of rosld.
 
-        Raises Problems: 503 where too much waits or a worker ended early, 507 where its memory did not suffice.
+        The worker is killed after `seconds` (None: those of the pool). Raises Problems: 503 where too much waits or a
+        worker ended early, 507 where its memory did not suffice.
         """
         data = _pickle(work)
         if data is None:  # such as rights that depend on types, which only this process knows
             return await asyncio.to_thread(work)
         if self._waiting >= MAX_QUEUED:
-            raise Problem(503, "Too many large documents are being worked on: try again.", headers={"Retry-After": "5"})
+            words = f"Too many large {self._subject}s are being worked on: try again."
+            raise Problem(503, words, headers={"Retry-After": "5"})
         self._waiting += 1
         try:
             await self._free.acquire()
         finally:
             self._waiting -= 1
         try:
-            return cast("_T", await self._run(data))
+            return cast("_T", await self._run(data, self._seconds if seconds is None else seconds))
         finally:
             self._free.release()
 
-    async def _run(self, data: bytes) -> object:
+    async def _run(self, data: bytes, seconds: float) -> object:
         for is_new in (False, True):
             worker = await self._worker(anew=is_new)
             self._busy.add(worker)
             begun = time.monotonic()
             try:
-                outcome, value = await asyncio.wait_for(worker.done(data), self._seconds + 1)
+                outcome, value = await asyncio.wait_for(worker.done(data, seconds), seconds + 1)
             except (asyncio.TimeoutError, OSError, EOFError) as error:
                 worker.end()
                 if worker.has_worked and not is_new and time.monotonic() - begun < _AT_ONCE_SECONDS:
                     continue  # it had ended since its last work: another one does it
-                raise _too_much(self._seconds) from error
+                raise self._too_much(seconds) from error
             except BaseException:
                 worker.end()
                 raise
@@ -92,8 +102,23 @@ class WorkerPool:
                 self._busy.discard(worker)
             worker.has_worked = True
             self._keep(worker)
-            return _result(outcome, value)
+            return self._result(outcome, value)
         raise AssertionError
+
+    def _result(self, outcome: Outcome, value: object) -> object:
+        if outcome is Outcome.VALUE:
+            return value
+        if isinstance(value, MemoryError):
+            words = f"This {self._subject} needs more memory than there is for one: split it into several."
+            raise Problem(507, words) from value
+        if isinstance(value, Exception):
+            raise value
+        _log.error("a worker process failed:\n%s", value)
+        raise RuntimeError("a worker process failed")
+
+    def _too_much(self, seconds: float) -> Problem:
+        words = f"This {self._subject} takes more than {seconds:g} s to be worked on, or more memory than there is"
+        return Problem(503, f"{words}: split it into several.", headers={"Retry-After": "60"})
 
     async def _worker(self, *, anew: bool) -> _Worker:
         while self._idle and not anew:
@@ -104,7 +129,7 @@ class WorkerPool:
         try:
             process, connection = await asyncio.get_running_loop().run_in_executor(None, _start, self)
         except OSError as error:
-            raise Problem(503, f"No process can be started for a large document: {error.strerror}.") from error
+            raise Problem(503, f"No process can be started for a large {self._subject}: {error.strerror}.") from error
         reader, writer = await asyncio.open_unix_connection(sock=connection, limit=_BUFFER)
         return _Worker(process, reader, writer)
 
@@ -120,7 +145,7 @@ class WorkerPool:
     @property
     def command(self) -> list[str]:
         """What starts a worker."""
-        return [sys.executable, "-c", _START, *sys.path, str(self._seconds), str(self._memory)]
+        return [sys.executable, "-c", _START, *sys.path, str(self._memory)]
 
     async def close(self) -> None:
         """End all workers, also those at work. Idempotent."""
@@ -146,10 +171,10 @@ class _Worker:
         """Whether it may take work."""
         return self._process.poll() is None and not self._reader.at_eof()
 
-    async def done(self, data: bytes) -> tuple[Outcome, object]:
-        """Have it do pickled work: the outcome. Raises OSError and EOFError where it ends meanwhile."""
+    async def done(self, data: bytes, seconds: float) -> tuple[Outcome, object]:
+        """Have it do pickled work within these seconds. Raises OSError and EOFError where it ends meanwhile."""
         self.pieces += 1
-        self._writer.writelines((LENGTH.pack(len(data)), data))
+        self._writer.writelines((ORDER.pack(len(data), seconds), data))
         await self._writer.drain()
         size = LENGTH.unpack(await self._reader.readexactly(LENGTH.size))[0]
         reply = await self._reader.readexactly(size)
@@ -187,19 +212,3 @@ def _start(workers: WorkerPool) -> tuple[subprocess.Popen[bytes], socket.socket]
             raise
     ours.setblocking(False)
     return process, ours
-
-
-def _result(outcome: Outcome, value: object) -> object:
-    if outcome is Outcome.VALUE:
-        return value
-    if isinstance(value, MemoryError):
-        raise Problem(507, "This document needs more memory than there is for one: split it into several.") from value
-    if isinstance(value, Exception):
-        raise value
-    _log.error("a worker process failed:\n%s", value)
-    raise RuntimeError("a worker process failed")
-
-
-def _too_much(seconds: float) -> Problem:
-    words = f"This document takes more than {seconds:g} s to be worked on, or more memory than there is"
-    return Problem(503, f"{words}: split it into several.", headers={"Retry-After": "60"})

@@ -20,6 +20,9 @@ from enum import Enum
 from pathlib import Path
 
 LENGTH = struct.Struct("<Q")
+"""What precedes a result: its bytes."""
+ORDER = struct.Struct("<Qd")
+"""What precedes work: its bytes, and the seconds that it may take."""
 _NICENESS = 5
 """How much nicer than the server a worker is: whoever moves or stops the robot never waits for its processor."""
 _LARGE = 256 * 1024 * 1024
@@ -36,15 +39,14 @@ class Outcome(Enum):
 
 
 def main() -> None:
-    """Do what comes on the socket that is standard input, until it ends. Arguments: seconds and bytes of memory."""
-    seconds, memory = float(sys.argv[-2]), int(sys.argv[-1])
-    _take_limits(memory)
+    """Do what comes on the socket that is standard input, until it ends. The argument is the bytes of memory."""
+    _take_limits(int(sys.argv[-1]))
     gc.disable()  # work is short, and what it made is freed at its end
     with socket.socket(fileno=0) as connection:
-        while (data := _read(connection)) is not None:
-            signal.setitimer(signal.ITIMER_REAL, seconds)
-            reply = _do(data)
-            del data
+        while (order := _read(connection)) is not None:
+            signal.setitimer(signal.ITIMER_REAL, order[1])
+            reply = _do(order[0])
+            del order
             signal.setitimer(signal.ITIMER_REAL, 0)
             connection.sendall(LENGTH.pack(len(reply)))
             connection.sendall(reply)
@@ -93,10 +95,14 @@ def _memory() -> int:
     return 0
 
 
-def _read(connection: socket.socket) -> bytes | None:
-    """The next piece of work; None where the server has gone."""
-    head = _exactly(connection, LENGTH.size)
-    return None if head is None else _exactly(connection, LENGTH.unpack(head)[0])
+def _read(connection: socket.socket) -> tuple[bytes, float] | None:
+    """The next piece of work and the seconds it may take; None where the server has gone."""
+    head = _exactly(connection, ORDER.size)
+    if head is None:
+        return None
+    size, seconds = ORDER.unpack(head)
+    data = _exactly(connection, size)
+    return None if data is None else (data, seconds)
 
 
 def _exactly(connection: socket.socket, size: int) -> bytes | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import sqlite3
 import struct
 import sys
@@ -13,8 +14,11 @@ from pathlib import Path
 import pytest
 from lz4.frame import compress as lz4_compress  # type: ignore[import-untyped]
 
-from rosld.adapters.model import Unreachable
+from rosld.adapters.base import AdapterOptions, NullSink
+from rosld.adapters.model import Encoding, Unreachable
+from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.recording import byte_source
+from rosld.adapters.recording.adapter import RecordingAdapter
 from rosld.adapters.recording.byte_source import MAX_PIECE, decompress, decompress_zstd
 from rosld.adapters.recording.files import open_storage
 from rosld.adapters.recording.open_budget import OpenBudget
@@ -145,6 +149,126 @@ def test_an_index_that_is_named_again_and_again_is_refused_within_its_budget(tmp
             open_storage(path, OpenBudget(4 * MIB))
 
     assert peak(refused) < 32 * MIB
+
+
+def described(definitions: dict[str, str], channels: int = 1, more: bytes = b"") -> bytes:
+    """An MCAP file of these types by their names, each with some channels."""
+    parts, ends = [HEADER], struct.pack("<I", len(more)) + more
+    for number, (name, definition) in enumerate(definitions.items(), 1):
+        parts.append(record(3, struct.pack("<H", number) + text(name) + text("ros2msg") + text(definition)))
+        for channel in range(channels):
+            head = struct.pack("<HH", (number - 1) * channels + channel + 1, number)
+            parts.append(record(4, head + text(f"/t{number}/{channel}") + text("cdr") + ends))
+    return b"".join(parts) + END
+
+
+def opened(path: Path, data: bytes) -> RecordingAdapter:
+    """The recording that these bytes are. Raises Unreachable."""
+    path.write_bytes(data)
+
+    async def open_it() -> RecordingAdapter:
+        adapter = RecordingAdapter(path, AdapterOptions())
+        await adapter.open(NullSink(), deadline=asyncio.get_running_loop().time() + 5)
+        return adapter
+
+    return asyncio.run(open_it())
+
+
+def test_a_recording_may_have_as_many_channels_as_mcap_allows(tmp_path: Path) -> None:
+    adapter = opened(tmp_path / "many.mcap", described({"std_msgs/msg/String": "string data\n"}, 65_535))
+    assert len(adapter.graph.topics) == 65_535
+
+
+def test_a_recording_of_more_types_than_its_size_justifies_is_refused_before_they_are_compiled(tmp_path: Path) -> None:
+    types = {f"p/msg/T{number}": "string data\n" for number in range(20_000)}
+    with pytest.raises(Unreachable, match="of its 20000 types, reading it takes more work than a file of its size"):
+        opened(tmp_path / "types.mcap", described(types))
+
+
+def test_a_chunk_that_is_named_again_and_again_is_not_read_again_and_again(tmp_path: Path) -> None:
+    inner = record(0x7F, b"") * (MIB // 4)
+    head, data = HEADER + CHANNEL, chunk(zstd.compress(inner), "zstd", len(inner))
+    body = struct.pack("<QQQQ", 0, 0, len(head), len(data)) + struct.pack("<I", 0)
+    summary = record(8, body + bytes(8) + text("") + bytes(16)) * 1000
+    path = tmp_path / "again.mcap"
+    path.write_bytes(head + data + summary + record(2, struct.pack("<QQI", len(head + data), 0, 0)) + MAGIC)
+    with pytest.raises(Unreachable, match="more work than a file of its size justifies"):
+        open_storage(path)
+
+
+def nested(deep: int) -> str:
+    """A definition each type of which nests the next one twice."""
+    parts = [f"X{number + 1} a\nX{number + 1} b\n" for number in range(deep)]
+    return "".join([parts[0], *(f"{'=' * 80}\nMSG: q/X{number}\n{parts[number]}" for number in range(1, deep))]) + (
+        f"{'=' * 80}\nMSG: q/X{deep}\nint32 x\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("definition", "words"),
+    [
+        (nested(40), "comes to more than 20000 fields"),
+        ("uint8[4000000000] data\n", "come to more than 16777216 values"),
+        (f"F[4000000000] data\n{'=' * 80}\nMSG: q/F\n", "come to more than 16777216 values"),
+        ("".join(f"int32 f{number}\n" for number in range(20_000)), "take more than 131072 characters"),
+        (f"{'a' * 10_000}/b c\n", "whose definition is not known"),
+    ],
+)
+def test_a_definition_that_is_made_to_cost_much_makes_its_topic_unreadable_and_nothing_else(
+    tmp_path: Path, definition: str, words: str
+) -> None:
+    data = described({"q/msg/X0": definition, "std_msgs/msg/String": "string data\n"})
+    (recording,) = opened(tmp_path / "bomb.mcap", data).recordings.values()
+    assert words in (recording.topics["/t1/0"].unreadable or "")
+    assert recording.topics["/t2/0"].unreadable is None
+
+
+def test_a_message_that_claims_more_elements_than_it_has_bytes_is_none_also_where_elements_take_no_bytes() -> None:
+    library = TypeLibrary(ros_version=1)
+    schema = library.learn_message("q/msg/E", f"F[] elements\n{'=' * 80}\nMSG: q/F\n")
+    with pytest.raises(ValueError, match="an array of 4294967295 elements cannot be in 4 bytes"):
+        schema.codec.decode(b"\xff" * 4, Encoding.ROS1)
+
+
+def qos(profiles: str) -> bytes:
+    return text("offered_qos_profiles") + text(profiles)
+
+
+@pytest.mark.parametrize(
+    ("profiles", "latched"),
+    [
+        ("- history: 1\n  depth: 1\n  durability: 1\n  deadline:\n    sec: 0\n", True),
+        ("- history: keep_last\n  depth: 1\n  durability: transient_local\n", True),
+        ("- durability: 1\n  depth: 1\n- depth: 5\n  durability: 2\n", False),
+        ("- depth: 1\n- durability: 1\n", False),
+        ("- deadline:\n    durability: 1\n", False),
+        ("[]", False),
+        ("", False),
+        ("- " + "[" * 262_144, False),
+        ("- durability: [" + "x, " * (8 << 18) + "]", False),
+        ("- &a {durability: 1}\n" + "- *a\n" * 100_000, False),
+    ],
+)
+def test_quality_of_service_is_read_without_a_parser_of_yaml(tmp_path: Path, profiles: str, latched: bool) -> None:
+    data = described({"std_msgs/msg/String": "string data\n"}, more=qos(profiles))
+    bag = opened(tmp_path / "qos.mcap", data)._bag
+    assert bag is not None
+    assert bag.streams[0].latched is latched
+
+
+def test_metadata_with_aliases_or_deep_nesting_is_left_unread_with_a_note(tmp_path: Path) -> None:
+    (tmp_path / "run.mcap").write_bytes(HEADER + CHANNEL + messages(1) + END)
+    for metadata, words in (
+        ("a: &a [x, x]\nb: [*a, *a]\n", "it has aliases"),
+        ("[" * 100_000, "nests deeper than 20 levels"),
+        ("[]", "is no mapping"),
+        ("{a: b", "flow mapping"),
+        ("x" * (3 << 20), "more than 2097152 bytes"),
+    ):
+        (tmp_path / "metadata.yaml").write_text(metadata)
+        storage = open_storage(tmp_path)
+        assert any(words in note and "cannot be read" in note for note in storage.notes), storage.notes
+        storage.close()
 
 
 def test_a_recording_that_nobody_waits_for_any_more_is_not_read_further(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import queue
 import resource
+import struct
 import sys
 import threading
 from collections.abc import Iterator
@@ -13,8 +14,10 @@ from typing import Any
 
 import pytest
 
+from rosld.server.history import recordings
+from rosld.server.history.uploads import check_recording
 from tests.adapters.recording.recorder import lines, write_rosbag1, write_rosbag2
-from tests.adapters.recording.test_hostile_files import CHANNEL, END, HEADER, chunk, messages
+from tests.adapters.recording.test_hostile_files import CHANNEL, END, HEADER, chunk, messages, record
 from tests.server.robots.made_up import MadeUp, served
 from tests.waiting import until
 
@@ -155,3 +158,41 @@ def test_two_files_of_one_name_are_not_both_opened(tmp_path: Path) -> None:
     os.link(next(write_rosbag2(tmp_path / "talk", lines(count=3)).glob("*.mcap")), bags / "talk.mcap")
     with served(MadeUp(), data=tmp_path) as client:
         assert client.get("/bags/talk/messages/9", headers=JSON).json() == {"data": "9"}
+
+
+def hang_or_check(path: Path, index_limit: int) -> None:
+    """In a worker: the check, but of a file called `slow` one without an end."""
+    if "slow" in path.name:
+        while True:
+            pass
+    check_recording(path, index_limit)
+
+
+def test_a_file_that_takes_too_long_to_check_is_given_up_and_holds_up_no_other(
+    http: Any, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = write_rosbag1(tmp_path / "talk.bag", lines()).read_bytes()
+    before = left(data)
+    monkeypatch.setattr(recordings, "check_recording", hang_or_check)
+    monkeypatch.setattr(recordings, "check_seconds", lambda path: 3.0 if "slow" in path.name else 60.0)
+    answers: list[Any] = []
+    slow = threading.Thread(target=lambda: answers.append(http.put("/bags/slow", content=whole, headers=PROBLEM)))
+    slow.start()
+    assert http.put("/bags/quick", content=whole).status_code == 201
+    assert not answers, "the other one is still being checked"
+    slow.join()
+    assert "takes more than 3 s" in refused(answers[0], 503)
+    assert http.delete("/bags/quick/").status_code == 204
+    assert left(data) == before
+
+
+def test_a_bomb_in_the_quality_of_service_of_a_topic_is_not_parsed(http: Any) -> None:
+    more = b"".join(
+        struct.pack("<I", len(each)) + each
+        for each in (b"offered_qos_profiles", b"- durability: [" + b"x, " * (1 << 18) + b"]")
+    )
+    channel = struct.pack("<HH", 2, 1) + b"\x02\0\0\0/y" + b"\x03\0\0\0cdr" + struct.pack("<I", len(more)) + more
+    bomb = zstd.compress(HEADER + CHANNEL + record(4, channel) + messages(1) + END)
+    assert len(bomb) < 2_000
+    assert http.put("/bags/yaml", content=bomb).status_code == 201
+    assert http.delete("/bags/yaml/").status_code == 204

@@ -129,11 +129,15 @@ class RecordedTopic:
 
 @dataclass(frozen=True, slots=True)
 class RecordedMessage:
-    """Message `index` (from 0, in recorded order) of a recording."""
+    """Message `index` (from 0, in recorded order) of a recording.
+
+    `is_opening`: it was sent before the recording begins, and opens it, for it is latched.
+    """
 
     index: int
     topic: str
     sample: Sample
+    is_opening: bool = False
 
 
 FOR_EVER = 1 << 62
@@ -209,6 +213,11 @@ class Recording(Protocol):
     @property
     def topics(self) -> Mapping[str, RecordedTopic]:
         """Its topics by name."""
+        ...
+
+    @property
+    def silent(self) -> Sequence[str]:
+        """Names and globs of topics that were chosen, and of which it has no message."""
         ...
 
     def message(self, index: int) -> RecordedMessage:

@@ -17,6 +17,7 @@ from rosld.ontology.triples import (
     CONTAINER,
     RDF_SOURCE,
     Statement,
+    boolean,
     date_time_literal,
     integer,
     statements,
@@ -57,6 +58,8 @@ class Bag(Protocol):
     def end_ns(self) -> int: ...
     @property
     def topics(self) -> Mapping[str, Track]: ...
+    @property
+    def silent(self) -> Sequence[str]: ...
 
 
 class BagMessage(Protocol):
@@ -68,6 +71,8 @@ class BagMessage(Protocol):
     def topic(self) -> str: ...
     @property
     def sample(self) -> Sample: ...
+    @property
+    def is_opening(self) -> bool: ...
 
 
 class Trigger(Protocol):
@@ -133,6 +138,7 @@ def bag_document(
         (ldp.contains, messages if order is None else None),
         (rdfs.seeAlso, NamedNode(space.bag_stream(bag.name)) if order is None else None),
         *statements(ros.hasRecordedTopic, tracks),
+        *((ros.silentTopic, text(topic)) for topic in bag.silent),
         (spdx.checksum, None if sha256 is None else NamedNode(f"{url}#checksum")),
     )
     if sha256 is not None:
@@ -262,6 +268,7 @@ def _record(bag: Bag, message: BagMessage, space: Space) -> list[Statement]:
         (ros.index, integer(message.index)),
         (ros.onTopic, NamedNode(space.topic(message.topic))),
         (ros.recordedAt, date_time_literal(message.sample.received_ns)),
+        (ros.opensRecording, boolean(True) if message.is_opening else None),
     ]
 
 

@@ -261,6 +261,7 @@ class ros(Namespace, iri="https://w3id.org/rosld#"):
     dropped: NamedNode
     recordingProblem: NamedNode
     recordsTopic: NamedNode
+    silentTopic: NamedNode
     Series: NamedNode
     SeriesPoint: NamedNode
     Plot: NamedNode
@@ -280,6 +281,7 @@ class ros(Namespace, iri="https://w3id.org/rosld#"):
     recordedFile: NamedNode
     index: NamedNode
     recordedAt: NamedNode
+    opensRecording: NamedNode
 
     # cockpits
     Cockpit: NamedNode

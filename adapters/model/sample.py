@@ -15,6 +15,16 @@ class Encoding(Enum):
     CDR = "cdr"
 
 
+_TRANSFORMS = frozenset({"tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"})
+_MAX_TRANSFORMS = 32
+"""Messages with transforms of one publisher: together they hold its frames, and the newest may hold just one."""
+
+
+def latched_depth(type_name: str) -> int:
+    """How many of the latest latched messages of a publisher tell what it has to say: of transforms more than one."""
+    return _MAX_TRANSFORMS if type_name in _TRANSFORMS else 1
+
+
 class Sample(NamedTuple):
     """One message as received: owned bytes, never a view of a receive buffer.
 

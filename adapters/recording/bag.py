@@ -20,6 +20,7 @@ from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.model.names import global_name
 from rosld.adapters.recording.definitions import learn
 from rosld.adapters.recording.open_budget import OpenBudget
+from rosld.adapters.recording.openings import latched_rows, without_repeats
 from rosld.adapters.recording.part import WHOLE, Part
 from rosld.adapters.recording.storage import Damaged, RecordedConnection, RosVersion, Storage
 
@@ -66,7 +67,10 @@ class Bag:
         learnt = _learn_all(library, self._connections, storage.ros_version, budget or OpenBudget())
         self._types = [ref for ref, _ in learnt]
         self._unreadable = [words for _, words in learnt]
-        self._table = part.select(storage.messages.in_recorded_order())
+        table = without_repeats(storage.messages.in_recorded_order(), self._connections)
+        self._table, self._openings = part.select(
+            table, lambda table, until: latched_rows(table, until, self._connections, self._types)
+        )
         self.times = self._table.times
         self.count = len(self.times)
         self.start_ns = int(self.times[0]) if self.count else 0
@@ -74,6 +78,7 @@ class Bag:
         self.streams, self._stream_of = self._as_streams()
         self.streams_by_topic = _grouped(self.streams, [stream.topic for stream in self.streams])
         self.topics: Mapping[str, RecordedTopic] = MappingProxyType(self._as_topics())
+        self.silent = tuple(each for each in storage.silent if each not in self.topics)
 
     def message(self, index: int) -> RecordedMessage:
         """Message `index` in recorded order. Raises NotFound outside 0 to count-1, Unreachable where it is damaged."""
@@ -82,7 +87,7 @@ class Bag:
             raise NotFound(f"the recording {self.name} has no message {index}: {last}")
         stream = self._stream(index)
         sequence = int(np.searchsorted(stream.positions, index)) + 1
-        return RecordedMessage(index, stream.topic, self.sample(index, sequence))
+        return RecordedMessage(index, stream.topic, self.sample(index, sequence), self._is_opening(index))
 
     def messages(self) -> Iterator[RecordedMessage]:
         """All messages in recorded order; those that the disk does not give are left out, with a warning."""
@@ -95,7 +100,7 @@ class Bag:
             except Unreachable as error:
                 log.warning("%s", error)
             else:
-                yield RecordedMessage(index, self.streams[stream].topic, sample)
+                yield RecordedMessage(index, self.streams[stream].topic, sample, self._is_opening(index))
 
     @property
     def settled(self) -> int:
@@ -176,6 +181,9 @@ class Bag:
     def close(self) -> None:
         """Let go of the file. Idempotent."""
         self._storage.close()
+
+    def _is_opening(self, index: int) -> bool:
+        return index < self._openings or self._connections[int(self._table.connections[index])].is_opening
 
     def _stream(self, index: int) -> Stream:
         return self.streams[self._stream_of[int(self._table.connections[index])]]

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rosld.adapters.model import Encoding
-from rosld.adapters.model.mcap import MAGIC, Fields
+from rosld.adapters.model.mcap import MAGIC, OPENING, SILENT_TOPICS, Fields
 from rosld.adapters.recording.byte_source import (
     MAX_PIECE,
     ByteSource,
@@ -38,7 +38,7 @@ from rosld.adapters.recording.storage import (
 )
 
 _HEADER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _MESSAGE_INDEX, _CHUNK_INDEX = 1, 3, 4, 5, 6, 7, 8
-_STATISTICS, _DATA_END = 0x0B, 0x0F
+_STATISTICS, _METADATA, _METADATA_INDEX, _DATA_END = 0x0B, 0x0C, 0x0D, 0x0F
 _FOOTER_SIZE = 1 + 8 + 20 + len(MAGIC)
 _ENTRY = np.dtype([("time", "<u8"), ("offset", "<u8")])
 _MESSAGE_HEAD = struct.Struct("<HIQQ")
@@ -96,6 +96,7 @@ class _Scan:
         self.chunks: list[_Chunk] = []
         self.tables: list[MessageTable] = []
         self.notes: list[str] = []
+        self.silent: tuple[str, ...] = ()
 
     def describe(self, record: _Record, source: ByteSource) -> None:
         """Take in a schema or a channel."""
@@ -138,6 +139,7 @@ class Mcap:
         self.messages = contents.messages
         self.places = contents.places
         self.notes = contents.notes
+        self.silent = contents.silent
 
     def read(self, place: int, offset: int) -> bytes:
         """The bytes of the message record at `offset` of the file or of a chunk. Raises Damaged."""
@@ -169,7 +171,8 @@ def _read(file: RandomFile, budget: OpenBudget) -> tuple[Contents, list[_Chunk]]
             raise Damaged(f"{damage}, and no whole channel was found in it either") from damage
     version: RosVersion = 1 if profile == "ros1" else 2
     messages = concatenate(scan.tables)
-    return Contents("MCAP", version, scan.connections, messages, 1 + len(scan.chunks), tuple(scan.notes)), scan.chunks
+    notes, places = tuple(scan.notes), 1 + len(scan.chunks)
+    return Contents("MCAP", version, scan.connections, messages, places, notes, scan.silent), scan.chunks
 
 
 def _by_summary(file: RandomFile, budget: OpenBudget) -> _Scan:
@@ -184,6 +187,8 @@ def _by_summary(file: RandomFile, budget: OpenBudget) -> _Scan:
         elif record.op == _CHUNK_INDEX:
             budget.spend(parts=1, octets=record.size)
             indexes.append(_Fields(read_exactly(file, record.data_at, record.size)))
+        elif record.op == _METADATA_INDEX:
+            scan.silent += _silent(file, _Fields(read_exactly(file, record.data_at, record.size)), budget)
         elif record.op == _STATISTICS:
             counted = _Fields(read_exactly(file, record.data_at, record.size)).uint(8)
     for index in indexes:
@@ -202,6 +207,19 @@ def _summary(file: RandomFile) -> int:
     if not at:
         raise Damaged("it has no summary")
     return at
+
+
+def _silent(file: RandomFile, index: _Fields, budget: OpenBudget) -> tuple[str, ...]:
+    """The topics that a metadata record names of which no message came, where its index says that it does."""
+    at, _length = index.uint(8), index.uint(8)
+    if index.text() != SILENT_TOPICS:
+        return ()
+    record = _record_at(file, at)
+    budget.spend(octets=record.size)
+    fields = _Fields(read_exactly(file, record.data_at, record.size))
+    if record.op != _METADATA or fields.text() != SILENT_TOPICS:
+        raise Damaged("metadata is not where its index says")
+    return tuple(fields.texts())
 
 
 def _chunk_by_index(file: RandomFile, index: _Fields, scan: _Scan) -> None:
@@ -326,6 +344,7 @@ def _connection(schema: _Schema | None, channel: _Fields) -> RecordedConnection:
         publisher=said.get("callerid", ""),
         latched=said.get("latching") == "1" or latched(said.get("offered_qos_profiles", "")),
         odd=odd,
+        is_opening=said.get(OPENING) == "1",
     )
 
 

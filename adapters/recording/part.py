@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from datetime import datetime, timezone
 from typing import NamedTuple
 from urllib.parse import parse_qsl
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rosld.adapters.recording.storage import Damaged, MessageTable
 
@@ -29,6 +30,13 @@ class Moment(NamedTuple):
         return end_ns + self.ns if self.ns < 0 else start_ns + self.ns
 
 
+class Selection(NamedTuple):
+    """The rows of a part, of which the first few are latched messages from before it."""
+
+    table: MessageTable
+    openings: int
+
+
 class Part(NamedTuple):
     """From when to when, both included (None: from its begin, to its end), and how fast (None: as the settings say)."""
 
@@ -36,10 +44,13 @@ class Part(NamedTuple):
     end: Moment | None = None
     rate: float | None = None
 
-    def select(self, table: MessageTable) -> MessageTable:
-        """The rows of it, of a table in recorded order. Raises Damaged where there are none."""
+    def select(self, table: MessageTable, latched: Callable[[MessageTable, int], NDArray[np.int64]]) -> Selection:
+        """The rows of it, of a table in recorded order. Raises Damaged where there are none.
+
+        `latched` returns those before a row that open a part which begins there: they come first, as if recorded then.
+        """
         if (self.begin is None and self.end is None) or not len(table.times):
-            return table
+            return Selection(table, 0)
         start, last = int(table.times[0]), int(table.times[-1])
         first = 0 if self.begin is None else int(np.searchsorted(table.times, self.begin.at(start, last), "left"))
         beyond = len(table.times)
@@ -47,9 +58,11 @@ class Part(NamedTuple):
             beyond = int(np.searchsorted(table.times, self.end.at(start, last), "right"))
         if first >= beyond:
             raise Damaged(f"it has no messages in that time: it is from {_utc_text(start)} to {_utc_text(last)}")
-        times, connections, places, offsets = table
-        rows = slice(first, beyond)
-        return MessageTable(times[rows], connections[rows], places[rows], offsets[rows])
+        opening = latched(table, first)
+        found = table.rows(np.concatenate([opening, np.arange(first, beyond)]))
+        if self.begin is not None:
+            found.times[: len(opening)] = self.begin.at(start, last)
+        return Selection(found, len(opening))
 
 
 WHOLE = Part()

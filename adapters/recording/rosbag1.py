@@ -102,6 +102,8 @@ class _Scan:
 class Rosbag1:
     """An open ROS 1 bag: a `Storage`."""
 
+    silent: tuple[str, ...] = ()
+
     def __init__(self, path: Path, budget: OpenBudget) -> None:
         self._file = RandomFile(path)
         try:

@@ -38,6 +38,8 @@ class Metadata(NamedTuple):
 class Rosbag2:
     """An open folder of ROS 2 files: a `Storage` whose places are those of its files, one after the other."""
 
+    silent: tuple[str, ...] = ()
+
     def __init__(self, folder: Path, open_file: Callable[[Path, OpenBudget], Storage], budget: OpenBudget) -> None:
         metadata, notes = _metadata(folder, budget)
         self._per_message = metadata.compression == "message"

@@ -31,6 +31,7 @@ class Sqlite:
     ros_version: RosVersion = 2
     places = 1
     notes: tuple[str, ...] = ()
+    silent: tuple[str, ...] = ()
 
     def __init__(self, path: Path, budget: OpenBudget) -> None:
         # immutable: no lock and no journal is made beside a file that may lie on a read-only disk

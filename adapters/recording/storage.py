@@ -25,7 +25,7 @@ class RecordedConnection(NamedTuple):
 
     `publisher` is the node, empty where the format does not tell; `definition` is empty where it holds none, and
     `syntax` says how to read it: "msg", "idl", or what else the file names. `odd` says why its messages cannot be
-    read whatever the definition.
+    read whatever the definition. `is_opening`: its messages came before the file was begun, and open it as latched.
     """
 
     topic: str
@@ -37,6 +37,7 @@ class RecordedConnection(NamedTuple):
     publisher: str = ""
     latched: bool = False
     odd: str | None = None
+    is_opening: bool = False
 
 
 class MessageTable(NamedTuple):
@@ -52,8 +53,11 @@ class MessageTable(NamedTuple):
 
     def in_recorded_order(self) -> MessageTable:
         """The rows by time; those of one time as they lie in the file."""
-        order = np.argsort(self.times, kind="stable")
-        return MessageTable(self.times[order], self.connections[order], self.places[order], self.offsets[order])
+        return self.rows(np.argsort(self.times, kind="stable"))
+
+    def rows(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> MessageTable:
+        """The rows of these numbers, in their order, or those of which it is true."""
+        return MessageTable(self.times[rows], self.connections[rows], self.places[rows], self.offsets[rows])
 
 
 def message_table(
@@ -132,6 +136,11 @@ class Storage(Protocol):
         ...
 
     @property
+    def silent(self) -> Sequence[str]:
+        """Topics that were to be recorded, and of which no message came."""
+        ...
+
+    @property
     def notes(self) -> Sequence[str]:
         """What was wrong with the file, if anything."""
         ...
@@ -155,3 +164,4 @@ class Contents:
     messages: MessageTable
     places: int = 1
     notes: tuple[str, ...] = ()
+    silent: tuple[str, ...] = ()

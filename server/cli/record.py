@@ -40,9 +40,8 @@ def record(source: str, output: Path, topics: Sequence[str], duration: float | N
         writer = asyncio.run(_Recording(adapter, output, topics or ("*",)).run(duration))
     if writer.problem is not None:
         raise Failure(writer.problem)
-    for glob in topics:
-        if not any(fnmatchcase(topic, glob) for topic in writer.counts):
-            click.echo(f"rosld: --topic {glob}: nothing came of it", err=True)
+    if writer.silent:
+        click.echo(f"rosld: no message came of {', '.join(writer.silent)}", err=True)
     click.echo(f"{output}: {writer.count} messages of {len(writer.counts)} topics", err=True)
 
 
@@ -81,6 +80,7 @@ class _Recording(NullSink):
             with contextlib.suppress(asyncio.TimeoutError, TimeoutError):
                 await asyncio.wait_for(ended.wait(), duration)
             progress.cancel()
+            writer.silent = self._live.silent(writer, self._topics, writer.counts)
             await self._live.remove(writer)
             await self._live.stop()
         finally:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from rosld.adapters.model import Encoding, Sample, TypeRef
-from rosld.adapters.model.mcap import Fields
+from rosld.adapters.model.mcap import OPENING, Fields
 from rosld.server.history import mcap_records as mcap
 
 _LATCHED = """- history: keep_last
@@ -30,18 +30,22 @@ PROFILES = {Encoding.ROS1: "ros1", Encoding.CDR: "ros2"}
 
 
 class Channel(NamedTuple):
-    """One publisher's messages on one topic; `publisher` is empty where it is not known."""
+    """One publisher's messages on one topic; `publisher` is empty where it is not known.
+
+    `is_opening`: they came before the file was begun, and open it, for they are latched.
+    """
 
     topic: str
     type: TypeRef
     encoding: Encoding
     publisher: str
     latched: bool
+    is_opening: bool = False
 
 
-def channel_of(topic: str, sample: Sample) -> Channel:
+def channel_of(topic: str, sample: Sample, *, is_opening: bool = False) -> Channel:
     """The channel of a sample of a topic."""
-    return Channel(topic, sample.schema, sample.encoding, sample.publisher, sample.latched)
+    return Channel(topic, sample.schema, sample.encoding, sample.publisher, sample.latched, is_opening)
 
 
 def channel_record(number: int, schema: int, one: Channel) -> bytes:
@@ -60,7 +64,8 @@ def read_channel(fields: Fields, types: Mapping[int, str]) -> tuple[int, Channel
     topic, encoding, said = fields.text(), Encoding(fields.text()), fields.texts()
     is_latched = said.get("latching") == "1" or "transient_local" in said.get("offered_qos_profiles", "")
     hash = said.get("md5sum") or said.get("topic_type_hash") or None
-    return number, Channel(topic, TypeRef(types[schema], hash), encoding, said.get("callerid", ""), is_latched)
+    type, is_opening = TypeRef(types[schema], hash), said.get(OPENING) == "1"
+    return number, Channel(topic, type, encoding, said.get("callerid", ""), is_latched, is_opening)
 
 
 def model_name(recorded: str) -> str:
@@ -75,6 +80,7 @@ def _recorded_name(name: str, encoding: Encoding) -> str:
 
 def _metadata(one: Channel) -> Mapping[str, str]:
     said = {"callerid": one.publisher} if one.publisher else {}
+    said |= {OPENING: "1"} if one.is_opening else {}
     if one.encoding is Encoding.ROS1:
         said |= {"topic": one.topic, "latching": "1" if one.latched else "0"}
         return said | ({"md5sum": one.type.hash} if one.type.hash else {})

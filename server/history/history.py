@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import logging
 import sqlite3
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TypeAlias
@@ -48,10 +48,17 @@ class HistoryRecording:
     name = NAME
     format = "MCAP"
 
-    def __init__(self, writer: HistoryWriter, folders: Sequence[Path]) -> None:
+    def __init__(
+        self,
+        writer: HistoryWriter,
+        folders: Sequence[Path],
+        silent: Callable[[Collection[str]], Sequence[str]] = lambda _: (),
+    ) -> None:
+        """`silent` returns what is recorded beside the topics of which there are messages."""
         self.path = writer.segments.folder or Path()  # a folder in any case: it is no file that could be sent
         self._writer = writer
         self._folders = folders
+        self._silent = silent
         self._libraries: _Libraries = {}
 
     @property
@@ -83,6 +90,11 @@ class HistoryRecording:
             for topic, count in list(self._writer.counts.items())
             if count > 0
         }
+
+    @property
+    def silent(self) -> Sequence[str]:
+        """The topics, and globs, that are recorded, and of which no message is kept."""
+        return self._silent(self.topics)
 
     def message(self, index: int) -> RecordedMessage:
         """A message by its number. Raises NotFound, and Unreachable where the disk does not give it."""
@@ -198,8 +210,11 @@ class History:
         if settings.history and adapter.capabilities.system == "recording":
             raise ValueError(f"--history {settings.history[0]}: a recording is served, whose messages are kept already")
         folder = None if settings.data is None else settings.data / FOLDER
-        self.writer = HistoryWriter(Segments(folder, history_limits(settings)), definition_of)
-        self.recording = HistoryRecording(self.writer, settings.types)
+        segments = Segments(folder, history_limits(settings), lambda: live.latched(self.writer))
+        self.writer = HistoryWriter(segments, definition_of)
+        self.recording = HistoryRecording(
+            self.writer, settings.types, lambda recorded: live.silent(self.writer, settings.history, recorded)
+        )
         self.digests = FileDigests()
         """Those of the recordings beside it."""
         self._globs = settings.history
@@ -238,18 +253,28 @@ class History:
             return
         self._live.add(self.writer, self.will_record)
 
-    def copy_to(self, sink: Sink, wants: Callable[[str], bool], since_ns: int) -> None:
-        """Give a sink what was recorded since a time. Called on the recorder's thread."""
+    def copy_to(self, sink: Sink, wants: Callable[[str], bool], since_ns: int) -> Collection[str]:
+        """Give a sink what was recorded since a time, after what was latched then; return the topics of that.
+
+        Called on the recorder's thread.
+        """
+        copied: set[str] = set()
         if not self.is_kept:
-            return
+            return copied
         self.writer.write_all()
         segments = self.writer.segments
+        with contextlib.suppress(OSError, ValueError, KeyError):  # a segment that is damaged, or gone
+            for topic, sample in self.writer.latched_at(since_ns, wants):
+                sink.add(topic, sample)
+                copied.add(topic)
         for topic in filter(wants, list(self.writer.types)):
             for row in segments.index.of_topic(topic, since_ns, _FOR_EVER):
                 with contextlib.suppress(OSError, ValueError, KeyError):  # a segment that is damaged, or gone
                     for channel, sample in segments.messages_of(row):
                         if sample.received_ns >= since_ns:
                             sink.add(channel.topic, sample)
+                            copied.add(topic)
+        return copied
 
     def close(self) -> None:
         """Let go of the files, when nothing is recorded any more."""

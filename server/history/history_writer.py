@@ -16,6 +16,7 @@ from rosld.adapters.model import Sample, TypeRef
 from rosld.server.history.channel import Channel, channel_of
 from rosld.server.history.chunk_index import ChunkRow, pack_numbers
 from rosld.server.history.chunk_reader import ChunkMessage
+from rosld.server.history.latched_messages import LatchedMessages
 from rosld.server.history.mcap_writer import McapWriter
 from rosld.server.history.segments import Segments, sample_of
 from rosld.server.history.topic_chunk import TopicChunk
@@ -28,6 +29,8 @@ _OVERLAPPING = 2
 """Chunks of a topic that may tell of one moment: messages of several publishers come in another order than sent."""
 _RESERVED_PART = 16
 """What is left of a disk to everything else: `_RESERVE`, or one part in so many of a small one."""
+_OPENING_PART = 4
+"""The latched messages that open a segment take one part in so many of it; what is larger does not open it."""
 _Failures = (OSError, sqlite3.Error)
 
 
@@ -164,6 +167,24 @@ class HistoryWriter:
             samples = [each for row in rows for _, each in self.segments.messages_of(row)]
         return max((each for each in samples if each.received_ns <= time_ns), key=_received, default=None)
 
+    def latched_at(self, time_ns: int, wants: Callable[[str], bool]) -> list[tuple[str, Sample]]:
+        """The latest latched messages from before a time of the topics that are wanted, in order of receipt.
+
+        They are those that open the segment of that time, and those that came in it. Raises OSError, ValueError.
+        """
+        rows, index = self.segments.rows, self.segments.index
+        row = next((each for each in reversed(rows) if 0 < each.start_ns <= time_ns), rows[0] if rows else None)
+        found = LatchedMessages()
+        if row is not None:
+            for channel, sample in self.segments.opening(row.id):
+                found.take(channel.topic, sample)
+            for topic in {one.topic for one in index.channels(row.id).values() if one.latched and wants(one.topic)}:
+                chunks = [each for each in index.of_topic(topic, 0, time_ns) if each.segment == row.id]
+                for _, sample in (one for each in chunks for one in self.segments.messages_of(each)):
+                    if sample.received_ns < time_ns:
+                        found.take(topic, sample)
+        return found.messages(wants)
+
     def _unwritten(self, number: int) -> tuple[Channel, Sample] | None:
         with self._lock:
             chunks = (*self._closing, *self._open.values())
@@ -179,6 +200,7 @@ class HistoryWriter:
         segment, file = self.segments.begin(self.next)
         try:
             writer = McapWriter(file, sample.encoding, self._definition, self.next)
+            self._write_opening(writer, sample.received_ns)
         except OSError:
             self.segments.remove(segment)
             raise
@@ -188,6 +210,19 @@ class HistoryWriter:
             log.warning("the history is recorded again")
             self.problem = None
         return self._current
+
+    def _write_opening(self, writer: McapWriter, time_ns: int) -> None:
+        """Write the latched messages from before a time: without numbers, and in no index, for the history has them."""
+        chunks: dict[str, TopicChunk] = {}
+        left = self.segments.limits.segment_size // _OPENING_PART
+        for topic, sample in self.segments.latched():
+            if sample.received_ns < time_ns and len(sample.data) <= left:
+                left -= len(sample.data)
+                channel = writer.channel(channel_of(topic, sample, is_opening=True))
+                chunk = chunks.setdefault(topic, TopicChunk(topic, time.monotonic()))
+                chunk.add(channel, self.next, time_ns, sample.data, sample.received_ns)
+        for chunk in chunks.values():
+            writer.write(chunk)
 
     def _write(self, chunks: list[TopicChunk]) -> None:
         if not chunks or self._current is None:
@@ -204,7 +239,8 @@ class HistoryWriter:
             for chunk in chunks:
                 place = writer.write(chunk)
                 rows.append(_row(segment, chunk, *place))
-            self.segments.index.add_chunks(segment, rows, dict(writer.channels), writer.file.size)
+            channels = {one: number for one, number in writer.channels.items() if not one.is_opening}
+            self.segments.index.add_chunks(segment, rows, channels, writer.file.size)
             self.segments.refresh()
         except _Failures as error:
             self._fail(error)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import asyncio
 from collections import Counter
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Collection, Sequence
+from fnmatch import fnmatchcase
 
 from rosld.adapters.base import Adapter
-from rosld.adapters.model import TypeRef
+from rosld.adapters.model import Sample, TypeRef
 from rosld.server.history.recorder import Recorder, Sink
 from rosld.server.history.topic_feed import LiveFeed
 
@@ -16,22 +17,47 @@ class LiveRecorder:
     """Records topics of one robot to sinks. It costs nothing until the first sink is added. Belongs to the loop."""
 
     def __init__(self, adapter: Adapter, learn: Callable[[TypeRef], Awaitable[object]]) -> None:
+        self._adapter = adapter
         self._recorder = Recorder()
         self._feed = LiveFeed(adapter, self._recorder, self._sinks_of, learn)
         self._wanted: dict[Sink, Callable[[str], bool]] = {}
         self._running = False
 
-    def add(self, sink: Sink, wants: Callable[[str], bool], begin: Callable[[], None] | None = None) -> None:
-        """Record the topics that `wants` says so of, from now on; `begin` is called on the thread before all else."""
+    def add(self, sink: Sink, wants: Callable[[str], bool], begin: Callable[[], Collection[str]] | None = None) -> None:
+        """Record the topics that `wants` says so of, from now on.
+
+        `begin` is called on the thread before all else, and returns the topics of which it gave the sink the past. Of
+        all others the sink is given the latched messages that came before it was there.
+        """
         self._wanted[sink] = wants
         self._feed.assign()
-        if begin is not None:
-            self._recorder.run(begin)
-        self._recorder.run(lambda: self._recorder.add_sink(sink))
+        latched = self._feed.latched.messages(wants)
+
+        def start() -> None:
+            self._recorder.add_sink(sink)
+            copied = () if begin is None else begin()
+            for topic, sample in latched:
+                if topic not in copied:
+                    sink.add(topic, sample)
+
+        self._recorder.run(start)
         if not self._running:
             self._running = True
             self._recorder.start()
             self._feed.start()
+
+    def latched(self, sink: Sink) -> list[tuple[str, Sample]]:
+        """The latched messages of the topics that are recorded for a sink, in order of receipt. Any thread may ask."""
+        wants = self._wanted.get(sink)
+        return [] if wants is None else self._feed.latched.messages(wants)
+
+    def silent(self, sink: Sink, globs: Sequence[str], recorded: Collection[str]) -> Sequence[str]:
+        """The topics that are recorded for a sink and not among those of which it has messages, and idle globs."""
+        wants, topics = self._wanted.get(sink), self._adapter.graph.topics
+        if wants is None:
+            return ()
+        idle = [glob for glob in globs if not any(fnmatchcase(topic, glob) for topic in (*topics, *recorded))]
+        return sorted({*idle, *(topic for topic in topics if topic not in recorded and wants(topic))})
 
     async def remove(self, sink: Sink) -> None:
         """Record no more for a sink; it is closed when this returns."""

@@ -94,6 +94,11 @@ def metadata(name: str, values: Mapping[str, str]) -> bytes:
     return record(METADATA, text(name) + texts(values))
 
 
+def metadata_index(at: int, length: int, name: str) -> bytes:
+    """Where the metadata of a name lies, for the summary."""
+    return record(METADATA_INDEX, struct.pack("<QQ", at, length) + text(name))
+
+
 def chunk(start_ns: int, end_ns: int, size: int, crc: int, compressed: bytes) -> bytes:
     """A chunk of records, compressed by zstd."""
     head = _CHUNK_HEAD.pack(start_ns, end_ns, size, crc) + text(ZSTD)

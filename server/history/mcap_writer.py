@@ -6,14 +6,14 @@ import struct
 import zlib
 from array import array
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib.metadata import version
 from typing import NamedTuple
 
 import numpy as np
 
 from rosld.adapters.model import Encoding, TypeRef
-from rosld.adapters.model.mcap import MAGIC
+from rosld.adapters.model.mcap import MAGIC, SILENT_TOPICS
 from rosld.server.history import mcap_records as mcap
 from rosld.server.history.channel import PROFILES, Channel, channel_record, schema_record
 from rosld.server.history.segment_file import SegmentFile
@@ -53,8 +53,9 @@ class McapWriter:
 
     @property
     def count(self) -> int:
-        """How many messages were written."""
-        return sum(self._summary.counts.values())
+        """How many messages were written, without those that open the file."""
+        opening = (number for one, number in self.channels.items() if one.is_opening)
+        return sum(self._summary.counts.values()) - sum(self._summary.counts[number] for number in opening)
 
     def has_room(self) -> bool:
         """Whether the file can take another channel."""
@@ -97,8 +98,15 @@ class McapWriter:
         self._summary.add(index, counts)
         return Place(at, len(written))
 
-    def finish(self) -> None:
-        """Write the summary and close the file. Raises OSError; what was written can then still be recovered."""
+    def finish(self, silent: Sequence[str] = ()) -> None:
+        """Write the summary and close the file. Raises OSError; what was written can then still be recovered.
+
+        It names the topics that are `silent`: they were to be in the file, and no message of them came.
+        """
+        if silent:
+            named = mcap.metadata(SILENT_TOPICS, dict.fromkeys(silent, ""))
+            self._summary.metadata.append(mcap.metadata_index(self.file.size, len(named), SILENT_TOPICS))
+            self.file.append(named)
         self.file.append(self._summary.end_of_file(self.file.size, self._records.values()))
         self.file.close()
 
@@ -125,6 +133,8 @@ class Summary:
     def __init__(self) -> None:
         self.chunks: list[mcap.ChunkIndex] = []
         self.counts: Counter[int] = Counter()
+        self.metadata: list[bytes] = []
+        """The index records of the metadata, but for that of the number of the first message."""
 
     def add(self, chunk: mcap.ChunkIndex, counts: Mapping[int, int]) -> None:
         """Another chunk, with its numbers of messages by channel."""
@@ -139,8 +149,9 @@ class Summary:
         groups = (
             (mcap.SCHEMA, b"".join(schemas)),
             (mcap.CHANNEL, b"".join(channels)),
-            (mcap.STATISTICS, mcap.statistics(self.counts, len(schemas), 1, self.chunks)),
+            (mcap.STATISTICS, mcap.statistics(self.counts, len(schemas), 1 + len(self.metadata), self.chunks)),
             (mcap.CHUNK_INDEX, b"".join(map(mcap.chunk_index, self.chunks))),
+            (mcap.METADATA_INDEX, b"".join(self.metadata)),
         )
         data_end = mcap.record(mcap.DATA_END, struct.pack("<I", 0))
         start = offset = at + len(data_end)

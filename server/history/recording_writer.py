@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from rosld.adapters.model import Encoding, Sample, TypeRef
@@ -32,15 +32,19 @@ class RecordingWriter:
         encoding: Encoding,
         definition_of: Callable[[TypeRef], str],
         require_room: Callable[[Path], None],
+        since_ns: int | None = None,
     ) -> None:
-        """Begin the file. Raises OSError."""
+        """Begin the file of a recording since a time, without one since now. Raises OSError."""
         self.path = path
+        self.since_ns = time.time_ns() if since_ns is None else since_ns
         self.count = 0
         self.counts: Counter[str] = Counter()
         self.types: dict[str, TypeRef] = {}
         self.start_ns = 0
         self.end_ns = 0
         self.problem: str | None = None
+        self.silent: Sequence[str] = ()
+        """Topics and globs that were to be recorded and of which no message came, as the file will name them."""
         self._require_room = require_room
         self._active = path.with_name(path.name + ACTIVE)
         require_room(path.parent)
@@ -54,8 +58,13 @@ class RecordingWriter:
         return 0 if writer is None else writer.file.size
 
     def add(self, topic: str, sample: Sample) -> None:
-        """Take a message; one too many for the disk ends the recording."""
-        if self._writer is None or self.problem is not None:
+        """Take a message; one too many for the disk ends the recording.
+
+        Of those that came before it was begun it takes what is latched, as if it came when the recording begins.
+        """
+        time_ns = max(sample.received_ns, self.since_ns)
+        is_opening = sample.received_ns < self.since_ns
+        if self._writer is None or self.problem is not None or (is_opening and not sample.latched):
             return
         if not self._writer.has_room():
             self._end("it has more channels than MCAP can number")
@@ -63,13 +72,13 @@ class RecordingWriter:
         chunk = self._open.get(topic)
         if chunk is None:
             chunk = self._open[topic] = TopicChunk(topic, time.monotonic())
-        channel = self._writer.channel(channel_of(topic, sample))
-        chunk.add(channel, self.count, sample.received_ns, sample.data)
+        channel = self._writer.channel(channel_of(topic, sample, is_opening=is_opening))
+        chunk.add(channel, self.count, time_ns, sample.data, sample.received_ns)
         self.count += 1
         self.counts[topic] += 1
         self.types[topic] = sample.schema
-        self.start_ns = min(self.start_ns or sample.received_ns, sample.received_ns)
-        self.end_ns = max(self.end_ns, sample.received_ns)
+        self.start_ns = min(self.start_ns or time_ns, time_ns)
+        self.end_ns = max(self.end_ns, time_ns)
         if chunk.is_due(chunk.opened):
             self._write([chunk])
 
@@ -82,9 +91,10 @@ class RecordingWriter:
         if self._writer is None:
             return
         self._write(list(self._open.values()))
+        self.silent = [topic for topic in self.silent if topic not in self.counts]
         writer, self._writer = self._writer, None
         try:
-            writer.finish()
+            writer.finish(self.silent)
             self._active.replace(self.path)
         except OSError as error:  # without its summary it can still be read, and is completed at the next start
             self._end(error.strerror or str(error))

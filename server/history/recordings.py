@@ -8,7 +8,7 @@ import logging
 import tempfile
 import time
 from collections import Counter
-from collections.abc import AsyncIterator, Awaitable, Callable, Hashable, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Hashable, Mapping, Sequence
 from fnmatch import fnmatchcase
 from functools import partial
 from pathlib import Path
@@ -176,13 +176,13 @@ class Recordings:
             raise RecordingRefused(f"{_MAX_RUNNING} recordings are being made already: end one first", taken=True)
         name = self._free_name(order.name)
         encoding = self._adapter.capabilities.encoding
-        writer = RecordingWriter(self._path(name, SUFFIX), encoding, self._definition_of, require_room)
+        since = self._since(order.before)
+        writer = RecordingWriter(self._path(name, SUFFIX), encoding, self._definition_of, require_room, since)
         self._running[name] = one = RunningRecording(name, order, writer, self._live.dropped())
 
         def wants(topic: str) -> bool:
             return any(fnmatchcase(topic, glob) for glob in order.topics) and may_record(topic)
 
-        since = time.time_ns() - int(order.before * 1e9)
         copy = (lambda: self.history.copy_to(writer, wants, since)) if order.before > 0 else None
         self._live.add(writer, wants, copy)
         if order.duration is not None:
@@ -259,6 +259,10 @@ class Recordings:
         """Messages that came since a recording began and could not be taken to it, by topic."""
         return self._live.dropped() - Counter(one.dropped_before)
 
+    def silent(self, one: RunningRecording) -> Sequence[str]:
+        """The topics, and globs, of which a recording that is being made has no message so far."""
+        return self._live.silent(one.writer, one.order.topics, one.writer.counts)
+
     async def stop(self) -> None:
         """End all that are being made, and let go of the files."""
         await self._armed.stop()
@@ -274,6 +278,12 @@ class Recordings:
         if self._temporary is not None:
             self._temporary.cleanup()
 
+    def _since(self, before: float) -> int:
+        """When a recording begins that is to begin `before` seconds ago: as long ago as the history has messages."""
+        now = time.time_ns()
+        oldest = self.history.recording.start_ns if self.history.is_kept else 0
+        return min(max(now - int(before * 1e9), oldest or now), now)
+
     def _end_soon(self, one: RunningRecording) -> asyncio.Task[None]:
         """End a recording, once; the task that does."""
         if one.timer is not None:
@@ -283,6 +293,7 @@ class Recordings:
         return one.ending
 
     async def _end(self, one: RunningRecording) -> None:
+        one.writer.silent = self.silent(one)
         await self._live.remove(one.writer)
         if one.writer.problem is not None:
             await self._interruptions.add(one.name, one.writer.problem)

@@ -5,13 +5,16 @@ from __future__ import annotations
 import zlib
 from array import array
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
+from rosld.adapters.model import Sample
 from rosld.adapters.model.mcap import MAGIC, Fields
 from rosld.server.history import mcap_records as mcap
-from rosld.server.history.channel import Channel, read_channel
+from rosld.server.history.channel import Channel, model_name, read_channel
+from rosld.server.history.chunk_reader import read_records
 from rosld.server.history.mcap_writer import NUMBERS, Place, Summary
-from rosld.server.history.segment_file import DiskFile
+from rosld.server.history.segment_file import DiskFile, SegmentFile
 
 
 @dataclass(slots=True)
@@ -86,6 +89,43 @@ def recover(file: DiskFile) -> Scan:
     return found
 
 
+def opening_messages(file: SegmentFile) -> Iterator[tuple[Channel, Sample]]:
+    """The messages of the first chunks of a file as far as they open it, when they were received.
+
+    Raises OSError, and ValueError or KeyError where it is damaged.
+    """
+    at = len(MAGIC)
+    names: dict[int, str] = {}
+    while len(head := file.read(at, mcap.RECORD_HEAD.size)) == mcap.RECORD_HEAD.size:
+        op, length = mcap.RECORD_HEAD.unpack(head)
+        if op == mcap.CHUNK:
+            found = list(_opening(read_records(file, at, mcap.RECORD_HEAD.size + length), names))
+            if not found:
+                return
+            yield from found
+        at += mcap.RECORD_HEAD.size + length
+
+
+def _opening(data: bytes, names: dict[int, str]) -> Iterator[tuple[Channel, Sample]]:
+    """The messages of a chunk that open its file; `names` are those of the types by number, as far as known."""
+    channels: dict[int, Channel] = {}
+    for record in mcap.records_in(data):
+        if record.op == mcap.SCHEMA:
+            fields = Fields(data[record.at : record.end])
+            schema = fields.uint(2)
+            names[schema] = model_name(fields.text())
+        elif record.op == mcap.CHANNEL:
+            number, channel = read_channel(Fields(data[record.at : record.end]), names)
+            channels[number] = channel
+        elif record.op == mcap.MESSAGE:
+            begin = record.at - mcap.RECORD_HEAD.size
+            _, _, number, sequence, _, received_ns = mcap.MESSAGE_HEAD.unpack_from(data, begin)
+            one, content = channels.get(number), data[begin + mcap.MESSAGE_HEAD.size : record.end]
+            if one is None or not one.is_opening:
+                return
+            yield one, Sample(content, one.encoding, one.type, one.publisher, received_ns, sequence, latched=True)
+
+
 def _accept(
     found: Scan,
     data: bytes,
@@ -108,7 +148,8 @@ def _accept(
         head.size,
     )
     found.summary.add(index, counts)
-    found.chunks.append(chunk)
+    if chunk.numbers:
+        found.chunks.append(chunk)
     found.end = end
 
 
@@ -134,6 +175,7 @@ def _chunk(found: Scan, data: bytes, record: mcap.Record, names: dict[int, str])
             _, _, number, sequence, _, _ = mcap.MESSAGE_HEAD.unpack_from(inner, each.at - mcap.RECORD_HEAD.size)
             topic = found.channels[number].topic
             counts[number] += 1
-            numbers.append(found.first + ((sequence - found.first) & 0xFFFFFFFF))
+            if not found.channels[number].is_opening:  # what opens a file has no number
+                numbers.append(found.first + ((sequence - found.first) & 0xFFFFFFFF))
     begin = record.at - mcap.RECORD_HEAD.size
     return ScannedChunk(Place(begin, record.end - begin), topic, head.start_ns, head.end_ns, numbers), counts

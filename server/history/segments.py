@@ -7,7 +7,7 @@ import logging
 import sqlite3
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from rosld.server.history.channel import Channel, model_name
 from rosld.server.history.chunk_index import ChunkIndex, ChunkRow, SegmentRow, pack_numbers
 from rosld.server.history.chunk_reader import ChunkMessage, read_chunk, read_records
 from rosld.server.history.segment_file import DiskFile, MemoryFile, SegmentFile
-from rosld.server.history.segment_scan import Scan, recover
+from rosld.server.history.segment_scan import Scan, opening_messages, recover
 
 log = logging.getLogger("rosld.history")
 _INDEX = "index.sqlite"
@@ -34,11 +34,20 @@ class HistoryLimits:
 
 
 class Segments:
-    """The files and their index; `folder` is None where they are in memory. One thread writes, any reads."""
+    """The files and their index; `folder` is None where they are in memory. One thread writes, any reads.
 
-    def __init__(self, folder: Path | None, limits: HistoryLimits) -> None:
+    `latched` returns the latched messages of now with their topics, which open each file.
+    """
+
+    def __init__(
+        self,
+        folder: Path | None,
+        limits: HistoryLimits,
+        latched: Callable[[], Iterable[tuple[str, Sample]]] = tuple,
+    ) -> None:
         self.folder = folder
         self.limits = limits
+        self.latched = latched
         self._index: ChunkIndex | None = None
         self._files: dict[int, SegmentFile] = {}
         self._rows: list[SegmentRow] = []
@@ -166,6 +175,10 @@ class Segments:
                 channel = channels[each.channel]
                 yield channel, sample_of(channel, each, row.first + ((each.sequence - row.first) & 0xFFFFFFFF))
 
+    def opening(self, segment: int) -> Iterator[tuple[Channel, Sample]]:
+        """The latched messages that open a segment, when they were received. Raises OSError, ValueError, KeyError."""
+        yield from opening_messages(self._files[segment])
+
     def close(self) -> None:
         """Let go of the index. Idempotent."""
         if self._index is not None:
@@ -221,6 +234,7 @@ def _index_scan(index: ChunkIndex, segment: int, found: Scan, size: int) -> None
     channels = {
         one._replace(type=TypeRef(model_name(one.type.name), one.type.hash)): number
         for number, one in found.channels.items()
+        if not one.is_opening
     }
     texts = {model_name(name): text for name, text in found.definitions.items() if text}
     index.add_chunks(segment, rows, channels, size)

@@ -34,10 +34,10 @@ class TopicChunk:
         self.start_ns = 1 << 63
         self.end_ns = 0
 
-    def add(self, channel: int, number: int, time_ns: int, data: bytes) -> None:
-        """Append a message."""
-        length = len(data)
-        head = MESSAGE_HEAD.pack(MESSAGE, MESSAGE_FIXED + length, channel, number & 0xFFFFFFFF, time_ns, time_ns)
+    def add(self, channel: int, number: int, time_ns: int, data: bytes, published_ns: int | None = None) -> None:
+        """Append a message, with the time when it was published where that is another one."""
+        length, published = len(data), time_ns if published_ns is None else published_ns
+        head = MESSAGE_HEAD.pack(MESSAGE, MESSAGE_FIXED + length, channel, number & 0xFFFFFFFF, time_ns, published)
         self.parts.append(head)
         self.parts.append(data)
         entries = self.entries.get(channel)

@@ -10,6 +10,7 @@ from collections.abc import Awaitable, Callable, Iterable, Sequence
 
 from rosld.adapters.base import Adapter, Subscription
 from rosld.adapters.model import RosError, Sample, TypeRef
+from rosld.server.history.latched_messages import LatchedMessages
 from rosld.server.history.recorder import SAMPLE_OVERHEAD, Arrival, Recorder, Sink
 
 log = logging.getLogger("rosld.history")
@@ -105,6 +106,8 @@ class LiveFeed:
     ) -> None:
         self.lost: Counter[str] = Counter()
         """Messages that were gone before they were looked at, by topic."""
+        self.latched = LatchedMessages()
+        """Of the topics that are recorded, as far as their publishers are there and their types known."""
         self._adapter = adapter
         self._recorder = recorder
         self._sinks_of = sinks_of
@@ -168,6 +171,13 @@ class LiveFeed:
                 self._changed = True
         for topic in self._feeds.keys() - self._sinks.keys():
             self._feeds.pop(topic).subscription.close()
+        self.latched.keep(self._is_published)
+
+    def _is_published(self, topic: str, publisher: str) -> bool:
+        """Whether a topic is recorded and a node publishes it; a publisher without a name is any."""
+        entry = self._adapter.graph.topics.get(topic)
+        publishers = () if entry is None else entry.publishers
+        return topic in self._feeds and any(publisher in (each.node, "") for each in publishers)
 
     def _look(self) -> list[tuple[TopicFeed, int]]:
         """Take what is new to the recorder; the topics whose subscriptions should have another depth."""
@@ -183,6 +193,7 @@ class LiveFeed:
             for sample in new:
                 arrival = Arrival(topic, sample, sinks)
                 if sample.schema in self._known:
+                    self.latched.take(topic, sample)
                     arrivals.append(arrival)
                 else:
                     self._hold(arrival)
@@ -214,4 +225,11 @@ class LiveFeed:
             pass  # it is recorded without its definition
         finally:
             self._known.add(type)
-            self._recorder.put(self._held.pop(type, []))
+            held = self._held.pop(type, [])
+            for topic, sample, _ in held:
+                self.latched.take(topic, sample)
+            self._recorder.put([each._replace(sinks=self._sinks_since(each)) for each in held])
+
+    def _sinks_since(self, arrival: Arrival) -> tuple[Sink, ...]:
+        """The sinks of a message that had to wait, with those that came meanwhile: it may open these."""
+        return tuple(dict.fromkeys((*arrival.sinks, *self._sinks.get(arrival.topic, ()))))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from rosld.adapters.base import RecordedTopic, Recording
 from rosld.ontology.describe_bags import bag_document
@@ -19,6 +19,7 @@ class ArmedView:
     format = "MCAP"
     first = count = start_ns = end_ns = 0
     topics: Mapping[str, RecordedTopic] = {}
+    silent: Sequence[str] = ()
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -30,8 +31,9 @@ class RunningView:
     format = "MCAP"
     first = 0
 
-    def __init__(self, one: RunningRecording) -> None:
+    def __init__(self, one: RunningRecording, silent: Sequence[str]) -> None:
         self.name = one.name
+        self.silent = silent
         self.count = one.writer.count
         self.start_ns = one.writer.start_ns
         self.end_ns = one.writer.end_ns
@@ -63,7 +65,7 @@ def describe_running(space: Space, recordings: Recordings, one: RunningRecording
     """The document of a recording that is being made."""
     writer = one.writer
     return bag_document(
-        RunningView(one),
+        RunningView(one, recordings.silent(one)),
         space,
         dropped=recordings.dropped(one),
         problem=writer.problem,

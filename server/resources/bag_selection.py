@@ -159,6 +159,7 @@ class BagSelection(Resource):
             "index": message.index,
             "topic": message.topic,
             "time": date_time(0, message.sample.received_ns),
+            **({"opening": True} if message.is_opening else {}),
         }
         if decoded.message is None:
             return said | {"unreadable": decoded.reason}

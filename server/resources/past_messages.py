@@ -289,6 +289,7 @@ class _RecordText:
             (ros.index, f'"{message.index}"^^<{xsd.integer.value}>'),
             (ros.onTopic, f"<{topic}>"),
             (ros.recordedAt, received),
+            *([(ros.opensRecording, f'"true"^^<{xsd.boolean.value}>')] if message.is_opening else []),
             (ros.recordedMessage, f"<{url}{MESSAGE}>") if reason is None else (ros.unreadable, quote(reason or "")),
         ]
         for predicate, value in said:
@@ -301,7 +302,8 @@ class _RecordText:
 _OF_RECORDS = frozenset(
     each.value
     for each in (
-        rdf.type, ros.recordedIn, ros.index, ros.onTopic, ros.recordedAt, ros.recordedMessage, ros.unreadable,
+        rdf.type, ros.recordedIn, ros.index, ros.onTopic, ros.recordedAt, ros.opensRecording, ros.recordedMessage,
+        ros.unreadable,
     )
 )  # fmt: skip
 

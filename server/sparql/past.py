@@ -47,7 +47,8 @@ PREDICATES = frozenset(
     each.value
     for each in (
         ros.past, ros.received, ros.sequence, ros.sentBy, ros.dateTime, ros.elidedLength, ros.bytes, ros.unreadable,
-        ros.recordedIn, ros.index, ros.onTopic, ros.recordedAt, ros.recordedMessage, rdf.type, rdf.first, rdf.rest,
+        ros.recordedIn, ros.index, ros.onTopic, ros.recordedAt, ros.opensRecording, ros.recordedMessage, rdf.type,
+        rdf.first, rdf.rest,
     )
 )  # fmt: skip
 """What is said of recorded messages and of their topics, beside the fields of their types."""

@@ -74,7 +74,8 @@ _BELOW_RESOURCES = frozenset(
 )
 """Described, and said of what lies below `/resources/`, too."""
 _OF_RECORDS = frozenset(
-    one.value for one in (ros.recordedIn, ros.index, ros.onTopic, ros.recordedAt, ros.recordedMessage)
+    one.value
+    for one in (ros.recordedIn, ros.index, ros.onTopic, ros.recordedAt, ros.opensRecording, ros.recordedMessage)
 )
 """Described, and said of recorded messages, too."""
 _VOCABULARIES = tuple(iri for iri in PREFIXES.values() if not iri.startswith(ros.iri))
@@ -97,7 +98,7 @@ _DESCRIBED = frozenset(
         ros.hasParameter, ros.lifecycleState, ros.lifecycleStateWord, ros.lifecycleUnknown, ros.transition,
         ros.targetState, ros.targetStateWord, ros.touches, ros.matched, ros.does, ros.duration, ros.digest,
         ros.excerpt, ros.withheld, ros.readsFrom, ros.writesTo, ros.invokes, ros.hasGoal, ros.isGoalOf,
-        ros.holds, ros.heldBy, ros.offeringNode, ros.requestingNode, ros.byteLength, ros.robot,
+        ros.opensRecording, ros.holds, ros.heldBy, ros.offeringNode, ros.requestingNode, ros.byteLength, ros.robot,
     )
 )  # fmt: skip
 """Never said of what is live. Terms of the vocabulary that are not listed anywhere here count as live."""

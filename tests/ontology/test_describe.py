@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import pytest
@@ -450,6 +450,7 @@ class Bag:
     start_ns: int = 10**18
     end_ns: int = 10**18 + 5
     topics: Mapping[str, Track] = field(default_factory=lambda: {"/a/b": Track("/a/b", POINT, 250, "odd")})
+    silent: Sequence[str] = ("/c",)
 
 
 @dataclass(frozen=True)
@@ -457,6 +458,7 @@ class Recorded:
     index: int
     topic: str
     sample: Sample
+    is_opening: bool = True
 
 
 def test_a_recording_lists_topics_with_types_and_counts() -> None:

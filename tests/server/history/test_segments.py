@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import asyncio
 import shutil
 import time
 from pathlib import Path
 
 import pytest
 
+from rosld.adapters.base import AdapterOptions, NullSink, RecordedMessage
 from rosld.adapters.model import Encoding, Sample, TypeRef
+from rosld.adapters.registry import adapter_for
 from rosld.server.history import mcap_writer
 from rosld.server.history.history_writer import HistoryWriter
+from rosld.server.history.latched_messages import LatchedMessages
 from rosld.server.history.segment_file import DiskFile
 from rosld.server.history.segment_scan import recover
 from rosld.server.history.segments import HistoryLimits, Segments
@@ -185,3 +189,58 @@ def test_a_segment_ends_after_its_time(tmp_path: Path) -> None:
     add(writer, 10)
     writer.close()
     assert [len(read(path)) for path in files(tmp_path)] == [20, 20]
+
+
+def played(folder: Path, part: str = "") -> list[RecordedMessage]:
+    """The messages of a folder of segments, or of a part of them, as `rosld serve` plays it."""
+
+    async def read_all() -> list[RecordedMessage]:
+        adapter = adapter_for(f"recording:{folder}{part}", AdapterOptions())
+        await adapter.open(NullSink(), deadline=asyncio.get_running_loop().time() + 20)
+        (recording,) = adapter.recordings.values()
+        found = list(recording.messages())
+        await adapter.close()
+        return found
+
+    return asyncio.run(read_all())
+
+
+def test_every_segment_opens_with_what_was_latched_which_the_history_counts_once(tmp_path: Path) -> None:
+    latched = LatchedMessages()
+    whole = tmp_path / "whole"
+    limits = HistoryLimits(1e9, 1 << 30, segment_seconds=10)
+    segments = Segments(whole, limits, lambda: latched.messages(lambda topic: True))
+    writer = HistoryWriter(segments, lambda ref: "string data\n")
+    writer.open()
+    maps = [sample(number, "map", publisher)._replace(latched=True) for number, publisher in enumerate(("/m", "/n"))]
+    for one in maps:
+        writer.add("/map", one)
+        latched.take("/map", one)
+    for last in (12, 22):
+        for number in range(writer.next, last):
+            writer.add("/odom", sample(number))
+        writer.write_due(time.monotonic() + 11)
+    writer.close()
+    _, second = files(whole)
+    opening = [one for one in read(second) if one.topic == "/map"]
+    assert [(one.data, one.time_ns) for one in opening] == [(one.data, sample(12).received_ns) for one in maps]
+    assert (writer.next, writer.counts) == (22, {"/map": 2, "/odom": 20})
+
+    for path in whole.glob("index*"):
+        path.unlink()
+    again = open_writer(whole)
+    assert (again.next, again.counts) == (22, {"/map": 2, "/odom": 20}), "also where the index is made anew"
+    again.segments.close()
+    assert [one.sample.data for one in played(whole) if one.topic == "/map"] == [one.data for one in maps]
+    part = played(whole, "?from=0.05&to=0.08")
+    assert [(one.topic, one.is_opening) for one in part] == [("/map", True)] * 2 + [("/odom", False)] * 4
+    assert {one.sample.received_ns for one in part[:2]} == {sample(5).received_ns}, "when the part begins"
+
+    cut = tmp_path / "cut"
+    cut.mkdir()
+    shutil.copy(second, cut)
+    rest = open_writer(cut)
+    assert rest.counts == {"/odom": 10}
+    found = rest.latched_at(sample(15).received_ns, lambda topic: True)
+    assert [(one.data, one.received_ns) for _, one in found] == [(one.data, one.received_ns) for one in maps]
+    assert [(one.topic, one.is_opening) for one in played(cut)[:3]] == [("/map", True)] * 2 + [("/odom", False)]

@@ -1,4 +1,4 @@
-"""Publishes one transform on /tf, ten times a second: tf_node.py CHILD_FRAME."""
+"""Publishes one transform on /tf, ten times a second, or once and latched on /tf_static: tf_node.py CHILD [static]."""
 
 import sys
 
@@ -6,9 +6,9 @@ import rospy
 from geometry_msgs.msg import TransformStamped
 from tf2_msgs.msg import TFMessage
 
-child = sys.argv[1]
+child, is_static = sys.argv[1], "static" in sys.argv[2:]
 rospy.init_node(f"tf_{child}")
-publisher = rospy.Publisher("/tf", TFMessage, queue_size=10)
+publisher = rospy.Publisher("/tf_static" if is_static else "/tf", TFMessage, queue_size=10, latch=is_static)
 transform = TransformStamped()
 transform.header.frame_id = "map"
 transform.child_frame_id = child
@@ -18,4 +18,6 @@ print("ready", flush=True)
 while not rospy.is_shutdown():
     transform.header.stamp = rospy.Time.now()
     publisher.publish(TFMessage([transform]))
+    if is_static:
+        rospy.spin()
     rate.sleep()

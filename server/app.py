@@ -103,7 +103,7 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
     triggers = RecordingTriggers(session, services.affordances, services.mappings, router.at, authenticator)
     router.add({"bags": partial(factory.bag_at, triggers=triggers)})
     near = partial(near_urls, space, session.adapter, services.affordances)
-    dispatcher = Dispatcher(services.instance_id, pages, broadcasters, keyed_lock, large, near)
+    dispatcher = Dispatcher(services.instance_id, session, pages, broadcasters, keyed_lock, large, near)
     clients = client_limiter(settings)
     admission = Admission(clients, f"{space.path}stop".encode("ascii"))
     handler = middleware(space, services.receipts, router, dispatcher, pages, names, admission, authenticator)

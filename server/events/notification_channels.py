@@ -20,8 +20,10 @@ from rosld.server.events import query_params
 from rosld.server.events.broadcaster import Observation
 from rosld.server.events.channel_request import ChannelRequest
 from rosld.server.http.problem import Problem
+from rosld.server.receipts.audit_context import record_step
 from rosld.server.rest.resource import Resource
 from rosld.server.rest.state import State
+from rosld.server.runtime.dry_run import end_dry_run
 
 MAX_CHANNELS = 4000
 """Channels at a time. One more takes the place of the one that has been without a receiver longest."""
@@ -101,7 +103,9 @@ class Channels:
 
         It will tell at once where the topic is in another state than the wish says that its client knows.
         """
+        record_step(f"open a channel that tells of {resource.url}")
         self._make_room()
+        end_dry_run()
         token = secrets.token_urlsafe(24)
         url, source = place(token)
         times = (wish.interval, wish.start_at, wish.end_at)
@@ -121,6 +125,7 @@ class Channels:
 
     def close(self, channel: Channel) -> None:
         """End a channel, and the task that sends to its receiver unless that is the current one."""
+        end_dry_run()
         self._kept.pop(channel.token, None)
         if channel.receiver is not None and channel.receiver is not asyncio.current_task():
             channel.receiver.cancel()
@@ -169,17 +174,14 @@ class Channels:
     def _make_room(self) -> None:
         if len(self._kept) < self._limit:
             return
-        for channel in [one for one in self._kept.values() if one.is_over]:
-            self.close(channel)
+        over = [one for one in self._kept.values() if one.is_over]
         waiting = [one for one in self._kept.values() if one.receiver is None]
-        if len(self._kept) >= self._limit:
-            if not waiting:
-                raise Problem(
-                    503,
-                    f"{self._limit} channels have receivers already. Come back later.",
-                    headers={"Retry-After": "60"},
-                )
-            self.close(min(waiting, key=lambda one: one.since))
+        if not over and not waiting:
+            words = f"{self._limit} channels have receivers already. Come back later."
+            raise Problem(503, words, headers={"Retry-After": "60"})
+        end_dry_run()
+        for channel in over or [min(waiting, key=lambda one: one.since)]:
+            self.close(channel)
 
 
 def _is_absent(problem: Problem) -> bool:

@@ -19,6 +19,8 @@ from rosld.server.history.ordered_recording import (
     order_to_json,
 )
 from rosld.server.history.recording_notes import ARMED, RecordingNotes
+from rosld.server.receipts.audit_context import record_step
+from rosld.server.runtime.dry_run import end_dry_run
 
 log = logging.getLogger("rosld.history")
 MAX_ARMED = 16
@@ -114,6 +116,8 @@ class ArmedRecordings:
         """Have a recording wait, durably where there is a folder. Raises RecordingRefused, OSError."""
         if len(self.all) >= MAX_ARMED:
             raise RecordingRefused(f"{MAX_ARMED} recordings wait for triggers already: delete one first", taken=True)
+        record_step(f"have the recording {name} wait for its trigger")
+        end_dry_run()
         one = self.all[name] = ArmedRecording(name, order, agent)
         try:
             await self._write(one)
@@ -126,9 +130,11 @@ class ArmedRecordings:
 
     async def disarm(self, name: str) -> bool:
         """Disarm a recording; return whether there was one. What it has begun to record goes on. Raises OSError."""
-        one = self.all.pop(name, None)
-        if one is None:
+        if name not in self.all:
             return False
+        record_step(f"have the recording {name} wait no more for its trigger")
+        end_dry_run()
+        one = self.all.pop(name)
         if one.task is not None:
             one.task.cancel()
         await self._remove(name)

@@ -36,6 +36,8 @@ from rosld.server.history.uploads import (
     receive_file,
     remove_drafts,
 )
+from rosld.server.receipts.audit_context import record_step
+from rosld.server.runtime.dry_run import end_dry_run
 from rosld.server.runtime.offload import WorkerPool
 from rosld.server.settings import Settings
 
@@ -45,6 +47,8 @@ SUFFIX = ".mcap"
 _OPEN_SECONDS = 60.0
 _REVISION_SECONDS = 5.0
 """How old what a query is told of a recording that is being made may be."""
+_LONGEST_STEP = 500
+"""Characters by which a receipt tells what is recorded."""
 _MAX_RUNNING = 16
 """Recordings that are made at a time."""
 _MAX_CHECKED = 4
@@ -175,6 +179,8 @@ class Recordings:
         if len(self._running) >= _MAX_RUNNING:
             raise RecordingRefused(f"{_MAX_RUNNING} recordings are being made already: end one first", taken=True)
         name = self._free_name(order.name)
+        record_step(f"record {', '.join(order.topics)} as {name}"[:_LONGEST_STEP])
+        end_dry_run()
         encoding = self._adapter.capabilities.encoding
         since = self._since(order.before)
         writer = RecordingWriter(self._path(name, SUFFIX), encoding, self._definition_of, require_room, since)
@@ -209,6 +215,8 @@ class Recordings:
         """End a recording, which can then be read. Nothing happens where there is none of this name."""
         one = self._running.get(name)
         if one is not None:
+            record_step(f"end the recording {name}")
+            end_dry_run()
             await asyncio.shield(self._end_soon(one))
 
     async def receive(self, name: str, chunks: AsyncIterator[bytes]) -> None:
@@ -221,6 +229,8 @@ class Recordings:
             try:
                 # under its name it is opened again, without a limit
                 await self._check(name, draft)
+                record_step(f"keep the recording {name}")
+                end_dry_run()
                 path = draft.replace(self._path(name, suffix))
             finally:
                 draft.unlink(missing_ok=True)
@@ -232,6 +242,8 @@ class Recordings:
 
     async def delete(self, name: str) -> bool:
         """End and delete a recording, or what waits for its trigger; whether there was one."""
+        record_step(f"delete the recording {name}")
+        end_dry_run()
         if await self.disarm(name):
             return True
         await self.end(name)

@@ -10,6 +10,7 @@ Schema: TypeAlias = DataSchema
 
 ANYTHING: Schema = {}
 TEXT: Schema = {"type": "string"}
+BOOLEAN: Schema = {"type": "boolean"}
 URI: Schema = {"type": "string", "format": "uri"}
 OBJECT: Schema = {"type": "object"}
 NOTHING: Schema = {"type": "null"}

@@ -15,8 +15,9 @@ from rosld.server.events.query_params import (
     MIN_RATE,
 )
 from rosld.server.hypermedia.data_schema import Json
-from rosld.server.hypermedia.json_schema import ANYTHING, JSON_LD, TEXT, Schema
-from rosld.server.rest.formats import HTML, OFFERS, RDF_BODIES
+from rosld.server.hypermedia.json_schema import ANYTHING, JSON_LD, TEXT, URI, Schema
+from rosld.server.rest.formats import HTML, JSON, OFFERS, RDF_BODIES
+from rosld.server.rest.path_item import OF_EVERY_WRITE
 
 PROBLEM = "application/problem+json"
 _PROBLEM_SCHEMA: Schema = {
@@ -47,6 +48,33 @@ _PROBLEM_SCHEMA: Schema = {
     "required": ["type", "title", "status", "detail"],
 }
 
+_URLS: Schema = {"type": "array", "items": URI}
+_PLAN_SCHEMA: Schema = {
+    "type": "object",
+    "description": "The plan of a dry run: nothing was done.",
+    "properties": {
+        "dryRun": {"const": True},
+        "method": TEXT,
+        "url": URI,
+        "steps": {
+            "type": "array",
+            "items": {
+                "type": "object",
+                "properties": {
+                    "does": TEXT,
+                    "url": URI,
+                    "receivers": {**_URLS, "description": "The nodes that it would reach, as the graph has them."},
+                },
+                "required": ["does", "url", "receivers"],
+            },
+        },
+        "limits": {**_URLS, "description": "The resources and types whose limits were checked."},
+        "conditions": {**_URLS, "description": "The conditions of mappings that were checked."},
+        "status": {"type": ["integer", "null"], "description": "The status of the real answer, where it is known."},
+    },
+    "required": ["dryRun", "method", "url", "steps", "limits", "conditions", "status"],
+}
+
 HEADERS: Mapping[str, tuple[str, Schema]] = {
     "ETag": ("The entity tag of this representation (RFC 9110 8.8.3).", TEXT),
     "Link": ("The types of the resource (LDP 4.2.1.4), what describes it, what constrains it (RFC 8288).", TEXT),
@@ -61,6 +89,10 @@ HEADERS: Mapping[str, tuple[str, Schema]] = {
     "Preference-Applied": ("The preferences that were honoured (RFC 7240 3).", TEXT),
 }
 PARAMETERS: Mapping[str, Json] = {
+    **{
+        each.name: {"name": each.name, "in": "query", "description": each.about, "schema": each.schema}
+        for each in OF_EVERY_WRITE
+    },
     "after": {
         "name": "after",
         "in": "query",
@@ -210,6 +242,14 @@ def content(media_types: Iterable[str], plain: Schema | None = None) -> dict[str
     return {media_type: {"schema": schema_of(media_type, plain)} for media_type in media_types}
 
 
+def or_plan(content: dict[str, Json]) -> dict[str, Json]:
+    """The content of the answer to a write that is 200, or the plan of a dry run."""
+    plan = reference("schemas", "DryRun")
+    shown = content.get(JSON)
+    either: Json = {"schema": {"anyOf": [shown["schema"], plan]} if isinstance(shown, dict) else plan}
+    return {**content, JSON: either}
+
+
 def schema_of(media_type: str, plain: Schema | None = None) -> Schema:
     """The schema of a body of a media type: text is one string."""
     if media_type == "application/json":
@@ -243,6 +283,10 @@ def components(schemas: Mapping[str, Schema]) -> dict[str, Json]:
             "description": "No Content. It was done.",
             "headers": headers("Link", "Content-Location", "Preference-Applied"),
         },
+        "dry-run": {
+            "description": "OK. The plan of a dry run: nothing was done.",
+            "content": {"application/json": {"schema": reference("schemas", "DryRun")}},
+        },
         "unmet": {
             "description": "No Content. The time is over, and what `until` says does not hold.",
             "headers": headers("ETag", "Link", "Allow", "Content-Location"),
@@ -264,7 +308,7 @@ def components(schemas: Mapping[str, Schema]) -> dict[str, Json]:
         answers[f"{status}.head"] = bare
         answers[str(status)] = bare if status in _EMPTY else {**bare, "content": told}
     return {
-        "schemas": {"Problem": _PROBLEM_SCHEMA, **dict(sorted(schemas.items()))},
+        "schemas": {"Problem": _PROBLEM_SCHEMA, "DryRun": _PLAN_SCHEMA, **dict(sorted(schemas.items()))},
         "responses": answers,
         "parameters": dict(PARAMETERS),
         "headers": {name: {"description": about, "schema": schema} for name, (about, schema) in HEADERS.items()},

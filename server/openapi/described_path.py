@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from rosld.server.rest.path_item import USUAL_STATUSES, PathItem, WriteMethod
+from rosld.server.rest.path_item import PathItem, WriteMethod
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,4 +25,4 @@ class DescribedPath:
 
     def write(self, method: str) -> WriteMethod:
         """What is told of a method that writes."""
-        return self.item.writes.get(method, USUAL_STATUSES)
+        return self.item.write(method)

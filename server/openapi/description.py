@@ -19,6 +19,7 @@ from rosld.server.openapi.components import (
     content,
     document,
     headers,
+    or_plan,
     reference,
     refusals,
     representation,
@@ -26,14 +27,10 @@ from rosld.server.openapi.components import (
 )
 from rosld.server.openapi.described_path import DescribedPath
 from rosld.server.openapi.description_parts import sections
-from rosld.server.rest.path_item import QueryParameter
+from rosld.server.rest.path_item import OF_EVERY_WRITE, QueryParameter
 
 VERSION = "3.1.1"
 _ORDER = ("GET", "HEAD", "OPTIONS", "PUT", "POST", "PATCH", "DELETE")
-_DONE = {"PUT": (200, 201, 204), "POST": (200, 201, 204), "PATCH": (200, 201, 204), "DELETE": (204,)}
-"""Statuses of what was done, where a path says nothing else."""
-_WAITS = ("after", "timeout", "rate")
-"""Parameters of what can be followed and waited for."""
 _SHORT = frozenset({"HEAD", "OPTIONS"})
 _TEMPLATE = re.compile(r"\{([^{}]+)\}")
 _BY_SCHEMA = frozenset({"application/json", "application/merge-patch+json", "application/x-www-form-urlencoded"})
@@ -161,18 +158,15 @@ def _operation(path: DescribedPath, method: str, names: _Names | None) -> dict[s
 def _parameters(path: DescribedPath, method: str) -> Iterator[Json]:
     if method == "GET":
         yield from (_query(one) for one in path.item.query)
-        if path.item.is_paged:
-            yield from (reference("parameters", name) for name in ("page", "Prefer.container"))
-        if path.item.has_shape:
-            yield reference("parameters", "shape")
-        yield reference("parameters", "If-None-Match")
-        if path.item.streams:
-            own = {one.name for one in path.item.query}
-            names = ("until", *_WAITS) if path.item.has_value else _WAITS
-            yield from (reference("parameters", name) for name in names if name not in own)
+        container = ("Prefer.container",) if path.item.is_paged else ()
+        names = (*path.item.shared_query, *container, "If-None-Match")
+        yield from (reference("parameters", name) for name in names)
     else:
         yield from (reference("parameters", name) for name in ("If-Match", "If-None-Match", "Prefer"))
-        yield from map(_query, path.write(method).query)
+        query = path.write(method).query
+        yield from map(_query, query)
+        own = {one.name for one in query}
+        yield from (reference("parameters", one.name) for one in OF_EVERY_WRITE if one.name not in own)
 
 
 def _query(one: QueryParameter) -> Json:
@@ -204,8 +198,8 @@ def _answers(path: DescribedPath, method: str) -> dict[str, Json]:
     if method == "GET":
         unmet = {"204": reference("responses", "unmet")} if path.item.has_value else {}
         return {"200": _read(path), **unmet, **refusals((*READING, *_ways(path)))}
-    done = {str(status): _success_response(path, method, status) for status in path.write(method).done or _DONE[method]}
-    return {**done, **refusals((*WRITING, *path.item.also))}
+    done = {str(status): _success_response(path, method, status) for status in path.write(method).statuses(method)}
+    return {"200": reference("responses", "dry-run"), **done, **refusals((*WRITING, *path.item.also))}
 
 
 def _ways(path: DescribedPath) -> tuple[int, ...]:
@@ -232,5 +226,6 @@ def _success_response(path: DescribedPath, method: str, status: int) -> dict[str
         answer["headers"] = headers("Location", "ETag", "Link", "Content-Location", certain=["Location"])
     else:
         answer["headers"] = headers("ETag", "Link", "Content-Location", "Preference-Applied")
-    answer["content"] = content(path.item.reads, path.item.plain if shown is None else shown)
+    told = content(path.item.reads, path.item.plain if shown is None else shown)
+    answer["content"] = or_plan(told) if status == 200 else told
     return answer

@@ -10,6 +10,8 @@ import hashlib
 import time
 from contextvars import ContextVar
 
+from rosld.server.runtime.dry_run import current_dry_run
+
 _MAX_STEPS = 100
 """Steps and URLs that are noted: a write of thousands of things is not told one by one."""
 
@@ -37,16 +39,19 @@ class AuditContext:
         self.length = 0
 
     def begin(self) -> None:
-        """Mark the request as a write: from now on it leaves a receipt, whatever its outcome."""
-        self.is_write = True
+        """Mark the request as a write: from now on it leaves a receipt, whatever its outcome. A dry run leaves none."""
+        self.is_write = current_dry_run.get() is None
         current_audit.set(self)
 
     def mark_read_only(self) -> None:
-        """It turned out to change nothing, whatever it says: a query, a dry run."""
+        """It turned out to change nothing, whatever it says: a query."""
         self.is_write = False
 
     def add_step(self, does: str, *touches: str) -> None:
         """Add a step of the write and the URLs of what it touches; one that is there already is not added again."""
+        dry_run = current_dry_run.get()
+        if dry_run is not None:
+            dry_run.add_step(does, touches)
         if not self.plan:
             self.plan, self.touched = (does,), touches
             return

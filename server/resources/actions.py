@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections.abc import Callable, Mapping, Sequence
 
 import orjson
@@ -40,7 +41,7 @@ from rosld.server.resources.command import CommandResource
 from rosld.server.resources.limit_checks import LimitChecks
 from rosld.server.resources.namespaces import is_absent, redirect_to_namespace
 from rosld.server.resources.service_request import read_message
-from rosld.server.resources.strictness import STRICT
+from rosld.server.resources.strictness import STRICTNESS
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, RDF_BODIES
 from rosld.server.rest.path_item import PathItem, WriteMethod
@@ -52,6 +53,7 @@ from rosld.server.robot.goal_store import Goal
 from rosld.server.robot.goals import GoalSubmission
 from rosld.server.robot.session import Session
 from rosld.server.robot.write_policy import resources_only_reason
+from rosld.server.runtime.dry_run import DryRunEnded, expect_status
 from rosld.server.runtime.loop_time import loop_time
 from rosld.server.runtime.version_cache import IdentityKey, VersionCache
 
@@ -97,7 +99,7 @@ class ActionResource(CommandResource):
             is_body_required=False,
             done=(201,),
             shows=_goal_schema(schemas, schema),
-            query=(STRICT,),
+            query=STRICTNESS,
         )
         return PathItem(f"The action {self.name}", writes={"POST": send}, has_shape=type is not None)
 
@@ -203,8 +205,11 @@ class ActionResource(CommandResource):
         if not asked:
             hint = " Others have sent some: ?others=true cancels these." if pursued else ""
             raise Problem(409, f"{self.name} pursues no goal that was sent from here.{hint}")
-        answers = [await _cancel(self.session, goal) for goal in asked]
-        return answers[-1]
+        answer = Response(status_code=202)
+        for goal in asked:
+            with contextlib.suppress(DryRunEnded):
+                answer = await _cancel(self.session, goal)
+        return answer
 
     async def _submit(self, exchange: Exchange, schema: ActionSchema, message: Message) -> GoalSubmission:
         """What became of a goal that was sent, once only for each Idempotency-Key."""
@@ -374,6 +379,7 @@ class GoalResource(Resource):
 
 async def _cancel(session: Session, goal: Goal) -> Response:
     """Ask for a goal to be canceled. Raises a 409 Problem where that is refused, and RosError."""
+    expect_status(202)
     try:
         await session.goals.cancel(goal, deadline=loop_time() + session.settings.call_deadline)
     except (Refused, NotFound) as error:

@@ -37,6 +37,7 @@ from rosld.server.resources.preconditions import condition_conflict
 from rosld.server.resources.property_writes import plan_property_write
 from rosld.server.rest.ros_problems import problem_of
 from rosld.server.robot.session import Session
+from rosld.server.runtime.dry_run import DryRunEnded
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,6 +232,8 @@ async def carry_out_all(session: Session, writes: Sequence[tuple[str, PlannedWri
     for place, (name, write) in enumerate(writes):
         try:
             written = await carry_out(session, write)
+        except DryRunEnded:
+            continue
         except (RosError, Problem) as error:
             raise _partly(error, name, done, [name for name, _ in writes[place + 1 :]]) from error
         done.append({"name": name, "status": 202 if written is WriteOutcome.UNHEARD else 204})

@@ -365,6 +365,7 @@ class ChannelResource(DescribedResource):
 
     async def delete(self, exchange: Exchange) -> Answer:
         """Close the channel: nothing more is sent to it."""
+        exchange.audit.add_step("end the channel", self.url)
         self.notifications.channels.close(self._channel)
         return Response(status_code=204)
 

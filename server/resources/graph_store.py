@@ -140,7 +140,7 @@ class GraphStore(Resource):
         self._all = DatasetResource(f"{self.url}?all", service, space.base, updates)
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        of_a_graph = (_GRAPH, _GRAPH_FORMAT)
+        of_a_graph = (_GRAPH, _DEFAULT, _ALL)
         return PathItem(
             "The graph store: a graph by its name",
             (*OFFERS, ANY_TYPE),
@@ -335,9 +335,7 @@ class DatasetResource(_Whole):
             )
         kept = {name: triples for name, triples in graphs.items() if self._updates.is_stored(name)}
         operations = await asyncio.to_thread(_operations, kept, replaces=replaces)
-        return await self._updates.carry_out(
-            operations, dry_run=exchange.query_flag("dry-run"), permissions=exchange.permissions
-        )
+        return await self._updates.carry_out(operations, permissions=exchange.permissions)
 
 
 def _operations(graphs: Mapping[str, Sequence[Triple]], *, replaces: bool) -> Sequence[Operation]:

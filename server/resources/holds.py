@@ -36,7 +36,7 @@ from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.patches.patch import merge_patch
 from rosld.server.resources.limit_checks import LimitChecks
 from rosld.server.resources.publisher import Publisher
-from rosld.server.resources.strictness import STRICT
+from rosld.server.resources.strictness import STRICTNESS
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH, RDF_BODIES
 from rosld.server.rest.path_item import FORMAT, PathItem, QueryParameter, WriteMethod
@@ -47,6 +47,7 @@ from rosld.server.robot.hold_store import HeldMessage, Hold, HoldEnded, Holds, h
 from rosld.server.robot.publish_rate import PublishLimiter
 from rosld.server.robot.session import Session
 from rosld.server.robot.velocity import passes_stop, zero_message
+from rosld.server.runtime.dry_run import expect_status
 from rosld.server.runtime.version_cache import IdentityKey, VersionCache
 from rosld.shapes.value import Bounds
 
@@ -173,7 +174,7 @@ class HoldResource(Resource):
             ANYTHING,
             is_body_required=False,
             done=(200, 204),
-            query=(STRICT, *hold_parameters()),
+            query=(*STRICTNESS, *hold_parameters()),
         )
         end = WriteMethod("Ends the hold; what it was told to say last is published.", done=(204,))
         return PathItem(
@@ -294,6 +295,7 @@ class HoldResource(Resource):
             exchange.audit.mark_read_only()  # a sign of life, several a second: the receipt of the hold tells the rest
         what = f"hold {hold.topic} at {changed.rate:g} Hz, unrenewed for {changed.lease:g} s"
         exchange.audit.add_step(what, self.session.space.topic(hold.topic))
+        expect_status(204)
         self.holds.renew(self.id, changed)
         return Response(status_code=204)
 

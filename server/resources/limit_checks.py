@@ -25,6 +25,7 @@ from rosld.server.policies.active_limits import ActiveLimits
 from rosld.server.rest.state import State
 from rosld.server.robot.audited_adapter import AuditedAdapter
 from rosld.server.robot.write_policy import any_number_hint, takes_finite_numbers
+from rosld.server.runtime.dry_run import note_limits
 from rosld.shapes.bounds import merge_bounds
 from rosld.shapes.command_numbers import (
     LARGEST_NUMBER,
@@ -78,9 +79,12 @@ class LimitChecks:
         if not limits:
             return
         check = limits.message(schema)
+        if check is not None:
+            note_limits(self._space.class_of(schema.ref.name))
         broken = list(check(message, url, node)) if check is not None else []
         shape = limits.resource(url)
         if shape is not None:
+            note_limits(url)
             said = Triple(NamedNode(url), _LINKS[node], NamedNode(url + node))
             broken += shape.violations(
                 NamedNode(url), [said, *lifter(schema, self._lifting).triples(message, url, node)]
@@ -185,6 +189,7 @@ class LimitChecks:
         stored = StoredValue(value)
         broken: list[Violation] = []
         if shape is not None:
+            note_limits(url)
             broken += shape.violations(NamedNode(url), self._triples(url, ros.value, stored))
         return broken + await self._of_property(Kind.PARAMETER, name, stored)
 
@@ -194,6 +199,7 @@ class LimitChecks:
         for url, field in await self._property_names(kind, name):
             shape = self.limits.resource(url)
             if shape is not None:
+                note_limits(url)
                 broken += shape.violations(NamedNode(url), self._triples(url, rdf.value, value, field))
         return broken
 

@@ -30,6 +30,7 @@ from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import State
 from rosld.server.robot.session import Session
 from rosld.server.robot.write_policy import resources_only_reason
+from rosld.server.runtime.dry_run import expect_status
 from rosld.server.runtime.loop_time import loop_time
 from rosld.server.runtime.version_cache import VersionCache
 
@@ -149,6 +150,7 @@ class NodeResource(CommandResource):
             await self._require(graph, transition, lifecycle.service)
         try:
             deadline = loop_time() + self.session.settings.call_deadline
+            expect_status(204)
             await self.session.adapter.change_state(self.name, label, deadline=deadline)
         except Refused as error:
             raise self._refusal(error) from error

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import secrets
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -48,6 +49,7 @@ from rosld.server.rest.resource import READ, Answer, CreatedAnswer, Resource, pe
 from rosld.server.rest.state import State
 from rosld.server.robot.session import Session
 from rosld.server.robot.write_policy import parameter_denied_reason
+from rosld.server.runtime.dry_run import DryRunEnded, end_dry_run, expect_status
 from rosld.server.runtime.loop_time import loop_time
 from rosld.server.runtime.version_cache import VersionCache
 from rosld.shapes.parameter import declared_triples, require_form
@@ -157,6 +159,7 @@ class ParameterResource(ParameterBase):
         _require_below(exchange, self.url, value)
         before = await self._value()
         self._check_place(value, before)
+        expect_status(201 if before is None else 204)
         await self._set({self.name: value})
         if before is not None:
             return await self._answer({self.name: value})
@@ -227,6 +230,7 @@ class ParameterResource(ParameterBase):
             value = lower_parameter(apply_update(data, document.triples, self.url, by_value=True), self.url)
         _require_below(exchange, self.url, value)
         self._check_place(value, before)
+        expect_status(204)
         await self._set({self.name: value})
         return await self._answer({self.name: value})
 
@@ -330,9 +334,11 @@ class ParameterTree(ParameterContainer):
         changed = changed_values(before or {}, merged)
         prefix = "" if self.name == "/" else self.name
         values = {f"{prefix}/{name}": value for name, value in changed.items()}
-        await self._set(values)
+        with contextlib.suppress(DryRunEnded):
+            await self._set(values)
         if gone:
             await self._delete([f"{prefix}/{name}" for name in gone])
+        end_dry_run(204)
         return await self._answer(values)
 
     async def _patch_node(self, before: Mapping[str, ParameterValue], after: Mapping[str, ParameterValue]) -> Answer:
@@ -346,10 +352,12 @@ class ParameterTree(ParameterContainer):
                 raise Problem(409, f"{name} belongs to the node {known.node}: PATCH its own container.")
         for name in gone:
             require_not_fixed(graph, name, delete=True)
-        if changed:
-            await self._set(changed)
+        with contextlib.suppress(DryRunEnded):
+            if changed:
+                await self._set(changed)
         if gone:
             await self._delete(gone)
+        end_dry_run(204)
         return await self._answer(changed)
 
 

@@ -13,6 +13,7 @@ from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.mapping import Condition
 from rosld.server.hypermedia.resource_tree import ActionPlan, PropertyPlan, ResourceTree
 from rosld.server.rest.state import State
+from rosld.server.runtime.dry_run import note_conditions
 
 
 async def read_fresh_state(
@@ -38,6 +39,7 @@ def require_offered(space: Space, affordances: AffordanceService[State], plan: A
 
 def condition_conflict(space: Space, conditions: Sequence[Condition], snapshot: Snapshot, sentence: str) -> None:
     """Raise a 409 Problem with the report of the conditions that do not hold."""
+    note_conditions(condition.iri for condition in conditions)
     broken: tuple[Violation, ...] = snapshot.results.violations(conditions)
     if broken:
         about = [url_of(condition.about, space) for condition in conditions]

@@ -47,7 +47,7 @@ from rosld.server.resources.limit_checks import LimitChecks
 from rosld.server.resources.preconditions import read_fresh_state, require_offered, require_writable
 from rosld.server.resources.property_writes import plan_property_write, write_response
 from rosld.server.resources.service_request import call_problem, call_service, read_request, refusal_problem
-from rosld.server.resources.strictness import STRICT, is_strict
+from rosld.server.resources.strictness import STRICTNESS, is_strict
 from rosld.server.resources.things import ThingDescriptions
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH, RDF_BODIES, SPARQL_UPDATE
@@ -57,6 +57,7 @@ from rosld.server.rest.resource import ABSENT, READ, Answer, ShownAnswer, perman
 from rosld.server.rest.state import State
 from rosld.server.robot.calls import CallOutcome
 from rosld.server.robot.session import Session
+from rosld.server.runtime.dry_run import expect_status
 from rosld.server.runtime.version_cache import VersionCache
 
 _INVOKES = "Invokes the action; what is shown then is the resource that it belongs to."
@@ -117,7 +118,7 @@ class MemberResource(CommandResource):
             is_body_required=False,
             done=(201,) if sends_goals else (200, 204),
             shows=OBJECT,
-            query=(STRICT,),
+            query=STRICTNESS,
         )
         return PathItem(
             f"The {'action' if value is None else 'property'} {self.name}",
@@ -127,7 +128,7 @@ class MemberResource(CommandResource):
             {
                 "DELETE": WriteMethod(_CANCELS, done=(202,), query=(_OTHERS,)),
                 "PUT": WriteMethod(
-                    sends=ANYTHING if sent is None else write_schema(sent), done=(200, 202, 204), query=(STRICT,)
+                    sends=ANYTHING if sent is None else write_schema(sent), done=(200, 202, 204), query=STRICTNESS
                 ),
                 "PATCH": WriteMethod(sends=ANYTHING if sent is None else patch_schema(sent), done=(200, 202, 204)),
                 "POST": invoke,
@@ -308,6 +309,7 @@ class MemberResource(CommandResource):
 
     async def _answer(self, exchange: Exchange, planned: PlannedWrite) -> Answer:
         """Carry a write out: what it came to is shown where that is not what was asked for."""
+        expect_status(204)
         written = await carry_out(self.session, planned)
         if written is WriteOutcome.OTHERWISE:
             return ShownAnswer(self, await self.state())
@@ -421,6 +423,7 @@ class MemberResource(CommandResource):
             require_offered(
                 self.session.space, self.affordances, plan, await read_fresh_state(self.affordances, tree, plan.reads)
             )
+            expect_status(200)
             outcome = await call_service(exchange, self.session, plan.service, plan.schema, request)
         problem = call_problem(self.session.space, outcome) or refusal_problem(self.session.space, outcome)
         if problem is not None:

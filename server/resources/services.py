@@ -20,7 +20,7 @@ from rosld.server.resources.command import CommandResource
 from rosld.server.resources.limit_checks import LimitChecks
 from rosld.server.resources.namespaces import is_absent, redirect_to_namespace
 from rosld.server.resources.service_request import call_problem, call_service, read_request
-from rosld.server.resources.strictness import STRICT
+from rosld.server.resources.strictness import STRICTNESS
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, RDF_BODIES
 from rosld.server.rest.path_item import PathItem, WriteMethod
@@ -69,7 +69,7 @@ class ServiceResource(CommandResource):
             is_body_required=False,
             done=(201,),
             shows=ANYTHING if schema is None else nullable(schemas.read(schema.response)),
-            query=(STRICT,),
+            query=STRICTNESS,
         )
         return PathItem(f"The service {self.name}", writes={"POST": call}, has_shape=type is not None)
 

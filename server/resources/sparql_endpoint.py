@@ -215,10 +215,12 @@ _OF_BOTH = (
     QueryParameter("named-graph-uri", "The named graphs.", _GRAPHS),
     RESULT_FORMAT,
 )
+_OF_CLIENTS = tuple(
+    QueryParameter(name, "Passed over: some clients call `format` so as well.") for name in ("output", "results")
+)
 _OF_UPDATES = (
     QueryParameter("using-graph-uri", "The graphs that are the default graph of an update together.", _GRAPHS),
     QueryParameter("using-named-graph-uri", "The named graphs of an update.", _GRAPHS),
-    QueryParameter("dry-run", "Whether an update is only to be planned, and the plan told.", {"type": "boolean"}),
 )
 
 
@@ -264,7 +266,7 @@ class SparqlResource(Resource):
         post = WriteMethod(
             sends={"anyOf": [form, update]} if updates else form,
             done=(200, 204) if updates else (200,),
-            query=(*_OF_BOTH, *(_OF_UPDATES if updates else ())),
+            query=(_QUERY, *_OF_BOTH, *_OF_CLIENTS, TIMEOUT, *(_OF_UPDATES if updates else ())),
         )
         return PathItem("The SPARQL endpoint", RESULTS, ANYTHING, (_QUERY, *_OF_BOTH, TIMEOUT), {"POST": post})
 
@@ -345,10 +347,7 @@ class SparqlResource(Resource):
     async def _update(self, request: UpdateRequest, exchange: Exchange) -> Response:
         if self._updates is None:
             raise self._no_updates()
-        dry_run, permissions = exchange.query_flag("dry-run"), exchange.permissions
-        if dry_run:
-            exchange.audit.mark_read_only()
-        return await self._updates.answer(request, dry_run=dry_run, accept=accept_of(exchange), permissions=permissions)
+        return await self._updates.answer(request, accept=accept_of(exchange), permissions=exchange.permissions)
 
     async def _answer(self, request: QueryRequest, accept: str | None, exchange: Exchange) -> Response:
         disconnected, permissions = disconnect.disconnection_of(exchange.request.receive), exchange.permissions

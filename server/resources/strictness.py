@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.json_schema import BOOLEAN
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import QueryParameter
 
-STRICT = QueryParameter(
-    "strict",
-    "Whether fields that JSON leaves out are refused; otherwise they have their defaults.",
-    {"type": "boolean"},
+STRICTNESS = (
+    QueryParameter(
+        "strict", "Whether fields that JSON leaves out are refused; otherwise they have their defaults.", BOOLEAN
+    ),
+    QueryParameter("defaults", "The opposite of `strict`, as it was once called.", BOOLEAN),
 )
 
 

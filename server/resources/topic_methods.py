@@ -12,7 +12,7 @@ from rosld.server.hypermedia.json_schema import OBJECT, patch_schema
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.holds import hold_parameters, hold_schema
 from rosld.server.resources.namespaces import is_absent
-from rosld.server.resources.strictness import STRICT
+from rosld.server.resources.strictness import STRICTNESS
 from rosld.server.rest.path_item import QueryParameter, WriteMethod
 from rosld.server.rest.resource import READ
 from rosld.server.robot.session import Session
@@ -67,7 +67,7 @@ def topic_writes(
     if topic is None:
         publishes = "Makes a topic that is not there yet: RDF that states the type of the message."
     return {
-        "PUT": WriteMethod(publishes, sent, done=(200, 201, 202, 204), query=(STRICT, _LATCH)),
+        "PUT": WriteMethod(publishes, sent, done=(200, 201, 202, 204), query=(*STRICTNESS, _LATCH)),
         "PATCH": WriteMethod(
             "Publishes the latest message with changes.",
             OBJECT if schema is None else patch_schema(message_schema(schema, schemas.lifting, sent=True)),
@@ -79,7 +79,7 @@ def topic_writes(
             sent,
             done=(201,),
             shows=hold_schema(schemas, schema),
-            query=(STRICT, *hold_parameters(required="" if commands_velocity else "rate")),
+            query=(*STRICTNESS, *hold_parameters(required="" if commands_velocity else "rate")),
         ),
         "DELETE": WriteMethod(
             "Stops to advertise the topic; 405 while this server does not advertise it.", done=(204,)

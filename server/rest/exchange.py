@@ -171,7 +171,7 @@ class Exchange:
 
         Raises a 400 Problem.
         """
-        pairs = _query_pairs(self.request.scope["query_string"])
+        pairs = query_pairs(self.request.scope["query_string"])
         return list(dict.fromkeys(value.strip() for each, value in pairs if each == name and value.strip()))
 
     def query_flag(self, name: str) -> bool:
@@ -193,10 +193,11 @@ def _fields(raw: Iterable[tuple[bytes, bytes]]) -> Mapping[str, str]:
 
 
 def _query(raw: bytes) -> Mapping[str, str]:
-    return MappingProxyType(dict(reversed(_query_pairs(raw))))
+    return MappingProxyType(dict(reversed(query_pairs(raw))))
 
 
-def _query_pairs(raw: bytes) -> list[tuple[str, str]]:
+def query_pairs(raw: bytes) -> list[tuple[str, str]]:
+    """The names and values of a query string. Raises a 400 Problem."""
     try:
         return parse_qsl(raw.decode("ascii"), keep_blank_values=True, errors="strict", max_num_fields=200)
     except (UnicodeDecodeError, ValueError) as error:

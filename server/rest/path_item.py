@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from rosld.server.hypermedia.json_schema import TEXT, Schema
+from rosld.server.hypermedia.json_schema import BOOLEAN, TEXT, Schema
 from rosld.server.rest.formats import FORMATS, OFFERS
 
 ANY_TYPE = "*/*"
@@ -21,12 +21,26 @@ class QueryParameter:
     schema: Schema = field(default_factory=lambda: TEXT)
     required: bool = False
 
+    @property
+    def is_list(self) -> bool:
+        """Whether it may be given several times."""
+        return self.schema.get("type") == "array"
+
 
 FORMAT = QueryParameter("format", "The representation wanted, before Accept.", {"type": "string", "enum": [*FORMATS]})
 FIELD = QueryParameter("field", "The path of one field, such as `pose.position.x`: its bytes are the answer.")
 PAGE = QueryParameter("page", "A page of messages, from 0.", {"type": "integer", "minimum": 0})
+DRY_RUN = QueryParameter(
+    "dry-run", "Whether the write is only planned and checked: 200 with the plan, and nothing is done.", BOOLEAN
+)
+OF_EVERY_WRITE = (FORMAT, DRY_RUN)
+"""What every write takes, beside its own parameters."""
 FIELD_READS = (*OFFERS, BYTES, "text/plain")
 """What a value is read as, of which `FIELD` asks for a part."""
+
+
+_DONE = {"PUT": (200, 201, 204), "POST": (200, 201, 204), "PATCH": (200, 201, 204), "DELETE": (204,)}
+"""Statuses of what was done, where a resource says nothing else."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +59,10 @@ class WriteMethod:
     shows: Schema | None = None
     query: tuple[QueryParameter, ...] = ()
     accepts: tuple[str, ...] | None = None
+
+    def statuses(self, method: str) -> tuple[int, ...]:
+        """The statuses of success."""
+        return self.done or _DONE[method]
 
 
 USUAL_STATUSES = WriteMethod()
@@ -77,6 +95,10 @@ class PathItem:
     methods: frozenset[str] | None = None
     alike: str | None = None
 
+    def write(self, method: str) -> WriteMethod:
+        """What is said of a method that writes."""
+        return self.writes.get(method, USUAL_STATUSES)
+
     @property
     def is_document(self) -> bool:
         """Whether it is RDF and nothing else."""
@@ -86,3 +108,15 @@ class PathItem:
     def has_value(self) -> bool:
         """Whether it has a value that changes, of which there may be a condition."""
         return self.plain is not None and self.streams
+
+    @property
+    def shared_query(self) -> tuple[str, ...]:
+        """The names of the parameters of GET that other URLs have too, beside those in `query`."""
+        names = (
+            *(("page",) if self.is_paged else ()),
+            *(("shape",) if self.has_shape else ()),
+            *(("until",) if self.has_value else ()),
+            *(("after", "timeout", "rate") if self.streams else ()),
+        )
+        own = {each.name for each in self.query}
+        return tuple(name for name in names if name not in own)

@@ -49,6 +49,8 @@ class Resource:
     """The methods whose outcome depends on what is there: such writes of one URL are carried out in turn."""
     is_cacheable = True
     """Whether the same path means the same kind of resource for ever."""
+    passes_unknown_parameters: frozenset[str] = frozenset()
+    """The methods that pass over query parameters that nobody declares, which are 400 elsewhere."""
     takes_forms = True
     """Whether a posted form is one of our pages' (else the resource reads it itself)."""
     title = ""

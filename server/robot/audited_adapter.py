@@ -11,6 +11,7 @@ from rosld.adapters.model import GoalId, Graph, Operation, ParameterValue, Ref, 
 from rosld.ontology.urls import Space
 from rosld.server.receipts.audit_context import current_audit, record_step
 from rosld.server.robot.interlock import WriteInterlock
+from rosld.server.runtime.dry_run import is_dry_run
 
 
 class _CountedSubscription:
@@ -35,6 +36,8 @@ class _CountedSubscription:
 
 class AuditedAdapter:
     """An `Adapter` behind the interlock that records each write in the audit context of its request.
+
+    In a dry run a publish has its likely outcome, and every other write ends the run; nothing is sent.
 
     `inner` is the adapter itself, for what reads by calling (getters). `published` are the topics that were published
     to, until they are no longer advertised; `subscriptions` counts those that are open, by topic.
@@ -65,12 +68,22 @@ class AuditedAdapter:
         if audit is not None:
             audit.add_step(f"publish a {type.name} on {topic}", self._topic_url(topic))
         self._interlock.require_free(topic)
+        if is_dry_run():
+            return self._planned_publish(topic, passes_stop=passes_stop)
         self.published.add(topic)
         run = self._interlock.run_always if passes_stop else self._interlock.run
         published = await run(lambda: self.inner.publish(topic, type, data, latch=latch, deadline=deadline))
         if audit is not None:
             audit.add_receivers(published.matched)
         return published
+
+    def _planned_publish(self, topic: str, *, passes_stop: bool) -> Published:
+        """What a publish would come to by the graph, for a dry run. Raises Stopped."""
+        if not passes_stop:
+            self._interlock.require_open()
+        graph = self.graph
+        there = graph.topics.get(topic)
+        return Published(0 if there is None else sum(each.node != graph.own_node for each in there.subscribers))
 
     async def publish_for_hold(
         self, topic: str, type: TypeRef, data: bytes, *, deadline: float, passes_stop: bool = False

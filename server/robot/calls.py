@@ -12,6 +12,8 @@ from enum import Enum
 
 from rosld.adapters.base import Adapter
 from rosld.adapters.model import Message, Refused, RosError, Sent, ServiceSchema, TimedOut
+from rosld.server.receipts.audit_context import record_step
+from rosld.server.runtime.dry_run import end_dry_run, is_dry_run
 from rosld.server.runtime.identifiers import new_identifier
 from rosld.server.runtime.signals import Signal
 
@@ -99,15 +101,19 @@ class Calls:
 
     def delete(self, id: str) -> None:
         """Forget a call; raises as `find`. A running one goes on, its answer is dropped."""
-        self.find(id)
+        record_step(f"forget the call {self.find(id).id}")
+        end_dry_run()
         self._drop(id)
 
     async def call(self, service: str, schema: ServiceSchema, request: Message, *, deadline: float) -> CallOutcome:
         """Call and wait until `deadline`; the call goes on after that, and after its caller has gone.
 
-        Raises ValueError where the request cannot be encoded: then nothing was sent.
+        Raises ValueError where the request cannot be encoded: then nothing was sent. A dry run keeps no call, and
+        raises what the adapter raises.
         """
         data = schema.request.codec.encode(request, self._adapter.capabilities.encoding)
+        if is_dry_run():
+            await self._adapter.call(service, schema.ref, data, deadline=deadline)
         call = Call(new_identifier(), service, schema, request, time.time_ns())
         self._keep(call)
         loop = asyncio.get_running_loop()
@@ -133,6 +139,8 @@ class Calls:
         known = self._keyed.get((service, key))
         if known is not None and known[0] != digest:
             raise IdempotencyKeyReused(key)
+        if known is None and is_dry_run():
+            return await self.call(service, schema, request, deadline=deadline)
         if known is None:
             making = asyncio.get_running_loop().create_task(self.call(service, schema, request, deadline=deadline))
             known = self._keyed[(service, key)] = (digest, making)

@@ -24,9 +24,11 @@ from rosld.adapters.model import (
     Refused,
     RosError,
 )
+from rosld.server.receipts.audit_context import record_step
 from rosld.server.robot.calls import IdempotencyKeyReused
 from rosld.server.robot.goal_follower import GoalFollower
 from rosld.server.robot.goal_store import MAX_REMEMBERED, Feedback, Goal, GoalStore
+from rosld.server.runtime.dry_run import end_dry_run, is_dry_run
 from rosld.server.runtime.identifiers import new_identifier
 from rosld.server.runtime.signals import Signal
 
@@ -102,6 +104,8 @@ class Goals:
 
     def delete(self, id: str) -> None:
         """Forget a goal; raises as `find`."""
+        record_step(f"forget the goal {self.find(id).id}")
+        end_dry_run(204)
         self._store.delete(id)
 
     # Sending and canceling
@@ -139,6 +143,8 @@ class Goals:
         known = self._keyed.get((action, key))
         if known is not None and known[0] != digest:
             raise IdempotencyKeyReused(key)
+        if known is None and is_dry_run():
+            return await self.send(action, schema, message, deadline=deadline)
         if known is None:
             sending = asyncio.get_running_loop().create_task(self.send(action, schema, message, deadline=deadline))
             known = self._keyed[(action, key)] = (digest, sending)

@@ -26,6 +26,7 @@ from rosld.server.robot.publish_rate import PublishLimiter
 from rosld.server.robot.schedule import LeaseExpired, Publish, Schedule, Wait
 from rosld.server.robot.session import Session
 from rosld.server.robot.write_policy import denied_reason
+from rosld.server.runtime.dry_run import end_dry_run
 from rosld.server.runtime.identifiers import new_identifier
 from rosld.server.runtime.loop_time import loop_time
 from rosld.server.runtime.signals import Signal
@@ -135,6 +136,7 @@ class Holds:
         if self._closed is not None:
             raise Problem(503, f"No hold can begin: {self._closed}.")
         require_rate(session.limiter, hold.topic)
+        end_dry_run()
         holder = interlock.held[hold.topic] = Holder(hold.holder.name, session.space.hold(hold.id))
         running = _Running(self, session.adapter, session.limiter, hold)
         try:
@@ -163,6 +165,7 @@ class Holds:
         """Renew the lease, and go on as `changed` says. Raises as `find`, and Stopped."""
         self.find(id)
         self._require_passage(changed.message)
+        end_dry_run()
         running = self._running[id]
         running.change(changed)
         self.on_changed(running.hold)
@@ -185,6 +188,7 @@ class Holds:
 
     def end(self, id: str, why: str) -> asyncio.Task[None] | None:
         """End a hold at once; the task is done when its last message was published. None where it has ended before."""
+        end_dry_run()
         running = self._running.get(id)
         return None if running is None else running.end(why)
 
@@ -201,7 +205,7 @@ class Holds:
             why = None if topic is None else denied_reason(topic, graph, permitted, needs_subscriber=False)
             if why is not None:
                 _log.warning("the hold on %s ends: %s", hold.topic, why)
-                self.end(hold.id, f"it would be refused now. {why.removesuffix('.')}")
+                self._running[hold.id].end(f"it would be refused now. {why.removesuffix('.')}")
 
     def close(self, why: str) -> None:
         """End every hold at once, and let none begin any more."""

@@ -9,6 +9,7 @@ from datetime import datetime, timezone
 from typing import TypeVar
 
 from rosld.adapters.model import RosError, Sent
+from rosld.server.runtime.dry_run import end_dry_run
 
 _T = TypeVar("_T")
 
@@ -59,7 +60,7 @@ class TopicHeld(RosError):
 
 
 class WriteInterlock:
-    """Runs writes to the robot, none of them while it is stopped.
+    """Runs writes to the robot, none of them while it is stopped, nor in a dry run.
 
     What is under way when the robot is stopped is cut off. A topic in `held` is published to by its hold only.
     """
@@ -97,6 +98,7 @@ class WriteInterlock:
     async def run(self, write: Callable[[], Awaitable[_T]]) -> _T:
         """Carry a write out, unless the robot is stopped before it is done: raises Stopped."""
         self.require_open()
+        end_dry_run()
         loop = self._loop = self._loop or asyncio.get_running_loop()  # a system call before Python 3.12
         task = asyncio.current_task(loop)
         assert task is not None
@@ -115,6 +117,7 @@ class WriteInterlock:
 
     async def run_always(self, write: Callable[[], Awaitable[_T]]) -> _T:
         """Carry a write out that must reach the robot also while it is stopped."""
+        end_dry_run()
         try:
             return await write()
         finally:

@@ -9,6 +9,7 @@ from rosld.adapters.model import Kind, TypeRef
 from rosld.server.http.problem import Problem
 from rosld.server.robot.publish_rate import PublishLimiter
 from rosld.server.robot.session import Session
+from rosld.server.runtime.dry_run import is_dry_run
 from rosld.server.runtime.loop_time import loop_time
 
 
@@ -45,8 +46,8 @@ async def publish(session: Session, publication: Publication) -> Published:
 
 
 def require_rate(limiter: PublishLimiter, topic: str) -> None:
-    """Count one publish. Raises a 429 Problem where the topic is published to too often."""
-    wait = limiter.wait(topic, loop_time())
+    """Count one publish, unless it is a dry run. Raises a 429 Problem where the topic is published to too often."""
+    wait = limiter.wait(topic, loop_time(), is_counted=not is_dry_run())
     if wait > 0:
         sentence = f"More than {limiter.rate:g} messages a second on {topic} (--max-publish-rate)."
         raise Problem(429, sentence, headers={"Retry-After": str(max(1, round(wait)))})

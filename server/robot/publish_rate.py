@@ -14,11 +14,11 @@ class PublishLimiter:
     rate: float
     _buckets: dict[str, TokenBucket] = field(default_factory=dict)
 
-    def wait(self, topic: str, now: float) -> float:
-        """Count a publish and return 0.0, or count none and return the seconds until one is allowed."""
+    def wait(self, topic: str, now: float, *, is_counted: bool = True) -> float:
+        """Count a publish if asked to and return 0.0, or count none and return the seconds until one is allowed."""
         bucket = self._bucket(topic)
         seconds = bucket.wait(now)
-        if seconds == 0.0:
+        if seconds == 0.0 and is_counted:
             bucket.take(now)
         return seconds
 

@@ -19,6 +19,7 @@ from rosld.server.robot.interlock import WriteInterlock
 from rosld.server.robot.live_topics import LiveSettings, LiveTopics
 from rosld.server.robot.publish_rate import PublishLimiter
 from rosld.server.robot.schemas import Schemas
+from rosld.server.runtime.dry_run import is_dry_run
 from rosld.server.runtime.loop_time import loop_time
 from rosld.server.runtime.signals import Signal
 from rosld.server.runtime.woken_task import WokenTask
@@ -109,6 +110,8 @@ class Session:
 
     def announce_write(self, kind: Kind, name: str) -> None:
         """Something was written to a topic, a service or a parameter through rosld, or may have been."""
+        if is_dry_run():
+            return
         for listener in self._write_listeners:
             listener(kind, name)
 

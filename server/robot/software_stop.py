@@ -13,6 +13,7 @@ from functools import partial
 from rosld.adapters.model import Action, Graph, Kind, Message, MessageSchema, RosError, Topic
 from rosld.ontology.lower import LoweringError, lowerer, parse_json
 from rosld.server.auth.agent import Agent
+from rosld.server.receipts.audit_context import record_step
 from rosld.server.robot.goal_store import Goal
 from rosld.server.robot.hold_store import Hold, Holds
 from rosld.server.robot.interlock import StopState
@@ -21,6 +22,7 @@ from rosld.server.robot.session import Session
 from rosld.server.robot.velocity import commanded_topics, subscribers_of
 from rosld.server.robot.write_policy import any_number_hint, takes_finite_numbers
 from rosld.server.robot.zero_publisher import Receivers, ZeroPublisher
+from rosld.server.runtime.dry_run import end_dry_run, is_dry_run
 from rosld.server.runtime.loop_time import loop_time
 from rosld.server.runtime.signals import Signal
 from rosld.shapes.command_numbers import require_finite_message
@@ -156,6 +158,9 @@ class SoftwareStop:
         are done, at the latest after `call_deadline`.
         """
         session = self._session
+        if is_dry_run():
+            self._record_steps()
+        end_dry_run(200)
         stop_state = self.stop_state or StopState(by.name, time.time_ns(), reason, session.space.stop)
         session.interlock.engage(stop_state)
         self._count += 1
@@ -181,8 +186,8 @@ class SoftwareStop:
             if goal.action not in ended_actions:
                 canceled = session.goals.cancel(goal, deadline=deadline)
                 at_rest = partial(session.goals.wait_ended, goal.id, seconds=_ENDING_SECONDS)
-                words = f"cancel the goal {goal.id} of {goal.action}"
-                self._begin(words, canceled, space.goal(goal.id), space.action(goal.action), is_at_rest=at_rest)
+                urls = space.goal(goal.id), space.action(goal.action)
+                self._begin(_cancel_of(goal), canceled, *urls, is_at_rest=at_rest)
         _log.warning("%s.", stop_state.words.rstrip("."))
         self._revise()
         session.changes.emit()
@@ -191,8 +196,19 @@ class SoftwareStop:
         if self.warning is not None:
             _log.error("%s", self.warning)
 
+    def _record_steps(self) -> None:
+        """Record what a stop would do now: for a dry run."""
+        space = self._session.space
+        for step in self.steps:
+            record_step(step.description, *step.affects)
+        for hold in self._holds.all():
+            record_step(_end_of(hold), space.hold(hold.id), space.topic(hold.topic))
+        for goal in self._goals():
+            record_step(_cancel_of(goal), space.goal(goal.id), space.action(goal.action))
+
     async def release(self, by: Agent) -> bool:
         """Let writes pass again; False where the robot was stopped anew before that was done."""
+        end_dry_run()
         count = self._count
         await self._zero.withdraw()
         if count != self._count:
@@ -355,6 +371,10 @@ def _missed_subscribers(reached: Receivers | None) -> str | None:
 
 def _end_of_all(action: str) -> str:
     return f"cancel all goals of {action}"
+
+
+def _cancel_of(goal: Goal) -> str:
+    return f"cancel the goal {goal.id} of {goal.action}"
 
 
 def _end_of(hold: Hold) -> str:

@@ -22,11 +22,15 @@ from rosld.server.rest.keyed_lock import KeyedLock
 from rosld.server.rest.large import LargeDocuments
 from rosld.server.rest.motion import Motion
 from rosld.server.rest.pages import PageRenderer
+from rosld.server.rest.path_item import DRY_RUN
 from rosld.server.rest.raw_response import RawResponse
 from rosld.server.rest.resource import Answer, CreatedAnswer, Resource, ShownAnswer, allow_field
 from rosld.server.rest.resource_headers import rendered, resource_headers
 from rosld.server.rest.state import State
+from rosld.server.robot.session import Session
+from rosld.server.routing.dry_runs import answer_dry_run
 from rosld.server.routing.form_answers import FormAnswers, is_form
+from rosld.server.routing.known_parameters import KnownParameters
 from rosld.server.routing.observation import Observation
 from rosld.server.routing.refusals import problem_of_error, with_constraint_link, with_type_links
 from rosld.server.routing.representations import CONTENT_FIELDS, Representations, is_not_modified, negotiate
@@ -44,6 +48,7 @@ class Dispatcher:
     def __init__(
         self,
         instance_id: str,
+        session: Session,
         pages: PageRenderer,
         broadcasters: Broadcasters,
         keyed_lock: KeyedLock,
@@ -53,25 +58,40 @@ class Dispatcher:
         self._representations = Representations(instance_id, pages, large)
         self._observation = Observation(self._representations, broadcasters, pages)
         self._write_answers = WriteAnswers(self._representations)
-        self._forms = FormAnswers(pages)
+        self._session = session
+        self._known_parameters = KnownParameters(session.lifting)
+        self._forms = FormAnswers(pages, self._known_parameters)
         self._pages = pages
         self._keyed_lock = keyed_lock
         self._near = near
 
     async def answer(self, exchange: Exchange, resource: Resource) -> Response:
         """The response to a request on a resource; raises Problems. Either says what it is (LDP 4.2.1.4)."""
+        if exchange.request.scope["query_string"] and exchange.method in VERBS and exchange.query_flag(DRY_RUN.name):
+            return await answer_dry_run(exchange, resource, self._session, lambda: self._respond(exchange, resource))
+        return await self._respond(exchange, resource)
+
+    async def _respond(self, exchange: Exchange, resource: Resource) -> Response:
+        query_string, asked = exchange.request.scope["query_string"], resource
         try:
             resource = await resource.select_variant(exchange)
             await resource.prepare()
             if not exchange.permissions.is_unrestricted:
                 self._authorize(exchange, resource)
                 exchange.answering = resource
+            if query_string and exchange.method in VERBS and not is_form(exchange, resource):
+                self._require_known(exchange.method, query_string, asked, resource)
             response = await self._answer(exchange, resource)
         except (BodyError, LoweringError, RosError, Problem) as error:
             raise self._with_near(exchange, resource, with_type_links(resource, problem_of_error(error))) from error
         if response.status_code == 204 and resource.links and b"link" not in dict(response.raw_headers):
             response.raw_headers = [*response.raw_headers, (b"link", rendered(resource.links).encode("latin-1"))]
         return response
+
+    def _require_known(self, method: str, query_string: bytes, asked: Resource, resource: Resource) -> None:
+        """Raise a 400 Problem where a write, which is allowed, has parameters that are not known."""
+        if method in resource.methods():
+            self._known_parameters.require(method, query_string, asked, resource)
 
     def _with_near(self, exchange: Exchange, resource: Resource, problem: Problem) -> Problem:
         """A 404 with the URLs that are near; who may not read everything is not told what there is in its place."""

@@ -14,8 +14,10 @@ from rosld.server.http.problem import Problem
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.pages import InvalidForm, PageRenderer
 from rosld.server.rest.resource import Answer, CreatedAnswer, Resource, ShownAnswer
+from rosld.server.routing.known_parameters import KnownParameters
 from rosld.server.routing.refusals import problem_of_error
 from rosld.server.routing.verbs import VERBS
+from rosld.server.runtime.dry_run import DryRunEnded, expect_status
 
 _SHOWN_ON_THE_PAGE = frozenset({409, 422, 423, 429, 502, 503, 504})
 """What may become of a form that was in order: the reader stays on its page."""
@@ -24,8 +26,9 @@ _SHOWN_ON_THE_PAGE = frozenset({409, 422, 423, 429, 502, 503, 504})
 class FormAnswers:
     """Carries out forms of pages."""
 
-    def __init__(self, pages: PageRenderer) -> None:
+    def __init__(self, pages: PageRenderer, known_parameters: KnownParameters) -> None:
         self._pages = pages
+        self._known_parameters = known_parameters
 
     async def answer(self, exchange: Exchange, resource: Resource) -> Response:
         """A form of one of our pages: the write it means, then the way back to a page (303)."""
@@ -38,9 +41,14 @@ class FormAnswers:
                     enforcement.location_of(exchange.request.scope, self._pages.space),
                     resource,
                 )
+            if query_string := exchange.request.scope["query_string"]:
+                self._known_parameters.require(form.method, query_string, resource, is_form=True)
             exchange.audit.begin()
             try:
                 answer = await VERBS[form.method](resource, exchange)
+            except DryRunEnded:
+                expect_status(303)
+                raise
             except (LoweringError, RosError, Problem) as error:
                 problem = problem_of_error(error)
                 if problem.status not in _SHOWN_ON_THE_PAGE:

@@ -14,6 +14,7 @@ import time
 from collections.abc import AsyncIterator, Callable, Sequence
 from pathlib import Path
 
+from rosld.server.runtime.dry_run import end_dry_run, is_dry_run
 from rosld.server.storage.blobs import Blobs, sync_folder
 from rosld.server.storage.disk_reserve import LOW, DiskReserve, free_bytes
 from rosld.server.storage.durability import Durability, checkpoint_with_reserve
@@ -208,6 +209,9 @@ class SqliteRecords:
             raise StorageError("The records are closed.")
         for write in writes:
             check_write(write)
+        if is_dry_run():
+            self._try(writes)
+        end_dry_run()
         if self._group is None and len(writes) == 1:
             record = self._rewritten(writes[0])
             if record is not None:
@@ -224,6 +228,23 @@ class SqliteRecords:
             if applied.freed:
                 self._received.folder().remove(applied.freed)
         return [applied.records.get(write.path) for write in writes]
+
+    def _try(self, writes: Sequence[Write]) -> None:
+        """Do writes, undo them, and discard the received blobs that they refer to. Raises Conflict, StorageError."""
+        received = self._received.claim(_blob_ids(writes))
+        try:
+            if self._table.begin():
+                self._notice()
+            outcome = self._table.apply(writes, received, time.time_ns())
+            if isinstance(outcome, Conflict):
+                raise outcome
+        except DatabaseBusy:  # another process writes: what it makes of this is not known
+            pass
+        finally:
+            self._table.rollback()
+            self._received.keep(received)
+        for id in received:
+            self._received.discard(id)
 
     def _rewritten(self, write: Write) -> Record | None:
         """In memory, where nobody else writes: a write that needs no transaction around it; None where it does."""

@@ -156,6 +156,6 @@ def test_graphs_of_the_robot_are_passed_over_and_a_dry_run_tells_what_would_be_w
     body = f"<{base}nodes/aircraft> <urn:p> 1 <{base}nodes/aircraft> .\n<urn:s> <urn:p> 1 <{base}data/dry> .\n"
     kind = {"Content-Type": "application/n-quads"}
     planned = http.post("/graphs?all&dry-run=true", content=body.replace(" 1 ", ' "1" '), headers=kind)
-    assert [each["graph"] for each in planned.json()["graphs"]] == [f"{base}data/dry"]
+    assert [each["url"] for each in planned.json()["steps"]] == [f"{base}data/dry"]
     assert http.get("/data/dry").status_code == 404
     assert http.put("/graphs?all", content=body, headers=TURTLE).status_code == 415

@@ -180,8 +180,7 @@ def test_what_writes_nothing_and_what_is_not_understood_leaves_none(
 def test_credentials_are_nowhere(plane: httpx.Client, receipt: Receipt) -> None:
     secret = "correct-horse-battery"
     headers = {"Authorization": f"Bearer {secret}", "Cookie": f"session={secret}"}
-    query = {"access_token": secret}
-    told = receipt(plane.put("/parameters/wifi/password", json=secret, headers=headers, params=query))
+    told = receipt(plane.put("/parameters/wifi/password", json=secret, headers=headers))
     assert told["withheld"] is True
     update = f'INSERT DATA {{ GRAPH </parameters/wifi/psk> {{ </parameters/wifi/psk> ros:value "{secret}" }} }}'
     assert receipt(plane.post("/sparql", content=update, headers=UPDATE))["plan"] == ["(withheld)"]

@@ -12,14 +12,23 @@ from rosld.adapters.base import Watch
 from rosld.ontology.urls import Space
 from rosld.server.http.conditional import require_if_match
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.json_schema import BOOLEAN
+from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.ldp.documents import Documents
 from rosld.server.resources.ldp.transaction import write_together
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import RDF_BODIES
+from rosld.server.rest.path_item import PathItem, QueryParameter, WriteMethod
 from rosld.server.rest.resource import READ, Answer, Resource, permanent_redirect
+from rosld.server.runtime.dry_run import expect_status
 from rosld.server.storage import Conflict, ConflictCause, Record, Remove, Write
 
 ANYTHING = "*/*"
+
+DELETES = WriteMethod(
+    done=(204,), query=(QueryParameter("versions", "Whether its former versions are deleted, too.", BOOLEAN),)
+)
+"""What DELETE of what clients keep takes."""
 
 EXTRA_STATUSES = (303, 410, 507)
 """Statuses of refusals that what clients keep has beside the usual ones."""
@@ -43,6 +52,9 @@ class StoredResource(Resource):
         """The media types of what may be made here: those of its validator, where there is one."""
         permissions = self.documents.validator_of(self.path + "?")
         return (*RDF_BODIES, ANYTHING) if permissions is None else permissions.media_types
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        return PathItem(self.kind, writes={"DELETE": DELETES})
 
     def methods(self) -> frozenset[str]:
         return READ if self.documents.settings.read_only else READ | self.writes
@@ -82,6 +94,7 @@ class StoredResource(Resource):
         until = time.monotonic() + patience
         while True:
             try:
+                expect_status(204)
                 await write_together(self.documents, [await make(self.require_record())])
                 return
             except Conflict as error:

@@ -8,7 +8,7 @@ from rosld.ontology.urls import encode_segment
 from rosld.server.html import Form, SequenceLink
 from rosld.server.http.link import Link
 from rosld.server.hypermedia.message_schemas import MessageSchemas
-from rosld.server.resources.ldp.base import EXTRA_STATUSES, StoredResource, conflict_problem
+from rosld.server.resources.ldp.base import DELETES, EXTRA_STATUSES, StoredResource, conflict_problem
 from rosld.server.resources.ldp.bodies import model_of_request, receive_blob
 from rosld.server.resources.ldp.creation import create_record
 from rosld.server.resources.ldp.documents import Documents
@@ -54,7 +54,8 @@ class ContainerResource(RdfSourceResource):
         return self._parts, self._place
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem(_SUMMARIES.get(self.path, "A container"), is_paged=True, also=EXTRA_STATUSES)
+        summary = _SUMMARIES.get(self.path, "A container")
+        return PathItem(summary, is_paged=True, also=EXTRA_STATUSES, writes={"DELETE": DELETES})
 
     @property
     def conforms_to(self) -> Sequence[str]:

@@ -23,6 +23,7 @@ from rosld.server.resources.ldp.statements import (
 from rosld.server.resources.ldp.transaction import write_together
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.interaction import parse_membership
+from rosld.server.runtime.dry_run import expect_status
 from rosld.server.storage import Blob, Model, Put, Record, Records
 from rosld.server.storage.record_paths import container_of
 
@@ -36,6 +37,7 @@ async def create_record(
     `unused` was ever there.
     """
     documents, path = kept.documents, kept.path
+    expect_status(201)
     if model is Model.NON_RDF_SOURCE:
         require_free(documents, path)
         put = Put(path, model, blob=blob, expected=0, unused=unused)

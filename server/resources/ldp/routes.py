@@ -15,7 +15,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import ANYTHING
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.patches.patch import has_deletes
-from rosld.server.resources.ldp.base import EXTRA_STATUSES, StoredResource, conflict_problem, missing_problem
+from rosld.server.resources.ldp.base import DELETES, EXTRA_STATUSES, StoredResource, conflict_problem, missing_problem
 from rosld.server.resources.ldp.bodies import model_of_request, receive_blob, require_model
 from rosld.server.resources.ldp.containers import create_resource, resource_of
 from rosld.server.resources.ldp.creation import creation_writes, require_free
@@ -79,6 +79,7 @@ class AbsentResource(StoredResource):
                 "PUT": WriteMethod(accepts=taken),
                 "POST": WriteMethod(accepts=taken),
                 "PATCH": WriteMethod(accepts=(*_PATCHES, MERGE_PATCH)),
+                "DELETE": DELETES,
             },
             is_paged=True,
             also=EXTRA_STATUSES,

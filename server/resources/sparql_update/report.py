@@ -21,7 +21,6 @@ from rosld.server.rest.ros_problems import problem_of, problem_of_body
 class Outcome(Enum):
     """What became of the write of one graph."""
 
-    PLANNED = "planned"
     DONE = "done"
     UNHEARD = "unheard"
     """It was published, and nobody was listening."""
@@ -50,17 +49,12 @@ class ReportEntry:
         return found
 
 
-def report_response(entries: Sequence[ReportEntry], *, dry_run: bool = False) -> Response:
-    """The answer to an update that was carried out, or planned: 204; with the report 200, and 202 for what was unheard.
-
-    The report is JSON: `graphs` lists what is written.
-    """
-    unheard = any(entry.outcome is Outcome.UNHEARD for entry in entries)
-    if not dry_run and not unheard:
+def report_response(entries: Sequence[ReportEntry]) -> Response:
+    """The answer to an update that was carried out: 204, or 202 with a report in JSON where something was unheard."""
+    if not any(entry.outcome is Outcome.UNHEARD for entry in entries):
         return Response(status_code=204)
-    status = HTTPStatus.ACCEPTED if unheard else HTTPStatus.OK
-    body = orjson.dumps({"dryRun": dry_run, "graphs": [entry.members for entry in entries]}, option=orjson.OPT_INDENT_2)
-    return Response(body, status, {"Cache-Control": "no-store"}, "application/json")
+    body = orjson.dumps({"graphs": [entry.members for entry in entries]}, option=orjson.OPT_INDENT_2)
+    return Response(body, HTTPStatus.ACCEPTED, {"Cache-Control": "no-store"}, "application/json")
 
 
 class RefusedGraphs(Problem):

@@ -43,6 +43,7 @@ from rosld.server.rest.plan import Plan, RobotWrite, StorageWrite
 from rosld.server.rest.resource import READ, Resource
 from rosld.server.rest.state import State
 from rosld.server.robot.session import Session
+from rosld.server.runtime.dry_run import DryRunEnded
 from rosld.server.sparql.analysis import Analyser
 from rosld.server.sparql.protocol import UpdateRequest
 from rosld.server.sparql.syntax.lexer import QueryBounds
@@ -102,9 +103,9 @@ class UpdateService:
         self._update_lock = KeyedLock(_PATIENCE)
 
     async def answer(
-        self, request: UpdateRequest, *, dry_run: bool, accept: str | None, permissions: Permissions = ALLOW_ALL
+        self, request: UpdateRequest, *, accept: str | None, permissions: Permissions = ALLOW_ALL
     ) -> Response:
-        """Carry an update out, or tell what it would do (`dry_run`). Raises Problems.
+        """Carry an update out. Raises Problems.
 
         Where one graph is refused nothing is done: 403 where it cannot be written, 422 where what it is to say does not
         fit, 409 where it is in conflict, 503 where the robot is gone. An update that fails part-way lists in its
@@ -112,11 +113,9 @@ class UpdateService:
         """
         if self._session.settings.read_only:
             raise Problem(403, "This server is read-only.")
-        return await self.carry_out(await self._read(request), dry_run=dry_run, permissions=permissions)
+        return await self.carry_out(await self._read(request), permissions=permissions)
 
-    async def carry_out(
-        self, operations: Sequence[Operation], *, dry_run: bool, permissions: Permissions = ALLOW_ALL
-    ) -> Response:
+    async def carry_out(self, operations: Sequence[Operation], *, permissions: Permissions = ALLOW_ALL) -> Response:
         """Carry out operations, as `answer` does those of an update. Raises Problems."""
         if self._session.settings.read_only:
             raise Problem(403, "This server is read-only.")
@@ -132,7 +131,7 @@ class UpdateService:
         async with self._serialize_updates(operations):
             while True:
                 try:
-                    return await self._evaluate_and_write(operations, permissions, dry_run=dry_run)
+                    return await self._evaluate_and_write(operations, permissions)
                 except RefusedGraphs as refusal:
                     left = without_silent_on(operations, refusal.graphs)
                     if len(left) == len(operations):
@@ -152,9 +151,7 @@ class UpdateService:
                     await held.enter_async_context(self._update_lock.acquire(graph))
             yield
 
-    async def _evaluate_and_write(
-        self, operations: Sequence[Operation], permissions: Permissions, *, dry_run: bool
-    ) -> Response:
+    async def _evaluate_and_write(self, operations: Sequence[Operation], permissions: Permissions) -> Response:
         more: frozenset[str] = frozenset()
         locked: frozenset[str] = frozenset()
         for _ in range(ATTEMPTS):
@@ -165,7 +162,7 @@ class UpdateService:
                 if unseen - more:
                     more |= unseen
                     delta = await self._evaluator.evaluate(operations, more)
-                done = await self._write_if_current(delta, permissions, locked, dry_run=dry_run)
+                done = await self._write_if_current(delta, permissions, locked)
             if done is not None:
                 return done
             locked |= {change.graph for change in delta.changes}
@@ -227,7 +224,7 @@ class UpdateService:
     # From the changes to the answer
 
     async def _write_if_current(
-        self, delta: Delta, permissions: Permissions, locked: frozenset[str], *, dry_run: bool
+        self, delta: Delta, permissions: Permissions, locked: frozenset[str]
     ) -> Response | None:
         """The answer; None where a graph that the update was evaluated over has changed. `locked` are locked."""
         targets = await self._targets(delta.changes, permissions)
@@ -235,10 +232,6 @@ class UpdateService:
             if not await self._is_current(delta, targets):
                 return None
             plans = await self._plans(targets)
-            if dry_run:
-                return report_response(
-                    [ReportEntry(graph, plan.description, Outcome.PLANNED) for graph, plan in plans], dry_run=True
-                )
             if not await self._is_current(delta, targets):
                 return None
             return await self._carry_out(plans)
@@ -331,7 +324,8 @@ class UpdateService:
                     if write.path not in writes or graph == self._session.space.base + write.path:
                         writes[write.path] = write
             try:
-                await write_together(self._documents, tuple(writes.values()))
+                with contextlib.suppress(DryRunEnded):
+                    await write_together(self._documents, tuple(writes.values()))
             except Conflict as error:
                 if error.cause in _CHANGED:
                     return None
@@ -344,6 +338,8 @@ class UpdateService:
         for place, (graph, move) in enumerate(moves):
             try:
                 heard = await move.carry_out()
+            except DryRunEnded:
+                continue
             except (RosError, Problem) as error:
                 fate, problem = failed_entry(error)
                 left = [ReportEntry(name, plan.description, Outcome.LEFT) for name, plan in moves[place + 1 :]]

@@ -16,17 +16,15 @@ class UpdateRunner(Protocol):
     """Carries out updates."""
 
     async def answer(
-        self, request: UpdateRequest, *, dry_run: bool, accept: str | None, permissions: Permissions = ALLOW_ALL
+        self, request: UpdateRequest, *, accept: str | None, permissions: Permissions = ALLOW_ALL
     ) -> Response:
-        """Carry an update out, or only say what it would do (`dry_run`); `accept` is the request's Accept field.
+        """Carry an update out; `accept` is the request's Accept field.
 
         Raises Problems; then nothing was done, unless the problem lists what was.
         """
         ...
 
-    async def carry_out(
-        self, operations: Sequence[Operation], *, dry_run: bool, permissions: Permissions = ALLOW_ALL
-    ) -> Response:
+    async def carry_out(self, operations: Sequence[Operation], *, permissions: Permissions = ALLOW_ALL) -> Response:
         """Carry out operations, as `answer` does those of an update."""
         ...
 

@@ -274,8 +274,8 @@ def test_a_dry_run_tells_the_plan_and_does_nothing(plane: httpx.Client) -> None:
         **{"dry-run": "true"},
     )
     assert answer.status_code == 200
-    told = {each["graph"].removeprefix(str(plane.base_url)): each["does"] for each in answer.json()["graphs"]}
-    assert told == {"data/dry": "make /data/dry", "parameters/dry": "delete the parameter /dry"}
+    told = {(each["url"].removeprefix(str(plane.base_url)), each["does"]) for each in answer.json()["steps"]}
+    assert told == {("data/dry", "store /data/dry"), ("parameters/dry", "delete the parameter /dry")}
     assert plane.get("/data/dry").status_code == 404
     assert plane.get("/parameters/dry", headers={"Accept": "application/json"}).json() == 1
 

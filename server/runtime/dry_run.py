@@ -1,0 +1,88 @@
+"""Dry runs: requests that plan and check a write, and end where it would take effect.
+
+Whatever sends something to the robot, or stores something, calls `end_dry_run` right before. So no resource has to know
+of dry runs, and none can forget them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from contextvars import ContextVar
+from typing import NamedTuple
+
+_MAX_STEPS = 100
+"""Steps, limits and conditions that are listed."""
+
+
+class PlannedStep(NamedTuple):
+    """A step that would be carried out: what it does in words, and the URLs of what it touches."""
+
+    description: str
+    touches: tuple[str, ...]
+
+
+class DryRun:
+    """The plan of one request: its steps, what was checked, and the status of the real answer as far as it is known.
+
+    `limits` are the URLs of the resources and types whose limits were checked, `conditions` those of conditions.
+    """
+
+    def __init__(self) -> None:
+        self.steps: list[PlannedStep] = []
+        self.limits: list[str] = []
+        self.conditions: list[str] = []
+        self.status: int | None = None
+
+    def add_step(self, description: str, touches: tuple[str, ...]) -> None:
+        """Add a step, unless it is there already."""
+        step = PlannedStep(description, touches)
+        if step not in self.steps and len(self.steps) < _MAX_STEPS:
+            self.steps.append(step)
+
+
+class DryRunEnded(Exception):
+    """The request is a dry run, and would have taken effect here; everything that can be refused was checked."""
+
+
+current_dry_run: ContextVar[DryRun | None] = ContextVar("dry_run", default=None)
+"""The dry run that this task carries out; None in every other task."""
+
+
+def is_dry_run() -> bool:
+    """Whether the request that this task answers is a dry run."""
+    return current_dry_run.get() is not None
+
+
+def expect_status(status: int) -> None:
+    """Have a dry run tell this as the status of the real answer."""
+    dry_run = current_dry_run.get()
+    if dry_run is not None:
+        dry_run.status = status
+
+
+def end_dry_run(status: int | None = None) -> None:
+    """Raise DryRunEnded in a dry run; `status` as in `expect_status`."""
+    if current_dry_run.get() is not None:
+        if status is not None:
+            expect_status(status)
+        raise DryRunEnded
+
+
+def note_limits(url: str) -> None:
+    """Have a dry run tell that the limits on a resource or a type were checked."""
+    dry_run = current_dry_run.get()
+    if dry_run is not None:
+        _add(dry_run.limits, url)
+
+
+def note_conditions(iris: Iterable[str]) -> None:
+    """Have a dry run tell that conditions were checked."""
+    dry_run = current_dry_run.get()
+    if dry_run is not None:
+        for iri in iris:
+            _add(dry_run.conditions, iri)
+
+
+def _add(found: list[str], url: str) -> None:
+    if url not in found and len(found) < _MAX_STEPS:
+        found.append(url)

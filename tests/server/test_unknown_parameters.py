@@ -1,0 +1,61 @@
+"""Query parameters that nobody knows: a write that has one is refused, and nothing is done."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import httpx
+import pytest
+
+from tests.server.robots.made_up import MadeUp, Serving
+
+UPDATE = "application/sparql-update"
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "named", "nearest"),
+    [
+        ("POST", "/topics/cockpit/display?rate=2&duration=3", "duration", "rate"),
+        ("POST", "/topics/cockpit/display?rate=2&leas=3", "leas", "lease"),
+        ("PUT", "/topics/cockpit/display?dryrun=true", "dryrun", "dry-run"),
+        ("PUT", "/topics/cockpit/display?Strict=true", "Strict", "strict"),
+        ("POST", "/actions/aircraft/fly?lease=2", "lease", "defaults"),
+        ("POST", "/services/aircraft/start?strikt=true", "strikt", "strict"),
+        ("PUT", "/parameters/aircraft/seats?rate=1", "rate", "format"),
+        ("PUT", "/resources/aircraft/power?at=-5", "at", "format"),
+        ("DELETE", "/data/never?version=true", "version", "versions"),
+        ("PUT", "/graphs?graf=/data/x", "graf", "graph"),
+        ("POST", "/sparql?dryrun=true", "dryrun", "dry-run"),
+        ("DELETE", "/stop?reason=x", "reason", "dry-run"),
+    ],
+)
+def test_a_write_with_a_parameter_that_is_not_known_is_refused_with_the_nearest_one(
+    http: httpx.Client, method: str, path: str, named: str, nearest: str
+) -> None:
+    http.put("/data/never", content="<> <urn:p> 1 .", headers={"Content-Type": "text/turtle"})
+    kind = (
+        "application/sparql-update" if "sparql" in path else "text/turtle" if "graphs" in path else "application/json"
+    )
+    answer = http.request(method, path, content="{}", headers={"Content-Type": kind})
+    assert answer.status_code == 400, answer.text
+    if "graf" not in named:  # no graph is named then, either
+        assert f"?{named} here; the nearest is ?{nearest}." in answer.json()["detail"]
+
+
+def test_a_parameter_that_is_there_twice_is_refused_where_one_would_count(robot: MadeUp, serving: Serving) -> None:
+    robot.topic("/drive", "geometry_msgs/msg/Twist", published=False, heard=True)
+    http = serving()
+    answer = http.post("/topics/drive?lease=1&lease=5", json={})
+    assert (answer.status_code, "?lease is there more than once" in answer.text) == (400, True)
+    several = "using-graph-uri=urn:a&using-graph-uri=urn:b"
+    update = {
+        "content": "DELETE { GRAPH </data/x> { ?s <urn:p> 1 } } WHERE { ?s <urn:p> 1 }",
+        "headers": {"Content-Type": UPDATE},
+    }
+    assert http.post(f"/sparql?{several}", **update).status_code == 204, "a list may have several"
+
+
+def test_a_stop_stops_whatever_is_asked_for_beside_it(own_aircraft: httpx.Client) -> None:
+    assert own_aircraft.post("/stop?now=please&now=please").status_code == 200
+    told: Any = own_aircraft.get("/stop", headers={"Accept": "application/json"}).json()
+    assert told["stopped"] is True

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
@@ -32,24 +33,26 @@ MAX_RATE = 50.0
 MAX_LEASE = 5.0
 """Seconds that a hold may go on without being renewed."""
 MIN_OF_HOLDS = 1e-6
-"""The least rate in Hz, and the least lease in seconds."""
+"""The least rate in Hz, and the least lease and time in seconds."""
 RATE = 10.0
 """Hz: how often a command of a velocity is published where nothing is said."""
 LEASE = 1.0
 """Seconds that a hold goes on without being renewed, where nothing is said."""
 _NO_DEFAULTS: Mapping[str, float] = MappingProxyType({})
 HOLD = (
-    "The message is published again and again until the lease ends. PATCH of the hold that is made (Location) renews "
-    "it, also with another message; DELETE ends it. Then what `then` says is published: zero for a velocity."
+    "The message is published again and again until the lease ends, or for as many seconds as `for` says. PATCH of the "
+    "hold that is made (Location) renews it, also with another message; DELETE ends it. Then what `then` says is "
+    "published: zero for a velocity."
 )
 """What it means to hold a topic."""
-_MEANINGS = {
+MEANINGS = {
     "rate": "How many times a second the message is published.",
     "lease": "The seconds that the hold goes on unrenewed.",
+    "for": "Instead of a lease: the seconds after which the hold ends of itself.",
     "then": "What is published when the hold ends: zero, none, or the URL of a message.",
 }
 _SETTINGS = LiftSettings()
-_PARAMETERS = "{?rate,lease,then}"
+PARAMETERS = "{?rate,lease,for,then}"
 """Those of a hold, as in a URI template (RFC 6570)."""
 
 
@@ -57,7 +60,8 @@ _PARAMETERS = "{?rate,lease,then}"
 class HoldView:
     """A hold as it is described; messages come with their schema. Times are wall-clock nanoseconds.
 
-    `is_changeable`: it can be changed and ended here now, and forms say how.
+    `is_timed`: the lease is the time that `for` asked for. `is_changeable`: it can be changed and ended here now, and
+    forms say how.
     """
 
     id: str
@@ -71,6 +75,7 @@ class HoldView:
     release_message: tuple[MessageSchema, Message] | None
     release_requested: str
     last_error: str | None = None
+    is_timed: bool = False
     is_changeable: bool = True
 
 
@@ -87,6 +92,7 @@ def hold_document(hold: HoldView, space: Space, settings: LiftSettings = _SETTIN
         *RDF_SOURCE,
         (ros.leaseTime, double(hold.lease)),
         (ros.leaseUntil, date_time_literal(hold.until_ns)),
+        (ros.holdTime, double(hold.lease) if hold.is_timed else None),
         (ros.heldMessage, NamedNode(f"{url}#message")),
         (ros.then, NamedNode(f"{url}#then") if hold.release_message else None),
         (ros.atTheEnd, text(hold.release_requested)),
@@ -94,7 +100,7 @@ def hold_document(hold: HoldView, space: Space, settings: LiftSettings = _SETTIN
     if hold.is_changeable:
         triples += affordance(subject, "renew", td.hasActionAffordance, td.ActionAffordance)
         renew = NamedNode(f"{url}#renew")
-        triples += forms(renew, "patch", "PATCH", td.invokeAction, url, BODIES, template=f"{url}{_PARAMETERS}")
+        triples += forms(renew, "patch", "PATCH", td.invokeAction, url, BODIES, template=f"{url}{PARAMETERS}")
         triples += _variables(subject, "renew")
         triples += affordance(subject, "keep", td.hasEventAffordance, td.EventAffordance)
         keep = NamedNode(f"{url}#keep")
@@ -146,7 +152,7 @@ def holdable(
             td.invokeAction,
             topic,
             BODIES,
-            template=f"{topic}{_PARAMETERS}",
+            template=f"{topic}{PARAMETERS}",
         ),
         *_variables(subject, "hold", {"lease": LEASE, **({"rate": RATE} if commands_velocity else {})}),
     ]
@@ -221,11 +227,12 @@ def _step_node(url: str, step: StepView) -> NamedNode:
 
 
 def _variables(subject: NamedNode, affordance: str, defaults: Mapping[str, float] = _NO_DEFAULTS) -> list[Triple]:
-    """The parameters of a hold: its rate in Hz, its lease in seconds, and what is published when it ends."""
+    """The parameters of a hold: its rate in Hz, its lease or time in seconds, and what is published when it ends."""
     node = NamedNode(f"{subject.value}#{affordance}")
     said: Iterable[tuple[str, NamedNode, float | None]] = (
         ("rate", js.NumberSchema, MAX_RATE),
         ("lease", js.NumberSchema, MAX_LEASE),
+        ("for", js.NumberSchema, math.inf),
         ("then", js.StringSchema, None),
     )
     triples: list[Triple] = []
@@ -236,9 +243,9 @@ def _variables(subject: NamedNode, affordance: str, defaults: Mapping[str, float
             variable,
             (rdf.type, kind),
             (js.propertyName, Literal(name)),
-            (dcterms.description, Literal(_MEANINGS[name])),
+            (dcterms.description, Literal(MEANINGS[name])),
             (js.default, double(defaults[name]) if name in defaults else None),
             (js.exclusiveMinimum, None if limit is None else double(0)),
-            (js.maximum, None if limit is None else double(limit)),
+            (js.maximum, None if limit in (None, math.inf) else double(limit)),
         )
     return triples

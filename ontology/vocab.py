@@ -236,6 +236,7 @@ class ros(Namespace, iri="https://w3id.org/rosld#"):
     publishRate: NamedNode
     leaseTime: NamedNode
     leaseUntil: NamedNode
+    holdTime: NamedNode
     then: NamedNode
     atTheEnd: NamedNode
     Stop: NamedNode

@@ -164,6 +164,9 @@ class Settings:
     max_publish_rate: float = setting(
         100.0, "The most publishes a second to one topic.", option=True, unit="Hz", minimum=0.001, metavar="N"
     )
+    hold_time: float = setting(
+        60.0, "The longest time that `?for=` holds a topic without its being renewed.", unit="s", minimum=0.1
+    )
     cors_origins: tuple[str, ...] = setting(
         (),
         "Origins whose pages may read and write, such as https://app.example; '*' lets every page read. Repeatable.",

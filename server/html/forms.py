@@ -108,12 +108,12 @@ class MessageForm:
 
 @dataclass(frozen=True, slots=True)
 class HoldTerms:
-    """The defaults and maxima of a hold's rate (Hz) and lease (s), and what is published at its end by default."""
+    """The defaults and maxima of a hold's rate (Hz) and time (s), and what is published at its end by default."""
 
     rate: float
     max_rate: float
-    lease: float
-    max_lease: float
+    time: float
+    max_time: float
     then: str
 
 
@@ -150,7 +150,7 @@ class HoldForm:
         return (
             *controls(self.schema, self.value, filling),
             _query_number("?rate", "rate", terms.rate, terms.max_rate, "Hz", filling),
-            _query_number("?lease", "lease", terms.lease, terms.max_lease, "s", filling),
+            _query_number("?for", "for", terms.time, terms.max_time, "s", filling),
             Input("?then", "at the end", "select", filling.text("?then", terms.then), options=("zero", "none")),
         )
 

@@ -42,9 +42,8 @@ from rosld.server.hypermedia.value import MessageValue, StoredValue, Value, refu
 from rosld.server.robot.audited_adapter import AuditedAdapter
 from rosld.server.robot.calls import UnreadableResponse
 from rosld.server.robot.declared_parameters import has_other_values
-from rosld.server.robot.publication import Publication, publish
+from rosld.server.robot.publication import prepare, publish
 from rosld.server.robot.session import Session
-from rosld.server.robot.velocity import passes_stop
 from rosld.server.robot.write_policy import denied_reason, parameter_denied_reason
 from rosld.server.runtime.loop_time import loop_time
 from rosld.server.settings import Settings
@@ -71,6 +70,8 @@ class WriteOutcome(Enum):
     DONE = "done"
     UNHEARD = "unheard"
     """It was published, but nobody was listening."""
+    GOES_ON = "goes on"
+    """It was published, and has set the robot in motion until something stops it."""
     OTHERWISE = "otherwise"
     """It was set, and its node made another value of it."""
 
@@ -228,10 +229,11 @@ async def carry_out(session: Session, planned: PlannedWrite) -> WriteOutcome:
             await _call(session, writer, planned.data)
         case TopicSource():
             assert isinstance(value, MessageValue)
-            passes = passes_stop(session, writer.name, value.schema, value.message)
-            publication = Publication(writer.name, value.schema.ref, planned.data, passes_stop=passes)
+            publication = prepare(session, writer.name, value.schema, value.message, planned.data)
             published = await publish(session, publication)
-            return WriteOutcome.DONE if published.matched else WriteOutcome.UNHEARD
+            if not published.matched:
+                return WriteOutcome.UNHEARD
+            return WriteOutcome.GOES_ON if publication.goes_on else WriteOutcome.DONE
         case ParameterSource():
             assert isinstance(value, StoredValue)
             return await _set(session, writer.name, value.value)

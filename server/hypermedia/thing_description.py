@@ -14,7 +14,7 @@ from typing import TypeAlias
 import orjson
 from pyoxigraph import NamedNode
 
-from rosld.ontology.describe_holds import HOLD
+from rosld.ontology.describe_holds import HOLD, MAX_LEASE, MAX_RATE, MEANINGS, PARAMETERS
 from rosld.ontology.lift import LiftSettings
 from rosld.ontology.vocab import mapping, qudt, ros
 from rosld.server.hypermedia.data_schema import DataSchema, message_schema, value_schema
@@ -38,6 +38,13 @@ STOP = "stopRobot"
 """What the action that stops the whole robot is called in every Thing Description."""
 
 _SETTINGS = LiftSettings()
+_POSITIVE: Members = {"type": "number", "exclusiveMinimum": 0}
+_HOLD_VARIABLES: Members = {
+    "rate": {"description": MEANINGS["rate"], **_POSITIVE, "maximum": MAX_RATE},
+    "lease": {"description": MEANINGS["lease"], **_POSITIVE, "maximum": MAX_LEASE},
+    "for": {"description": MEANINGS["for"], **_POSITIVE},
+    "then": {"description": MEANINGS["then"], "type": "string"},
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,12 +152,13 @@ def _hold(one: PropertyAffordance, lifting: LiftSettings) -> orjson.Fragment:
         {
             "title": f"Hold {one.name}",
             "description": HOLD,
+            "uriVariables": _HOLD_VARIABLES,
             "input": value_schema(one.shape, lifting, sent=True),
             "output": {"type": "object"},
             "safe": False,
             "idempotent": False,
             "synchronous": False,
-            "forms": [_form(one.hold, "invokeaction", "POST")],
+            "forms": [_form(f"{one.hold}{PARAMETERS}", "invokeaction", "POST")],
         }
     )
 

@@ -128,6 +128,7 @@ _SCOPES: Mapping[str, _Scope] = {
             "output": (td.hasOutputSchema, "member"),
             "forms": (td.hasForm, "form"),
         },
+        maps={"uriVariables": (td.hasUriTemplateSchema, td.name, "member")},
     ),
     "form": _Scope(
         literals={"contentType": hctl.forContentType, "subprotocol": hctl.forSubProtocol},

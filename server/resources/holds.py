@@ -17,7 +17,16 @@ from starlette.responses import Response
 from rosld.adapters.base import Watch
 from rosld.adapters.model import Message, MessageSchema, RosError
 from rosld.ontology.body import index_triples
-from rosld.ontology.describe_holds import LEASE, MAX_LEASE, MAX_RATE, MIN_OF_HOLDS, RATE, HoldView, hold_document
+from rosld.ontology.describe_holds import (
+    LEASE,
+    MAX_LEASE,
+    MAX_RATE,
+    MEANINGS,
+    MIN_OF_HOLDS,
+    RATE,
+    HoldView,
+    hold_document,
+)
 from rosld.ontology.document import Document
 from rosld.ontology.lift import LiftSettings, lifter
 from rosld.ontology.lower import LoweringError, find_message, lowerer, parse_json
@@ -31,7 +40,7 @@ from rosld.server.html.inputs import Json
 from rosld.server.http import header_syntax
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import DataSchema
-from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, nullable
+from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, URI, nullable
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.patches.patch import merge_patch
 from rosld.server.resources.limit_checks import LimitChecks
@@ -52,6 +61,8 @@ from rosld.server.runtime.version_cache import IdentityKey, VersionCache
 from rosld.shapes.value import Bounds
 
 ZERO, NONE = "zero", "none"
+_FORM_TIME = 5.0
+"""Seconds that a hold lasts which begins by a form, where nothing else is typed."""
 
 Find = Callable[[str], Resource]
 """The resource at a path below the base."""
@@ -67,7 +78,7 @@ async def create_hold(
     find: Find | None,
 ) -> Answer:
     """Carry out a POST of a message to a topic: hold it. Raises whatever there is to refuse."""
-    rate, lease = _rate(exchange, session.limiter), _lease(exchange) or LEASE
+    rate, (lease, is_timed) = _rate(exchange, session.limiter), _lease(exchange, session) or (LEASE, False)
     publishing = Publisher(session, limit_checks, name)
     if rate is None and not publishing.commands_velocity:
         raise Problem(400, f"Say how often the message is to be published: ?rate=10 for ten times a second ({_RATES}).")
@@ -79,32 +90,33 @@ async def create_hold(
         exchange.query.get("then"), session, publishing, asked, _readable(session.space, find, exchange)
     )
     exchange.audit.add_step(f"hold {name} at {rate:g} Hz, unrenewed for {lease:g} s", session.space.topic(name))
-    begun = await holds.start(new_hold(name, exchange.agent, rate, lease, asked, then, then_asked))
+    begun = await holds.start(new_hold(name, exchange.agent, rate, lease, asked, then, then_asked, is_timed=is_timed))
     resource = HoldResource(session, limit_checks, states, holds, begun.id, find)
     return CreatedAnswer(resource.url, resource, resource.state_of(begun))
 
 
 _POSITIVE: DataSchema = {"type": "number", "minimum": MIN_OF_HOLDS}
-_HOLDING = (
-    QueryParameter("rate", "How many times a second the message is published.", {**_POSITIVE, "maximum": MAX_RATE}),
-    QueryParameter("lease", "The seconds that the hold goes on unrenewed.", {**_POSITIVE, "maximum": MAX_LEASE}),
-    QueryParameter("then", "What is published when the hold ends: zero, none, or the URL of a message."),
-)
 _KEEP = QueryParameter("keep", "Whether the event stream that is asked for keeps the hold.", {"type": "boolean"})
 
 
-def hold_parameters(required: str = "") -> tuple[QueryParameter, ...]:
-    """The parameters of what begins a hold, or changes it."""
-    return tuple(replace(each, required=each.name == required) for each in _HOLDING)
+def hold_parameters(longest: float, required: str = "") -> tuple[QueryParameter, ...]:
+    """The parameters of what begins a hold, or changes it; `longest` is the longest time that it may ask for."""
+    most = {"rate": MAX_RATE, "lease": MAX_LEASE, "for": longest}
+    return tuple(
+        QueryParameter(
+            name, about, {**_POSITIVE, "maximum": most[name]} if name in most else TEXT, required=name == required
+        )
+        for name, about in MEANINGS.items()
+    )
 
 
 def hold_schema(schemas: MessageSchemas, schema: MessageSchema | None) -> DataSchema:
     """How a hold of a topic of this type stands, as plain JSON."""
     number: DataSchema = {"type": "number"}
-    words: DataSchema = {"id": TEXT, "topic": TEXT, "holder": TEXT, "rate": number, "lease": number, "then": TEXT}
+    words: DataSchema = {"id": TEXT, "url": URI, "topic": TEXT, "holder": TEXT, "rate": number, "lease": number}
     message = ANYTHING if schema is None else schemas.read(schema)
-    rest: DataSchema = {"kept": {"type": "boolean"}, "trouble": nullable(TEXT), "message": message}
-    return {"type": "object", "properties": {**words, **rest}}
+    rest: DataSchema = {"for": nullable(number), "then": TEXT, "kept": {"type": "boolean"}, "trouble": nullable(TEXT)}
+    return {"type": "object", "properties": {**words, **rest, "message": message}}
 
 
 def hold_form(
@@ -114,12 +126,12 @@ def hold_form(
     lifted = lifter(schema, session.lifting).json(zero_message(schema, session.lifting), session.space.topic(topic))
     zero = cast(Json, parse_json(lifted))
     is_velocity = schema.ref.name in TWISTS
-    most = min(MAX_RATE, session.limiter.rate)
+    most, longest = min(MAX_RATE, session.limiter.rate), session.settings.hold_time
     return HoldForm(
         schema,
-        HoldTerms(min(RATE, most), most, MAX_LEASE, MAX_LEASE, ZERO if is_velocity else NONE),
+        HoldTerms(min(RATE, most), most, min(_FORM_TIME, longest), longest, ZERO if is_velocity else NONE),
         title=f"Drive by {topic}" if schema.ref.name in COMMANDS else "Hold the topic",
-        about="It is published at that rate until the lease is over, or the hold is ended on its own page.",
+        about="It is published at that rate for as many seconds, or until the hold is ended on its own page.",
         value=zero if is_velocity else latest,
         bounds=bounds,
         pad=drive_pad(topic, schema, bounds, zero, session.limiter.rate),
@@ -174,7 +186,7 @@ class HoldResource(Resource):
             ANYTHING,
             is_body_required=False,
             done=(200, 204),
-            query=(*STRICTNESS, *hold_parameters()),
+            query=(*STRICTNESS, *hold_parameters(self.session.settings.hold_time)),
         )
         end = WriteMethod("Ends the hold; what it was told to say last is published.", done=(204,))
         return PathItem(
@@ -221,6 +233,7 @@ class HoldResource(Resource):
             None if hold.release_message is None else (hold.release_message.schema, hold.release_message.message),
             hold.release_requested,
             hold.last_error,
+            is_timed=hold.is_timed,
             is_changeable=not self.session.settings.read_only,
         )
         return hold_document(view, self.session.space, self.session.lifting)
@@ -229,10 +242,12 @@ class HoldResource(Resource):
         """How it stands as JSON, its messages as ROS's own."""
         told = {
             "id": hold.id,
+            "url": self.url,
             "topic": hold.topic,
             "holder": hold.holder.name,
             "rate": hold.rate,
             "lease": hold.lease,
+            "for": hold.lease if hold.is_timed else None,
             "kept": hold.until_ns is None,
             "then": hold.release_requested,
             "trouble": hold.last_error,
@@ -260,7 +275,7 @@ class HoldResource(Resource):
         if self.session.settings.read_only:
             raise Problem(403, "This server is read-only.")
         require_holder(exchange, self.hold)
-        return self._keep(exchange, self.hold.lease)
+        return self._keep(exchange, min(self.hold.lease, MAX_LEASE))
 
     @contextlib.contextmanager
     def _keep(self, exchange: Exchange, lease: float) -> Iterator[float]:
@@ -269,7 +284,7 @@ class HoldResource(Resource):
             yield lease / 2
 
     async def patch(self, exchange: Exchange) -> Answer:
-        """Renew the hold, and change what is held, `?rate=`, `?lease=` (seconds) or `?then=` where these are given.
+        """Renew the hold, and change what is held, `?rate=`, `?lease=` or `?for=` (seconds), `?then=` where given.
 
         Raises a 403 Problem for anybody but its holder.
         """
@@ -283,11 +298,13 @@ class HoldResource(Resource):
             then, then_asked = await _then(
                 words, self.session, publishing, asked, _readable(self.session.space, self._find, exchange)
             )
+        lease, is_timed = _lease(exchange, self.session) or (hold.lease, hold.is_timed)
         changed = replace(
             self.hold,
             message=asked,
             rate=_rate(exchange, self.session.limiter) or hold.rate,
-            lease=_lease(exchange) or hold.lease,
+            lease=lease,
+            is_timed=is_timed,
             release_message=then,
             release_requested=then_asked,
         )
@@ -348,8 +365,16 @@ def _rate(exchange: Exchange, limiter: PublishLimiter) -> float | None:
     return rate
 
 
-def _lease(exchange: Exchange) -> float | None:
-    return _number(exchange, "lease", MAX_LEASE, _LEASES)
+def _lease(exchange: Exchange, session: Session) -> tuple[float, bool] | None:
+    """The seconds that a hold goes on unrenewed, and whether `?for=` asked for them; None where nothing does."""
+    longest = session.settings.hold_time
+    words = f"at least {MIN_OF_HOLDS:f} and at most {longest:g} s (--setting hold_time)"
+    lease, time = _number(exchange, "lease", MAX_LEASE, _LEASES), _number(exchange, "for", longest, words)
+    if lease is not None and time is not None:
+        raise Problem(400, "?for= and ?lease= exclude each other: a hold lasts for a time, or while it is renewed.")
+    if time is not None:
+        return time, True
+    return None if lease is None else (lease, False)
 
 
 def _number(exchange: Exchange, name: str, limit: float, words: str) -> float | None:

@@ -313,7 +313,7 @@ class MemberResource(CommandResource):
         written = await carry_out(self.session, planned)
         if written is WriteOutcome.OTHERWISE:
             return ShownAnswer(self, await self.state())
-        return write_response(planned, written, exchange.accept)
+        return write_response(exchange, self.session.space, planned, written)
 
     async def _write(
         self, tree: ResourceTree, plan: PropertyPlan, content: object, *, defaults: bool = False

@@ -5,11 +5,14 @@ from __future__ import annotations
 from starlette.responses import Response
 
 from rosld.adapters.model import Kind
+from rosld.ontology.urls import Space
 from rosld.server.http.problem_details import render
 from rosld.server.hypermedia.catalogue import Property, Setter
 from rosld.server.hypermedia.property_writer import PlannedWrite, WriteOutcome, plan_write
 from rosld.server.hypermedia.value import MessageValue
 from rosld.server.resources.limit_checks import LimitChecks
+from rosld.server.resources.publisher import goes_on_response
+from rosld.server.rest.exchange import Exchange
 from rosld.server.robot.publication import no_subscriber_problem
 from rosld.server.robot.session import Session
 
@@ -31,8 +34,11 @@ async def plan_property_write(
     return plan
 
 
-def write_response(plan: PlannedWrite, written: WriteOutcome, accept: str | None) -> Response:
+def write_response(exchange: Exchange, space: Space, plan: PlannedWrite, written: WriteOutcome) -> Response:
     """The answer to a write that was carried out: 204, or 202 where nobody was there to hear it."""
+    name = plan.writer.name
     if written is WriteOutcome.UNHEARD:
-        return render(no_subscriber_problem(plan.writer.name), accept).response()
+        return render(no_subscriber_problem(name), exchange.accept).response()
+    if written is WriteOutcome.GOES_ON:
+        return goes_on_response(exchange, name, space.topic(name))
     return Response(status_code=204)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from pyoxigraph import NamedNode, Triple
 from starlette.responses import Response
@@ -22,9 +22,26 @@ from rosld.server.resources.messages import decode
 from rosld.server.resources.strictness import is_strict
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH
-from rosld.server.robot.publication import Publication, no_subscriber_problem, publish
+from rosld.server.robot.publication import (
+    Publication,
+    goes_on_link,
+    goes_on_problem,
+    no_subscriber_problem,
+    prepare,
+    publish,
+)
 from rosld.server.robot.session import Session
-from rosld.server.robot.velocity import passes_stop
+
+
+def goes_on_response(exchange: Exchange, topic: str, topic_url: str) -> Response:
+    """Return the answer to a velocity that was published once: 204 with a link to how it is held.
+
+    Where the client accepts a type in particular, and prefers no other answer, it is 200 and says so in a body.
+    """
+    is_silent = exchange.accept is None or exchange.accept.strip() == "*/*"
+    if is_silent or exchange.prefer.minimal or exchange.prefer.representation:
+        return Response(status_code=204, headers={"Link": str(goes_on_link(topic_url))})
+    return render(goes_on_problem(topic, topic_url), exchange.accept).response()
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,8 +146,8 @@ class Publisher:
         await self.require_within_limits(schema, message)
         data = schema.codec.encode(message, self.session.adapter.capabilities.encoding)
         # By the stop and the graph of now: the robot may have been stopped while the body was read.
-        passes = passes_stop(self.session, self.name, schema, message)
-        return PlannedPublish(Publication(self.name, schema.ref, data, latch, passes), creates=creates)
+        publication = replace(prepare(self.session, self.name, schema, message, data), latch=latch)
+        return PlannedPublish(publication, creates=creates)
 
     async def _lower(self, topic: Topic | None, schema: MessageSchema, body: RdfBody) -> Message:
         self._check_stable(topic, body)
@@ -179,11 +196,16 @@ class Publisher:
                     raise Problem(422, f"{error.sentence}.") from error
         raise Problem(422, f"{self.name} has no type yet, and the body states none: give the message a type of {base}.")
 
-    async def carry_out(self, plan: PlannedPublish, accept: str | None) -> Response:
-        """Publish: 201 where that makes the topic, 202 where it has no subscriber, else 204. Raises RosError."""
+    async def carry_out(self, plan: PlannedPublish, exchange: Exchange) -> Response:
+        """Publish: 201 where that makes the topic, 202 where it has no subscriber, else 204. Raises RosError.
+
+        A velocity that goes on is 200 with a warning where the client accepts a type in particular.
+        """
         published = await publish(self.session, plan.publication)
         if plan.creates:
             return Response(status_code=201, headers={"Location": self.url})
         if published.matched == 0:
-            return render(no_subscriber_problem(self.name), accept).response()
+            return render(no_subscriber_problem(self.name), exchange.accept).response()
+        if plan.publication.goes_on:
+            return goes_on_response(exchange, self.name, self.url)
         return Response(status_code=204)

@@ -56,11 +56,17 @@ def _writing_methods(graph: Graph, name: str) -> frozenset[str]:
 
 
 def topic_writes(
-    topic: Topic | None, schema: MessageSchema | None, schemas: MessageSchemas, *, commands_velocity: bool
+    topic: Topic | None,
+    schema: MessageSchema | None,
+    schemas: MessageSchemas,
+    *,
+    commands_velocity: bool,
+    hold_time: float,
 ) -> Mapping[str, WriteMethod]:
     """What each method that writes to a topic does and takes, for the description of the API.
 
-    `topic` is None for one that is not there, `schema` where the type of its messages is not known.
+    `topic` is None for one that is not there, `schema` where the type of its messages is not known; `hold_time` is the
+    longest that a hold may be asked to last.
     """
     sent = schemas.write(schema)
     publishes = "Publishes a message."
@@ -75,11 +81,11 @@ def topic_writes(
             query=(_LATCH,),
         ),
         "POST": WriteMethod(
-            "Holds the topic: publishes the message `rate` times a second while the lease is renewed.",
+            "Holds the topic: publishes the message `rate` times a second while the lease is renewed, or `for` a time.",
             sent,
             done=(201,),
             shows=hold_schema(schemas, schema),
-            query=(*STRICTNESS, *hold_parameters(required="" if commands_velocity else "rate")),
+            query=(*STRICTNESS, *hold_parameters(hold_time, "" if commands_velocity else "rate")),
         ),
         "DELETE": WriteMethod(
             "Stops to advertise the topic; 405 while this server does not advertise it.", done=(204,)

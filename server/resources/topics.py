@@ -137,7 +137,13 @@ class TopicResource(CommandResource):
             (PICTURE_FORMAT, FIELD, *PARAMETERS, TIMEMAP, *PICTURE_PARAMETERS)
             if self.is_picture
             else (*(CLOUD_PARAMETERS if self.is_cloud else (FORMAT,)), FIELD, *PARAMETERS, TIMEMAP),
-            topic_writes(topic, schema, schemas, commands_velocity=self._publishing.commands_velocity),
+            topic_writes(
+                topic,
+                schema,
+                schemas,
+                commands_velocity=self._publishing.commands_velocity,
+                hold_time=self.session.settings.hold_time,
+            ),
             has_shape=topic is not None and topic.type is not None,
             methods=methods | {"DELETE"} if "PUT" in methods else methods,  # once rosld publishes
         )
@@ -410,7 +416,7 @@ class TopicResource(CommandResource):
 
     async def put(self, exchange: Exchange) -> Answer:
         """Publish the message in the body: 204, 202 where no subscriber is there, 201 where this made the topic."""
-        return await self._publishing.carry_out(await self._publishing.plan(exchange), exchange.accept)
+        return await self._publishing.carry_out(await self._publishing.plan(exchange), exchange)
 
     async def post(self, exchange: Exchange) -> Answer:
         """Hold the topic: publish the message in the body again and again while the lease is renewed.
@@ -426,7 +432,7 @@ class TopicResource(CommandResource):
         require_if_match(exchange.header("if-match"), "PATCH changes the latest message, which changes often.")
         description = (await self.state()).document.triples
         plan = await self._publishing.plan_patch(exchange, description)
-        return await self._publishing.carry_out(plan, exchange.accept)
+        return await self._publishing.carry_out(plan, exchange)
 
     async def delete(self, exchange: Exchange) -> Answer:
         """Advertise the topic no more."""

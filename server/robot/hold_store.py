@@ -76,6 +76,7 @@ def held_message(
 class Hold:
     """One hold: immutable, replaced by its next state. `rate` is in Hz, `lease` in seconds; times are wall-clock ns.
 
+    `is_timed`: the lease is as long as the hold was asked to last, so that nobody has to renew it.
     `release_message` is published when it ends, None for nothing; `release_requested` is what was asked for: zero,
     none, or a URL. `until_ns` is when the lease ends, None while a stream keeps it. `last_error` says why the latest
     publish failed.
@@ -91,6 +92,7 @@ class Hold:
     release_requested: str
     created_ns: int
     until_ns: int | None
+    is_timed: bool = False
     last_error: str | None = None
 
 
@@ -241,6 +243,8 @@ def new_hold(
     message: HeldMessage,
     release_message: HeldMessage | None,
     release_requested: str,
+    *,
+    is_timed: bool = False,
 ) -> Hold:
     """A hold that has not begun."""
     now = time.time_ns()
@@ -255,6 +259,7 @@ def new_hold(
         release_requested,
         now,
         now + int(lease * 1e9),
+        is_timed,
     )
 
 
@@ -320,7 +325,7 @@ class _Running:
         step = self._schedule.step(self._loop.time())
         match step:
             case LeaseExpired():
-                self.end("its lease lapsed")
+                self.end(f"its {self.hold.lease:g} s were over" if self.hold.is_timed else "its lease lapsed")
                 return
             case Publish(after=after):
                 self._schedule = after

@@ -5,10 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from rosld.adapters.base import Published
-from rosld.adapters.model import Kind, TypeRef
+from rosld.adapters.model import Kind, Message, MessageSchema, TypeRef
+from rosld.server.http.link import Link
 from rosld.server.http.problem import Problem
+from rosld.server.receipts.audit_context import record_step
 from rosld.server.robot.publish_rate import PublishLimiter
 from rosld.server.robot.session import Session
+from rosld.server.robot.velocity import goes_on, passes_stop
 from rosld.server.runtime.dry_run import is_dry_run
 from rosld.server.runtime.loop_time import loop_time
 
@@ -17,7 +20,8 @@ from rosld.server.runtime.loop_time import loop_time
 class Publication:
     """A message for a topic: nothing about it can be refused any more but by the robot.
 
-    `passes_stop`: it is published also while the robot is stopped.
+    `passes_stop`: it is published also while the robot is stopped. `goes_on`: it sets the robot in motion, which goes
+    on until something else is published.
     """
 
     topic: str
@@ -25,6 +29,18 @@ class Publication:
     data: bytes
     latch: bool = False
     passes_stop: bool = False
+    goes_on: bool = False
+
+
+def prepare(session: Session, topic: str, schema: MessageSchema, message: Message, data: bytes) -> Publication:
+    """Return the publication of a message, with what the stop and the graph of now say of it."""
+    return Publication(
+        topic,
+        schema.ref,
+        data,
+        passes_stop=passes_stop(session, topic, schema, message),
+        goes_on=goes_on(session, topic, schema, message),
+    )
 
 
 async def publish(session: Session, publication: Publication) -> Published:
@@ -33,7 +49,7 @@ async def publish(session: Session, publication: Publication) -> Published:
     require_rate(session.limiter, topic)
     deadline = loop_time() + session.settings.publish_wait
     try:
-        return await session.adapter.publish(
+        published = await session.adapter.publish(
             topic,
             publication.type,
             publication.data,
@@ -43,6 +59,9 @@ async def publish(session: Session, publication: Publication) -> Published:
         )
     finally:
         session.announce_write(Kind.TOPIC, topic)
+    if publication.goes_on:
+        record_step(f"what {topic} commands goes on until something stops it")
+    return published
 
 
 def require_rate(limiter: PublishLimiter, topic: str) -> None:
@@ -51,6 +70,22 @@ def require_rate(limiter: PublishLimiter, topic: str) -> None:
     if wait > 0:
         sentence = f"More than {limiter.rate:g} messages a second on {topic} (--max-publish-rate)."
         raise Problem(429, sentence, headers={"Retry-After": str(max(1, round(wait)))})
+
+
+def goes_on_link(topic_url: str) -> Link:
+    """The link to how a velocity is held, which was published once."""
+    title = "It goes on until something stops it: hold it instead, POST ?for=3 for three seconds"
+    return Link(f"{topic_url}#hold", "help", title=title)
+
+
+def goes_on_problem(topic: str, topic_url: str) -> Problem:
+    """The problem details (200) of a velocity that was published once."""
+    sentence = (
+        f"The velocity was published once on {topic}: a robot without a time-out of its own goes on until something "
+        f"stops it. POST it to {topic_url}?for=3 to have it stop after three seconds, or PUT zero to stop it now."
+    )
+    link = str(goes_on_link(topic_url))
+    return Problem(200, sentence, title="Goes on until something stops it", headers={"Link": link})
 
 
 def no_subscriber_problem(topic: str) -> Problem:

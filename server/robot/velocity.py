@@ -53,6 +53,12 @@ def zero_message(schema: MessageSchema, lifting: LiftSettings) -> Message:
     return with_zeros(schema, lowerer(schema, lifting).from_json({}, defaults=True))
 
 
+def goes_on(session: Session, name: str, schema: MessageSchema, message: Message) -> bool:
+    """Whether a message sets the robot in motion until something else is published: a velocity other than zero."""
+    topic = session.graph.topics.get(name) or Topic(name, (schema.ref,))
+    return is_velocity_topic(topic, session.graph, session.settings.stop_zero) and not is_zero(schema, message)
+
+
 def passes_stop(session: Session, name: str, schema: MessageSchema, message: Message) -> bool:
     """Whether the robot is stopped, and a message may be published all the same: zero on a velocity topic."""
     if session.interlock.stop_state is None:

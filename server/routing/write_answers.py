@@ -71,6 +71,8 @@ class WriteAnswers:
             return response
         headers = [*rendering.headers, (b"preference-applied", b"return=representation")]
         headers.append((b"content-location", link.to_uri(resource.url).encode("ascii")))
+        if "link" in response.headers:
+            headers.append((b"link", response.headers["link"].encode("latin-1")))
         return RawResponse(200, rendering.body, headers)
 
     async def _outcome(

@@ -130,6 +130,43 @@ def test_a_hold_publishes_until_its_lease_lapses_and_then_stands_still(driven: D
     assert "its lease lapsed" in gone.text
 
 
+def test_a_hold_for_a_time_needs_no_renewal_and_can_be_prolonged_and_ended(driven: Driven, http: httpx.Client) -> None:
+    hold = begun(http, **{"for": 1.6})  # more than the lease where nothing is said
+    state = http.get(hold, headers=JSON).json()
+    assert (state["for"], state["lease"], state["url"]) == (1.6, 1.6, hold)
+    assert says(http, hold, f"{ROS}holdTime") == ['"1.6"^^<http://www.w3.org/2001/XMLSchema#double>']
+    driven.until(lambda: driven.is_told(STILL), "standing still")
+    (began, *_), (ended, *_) = driven.told[0], driven.told[-1]
+    assert 1.55 < ended - began < 5
+    assert "its 1.6 s were over" in http.get(hold).text
+    prolonged = begun(http, **{"for": 0.3})
+    assert http.patch(prolonged, params={"for": 60}).status_code == 204
+    assert http.get(prolonged, headers=JSON).json()["for"] == 60.0
+    assert http.patch(prolonged, params={"lease": 5}).status_code == 204
+    assert http.get(prolonged, headers=JSON).json()["for"] is None
+    assert http.delete(prolonged).status_code == 204
+    assert driven.is_told(STILL)
+
+
+def test_a_velocity_that_is_published_once_is_answered_with_how_to_hold_it(driven: Driven, http: httpx.Client) -> None:
+    for path in ("/topics/drive", "/resources/drive"):
+        driven.told.clear()
+        silent = http.put(path, json=ahead(1.0))
+        assert silent.status_code == 204
+        assert f'<{http.base_url}topics/drive#hold>; rel="help"; title="It goes on' in silent.headers["link"]
+        told = http.put(path, json=ahead(1.0), headers=JSON)
+        assert (told.status_code, told.json()["title"]) == (200, "Goes on until something stops it")
+        assert f"POST it to {http.base_url}topics/drive?for=3" in told.json()["detail"]
+        shown = http.put(path, json=ahead(1.0), headers={**JSON, "Prefer": "return=representation"})
+        assert shown.json() == ahead(1.0)
+        assert "#hold" in shown.headers["link"]
+        receipt = next(link for link in shown.headers["link"].split("<") if "/activity/" in link).partition(">")[0]
+        assert "what /drive commands goes on until something stops it" in http.get(receipt).text
+        assert http.put(path, json=STILL, headers=JSON).status_code == 204
+        assert len(driven.on(DRIVE)) == 4
+    assert "#hold" not in http.put(f"/topics{NAMED}", json={"data": "x"}, headers=JSON).headers["link"]
+
+
 def test_who_renews_goes_on_and_never_faster_than_the_rate(driven: Driven, http: httpx.Client) -> None:
     hold = begun(http, lease=1.5)
     began = driven.told[0][0]
@@ -293,7 +330,7 @@ def test_a_writable_topic_says_how_it_is_held_and_a_sensor_does_not(http: httpx.
     assert says(http, f"/topics{DRIVE}", affordance) == [f"<{http.base_url}topics/drive#hold>"]
     assert says(http, f"/topics{SENSOR}", affordance) == []
     assert set(says(http, f"/topics{DRIVE}", "https://w3id.org/rosld#uriTemplate")) == {
-        f'"{http.base_url}topics/drive{{?rate,lease,then}}"'
+        f'"{http.base_url}topics/drive{{?rate,lease,for,then}}"'
     }
     [shape] = says(http, f"/topics{DRIVE}", f"{ROS}requestShape")
     assert shape == f"<{http.base_url}shapes/geometry_msgs/msg/Twist>"
@@ -315,6 +352,9 @@ def test_a_writable_topic_says_how_it_is_held_and_a_sensor_does_not(http: httpx.
         ({"rate": 0}, 400), ({"rate": -1}, 400), ({"rate": 50.1}, 400), ({"rate": "NaN"}, 400), ({"rate": "inf"}, 400),
         ({"rate": "fast"}, 400), ({"rate": "1e-300"}, 400), ({"rate": 10, "lease": 0}, 400),
         ({"rate": 10, "lease": 5.1}, 400), ({"rate": 10, "lease": "NaN"}, 400),
+        ({"rate": 10, "for": "NaN"}, 400), ({"rate": 10, "for": 0}, 400), ({"rate": 10, "for": -3}, 400),
+        ({"rate": 10, "for": 60.1}, 400), ({"rate": 10, "for": "1e300"}, 400),
+        ({"rate": 10, "for": 3, "lease": 1}, 400),
     ],
 )  # fmt: skip
 def test_rates_and_leases_out_of_range_are_refused(
@@ -544,9 +584,10 @@ def test_a_velocity_can_be_held_by_what_its_resource_and_the_thing_description_o
     targets = {str(said.value(form, HCTL.hasTarget)) for form in said.objects(action, TD.hasForm)}
     described = http.get("/.well-known/wot").json()["actions"]["cmd_vel/hold"]
     [form] = described["forms"]
-    assert targets == {form["href"]}
+    assert {f"{target}{{?rate,lease,for,then}}" for target in targets} == {form["href"]}
+    assert set(described["uriVariables"]) == {"rate", "lease", "for", "then"}
     assert set(described["input"]["properties"]) == {"linear", "angular"}
-    held = http.request(form["htv:methodName"], form["href"], json={"linear": {"x": 0.1}})
+    held = http.request(form["htv:methodName"], *targets, json={"linear": {"x": 0.1}})
     assert held.status_code == 201
     hold = http.get(held.headers["location"], headers={"Accept": "application/json"}).json()
     assert (hold["topic"], hold["rate"], hold["lease"], hold["then"]) == ("/cmd_vel", 10.0, 1.0, "zero")

@@ -73,6 +73,14 @@ def test_the_robot_stands_still_when_the_client_the_lease_or_the_stop_ends_a_hol
     hears(wheels, ahead(2))
     hears(wheels, STILL)
 
+    heard = len(wheels.seen)
+    with httpx.Client(base_url=http.base_url) as gone:  # nobody is there to renew it
+        assert gone.post(TOPIC, params={"for": 3}, json=ahead(4)).status_code == 201
+    hears(wheels, ahead(4))
+    hears(wheels, STILL)
+    said = [json.loads(line.removeprefix("heard ")) for line in wheels.seen[heard:] if line.startswith("heard {")]
+    assert 20 <= said.count(ahead(4)) <= 31, "three seconds at 10 Hz"
+
     held(http, 3)
     hears(wheels, ahead(3))
     assert http.post("/stop").status_code == 200

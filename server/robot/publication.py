@@ -49,7 +49,7 @@ async def publish(session: Session, publication: Publication) -> Published:
     require_rate(session.limiter, topic)
     deadline = loop_time() + session.settings.publish_wait
     try:
-        published = await session.adapter.publish(
+        return await session.adapter.publish(
             topic,
             publication.type,
             publication.data,
@@ -59,9 +59,8 @@ async def publish(session: Session, publication: Publication) -> Published:
         )
     finally:
         session.announce_write(Kind.TOPIC, topic)
-    if publication.goes_on:
-        record_step(f"what {topic} commands goes on until something stops it")
-    return published
+        if publication.goes_on:  # below the step of the publish, also in the plan of a dry run
+            record_step(f"what {topic} commands goes on until something stops it")
 
 
 def require_rate(limiter: PublishLimiter, topic: str) -> None:

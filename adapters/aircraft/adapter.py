@@ -213,7 +213,7 @@ class Aircraft:
         try:
             self._fly = accept(self._flight, self._fly, secrets.token_hex(16), distance, time.monotonic_ns())
         except Declined as declined:
-            raise Refused(f"{action} rejected the goal: {declined}", words=str(declined)) from declined
+            raise Refused(f"{action} rejected the goal", words=str(declined)) from declined
         self._tell_goal(self._fly, GoalEvent(time.time_ns(), GoalStatus.ACCEPTED, goal=goal, own=True))
         return GoalId(action, self._fly.id)
 

@@ -24,10 +24,13 @@ class Sent(Enum):
 
 
 class RosError(Exception):
-    """Base of all errors of adapters: a sentence that names the value and, where there are any, the robot's words."""
+    """Base of all errors of adapters: a sentence that names the value, and apart from it the robot's words.
+
+    The sentence never has the robot's words in it: clients trust it as the server's.
+    """
 
     def __init__(self, sentence: str, *, words: str | None = None, sent: Sent = Sent.NO) -> None:
-        super().__init__(sentence)
+        super().__init__(f"{sentence}: {words}" if words else sentence)
         self.sentence = sentence
         self.words = words
         self.sent = sent

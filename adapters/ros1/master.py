@@ -51,7 +51,8 @@ class MasterApi:
         state = self._client.decode(looked.state)
         types = self._client.decode(looked.types)
         if state.code != 1 or types.code != 1:
-            raise Unreachable(f"the master at {self.uri} does not tell its state: {state.words}, {types.words}")
+            words = f"{state.words}, {types.words}"
+            raise Unreachable(f"the master at {self.uri} does not tell its state", words=words)
         try:
             publishers, subscribers, services = (_nodes_by_name(part) for part in _list(state.value))
             return SystemState(publishers, subscribers, services, _types_by_name(types.value))
@@ -108,8 +109,8 @@ class MasterApi:
 def _error(method: str, what: ParameterValue, answer: Answer) -> RosError:
     """The error of a code that is not 1: -1 says that there is no such thing, 0 that the master failed."""
     if answer.code == -1:
-        return NotFound(f"the master knows no {what!r}: {answer.words}", words=answer.words)
-    return Refused(f"the master refused {method} of {what!r}: {answer.words}", words=answer.words, sent=Sent.YES)
+        return NotFound(f"the master knows no {what!r}", words=answer.words)
+    return Refused(f"the master refused {method} of {what!r}", words=answer.words, sent=Sent.YES)
 
 
 def _list(value: ParameterValue) -> list[ParameterValue]:

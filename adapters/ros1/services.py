@@ -84,7 +84,7 @@ class Services:
             header = decode_header(await read_frame(reader, MAX_HEADER))
             if "error" in header:
                 self._asked.pop(service, None)
-                raise Refused(f"{service} refuses the call: {header['error']}", words=header["error"])
+                raise Refused(f"{service} refuses the call", words=header["error"])
             progress[0] = Sent.YES
             writer.write(frame(request))
             succeeded = await reader.readexactly(1)
@@ -93,7 +93,7 @@ class Services:
             writer.close()
         if succeeded == b"\0":
             words = answer.decode("utf-8", "replace") or None
-            raise Refused(f"{service} failed: {words or 'its node gave no reason'}", words=words, sent=Sent.YES)
+            raise Refused(f"{service} failed", words=words, sent=Sent.YES)
         return answer
 
     async def _md5(self, type: TypeRef) -> str:

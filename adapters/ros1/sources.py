@@ -55,7 +55,7 @@ class Nodes:
             case 1, ["TCPROS", str(at), int(tcp_port), *_]:
                 return at, tcp_port
             case _:
-                raise Refused(f"{uri} does not offer {topic} over TCPROS: {answer.words}", words=answer.words)
+                raise Refused(f"{uri} does not offer {topic} over TCPROS", words=answer.words)
 
 
 class PublisherReader:
@@ -148,14 +148,14 @@ class PublisherReader:
     def _accept(self, header: Header) -> Deliver:
         """Learn what the publisher says of itself; where its frames go. Raises Refused."""
         if "error" in header:
-            raise Refused(f"{self.slot.publisher} refuses: {header['error']}", words=header["error"])
+            raise Refused(f"{self.slot.publisher} refuses", words=header["error"])
         if self._guessed and header.get("callerid", self.slot.publisher) != self.slot.publisher:
             raise Unreachable(
                 f"at the master's host another node answers for {self.slot.publisher}: give its --host-map"
             )
         name = message_type(header.get("type", ""))
         if name is None:
-            raise Refused(f"{self.slot.publisher} says its type is {header.get('type', '')[:80]!r}")
+            raise Refused(f"{self.slot.publisher} names no type of messages", words=header.get("type"))
         ref = TypeRef(name, header.get("md5sum"))
         self._types.learn(ref, header.get("message_definition", ""))
         latched = header.get("latching") == "1"

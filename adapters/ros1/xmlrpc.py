@@ -75,7 +75,7 @@ def _parse(document: bytes) -> tuple[tuple[object, ...], str | None]:
         parser.Parse(document, True)
         return target.close(), target.getmethodname()
     except xmlrpc.client.Fault as fault:
-        raise Refused(f"the call failed: {fault.faultString}", words=str(fault.faultString)) from fault
+        raise Refused("the call failed", words=str(fault.faultString)) from fault
     except Malformed:
         raise
     except (expat.ExpatError, ValueError, TypeError, LookupError, AttributeError, xmlrpc.client.Error) as error:

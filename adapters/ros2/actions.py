@@ -135,7 +135,7 @@ class Actions:
             raise NotFound(f"{goal.action} knows no goal {goal.id}")
         if answer.return_code != 0 or not answer.goals_canceling:
             words = _CANCELED_NOT.get(answer.return_code, "the server refuses to cancel it")
-            raise Refused(f"the goal {goal.id} of {goal.action} is not canceled: {words}", words=words, sent=Sent.YES)
+            raise Refused(f"the goal {goal.id} of {goal.action} is not canceled: {words}", sent=Sent.YES)
 
     async def cancel_all(self, action: str, until: float) -> None:
         """Ask for all goals of an action to be canceled: a zero id without a time is read so (CancelGoal.srv).
@@ -145,7 +145,7 @@ class Actions:
         answer = await self._ask_to_cancel(action, bytes(_UUID), until)
         if answer.return_code == 1:
             words = _CANCELED_NOT[1]
-            raise Refused(f"the goals of {action} are not canceled: {words}", words=words, sent=Sent.YES)
+            raise Refused(f"the goals of {action} are not canceled: {words}", sent=Sent.YES)
 
     async def _ask_to_cancel(self, action: str, id: bytes, until: float) -> Any:
         """The answer of an action server that is asked to cancel."""

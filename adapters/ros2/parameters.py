@@ -417,5 +417,4 @@ def _parameter(name: str, fields: dict[str, object]) -> object:
 
 
 def _refusal(name: str, node: str, reason: str) -> Refused:
-    words = reason or "it gave no reason"
-    return Refused(f"{node} refuses the parameter {name}: {words}", words=reason or None, sent=Sent.YES)
+    return Refused(f"{node} refuses the parameter {name}", words=reason or None, sent=Sent.YES)

@@ -199,7 +199,7 @@ class Rover:
         try:
             pose = requests.goal_of(_decode(schema.goal, goal, action))
         except Declined as declined:
-            raise Refused(f"{action} rejected the goal: {declined}", words=str(declined)) from declined
+            raise Refused(f"{action} rejected the goal", words=str(declined)) from declined
         id = secrets.token_hex(16)
         self._simulation.navigate(id, pose, time.monotonic())
         self._tell(id, GoalEvent(time.time_ns(), GoalStatus.ACCEPTED, goal=goal, own=True))

@@ -61,4 +61,4 @@ def _fit(name: str, value: ParameterValue) -> ParameterValue:
 
 
 def _refusal(name: str, words: str) -> Refused:
-    return Refused(f"{NODE} refuses the parameter {name}: {words}", words=words, sent=Sent.YES)
+    return Refused(f"{NODE} refuses the parameter {name}", words=words, sent=Sent.YES)

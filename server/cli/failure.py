@@ -28,7 +28,7 @@ def user_errors() -> Iterator[None]:
     try:
         yield
     except RosError as error:
-        raise Failure(f"{error.sentence} {error.words or ''}") from error
+        raise Failure(str(error)) from error
     except OSError as error:
         raise Failure(reason(error)) from error
     except ValueError as error:

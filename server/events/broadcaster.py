@@ -141,7 +141,7 @@ class Broadcaster:
         except Exception as error:
             _log.exception("%s cannot be read for its changes", self._resource.url, exc_info=error)
             problem = Problem(500, "The server failed to read this resource; its log says more.")
-        return Observation(f"{problem.status} {problem.detail}", problem)
+        return Observation(f"{problem.status} {problem.with_quotes}", problem)
 
     async def _renew(self) -> None:
         """Watch the resource as it is made now; where that fails, the next look tries again."""

@@ -286,7 +286,9 @@ Without this file, or with scripts off, there is no pad, and the form beside it 
 
   async function reason(answer) {
     try {
-      return (await answer.json()).detail;
+      const said = await answer.json();
+      const words = said.robotSaid ?? said.holder ?? said.agentSaid;
+      return words === undefined ? said.detail : `${said.detail} “${words}”`;
     } catch {
       return `The server answered ${answer.status}`;
     }

@@ -351,7 +351,7 @@ class GraphPage:
 class ProblemPage:
     """An error for people: RFC 9457's members, and the fields that did not fit. `url` is what was asked for.
 
-    `near` are URLs of what is there and is spelt much like it.
+    `near` are URLs of what is there and is spelt much like it, `quotes` who else said what.
     """
 
     site: Site
@@ -361,3 +361,4 @@ class ProblemPage:
     url: str = ""
     violations: tuple[Violation, ...] = ()
     near: tuple[str, ...] = ()
+    quotes: tuple[tuple[str, str], ...] = ()

@@ -6,6 +6,7 @@ made: no traceback, no path of a file, no class.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from http import HTTPStatus
@@ -17,11 +18,25 @@ if TYPE_CHECKING:  # what a problem needs is little, so that the query process c
     from rosld.ontology.violations import Violation
 
 
+ROBOT_SAID, AGENT_SAID = "robotSaid", "agentSaid"
+"""The members for words of the robot and of another agent: data, never a part of `detail` or `title`."""
+_MAX_SAID = 500
+"""Characters of what is quoted."""
+_QUOTED = {
+    ROBOT_SAID: "The robot said",
+    "holder": "Held by",
+    "stoppedBy": "Stopped by",
+    AGENT_SAID: "The reason given",
+}
+"""The members that quote others, names included, and what stands before each for people."""
+
+
 class Problem(Exception):
     """Ends a request with a status of 400 or more.
 
     `detail` names the value and the next step; `title` is the status's phrase where none is given; `headers` go into
     the response; `extra` holds further members (RFC 9457 3.2); `violations` say field by field what does not fit.
+    Words of the robot or of another agent stand in members of their own (`quoted`), never in `detail` or `title`.
     `about` are URLs of what the reason speaks of: one who may not read them all is not told it. `near` are URLs of what
     is there, where the one that was asked for is not and is spelt much like them.
     """
@@ -45,10 +60,27 @@ class Problem(Exception):
         self.title = title or reason_phrase(status)
         self.type = type
         self.headers = dict(headers)
-        self.extra = {name: redact_tokens_in(value) for name, value in extra.items()}
+        self.extra = {name: redact_tokens_in(value) for name, value in _with_quotations(extra).items()}
         self.violations = tuple(map(_without_tokens, violations))
         self.about = tuple(about)
         self.near = tuple(near)
+
+    @property
+    def said(self) -> dict[str, str]:
+        """The members that quote others."""
+        return quoted(self.extra)
+
+    @property
+    def quotes(self) -> tuple[tuple[str, str], ...]:
+        """The same for people: who said it, and what."""
+        return tuple((_QUOTED[name], words) for name, words in self.said.items())
+
+    @property
+    def with_quotes(self) -> str:
+        """Why, with the words of others as quotations: for people and receipts."""
+        return " ".join(
+            (self.detail, *(f"{who}: {json.dumps(words, ensure_ascii=False)}." for who, words in self.quotes))
+        )
 
     @property
     def detail(self) -> str:
@@ -75,6 +107,24 @@ def _problem(
     violations: Sequence[Violation],
 ) -> Problem:
     return Problem(status, detail, title=title, type=type, headers=headers, extra=extra, violations=violations)
+
+
+def quoted(members: Mapping[str, object]) -> dict[str, str]:
+    """Return the members that quote others, on one line and cut, without characters that nobody sees."""
+    return {name: words for name in _QUOTED if (words := one_line(members.get(name)))}
+
+
+def _with_quotations(extra: Mapping[str, object]) -> dict[str, object]:
+    return {name: value for name, value in extra.items() if name not in _QUOTED} | quoted(extra)
+
+
+def one_line(words: object) -> str:
+    """Return foreign words fit to be quoted; "" for what is no text."""
+    if not isinstance(words, str):
+        return ""
+    line = " ".join(words[: 4 * _MAX_SAID].split())
+    shown = "".join(filter(str.isprintable, line))
+    return shown if len(shown) <= _MAX_SAID else f"{shown[:_MAX_SAID]}..."
 
 
 def reason_phrase(status: int) -> str:

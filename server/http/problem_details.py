@@ -15,9 +15,9 @@ from rosld.ontology.document import Document
 from rosld.ontology.serialize import Syntax, serialize
 from rosld.ontology.triples import integer, statements, text, triples_about
 from rosld.ontology.violations import Violation
-from rosld.ontology.vocab import rdf, rdfs
+from rosld.ontology.vocab import rdf, rdfs, ros
 from rosld.server.http import header_syntax, negotiation
-from rosld.server.http.problem import Problem
+from rosld.server.http.problem import AGENT_SAID, ROBOT_SAID, Problem
 from rosld.shapes.report import validation_report
 
 JSON = "application/problem+json"
@@ -100,7 +100,7 @@ def _json(problem: Problem) -> bytes:
 def document(problem: Problem, url: str = _NOWHERE) -> Document:
     """The problem with the resource at `url`: a hydra:Error and, where fields do not fit, a sh:ValidationReport.
 
-    What is near is linked by rdfs:seeAlso.
+    What is near is linked by rdfs:seeAlso. The robot's words are ros:words, those of another agent ros:reason.
     """
     node = NamedNode(f"{url}#problem")
     report = validation_report(url, [_cleaned(one) for one in problem.violations]) if problem.violations else None
@@ -110,6 +110,8 @@ def document(problem: Problem, url: str = _NOWHERE) -> Document:
         (NamedNode(f"{_HYDRA}statusCode"), integer(problem.status)),
         (NamedNode(f"{_HYDRA}title"), text(_clean(problem.title))),
         (NamedNode(f"{_HYDRA}description"), text(_clean(problem.detail))),
+        (ros.words, text(problem.said.get(ROBOT_SAID))),
+        (ros.reason, text(problem.said.get(AGENT_SAID))),
         (rdfs.seeAlso, NamedNode(f"{url}#report") if report else None),
         *statements(rdfs.seeAlso, map(NamedNode, problem.near)),
     )
@@ -134,13 +136,14 @@ def _page(problem: Problem) -> str:
         f"<tr><td><code>{html.escape(_clean(one.path))}</code></td><td>{html.escape(_clean(one.message))}</td></tr>"
         for one in problem.violations
     )
+    quotes = "".join(f"<p>{who}: <q>{html.escape(words)}</q></p>" for who, words in problem.quotes)
     table = f"<table><tr><th>Field</th><th>What does not fit</th></tr>{rows}</table>" if rows else ""
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         f"<title>{title}</title><style>body{{font:1rem/1.5 system-ui,sans-serif;max-width:45rem;margin:3rem auto;"
         "padding:0 1rem;color-scheme:light dark}td,th{text-align:left;padding:.2rem 1rem .2rem 0}</style></head>"
-        f"<body><h1>{title}</h1><p>{html.escape(_clean(problem.detail))}</p>{table}"
+        f"<body><h1>{title}</h1><p>{html.escape(_clean(problem.detail))}</p>{quotes}{table}"
         '<p><a href="/">To the start</a></p></body></html>'
     )
 

@@ -14,6 +14,7 @@ from weakref import WeakValueDictionary
 from rosld.adapters.base import Adapter
 from rosld.adapters.model import MessageSchema, names
 from rosld.ontology.urls import Space
+from rosld.server.http.problem import one_line
 from rosld.server.hypermedia.catalogue import Getter, GoalSource, ParameterSource, Property, TopicSource
 from rosld.server.hypermedia.single_flight_cache import Fetch, SingleFlightCache, Slot
 from rosld.server.hypermedia.source_reader import (
@@ -206,7 +207,9 @@ class PropertyReader:
         until = min((one.until for one in results), default=inf) if found.value is None else results[-1].until
         failures = [one.found.failure for one in results if one.found.failure is not None]
         failure = "; ".join(failures) if failures and found.value is None else None
-        reading = Reading(property.name, found.value, failure, found.read_ns, None if until == inf else until)
+        words = "" if failure is None else one_line("; ".join(one.found.words for one in results if one.found.words))
+        fresh_until = None if until == inf else until
+        reading = Reading(property.name, found.value, failure, found.read_ns, fresh_until, words or None)
         if until > asyncio.get_running_loop().time():
             self._kept.pop(property.name, None)
             self._kept[property.name] = _Kept(property, view, part, until, reading)

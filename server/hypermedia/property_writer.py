@@ -264,5 +264,4 @@ async def _call(session: Session, setter: Setter, request: bytes) -> None:
         raise UnreadableResponse(f"the answer of {setter.name} cannot be read: {error}", sent=Sent.YES) from error
     words = refusal_text(response, message)
     if words is not None:
-        sentence = f"{setter.name} refused the value" + (f": {words}" if words else "")
-        raise Refused(sentence, words=words or None, sent=Sent.YES)
+        raise Refused(f"{setter.name} refused the value", words=words or None, sent=Sent.YES)

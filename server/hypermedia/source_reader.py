@@ -22,11 +22,15 @@ _log = logging.getLogger("rosld.hypermedia")
 
 
 class ReadResult(NamedTuple):
-    """The result of a read: a value, or why there is none; both None where there is none yet."""
+    """The result of a read: a value, or why there is none; both None where there is none yet.
+
+    `words` are what the robot said to that.
+    """
 
     value: Value | None
     failure: str | None
     read_ns: int | None
+    words: str | None = None
 
 
 NO_VALUE = ReadResult(None, None, None)
@@ -103,7 +107,7 @@ class SourceReader:
             newest = view.newest
             return TopicLook(view) if newest is None else TopicLook(view, await self._schemas.message(newest.schema))
         except Exception as error:
-            return TopicLook(view, None, self._failure(topic, error))
+            return TopicLook(view, None, self._failure(topic, error)[0])
 
     async def call_getter(self, getter: Getter, origin: str) -> ReadResult:
         """The answer of a getter, within the patience."""
@@ -111,10 +115,11 @@ class SourceReader:
         try:
             message = await self._answer(getter)
         except Exception as error:
-            return ReadResult(None, self._failure(getter.name, error), time.time_ns())
+            failure, words = self._failure(getter.name, error)
+            return ReadResult(None, failure, time.time_ns(), words)
         words = refusal_text(response, message, getter.fields)
         if words is not None:
-            return ReadResult(None, f"{getter.name} refused" + (f": {words}" if words else ""), time.time_ns())
+            return ReadResult(None, f"{getter.name} refused", time.time_ns(), words or None)
         return ReadResult(MessageValue(response, message, getter.fields, origin), None, time.time_ns())
 
     async def _answer(self, getter: Getter) -> Message:
@@ -132,24 +137,26 @@ class SourceReader:
             asked = self._adapter.get_parameters(names, deadline=deadline)
             values = await asyncio.wait_for(asked, self._patience)
         except Exception as error:
-            return {name: ReadResult(None, self._failure(name, error), time.time_ns()) for name in names}
+            failures = {name: self._failure(name, error) for name in names}
+            return {name: ReadResult(None, why, time.time_ns(), words) for name, (why, words) in failures.items()}
         return {
             name: _parameter_result(name, values[name]) if name in values else _missing_parameter(name)
             for name in names
         }
 
-    def _failure(self, name: str, error: Exception) -> str:
+    def _failure(self, name: str, error: Exception) -> tuple[str, str | None]:
+        """Why something cannot be read, and what the robot said to that."""
         match error:
             case TimedOut() | asyncio.TimeoutError() | TimeoutError():
-                return timeout_message(name, self._patience)
+                return timeout_message(name, self._patience), None
             case Refused():
-                return f"{name} refused: {error.words or error.sentence}"
+                return (f"{name} refused", error.words) if error.words else (f"{name} refused: {error.sentence}", None)
             case RosError():
-                return f"{name} cannot be read: {error.sentence}"
+                return f"{name} cannot be read: {error.sentence}", error.words
             case ValueError():
-                return f"the answer of {name} cannot be read: {error}"
+                return f"the answer of {name} cannot be read: {error}", None
         _log.exception("%s cannot be read", name, exc_info=error)
-        return f"{name} cannot be read"
+        return f"{name} cannot be read", None
 
 
 def _parameter_result(name: str, value: ParameterValue) -> ReadResult:

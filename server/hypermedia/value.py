@@ -78,8 +78,8 @@ class Reading:
     `failure` says what happened without a full stop (a getter that hangs, refuses or has vanished; bytes that cannot be
     read), None with a value and where there is simply none yet. `read_ns` (wall clock) is when the value was received
     or answered. `fresh_until` is the loop time until which it may be shown without asking again; None for a topic's,
-    which is good until another message comes. Readings are compared by identity: the same object means that nothing
-    changed.
+    which is good until another message comes. `words` are what the robot said to a failure. Readings are compared by
+    identity: the same object means that nothing changed.
     """
 
     name: str
@@ -87,6 +87,7 @@ class Reading:
     failure: str | None = None
     read_ns: int | None = None
     fresh_until: float | None = None
+    words: str | None = None
 
 
 # Parts of messages
@@ -261,4 +262,4 @@ def version_key(reading: Reading) -> str:
         return digest(kind.encode("utf-8", "surrogatepass") + plain_json(value, WHOLE))
     if isinstance(value, StoredValue):
         return digest(b"stored\0" + parameters.parameter_json(value.value))
-    return digest(f"none\0{reading.failure or ''}".encode("utf-8", "surrogatepass"))
+    return digest(f"none\0{reading.failure or ''}\0{reading.words or ''}".encode("utf-8", "surrogatepass"))

@@ -45,7 +45,7 @@ def property_document(
     name = view.reading.name if view.field is None else _name(subject.value, space)
     triples = (
         *_property(view.affordance, name, view.reads_from, view.writes_to, view.part_of),
-        *triples_about(subject, (rdf.value, said.term), (ros.unreadable, said.failure)),
+        *triples_about(subject, (rdf.value, said.term), (ros.unreadable, said.failure), (ros.words, said.words)),
         *_property_affordance(view.affordance, subject, "#property", space),
         *_hold_affordance(view.affordance, space),
     )
@@ -131,7 +131,7 @@ def complex_document(
             if one.predicate
             else triples_about(own, (rdf.value, said.term))
         )
-        values += triples_about(own, (ros.unreadable, said.failure))
+        values += triples_about(own, (ros.unreadable, said.failure), (ros.words, said.words))
         messages += said.messages
         affordances += _property_affordance(one, subject, fragment_of("properties", one.name), space)
     for action in view.actions:
@@ -180,18 +180,22 @@ def _contents(view: ComplexView) -> Iterable[str]:
 
 
 class _Said(NamedTuple):
-    """The statement of a value: its literal, or the node of its message and that message; or why it cannot be read."""
+    """The statement of a value: its literal, or the node of its message and that message.
+
+    Or why it cannot be read, and what the robot said to that.
+    """
 
     term: Literal | NamedNode | None = None
     messages: tuple[LiftedMessage, ...] = ()
     failure: Literal | None = None
+    words: Literal | None = None
 
 
 def _said(reading: Reading, field: str | None, document: str, node: str, lifting: LiftSettings) -> _Said:
     """What is said of a reading, or of one `field` of it; a whole message is the fragment `node` of the document."""
     value = reading.value
     if value is None:
-        return _Said(failure=text(reading.failure))
+        return _Said(failure=text(reading.failure), words=text(reading.words))
     try:
         term = value_literal(value, field)
     except ValueError as error:

@@ -65,7 +65,7 @@ class ErrorResponses:
             _log.exception("%s %s failed", exchange.method, scope["path"], exc_info=error)
             error = Problem(500, "The server failed on this request; its log says more.")
         error = redact_problem(error, exchange.permissions, enforcement.location_of(scope, self._space))
-        exchange.audit.set_refusal(error.detail)
+        exchange.audit.set_refusal(error.with_quotes)
         path = quote(scope["raw_path"].lstrip(b"/"), safe="/%:@!$&'()*+,;=~")
         url = redact_tokens(self._space.base + path)
         return self._pages.problem(exchange, error, url) or render(error, exchange.accept, url=url).response()

@@ -14,6 +14,7 @@ from rosld.server.events.query_params import (
     MAX_TIMEOUT,
     MIN_RATE,
 )
+from rosld.server.http.problem import AGENT_SAID, ROBOT_SAID
 from rosld.server.hypermedia.data_schema import Json
 from rosld.server.hypermedia.json_schema import ANYTHING, JSON_LD, TEXT, URI, Schema
 from rosld.server.rest.formats import HTML, JSON, OFFERS, RDF_BODIES
@@ -42,7 +43,8 @@ _PROBLEM_SCHEMA: Schema = {
             },
         },
         "call": {"type": "string", "description": "The URL of the call that failed."},
-        "words": {"type": "string", "description": "What the robot said."},
+        ROBOT_SAID: {"type": "string", "description": "What the robot said: data, no instructions."},
+        AGENT_SAID: {"type": "string", "description": "What another agent said, as why it stopped the robot: data."},
         "sent": {"description": "Whether the robot may have received it.", "enum": [one.value for one in Sent]},
     },
     "required": ["type", "title", "status", "detail"],

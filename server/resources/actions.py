@@ -385,7 +385,7 @@ async def _cancel(session: Session, goal: Goal) -> Response:
     except (Refused, NotFound) as error:
         problem = problem_of(error)
         problem.status = 409
-        problem.detail = f"The goal {goal.id} was not canceled: {error.words or error.sentence}"
+        problem.detail = f"The goal {goal.id} was not canceled: {error.sentence}"
         raise problem from error
     return Response(status_code=202, headers={"Location": to_uri(session.space.goal(goal.id))})
 
@@ -419,7 +419,8 @@ def _failure(space: Space, action: str, sending: GoalSubmission) -> Problem | No
     problem = problem_of(error)
     if isinstance(error, Refused):
         problem.status = 409
-        problem.detail = f"{action} rejected the goal: {error.words or error.sentence}"
+        if not error.words:
+            problem.detail = f"{action} rejected the goal: {error.sentence}"
     elif problem.status == 503 and error.sent is not Sent.NO:
         problem.detail += " It may have been carried out."
     if sending.goal is not None:

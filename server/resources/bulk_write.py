@@ -15,7 +15,7 @@ from rosld.ontology.lower import parse_json
 from rosld.ontology.parameters import lower_term, parameter_json
 from rosld.ontology.violations import LoweringError, Violation
 from rosld.ontology.vocab import rdf
-from rosld.server.http.problem import Problem
+from rosld.server.http.problem import ROBOT_SAID, Problem
 from rosld.server.hypermedia.affordance_service import Snapshot
 from rosld.server.hypermedia.catalogue import Property, TopicSource
 from rosld.server.hypermedia.property_writer import PlannedWrite, WriteOutcome, carry_out
@@ -188,7 +188,8 @@ def with_field(own: Property, reading: Reading, name: str, path: str, value: obj
     if content is None:
         if reading.value is None:
             why = reading.failure or "it has no value yet"
-            raise Problem(409, f"{name} is a field of {reading.name}, which must be known to be changed: {why}.")
+            detail = f"{name} is a field of {reading.name}, which must be known to be changed: {why}."
+            raise Problem(409, detail, extra={ROBOT_SAID: reading.words})
         content = parse_json(plain_json(reading.value, WHOLE))
     return _replace_field(content, path, value)
 
@@ -242,7 +243,7 @@ async def carry_out_all(session: Session, writes: Sequence[tuple[str, PlannedWri
 
 def _partly(error: RosError | Problem, name: str, done: Sequence[dict[str, object]], left: Iterable[str]) -> Problem:
     problem = problem_of(error) if isinstance(error, RosError) else error
-    failed = {"name": name, "status": problem.status, "detail": problem.detail}
+    failed = {"name": name, "status": problem.status, "detail": problem.detail, **problem.said}
     rest = [{"name": each, "status": 424, "detail": "Not attempted."} for each in left]
     problem.extra |= {"members": [*done, failed, *rest]}
     if done or rest:

@@ -158,7 +158,8 @@ class Notifications:
             problem = redact_problem(problem, permissions, place)
             if problem.status >= 500:
                 raise problem from error
-            raise Problem(422, f"There is nothing to tell of the topic {url}: {problem.detail}") from error
+            detail = f"There is nothing to tell of the topic {url}: {problem.detail}"
+            raise Problem(422, detail, extra=problem.said) from error
 
     def _scope(self, url: str) -> Scope:
         """The GET request for a URL of this server, by whichever of its names. Raises a 422 Problem for all others."""

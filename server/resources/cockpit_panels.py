@@ -46,6 +46,7 @@ from rosld.server.resources.space import SpaceResource
 from rosld.server.resources.sparql_endpoint import page_results
 from rosld.server.resources.topics import TopicResource
 from rosld.server.rest.resource import Resource
+from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import State
 from rosld.server.robot.session import Session
 from rosld.server.robot.software_stop import SoftwareStop
@@ -360,5 +361,5 @@ def _with_action(form: Form, url: str, location: Location) -> Form:
 
 def _sentence(error: Problem | RosError | ValueError) -> str:
     if isinstance(error, Problem):
-        return error.detail
-    return error.sentence if isinstance(error, RosError) else f"{error}."
+        return error.with_quotes
+    return problem_of(error).with_quotes if isinstance(error, RosError) else f"{error}."

@@ -75,8 +75,8 @@ class PastReadings:
             schema = await self._schemas.message(sample.schema)
         except RosError as error:
             return Reading(property.name, None, f"the message of {recorded} cannot be read: {error.sentence}")
-        value, failure, read_ns = decode_value(recorded, sample, schema, property.name)
-        return Reading(property.name, value, failure, read_ns)
+        found = decode_value(recorded, sample, schema, property.name)
+        return Reading(property.name, found.value, found.failure, found.read_ns)
 
 
 class _PastResource(Resource):

@@ -19,7 +19,7 @@ from rosld.ontology.lower import parse_json
 from rosld.ontology.vocab import rdf, ros
 from rosld.server.html import Form, action_form, cancel_forms, property_form
 from rosld.server.http.link import Link
-from rosld.server.http.problem import Problem
+from rosld.server.http.problem import ROBOT_SAID, Problem
 from rosld.server.hypermedia.affordance_service import AffordanceService, Snapshot
 from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.data_schema import value_schema
@@ -393,7 +393,8 @@ class MemberResource(CommandResource):
         view = self.affordances.property_view(plan, snapshot)
         if view.reading.value is None:
             why = view.reading.failure or "it has no value yet"
-            raise Problem(409, f"{self.name} cannot be patched: {why}; PUT a whole value.")
+            detail = f"{self.name} cannot be patched: {why}; PUT a whole value."
+            raise Problem(409, detail, extra={ROBOT_SAID: view.reading.words})
         if exchange.media_type == MERGE_PATCH:
             return merge_patch(parse_json(property_json(view, self.session.lifting.unelided)), parse_json(data))
         before = property_document(view, self.session.space, self.session.lifting.unelided)

@@ -113,7 +113,7 @@ class RecordingTriggers:
             if problem.status in (403, 422):
                 raise
             words = problem.detail.removeprefix("?until= cannot be waited for: ")
-            raise Problem(422, f"The trigger cannot be waited for: {words}") from problem
+            raise Problem(422, f"The trigger cannot be waited for: {words}", extra=problem.said) from problem
         return followed
 
     async def occurrences(self, one: ArmedRecording) -> AsyncGenerator[MayRecord, None]:
@@ -127,7 +127,7 @@ class RecordingTriggers:
                 try:
                     followed = await self.follow(one.order, self._require(one))
                 except (Problem, RosError) as error:
-                    one.suspend((error if isinstance(error, Problem) else problem_of(error)).detail)
+                    one.suspend((error if isinstance(error, Problem) else problem_of(error)).with_quotes)
                     await waiter.sleep()
                     continue
             async with contextlib.aclosing(self._changes(one, followed)) as found:
@@ -232,7 +232,7 @@ def _judge(until: Until, state: State | Problem) -> tuple[bool, str | None]:
             raise state
         return until.holds(state), None
     except Problem as problem:
-        return False, f"It cannot be told whether its condition holds: {problem.detail}"
+        return False, f"It cannot be told whether its condition holds: {problem.with_quotes}"
 
 
 def _resource(space: Space, url: str, find: Find, permissions: Permissions) -> Resource:

@@ -83,8 +83,8 @@ def call_problem(space: Space, outcome: CallOutcome) -> Problem | None:
     url = space.call(outcome.call.id)
     problem = problem_of(error)
     problem.extra |= {"call": url, "state": outcome.call.state.value}
-    if isinstance(error, Refused):
-        problem.detail = f"{outcome.call.service} refused the call: {error.words or error.sentence}"
+    if isinstance(error, Refused) and not error.words:
+        problem.detail = f"{outcome.call.service} refused the call: {error.sentence}"
     elif problem.status == 503 and error.sent is not Sent.NO:
         problem.detail += " It may have been carried out."
     problem.headers["Location"] = url
@@ -99,7 +99,6 @@ def refusal_problem(space: Space, outcome: CallOutcome) -> Problem | None:
     words = refusal_text(call.schema.response, call.response)
     if words is None:
         return None
-    sentence = f"{call.service} refused" + (f": {words}" if words else "")
-    problem = problem_of(Refused(sentence, words=words or None, sent=Sent.YES))
+    problem = problem_of(Refused(f"{call.service} refused", words=words or None, sent=Sent.YES))
     problem.extra |= {"call": space.call(call.id)}
     return problem

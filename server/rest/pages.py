@@ -156,6 +156,7 @@ class PageRenderer:
             url,
             problem.violations,
             problem.near,
+            problem.quotes,
         )
         headers = {
             **problem.headers,
@@ -198,7 +199,9 @@ class PageRenderer:
         if isinstance(form, DeleteForm):
             raise problem
         fields = problem.violations if problem.status == 422 else ()
-        notice = Notice(_sentence(len(fields)) if fields else problem.detail, NoticeLevel.ERROR, problem.violations)
+        notice = Notice(
+            _sentence(len(fields)) if fields else problem.with_quotes, NoticeLevel.ERROR, problem.violations
+        )
         again = (
             await resource.forms() if isinstance(form, ChoiceForm) else [form.with_submitted(refusal.submitted, fields)]
         )

@@ -6,7 +6,7 @@ from rosld.adapters.model import NotFound, Refused, RosError, Sent, TimedOut, Un
 from rosld.ontology.body import BodyError, UnsupportedCharset
 from rosld.ontology.lower import LoweringError
 from rosld.ontology.triples import date_time_literal
-from rosld.server.http.problem import Problem
+from rosld.server.http.problem import AGENT_SAID, ROBOT_SAID, Problem
 from rosld.server.robot.interlock import Stopped, TopicHeld
 from rosld.server.runtime.process_memory import NotEnoughMemory
 
@@ -29,15 +29,16 @@ def problem_of(error: RosError) -> Problem:
     extra: dict[str, object] = {"sent": error.sent.value}
     about: tuple[str, ...] = ()
     if error.words is not None:
-        extra["words"] = error.words
+        extra[ROBOT_SAID] = error.words
     match error:
         case Stopped(stop_state=stop_state):
             since = date_time_literal(stop_state.since_ns)
             extra |= {
                 "stoppedBy": stop_state.stopped_by,
                 "since": since.value if since else None,
-                "reason": stop_state.reason,
             }
+            if stop_state.reason is not None:
+                extra[AGENT_SAID] = stop_state.reason
             about = () if stop_state.url is None else (stop_state.url,)
         case TopicHeld(holder=holder):
             extra |= {"holder": holder.name, "hold": holder.hold}

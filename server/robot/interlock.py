@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from datetime import datetime, timezone
@@ -27,11 +28,19 @@ class StopState:
     url: str | None = None
 
     @property
+    def sentence(self) -> str:
+        """When the robot was stopped, without a full stop and in no words but the server's."""
+        return f"The robot was stopped at {self._moment}"
+
+    @property
     def words(self) -> str:
-        """Who stopped the robot, when and why, in a sentence."""
-        why = f": {self.reason}" if self.reason else ""
-        moment = datetime.fromtimestamp(self.since_ns / 1e9, timezone.utc)
-        return f"The robot was stopped by {self.stopped_by} at {moment:%Y-%m-%d %H:%M:%S} UTC{why}"
+        """Who stopped the robot, when and why, for people: the reason is a quotation."""
+        why = f": {json.dumps(self.reason, ensure_ascii=False)}" if self.reason else ""
+        return f"The robot was stopped by {self.stopped_by} at {self._moment}{why}"
+
+    @property
+    def _moment(self) -> str:
+        return f"{datetime.fromtimestamp(self.since_ns / 1e9, timezone.utc):%Y-%m-%d %H:%M:%S} UTC"
 
 
 class Stopped(RosError):
@@ -39,7 +48,7 @@ class Stopped(RosError):
 
     def __init__(self, stop_state: StopState, *, sent: Sent = Sent.NO) -> None:
         what = "This write was refused" if sent is Sent.NO else "This write was cut off, and may have been carried out"
-        super().__init__(f"{stop_state.words.rstrip('.')}. {what}; DELETE of /stop lets writes pass again.", sent=sent)
+        super().__init__(f"{stop_state.sentence}. {what}; DELETE of /stop lets writes pass again.", sent=sent)
         self.stop_state = stop_state
 
 
@@ -55,7 +64,7 @@ class TopicHeld(RosError):
     """Somebody holds the topic: nothing else is published on it meanwhile."""
 
     def __init__(self, topic: str, holder: Holder) -> None:
-        super().__init__(f"{topic} is held by {holder.name}: change the hold {holder.hold}, or wait for it to end.")
+        super().__init__(f"{topic} is held: change the hold {holder.hold}, or wait for it to end.")
         self.holder = holder
 
 

@@ -174,7 +174,7 @@ class SoftwareStop:
             at_rest = partial(self._is_at_rest, each)
             self._begin(_words(each), self._tell(each, deadline), *self._touched_urls(each, iri), is_at_rest=at_rest)
         silent = {topic.name for topic in commanded}  # the stop itself publishes zero there
-        for hold, ended in self._holds.end_all(stop_state.words, silent):
+        for hold, ended in self._holds.end_all(stop_state.sentence, silent):
             tells = hold.release_message is not None and hold.topic not in silent
             self._begin(_end_of(hold), ended, space.hold(hold.id), space.topic(hold.topic), tells=tells)
         ended_actions = {action.name for action in self._ended_actions(graph)}
@@ -188,7 +188,7 @@ class SoftwareStop:
                 at_rest = partial(session.goals.wait_ended, goal.id, seconds=_ENDING_SECONDS)
                 urls = space.goal(goal.id), space.action(goal.action)
                 self._begin(_cancel_of(goal), canceled, *urls, is_at_rest=at_rest)
-        _log.warning("%s.", stop_state.words.rstrip("."))
+        _log.warning("%s.", stop_state.words)
         self._revise()
         session.changes.emit()
         while self._running and loop_time() < deadline:

@@ -55,7 +55,7 @@ class FormAnswers:
                     raise
                 raise InvalidForm(form, exchange.typed, problem) from error
         except InvalidForm as refusal:
-            exchange.audit.set_refusal(refusal.problem.detail)
+            exchange.audit.set_refusal(refusal.problem.with_quotes)
             return await self._pages.form_errors(resource, refusal, exchange.permissions)
         if isinstance(answer, Response) and answer.status_code == 202 and form.method != "DELETE":
             return await self._pages.with_notice(

@@ -70,7 +70,17 @@ _LIVE = frozenset(
 _STAYS = frozenset(one.value for one in (rdf.first, rdf.rest, ros.latest, ros.latestFrom, ros.recordedMessage))
 _BELOW_RESOURCES = frozenset(
     one.value
-    for one in (ros.name, ros.shape, ros.requestShape, ros.readsFrom, ros.writesTo, ros.invokes, ros.reason, ros.state)
+    for one in (
+        ros.name,
+        ros.shape,
+        ros.requestShape,
+        ros.readsFrom,
+        ros.writesTo,
+        ros.invokes,
+        ros.reason,
+        ros.state,
+        ros.words,
+    )
 )
 """Described, and said of what lies below `/resources/`, too."""
 _OF_RECORDS = frozenset(

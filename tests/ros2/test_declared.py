@@ -115,7 +115,7 @@ def test_a_patch_of_the_node_sets_all_or_none(http: httpx.Client) -> None:
 def test_what_the_node_alone_can_judge_it_judges(http: httpx.Client) -> None:
     refused = http.patch("/parameters/listener/", json={"seats": 9, "name": "Grace"}, headers=MERGE)
     assert refused.status_code == 422
-    assert "there are four seats at most" in refused.json()["detail"]
+    assert "there are four seats at most" in refused.json()["robotSaid"]
     assert http.get("/parameters/listener/name", headers=JSON).json() == "Ada"
 
 

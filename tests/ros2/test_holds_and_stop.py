@@ -109,7 +109,7 @@ def test_a_stop_ends_the_hold_cancels_the_goal_brakes_and_lets_nothing_pass(driv
         ):
             refused = http.request(method, path, json=body)
             assert refused.status_code == 423, (method, path, refused.text)
-            assert "a person on the track" in refused.json()["detail"]
+            assert refused.json()["agentSaid"] == "a person on the track"
         assert driven.speeds()[-1] == 0.0
     finally:
         assert http.delete("/stop").status_code == 204

@@ -49,7 +49,7 @@ def test_goals_end_in_every_way_and_say_so(http: httpx.Client) -> None:
     aborted = until(http, sent(http, ABORT).headers["location"], "aborted")[-1]
     assert aborted["words"] == "the gripper is jammed"
     rejected = sent(http, REJECT)
-    assert (rejected.status_code, rejected.json()["words"]) == (409, "the arm is folded")
+    assert (rejected.status_code, rejected.json()["robotSaid"]) == (409, "the arm is folded")
     for number in (UNTIL_CANCELED, PENDING):
         goal = sent(http, number).headers["location"]
         assert http.delete(goal).status_code == 202

@@ -87,7 +87,11 @@ def test_a_call_that_hangs_for_ever_is_given_up(arm: MadeUp, serving: Serving) -
 
 def test_a_getter_that_refuses_is_told_in_its_words(arm: MadeUp, serving: Serving) -> None:
     arm.offer("/arm/get_grip", "made_up/srv/GetByte", refuses("no <fingers> found"))
-    failing(serving(), "/arm/get_grip refused", "no <fingers> found")
+    http = serving()
+    failing(http, "/arm/get_grip refused")
+    for path in ("/resources/arm/", "/resources/arm/grip"):
+        said = objects(http.get(path), f"{ROS}words", f"{http.base_url}resources/arm/grip")
+        assert said == {"no <fingers> found"}
 
 
 @pytest.mark.parametrize("words", ["", None])
@@ -100,7 +104,8 @@ def test_a_getter_that_answers_no_success_has_no_value(arm: MadeUp, serving: Ser
     arm.answer("/arm/get_label", "made_up/srv/GetLabel", success=False, message="it is dark", label="ignored")
     http = serving()
     assert value(http, "/resources/arm/") == {"grip": 1, "label": None}
-    assert "it is dark" in unreadable(http, "/resources/arm/label", "/arm/label")
+    assert unreadable(http, "/resources/arm/label", "/arm/label") == "/arm/get_label refused"
+    assert objects(http.get("/resources/arm/label"), f"{ROS}words") == {"it is dark"}
 
 
 def test_a_getter_that_breaks_in_an_unforeseen_way_is_told_in_few_words(arm: MadeUp, serving: Serving) -> None:
@@ -183,7 +188,7 @@ def test_what_depends_on_a_state_that_cannot_be_read_is_not_on_offer(
         robot.withdraw("/door/set_lock")
     why = {
         "hangs": "has not answered",
-        "refuses": "rusty",
+        "refuses": "/door/get_lock refused",
         "has died": "cannot be read",
         "is not there": "is not there",
     }[failure]

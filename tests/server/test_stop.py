@@ -119,8 +119,11 @@ def test_every_write_that_would_reach_the_robot_is_refused_until_it_is_released(
     for method, path, content in writes(str(http.base_url)):
         answer = http.request(method, path, **content)
         assert answer.status_code == 423, (method, path, answer.text)
-        assert "stopped by anybody" in answer.json()["detail"]
-        assert "a person on the track" in answer.text
+        told = answer.json()
+        assert "The robot was stopped at 2" in told["detail"]
+        assert "track" not in told["detail"] + told["title"], "words of others are no part of the server's"
+        said = told["graphs"][0] if "graphs" in told else told
+        assert (said["stoppedBy"], said["agentSaid"]) == ("anybody", "a person on the track")
     assert robot.moved() == before
     assert http.put("/data/x", content="<> <p> 1 .", headers=TURTLE).status_code == 201
     assert http.get("/resources/arm/label", headers=JSON).json() == "x", "reading goes on, by getters too"
@@ -196,7 +199,7 @@ def test_a_stop_ends_holds_and_nothing_follows_but_zero(robot: Stoppable, http: 
         robot.sent["/drive"].clear()
         stopped(http)
         assert http.get(hold).status_code == 410
-        assert "stopped by anybody" in http.get(hold).text
+        assert "The robot was stopped at" in http.get(hold).text
         until(lambda: robot.sent["/drive"].count(STILL) >= 15, "zero, again and again")
         after = robot.sent["/drive"][robot.sent["/drive"].index(STILL) :]
         assert all(message == STILL for message in after), then

@@ -45,7 +45,7 @@ class ReportEntry:
         """As JSON."""
         found: dict[str, object] = {"graph": self.graph, "does": self.description, "outcome": self.outcome.value}
         if self.reason is not None:
-            found |= {"status": self.reason.status, "detail": self.reason.detail}
+            found |= {"status": self.reason.status, "detail": self.reason.detail, **self.reason.said}
         return found
 
 

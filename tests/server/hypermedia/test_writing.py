@@ -158,7 +158,7 @@ def test_what_the_setter_refuses_is_refused_with_its_words() -> None:
             await flight.write(POWER, "purple")
         assert caught.value.words
         assert caught.value.sent is Sent.YES
-        assert caught.value.sentence == f"/aircraft/set_power refused the value: {caught.value.words}"
+        assert caught.value.sentence == "/aircraft/set_power refused the value"
         assert flight.written == [(Kind.SERVICE, "/aircraft/set_power")], "it may have done something"
 
     flown(main)

@@ -16,6 +16,7 @@ PARTS = (
     "events.py",
     "ldp.py",
     "update.py",
+    "changes.py",
     "rights.py",
     "holds.py",
     "stop.py",

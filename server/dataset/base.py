@@ -17,6 +17,13 @@ class QueryError(ValueError):
     """The store cannot answer this query, in the words of its parser."""
 
 
+class TripleChanges(NamedTuple):
+    """What a patch, a merge or an update changes of a large graph."""
+
+    removed: Sequence[Triple]
+    added: Sequence[Triple]
+
+
 class Edit(NamedTuple):
     """A change within one graph that leaves the rest of it alone: N-Triples without blank nodes.
 

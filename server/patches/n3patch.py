@@ -173,14 +173,27 @@ def apply_patch(patch: N3Patch, before: Iterable[Triple]) -> list[Triple]:
     is to be deleted is not there, and where what is to be inserted would be no triple; then nothing is changed.
     """
     there = dict.fromkeys(before)
-    bindings = _match(patch, list(there))
-    deletes = [_triple(pattern.substitute(bindings)) for pattern in patch.deletes]
+    deletes, inserts = find_changes(patch, list(there))
     for triple in deletes:
         if triple not in there:
-            raise Problem(409, f"What is to be deleted is not there: {triple} . Read the resource again.")
-    inserts = [_triple(pattern.substitute(bindings)) for pattern in patch.inserts]
+            raise missing_deletion(triple)
     gone = frozenset(deletes)
     return list(dict.fromkeys([*(triple for triple in there if triple not in gone), *inserts]))
+
+
+def find_changes(patch: N3Patch, before: Sequence[Triple]) -> tuple[list[Triple], list[Triple]]:
+    """The triples that a patch deletes and inserts, whether or not they are there. Only solid:where looks at `before`.
+
+    Raises 409 Problems as `apply_patch`.
+    """
+    bindings = _match(patch, before)
+    deletes = [_triple(pattern.substitute(bindings)) for pattern in patch.deletes]
+    return deletes, [_triple(pattern.substitute(bindings)) for pattern in patch.inserts]
+
+
+def missing_deletion(triple: Triple) -> Problem:
+    """The Problem of a triple that is to be deleted and is not there."""
+    return Problem(409, f"What is to be deleted is not there: {triple} . Read the resource again.")
 
 
 def _triple(pattern: Pattern) -> Triple:

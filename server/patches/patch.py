@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 
-from pyoxigraph import NamedNode, Quad, Store, Triple
+from pyoxigraph import DefaultGraph, NamedNode, Quad, RdfFormat, Store, Triple, parse
 
 from rosld.ontology.body import RdfBody, index_quads
-from rosld.server.dataset.encoding import decode_triple, encode_triple
+from rosld.server.dataset.base import Function, TripleChanges
+from rosld.server.dataset.encoding import decode_ntriples, decode_triple, encode_ntriples, encode_triple
 from rosld.server.dataset.private_functions import FUNCTIONS
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.syntax.lexer import check_update_of_one_graph, tokens
-from rosld.server.sparql.update.parser import rewrite_update
+from rosld.server.sparql.update.evaluate import fill_templates
+from rosld.server.sparql.update.operations import Modify, QuadTemplate
+from rosld.server.sparql.update.parser import read_checked, rewrite_update
 
 
 def merge_patch(target: object, patch: object) -> object:
@@ -45,18 +48,67 @@ def apply_update(
     """
     checked = check_update_of_one_graph(_text(data))
     rewritten = rewrite_update(checked, base)
-    text = checked.text if by_value else rewritten
     store = Store()
     store.extend(map(_in_store, before if by_value else map(encode_triple, before)))
+    _carry_out(store, checked.text if by_value else rewritten, base, None if by_value else _FUNCTIONS)
+    if limit is not None and len(store) > limit:
+        raise TooManyTriples
+    return index_quads(store if by_value else map(_as_said, store), base)
+
+
+def ground_changes(data: bytes, base: str) -> TripleChanges | None:
+    """The net change of an update of one graph that consists of INSERT DATA and DELETE DATA alone; None for others.
+
+    Raises Problems as `apply_update`.
+    """
+    checked = check_update_of_one_graph(_text(data))
+    removed: dict[Triple, None] = {}
+    added: dict[Triple, None] = {}
+    for operation in read_checked(checked, base):
+        if not isinstance(operation, Modify) or operation.where is not None:
+            return None
+        for triple in _constants(operation.deletes):
+            added.pop(triple, None)
+            removed[triple] = None
+        for triple in _constants(operation.inserts):
+            removed.pop(triple, None)
+            added[triple] = None
+    return TripleChanges((*removed,), (*added,))
+
+
+def _constants(quads: Sequence[QuadTemplate]) -> Iterator[Triple]:
+    return (quad.triple for quad in fill_templates([each._replace(graph=_GRAPH) for each in quads], {}))
+
+
+def updated_lines(data: bytes, before: bytes, base: str) -> tuple[bytes, bytes]:
+    """The lines of N-Triples that an update of one graph removes from those before, and adds to them.
+
+    Raises Problems as `apply_update`.
+    """
+    text = rewrite_update(check_update_of_one_graph(_text(data)), base)
+    store = Store()
+    stored = encode_ntriples(before.decode()).encode()
+    if b"_:" in stored:  # the store would rename blank nodes
+        store.bulk_extend(parse(stored, RdfFormat.N_TRIPLES))
+    else:
+        store.bulk_load(stored, RdfFormat.N_TRIPLES)
+    _carry_out(store, text, base, _FUNCTIONS)
+    held = store.dump(format=RdfFormat.N_TRIPLES, from_graph=DefaultGraph()) or b""
+    old, new = ({*lines.split(b"\n")} for lines in (before, decode_ntriples(held)))
+    return _joined(old - new), _joined(sorted(new - old))
+
+
+def _joined(lines: Iterable[bytes]) -> bytes:
+    return b"".join(line + b"\n" for line in lines)
+
+
+def _carry_out(store: Store, text: str, base: str, functions: dict[NamedNode, Function] | None) -> None:
     try:
-        store.update(text, base_iri=base, custom_functions=None if by_value else _FUNCTIONS)
+        store.update(text, base_iri=base, custom_functions=functions)
     except SyntaxError as error:
         raise Problem(400, "The update is not understood.") from error
     except (OSError, RuntimeError, ValueError) as error:
         raise Problem(422, f"The update cannot be carried out: {error}.") from error
-    if limit is not None and len(store) > limit:
-        raise TooManyTriples
-    return index_quads(store if by_value else map(_as_said, store), base)
 
 
 def _as_said(quad: Quad) -> Quad:
@@ -69,7 +121,8 @@ def _in_store(triple: Triple) -> Quad:
     return Quad(triple.subject, triple.predicate, triple.object)
 
 
-_FUNCTIONS = {NamedNode(name): function for name, function in FUNCTIONS.items()}
+_GRAPH = NamedNode("urn:x-rosld:graph")
+_FUNCTIONS: dict[NamedNode, Function] = {NamedNode(name): function for name, function in FUNCTIONS.items()}
 
 
 def has_deletes(update: bytes) -> bool:

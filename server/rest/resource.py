@@ -17,6 +17,7 @@ from starlette.responses import Response
 from rosld.adapters.base import Watch
 from rosld.adapters.model import RosError
 from rosld.server.auth.permissions import Permissions
+from rosld.server.dataset.base import TripleChanges
 from rosld.server.html import Csrf, Form, MemberColumns, Notice, Page, SequenceLink, Site
 from rosld.server.http.link import Link, to_uri
 from rosld.server.http.problem import Problem
@@ -211,6 +212,13 @@ class Resource:
 
     async def custom_get(self, exchange: Exchange) -> Response | Motion | None:
         """An answer to a GET that is no representation of the whole, such as the bytes of one field, or a picture."""
+        return None
+
+    async def plan_graph_change(self, change: TripleChanges) -> Plan | None:
+        """The plan of a small change of a large graph; None where it must be planned from all that the graph is to say.
+
+        Raises as `plan_graph_write`.
+        """
         return None
 
     async def plan_graph_write(self, triples: Sequence[Triple] | None) -> Plan:

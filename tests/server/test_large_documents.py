@@ -8,7 +8,7 @@ from functools import cache
 
 import httpx
 import pytest
-from pyoxigraph import RdfFormat, parse
+from pyoxigraph import BlankNode, RdfFormat, parse
 
 from tests.server.robots.made_up import MadeUp, served
 
@@ -174,3 +174,85 @@ def test_a_large_json_file_is_patched_beside_the_loop() -> None:
         broken = http.patch("data/numbers.json", content=b'{"more": NaN}', headers=patch)
         assert broken.status_code == 400
         assert busy(http) < busy_seconds() / 2
+
+
+EX = "http://example.org/"
+START = (
+    f'<> <{EX}title> "plain" , "tagged"@en-GB , "01"^^<http://www.w3.org/2001/XMLSchema#integer> , 1.50 , '
+    f'"two\\nlines \\"quoted\\"" ; <{EX}part> [ <{EX}label> "inner" ] .'
+)
+
+
+def rename(old: str, new: str) -> str:
+    """An update that gives a property another name."""
+    return f"DELETE {{ ?s <{EX}{old}> ?o }} INSERT {{ ?s <{EX}{new}> ?o }} WHERE {{ ?s <{EX}{old}> ?o }}"
+
+
+CHANGES: tuple[tuple[str, str, str, int], ...] = (
+    ("PATCH", "sparql-update", f"INSERT DATA {{ <> <{EX}a> 1 , 01 , 'x'@en , 'é' }}", 204),
+    ("PATCH", "sparql-update", f"DELETE DATA {{ <> <{EX}a> 01 , 'never there' }}", 204),
+    ("PATCH", "sparql-update", f"DELETE DATA {{ <> <{EX}a> 1 }} ; INSERT DATA {{ <> <{EX}a> 1 , 2 }}", 204),
+    ("PATCH", "sparql-update", f"INSERT DATA {{ <> <{EX}b> 1 }} ; DELETE DATA {{ <> <{EX}b> 1 }}", 204),
+    ("PATCH", "sparql-update", f"INSERT DATA {{ <> <{EX}blank> _:one . _:one <{EX}of> <> }}", 204),
+    ("PATCH", "sparql-update", rename("label", "name"), 204),
+    ("PATCH", "sparql-update", f"DELETE WHERE {{ <> <{EX}title> ?o }}", 204),
+    ("PATCH", "sparql-update", "INSERT DATA { <> a <http://www.w3.org/ns/ldp#RDFSource> }", 204),
+    ("PATCH", "sparql-update", "INSERT DATA { <> a <http://www.w3.org/ns/ldp#BasicContainer> }", 409),
+    ("PATCH", "sparql-update", "INSERT DATA { <> <http://www.w3.org/ns/ldp#contains> <x> }", 409),
+    ("PATCH", "sparql-update", "INSERT DATA { GRAPH <x> { <> <x> 1 } }", 422),
+    ("PATCH", "sparql-update", "INSERT DATA { ?x <x> 1 }", 400),
+    ("PATCH", "n3", f"solid:inserts {{ <> <{EX}n> 1 , 'n' }}", 204),
+    ("PATCH", "n3", f"solid:deletes {{ <> <{EX}n> 1 }} ; solid:inserts {{ <> <{EX}n> 2 }}", 204),
+    ("PATCH", "n3", f"solid:deletes {{ <> <{EX}n> 'never there' }}", 409),
+    ("PATCH", "n3", f"solid:where {{ <> <{EX}n> ?n . ?n <{EX}n> 1 }} ; solid:deletes {{ <> <{EX}n> ?n }}", 409),
+    ("PATCH", "n3", f"solid:where {{ ?s <{EX}name> ?n }} ; solid:inserts {{ ?s <{EX}found> ?n }}", 204),
+    ("POST", "turtle", f"<> <{EX}n> 2 ; <{EX}m> [ <{EX}label> 'merged' ] .", 204),
+    ("UPDATE", "", f"INSERT DATA {{ GRAPH <URL> {{ <URL> <{EX}u> 1 , 01 , 'x'@en }} }}", 204),
+    ("UPDATE", "", f"DELETE DATA {{ GRAPH <URL> {{ <URL> <{EX}u> 01 , 'never there' }} }}", 204),
+    ("UPDATE", "", f"WITH <URL> {rename('name', 'label')}", 204),
+    ("UPDATE", "", f"WITH <URL> DELETE {{ ?s <{EX}u> ?o }} WHERE {{ ?s <{EX}u> ?o }} ; "
+     f"WITH <URL> INSERT {{ <URL> <{EX}left> 1 }} WHERE {{ FILTER NOT EXISTS {{ ?s <{EX}u> ?o }} }}", 204),
+    ("UPDATE", "", "INSERT DATA { GRAPH <URL> { <URL> a <http://www.w3.org/ns/ldp#BasicContainer> } }", 409),
+)  # fmt: skip
+SOLID = "@prefix solid: <http://www.w3.org/ns/solid/terms#> . <#patch> a solid:InsertDeletePatch ; "
+
+
+def change(http: httpx.Client, name: str, method: str, kind: str, body: str) -> httpx.Response:
+    """Make one of the changes to a document."""
+    if method == "UPDATE":
+        text = body.replace("URL", f"{http.base_url}data/{name}")
+        return http.post("sparql", content=text, headers={"Content-Type": "application/sparql-update"})
+    media_type = {"sparql-update": "application/sparql-update", "n3": "text/n3", "turtle": "text/turtle"}[kind]
+    content = f"{SOLID}{body} ." if kind == "n3" else body
+    return http.request(method, f"data/{name}", content=content, headers={"Content-Type": media_type})
+
+
+def said(http: httpx.Client, name: str) -> set[tuple[str, str, str]]:
+    """What a document says beside the numbers and its times, blank nodes without their names."""
+    answer = http.get(f"data/{name}", headers={"Accept": "application/n-triples"})
+    return {
+        (spelt(quad.subject, name), str(quad.predicate), spelt(quad.object, name))
+        for quad in parse(answer.content, RdfFormat.N_TRIPLES)
+        if quad.predicate.value != f"{EX}p" and not quad.predicate.value.startswith("http://purl.org/dc/terms/")
+    }
+
+
+def spelt(term: object, name: str) -> str:
+    return "_:" if isinstance(term, BlankNode) else str(term).replace(f"/{name}>", "/>")
+
+
+def test_a_change_of_a_large_document_comes_to_the_same_as_of_a_small_one() -> None:
+    with served(MadeUp()) as http:
+        http.timeout = httpx.Timeout(120)
+        for name, numbers in (("small", 3), ("large", 20_000)):
+            body = turtle(numbers) + START.encode()
+            assert http.put(f"data/{name}", content=body, headers=TURTLE).status_code == 201
+        assert said(http, "small") == said(http, "large")
+        for method, kind, body, status in CHANGES:
+            answers = [change(http, name, method, kind, body) for name in ("small", "large")]
+            assert [answer.status_code for answer in answers] == [status, status], (body, answers[1].text)
+            assert said(http, "small") == said(http, "large"), body
+        asked = {"query": f"ASK {{ GRAPH <{http.base_url}data/large> {{ ?s <{EX}left> 1 ; <{EX}p> 19999 }} }}"}
+        assert http.get("sparql", params=asked, headers={"Accept": "application/json"}).json()["boolean"] is True
+        found = http.get("data/large", headers={"Accept": "application/n-triples"}).text
+        assert found.count(f"<{EX}p> ") == 20_000

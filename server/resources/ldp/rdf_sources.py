@@ -9,6 +9,7 @@ from functools import partial
 
 from pyoxigraph import Triple
 
+from rosld.server.dataset.base import TripleChanges
 from rosld.server.html import DeleteForm, Form
 from rosld.server.http.multipart import MULTIPART
 from rosld.server.http.problem import Problem
@@ -23,6 +24,7 @@ from rosld.server.resources.ldp.bodies import (
 )
 from rosld.server.resources.ldp.documents import Documents
 from rosld.server.resources.ldp.graph_merge import merged_statements
+from rosld.server.resources.ldp.kept_changes import KeptChange, change_kept, has_blank_nodes, has_managed, patch_kept
 from rosld.server.resources.ldp.managed_triples import managed_triples_in, require_membership, require_unchanged
 from rosld.server.resources.ldp.representation import state_of
 from rosld.server.resources.ldp.statements import (
@@ -44,8 +46,11 @@ from rosld.server.rest.plan import StorageWrite
 from rosld.server.rest.raw_response import no_content
 from rosld.server.rest.resource import Answer, Resource
 from rosld.server.rest.state import State, require_memory
-from rosld.server.storage import NO_MEMBER, Model, Put, Record, Remove, Write
-from rosld.server.storage.record_documents import META, client_times
+from rosld.server.runtime.offload import Work
+from rosld.server.storage import NO_MEMBER, Difference, Model, Put, Record, Remove, Write
+from rosld.server.storage.packing import unpack
+from rosld.server.storage.recent_writes import MAX_BYTES as DIFFERENT
+from rosld.server.storage.record_documents import META, client_times, to_ntriples
 from rosld.server.storage.record_paths import container_of
 
 __all__ = ["N3_PATCH", "DescriptionResource", "RdfSourceResource"]
@@ -109,6 +114,10 @@ class RdfSourceResource(StoredResource):
         async def with_added(record: Record) -> Write:
             before = state_of(self.documents, record)
             require_memory(before)
+            if before.is_large and not has_managed(added.managed, self._subject):
+                change = partial(change_kept, record.triples, b"", unpack(added.packed))
+                if (put := await self._changed(record, change)) is not None:
+                    return put
             work = partial(merge_statements, before.describe, added, self._subject)
             is_large = added.is_large or before.is_large
             stated = await self.documents.workers.run(work) if is_large else work()
@@ -136,11 +145,35 @@ class RdfSourceResource(StoredResource):
                     said = before.document.triples
                     after = await self._patch(patch, said)
                     return await self.with_triples(record, after, record.version, frozenset(said))
+            change = partial(patch_kept, record, before.describe, data, media_type, url, self._subject)
+            if before.is_large and (put := await self._changed(record, change)) is not None:
+                return put
             work = partial(patch_statements, before.describe, data, media_type, url, self._subject)
             return await self.with_triples(record, await self.documents.workers.run(work), record.version)
 
         await self.change_record(exchange, changed)
         return await with_warnings(self.documents, self.path, exchange, no_content())
+
+    async def _changed(self, record: Record, change: Work[KeptChange | None]) -> Put | None:
+        """The write of a change of what is kept, made in a worker; None where more must be looked at than changes."""
+        if record.membership is not None or record.member == NO_MEMBER:
+            return None
+        found = await self.documents.workers.run(change)
+        if found is None:
+            return None
+        kept, *lines = found
+        difference = None
+        if sum(map(len, lines)) <= DIFFERENT and not any(map(has_blank_nodes, lines)):
+            difference = Difference(record, b"".join(client_times(record, self._subject)), *lines)
+        return Put(
+            record.path,
+            record.model,
+            kept,
+            record.blob,
+            record.membership,
+            expected=record.version,
+            difference=difference,
+        )
 
     async def _patch(
         self, patch: Callable[[Sequence[Triple]], Sequence[Triple]], before: Sequence[Triple]
@@ -157,6 +190,16 @@ class RdfSourceResource(StoredResource):
             return StorageWrite(f"delete {self.title}", (Remove(self.path, self.require_record().version),))
         record = self.require_record()
         return StorageWrite(f"store {self.title}", (await self.with_triples(record, triples, record.version),))
+
+    async def plan_graph_change(self, change: TripleChanges) -> StorageWrite | None:
+        if "PUT" not in self.methods():
+            raise Problem(403, self.deny_reason("PUT"))
+        record = self.require_record()
+        if has_managed((*change.removed, *change.added), self._subject):
+            return None
+        removed, added = map(to_ntriples, change)
+        put = await self._changed(record, partial(change_kept, record.triples, removed, added, is_exact=True))
+        return None if put is None else StorageWrite(f"store {self.title}", (put,))
 
     @property
     def document_url(self) -> str:

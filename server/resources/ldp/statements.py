@@ -8,13 +8,14 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from functools import cached_property
-from typing import NamedTuple, TypeVar, overload
+from typing import TypeVar, overload
 
 from pyoxigraph import BlankNode, NamedNode, RdfFormat, Triple, parse
 
 from rosld.ontology.body import RdfBody, Term, index_triples, read_ntriples
 from rosld.ontology.document import Document
 from rosld.ontology.vocab import ldp
+from rosld.server.dataset.base import TripleChanges
 from rosld.server.http.problem import Problem
 from rosld.server.patches.n3patch import apply_patch, read_patch
 from rosld.server.patches.patch import apply_update
@@ -36,13 +37,6 @@ MAX_PATCHED = 5_000
 """Triples that may come of a patch on the loop's side; what comes to more is done in a worker process."""
 
 _Term = TypeVar("_Term")
-
-
-class TripleChanges(NamedTuple):
-    """What a patch, or a merge, changed of a large document."""
-
-    removed: Sequence[Triple]
-    added: Sequence[Triple]
 
 
 class Statements(Sequence[Triple]):

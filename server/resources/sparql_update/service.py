@@ -14,6 +14,7 @@ from rosld.adapters.model import RosError
 from rosld.ontology.body import BodyError
 from rosld.ontology.lower import LoweringError
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
+from rosld.server.dataset.base import TripleChanges
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.receipts.audit_context import record_step
@@ -63,6 +64,10 @@ _CHANGED = frozenset({ConflictCause.CHANGED, ConflictCause.THERE, ConflictCause.
 """Why the graphs are no longer those that an update was evaluated over."""
 _INLINE = 16 * 1024
 """Characters of an update up to which it is read on the loop."""
+
+
+class _WholeGraphNeeded(Exception):
+    """A graph of which only the change is known can only be planned from all that it is to say."""
 
 
 class Target(NamedTuple):
@@ -153,16 +158,21 @@ class UpdateService:
 
     async def _evaluate_and_write(self, operations: Sequence[Operation], permissions: Permissions) -> Response:
         more: frozenset[str] = frozenset()
+        documents: str | None = f"{self._session.space.base}data/"
         locked: frozenset[str] = frozenset()
         for _ in range(ATTEMPTS):
             # Where others write these graphs all the time, it is evaluated under their locks.
             async with self._lock_graphs(locked):
-                delta = await self._evaluator.evaluate(operations, more)
+                delta = await self._evaluator.evaluate(operations, more, documents)
                 unseen = self._unseen(delta)
                 if unseen - more:
                     more |= unseen
-                    delta = await self._evaluator.evaluate(operations, more)
-                done = await self._write_if_current(delta, permissions, locked)
+                    delta = await self._evaluator.evaluate(operations, more, documents)
+                try:
+                    done = await self._write_if_current(delta, permissions, locked)
+                except _WholeGraphNeeded:
+                    documents = None
+                    continue
             if done is not None:
                 return done
             locked |= {change.graph for change in delta.changes}
@@ -309,7 +319,12 @@ class UpdateService:
 
     async def _plan(self, change: GraphChange, resource: Resource) -> Plan:
         await resource.prepare()
-        return await resource.plan_graph_write(change.after)
+        if not isinstance(change.after, TripleChanges):
+            return await resource.plan_graph_write(change.after)
+        plan = await resource.plan_graph_change(change.after)
+        if plan is None:
+            raise _WholeGraphNeeded
+        return plan
 
     async def _carry_out(self, plans: Sequence[PlannedGraph]) -> Response | None:
         """Carry plans out: what is kept in one transaction, then what moves the robot, one after the other."""

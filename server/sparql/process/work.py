@@ -7,7 +7,7 @@ import pickle
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import compress
 from typing import BinaryIO, NamedTuple, Protocol, cast
 
@@ -23,7 +23,7 @@ from pyoxigraph import (
     serialize,
 )
 
-from rosld.server.dataset.base import Function, Results
+from rosld.server.dataset.base import Function, Results, TripleChanges
 from rosld.server.dataset.encoding import decode_term
 from rosld.server.dataset.memory_store import MemoryStore
 from rosld.server.dataset.shared_triples import Lookup
@@ -41,7 +41,7 @@ from rosld.server.sparql.update.evaluate import (
     has_dependent_where,
     named_graphs,
 )
-from rosld.server.sparql.update.operations import Modify, Operation, QuadTemplate, TemplateVariable, Where
+from rosld.server.sparql.update.operations import ManageGraph, Modify, Operation, QuadTemplate, TemplateVariable, Where
 
 _MAX_GRAPHS = 8
 """Graphs of a dataset that is chosen for a query which does not take long."""
@@ -217,9 +217,13 @@ class _Update(NamedTuple):
 
 
 class EvaluateUpdate(NamedTuple):
-    """What operations come to: pickled graphs, each with whether it was there, and what it says after, as N-Triples."""
+    """What operations come to: pickled graphs, each with whether it was there, and what it says after, as N-Triples.
+
+    Of large graphs whose names begin with `documents` what changes is told.
+    """
 
     update: bytes
+    documents: str | None
 
     def may_take_long(self, store: MemoryStore) -> bool:
         if len(self.update) > _MAX_UPDATE:
@@ -227,19 +231,31 @@ class EvaluateUpdate(NamedTuple):
         operations, asked = _open(self.update)
         if has_dependent_where(operations) or has_copy(operations) or any(one.may_take_long(store) for one in asked):
             return True
-        return any(store.count(graph, _MAX_TRIPLES + 1) > _MAX_TRIPLES for graph in named_graphs(operations))
+        has_whole = any(isinstance(each, ManageGraph) for each in operations)
+        return any(
+            _is_large(store, graph) and (has_whole or not self._is_told_by_change(store, graph))
+            for graph in named_graphs(operations)
+        )
+
+    def _is_told_by_change(self, store: MemoryStore, graph: str) -> bool:
+        return self.documents is not None and graph.startswith(self.documents) and _is_large(store, graph)
 
     def __call__(self, store: MemoryStore, output: BinaryIO) -> None:
         operations, asked = _open(self.update)
         by_where = {id(one.where): one for one in asked}
-        staging = StagingDataset(store.triples, store.dataset if has_dependent_where(operations) else None)
+        dataset = store.dataset if has_dependent_where(operations) else None
+        staging = StagingDataset(store, dataset, partial(self._is_told_by_change, store))
         evaluate(operations, staging, lambda where: by_where[id(where)].solutions(store))
         output.write(pickle.dumps([_write(change) for change in staging.changes()]))
 
 
-def evaluate_work(operations: Sequence[Operation], asked: Sequence[WhereWork]) -> EvaluateUpdate:
+def evaluate_work(operations: Sequence[Operation], asked: Sequence[WhereWork], documents: str | None) -> EvaluateUpdate:
     """The work that evaluates operations; in any thread."""
-    return EvaluateUpdate(pickle.dumps(([*map(_compact, operations)], asked), protocol=5))
+    return EvaluateUpdate(pickle.dumps(([*map(_compact, operations)], asked), protocol=5), documents)
+
+
+def _is_large(store: MemoryStore, graph: str) -> bool:
+    return store.count(graph, _MAX_TRIPLES + 1) > _MAX_TRIPLES
 
 
 class _Compact(NamedTuple):
@@ -284,13 +300,19 @@ def _templates(text: bytes) -> Iterator[QuadTemplate]:
         yield QuadTemplate(*cast("tuple[NamedNode, NamedNode, NamedNode, NamedNode]", tuple(quad)))
 
 
-_Written = tuple[str, bool, bytes | None]
+_Written = tuple[str, bool, bytes | tuple[bytes, bytes] | None]
 
 
 def _write(change: GraphChange) -> _Written:
     """With N-Triples: terms are pickled one by one, which takes ten times as long."""
     graph, was_there, after = change
-    return graph, was_there, None if after is None else serialize(after, format=RdfFormat.N_TRIPLES)
+    if isinstance(after, TripleChanges):
+        return graph, was_there, (_text(after.removed), _text(after.added))
+    return graph, was_there, None if after is None else _text(after)
+
+
+def _text(triples: Sequence[Triple]) -> bytes:
+    return serialize(triples, format=RdfFormat.N_TRIPLES) or b""
 
 
 def read_changes(result: bytes) -> tuple[GraphChange, ...]:
@@ -299,8 +321,14 @@ def read_changes(result: bytes) -> tuple[GraphChange, ...]:
     return tuple(GraphChange(graph, was_there, _read(after)) for graph, was_there, after in changes)
 
 
-def _read(text: bytes | None) -> tuple[Triple, ...] | None:
-    return None if text is None else tuple(quad.triple for quad in parse(text, RdfFormat.N_TRIPLES))
+def _read(after: bytes | tuple[bytes, bytes] | None) -> tuple[Triple, ...] | TripleChanges | None:
+    if isinstance(after, tuple):
+        return TripleChanges(*map(_triples, after))
+    return None if after is None else _triples(after)
+
+
+def _triples(text: bytes) -> tuple[Triple, ...]:
+    return tuple(quad.triple for quad in parse(text, RdfFormat.N_TRIPLES))
 
 
 class DumpGraphs(NamedTuple):

@@ -6,12 +6,12 @@ Each operation sees what those before it have done; what comes out is the net ef
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple, Protocol, TypeAlias
 
 import pyoxigraph
 from pyoxigraph import BlankNode, Literal, NamedNode, Quad, Triple
 
-from rosld.server.dataset.base import Term
+from rosld.server.dataset.base import Term, TripleChanges
 from rosld.server.dataset.encoding import encode_literal
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.update.operations import (
@@ -32,24 +32,69 @@ MAX_ROWS = 100_000
 Row: TypeAlias = "tuple[Term | None, ...]"
 WhereEvaluator: TypeAlias = Callable[[Where], Iterable[Row]]
 """The solutions of a WHERE, its holes in their order; for one without holes a row of nothing, if it holds."""
-GraphLookup: TypeAlias = "Callable[[str], Sequence[Triple] | None]"
-"""The triples of a graph before all operations, None where there is no such graph."""
 
 
 class GraphChange(NamedTuple):
-    """The change of a graph, which may not have existed before; `after` None: it no longer exists."""
+    """The change of a graph, which may not have existed before; `after` None: it no longer exists.
+
+    Of a large graph `after` may be what changes, rather than all that it says afterwards.
+    """
 
     graph: str
     was_there: bool
-    after: tuple[Triple, ...] | None
+    after: tuple[Triple, ...] | TripleChanges | None
+
+
+class Graphs(Protocol):
+    """The graphs as they are before all operations."""
+
+    def triples(self, graph: str) -> Sequence[Triple] | None:
+        """The triples of a graph, None where there is no such graph."""
+        ...
+
+    def contains(self, graph: str, triple: Triple) -> bool:
+        """Whether a graph has a triple."""
+        ...
+
+
+class _LargeGraph:
+    """A graph that is there and large, as what changes of it: it is asked for single triples."""
+
+    def __init__(self, graph: str, graphs: Graphs) -> None:
+        self._graph = graph
+        self._graphs = graphs
+        self.removed: dict[Triple, None] = {}
+        self.added: dict[Triple, None] = {}
+
+    def remove(self, triple: Triple) -> None:
+        if triple in self.added:
+            del self.added[triple]
+        elif triple not in self.removed and self._graphs.contains(self._graph, triple):
+            self.removed[triple] = None
+
+    def insert(self, triple: Triple) -> None:
+        if triple in self.removed:
+            del self.removed[triple]
+        elif triple not in self.added and not self._graphs.contains(self._graph, triple):
+            self.added[triple] = None
 
 
 class StagingDataset:
-    """Graphs being changed, as copies; and with them those of a `dataset` that is thrown away afterwards, if given."""
+    """Graphs being changed, as copies; and with them those of a `dataset` that is thrown away afterwards, if given.
 
-    def __init__(self, look: GraphLookup, dataset: pyoxigraph.Store | None = None) -> None:
-        self._look = look
+    Of graphs that are `large` only what changes is held, unless all of it is needed.
+    """
+
+    def __init__(
+        self,
+        graphs: Graphs,
+        dataset: pyoxigraph.Store | None = None,
+        is_large: Callable[[str], bool] = lambda graph: False,
+    ) -> None:
+        self._graphs = graphs
         self._dataset = dataset
+        self._is_large = is_large
+        self._large: dict[str, _LargeGraph] = {}
         self._before: dict[str, Sequence[Triple] | None] = {}
         self._now: dict[str, dict[Triple, None] | None] = {}
 
@@ -60,8 +105,9 @@ class StagingDataset:
     def remove(self, quads: Iterable[Quad]) -> None:
         """Take quads away, as far as they are there."""
         for quad in quads:
-            triples = self._triples_of(_name(quad))
-            if triples is not None:
+            if (large := self._as_large(_name(quad))) is not None:
+                large.remove(quad.triple)
+            elif (triples := self._triples_of(_name(quad))) is not None:
                 triples.pop(quad.triple, None)
             if self._dataset is not None:
                 self._dataset.remove(_encode_object(quad))
@@ -69,7 +115,10 @@ class StagingDataset:
     def insert(self, quads: Iterable[Quad]) -> None:
         """Add quads, and with them graphs that were not there."""
         for quad in quads:
-            self.create(_name(quad))[quad.triple] = None
+            if (large := self._as_large(_name(quad))) is not None:
+                large.insert(quad.triple)
+            else:
+                self.create(_name(quad))[quad.triple] = None
             if self._dataset is not None:
                 self._dataset.add(_encode_object(quad))
 
@@ -92,7 +141,11 @@ class StagingDataset:
 
     def changes(self) -> tuple[GraphChange, ...]:
         """The graphs that are others than they were, in the order in which they were touched."""
-        found = []
+        found = [
+            GraphChange(graph, True, TripleChanges((*large.removed,), (*large.added,)))
+            for graph, large in self._large.items()
+            if large.removed or large.added
+        ]
         for graph, before in self._before.items():
             now = self._now[graph]
             if (before is None) != (now is None) or (
@@ -101,10 +154,22 @@ class StagingDataset:
                 found.append(GraphChange(graph, before is not None, None if now is None else tuple(now)))
         return tuple(found)
 
+    def _as_large(self, graph: str) -> _LargeGraph | None:
+        """A graph as what changes of it; None for one that is held whole."""
+        large = self._large.get(graph)
+        if large is None and graph not in self._before and self._dataset is None and self._is_large(graph):
+            large = self._large[graph] = _LargeGraph(graph, self._graphs)
+        return large
+
     def _triples_of(self, graph: str) -> dict[Triple, None] | None:
         if graph not in self._before:
-            found = self._before[graph] = self._look(graph)
-            self._now[graph] = None if found is None else dict.fromkeys(found)
+            found = self._before[graph] = self._graphs.triples(graph)
+            now = self._now[graph] = None if found is None else dict.fromkeys(found)
+            large = self._large.pop(graph, None)
+            if large is not None and now is not None:
+                for triple in large.removed:
+                    del now[triple]
+                now.update(large.added)
         return self._now[graph]
 
 

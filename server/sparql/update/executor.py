@@ -50,10 +50,13 @@ class UpdateEvaluator:
         self._service = service
         self._analyser = analyser
 
-    async def evaluate(self, operations: Sequence[Operation], more: frozenset[str] = frozenset()) -> Delta:
+    async def evaluate(
+        self, operations: Sequence[Operation], more: frozenset[str] = frozenset(), documents: str | None = None
+    ) -> Delta:
         """The changes that operations make now; `more` are graphs whose values they need beside those that they name.
 
-        Raises Problems as a query does, and those of `evaluate.evaluate`.
+        Of large graphs whose names begin with `documents` only what changes is told. Raises Problems as a query does,
+        and those of `evaluate.evaluate`.
         """
         asked = [self._ask_where(each) for each in _wheres(operations)]
         graphs = named_graphs(operations) | more
@@ -63,8 +66,8 @@ class UpdateEvaluator:
         async def prepare() -> Work:
             queries = [self._ask(one.where) for one in asked]
             if templates > _INLINE:
-                return await asyncio.to_thread(evaluate_work, operations, queries)
-            return evaluate_work(operations, queries)
+                return await asyncio.to_thread(evaluate_work, operations, queries, documents)
+            return evaluate_work(operations, queries, documents)
 
         result, seen = await self._service.run_on_snapshot(needs, _scope(asked, graphs), prepare)
         changes = (

@@ -58,12 +58,21 @@ def rewrite_update(checked: CheckedText, base: str) -> str:
 
     Raises a 400 Problem for what is no update.
     """
+    parser, _ = _read(checked, base)
+    return rewrite(checked.text, parser.literals, parser.expressions)
+
+
+def read_checked(checked: CheckedText, base: str) -> tuple[Operation, ...]:
+    """The operations of an update of one graph. Raises a 400 Problem for what is no update."""
+    return _read(checked, base)[1]
+
+
+def _read(checked: CheckedText, base: str) -> tuple[UpdateParser, tuple[Operation, ...]]:
     parser = UpdateParser(checked, {}, base, DEFAULT_BOUNDS.joins, UpdateRequest(""))
     try:
-        parser.operations()
+        return parser, parser.operations()
     except RecursionError as error:
         raise Problem(400, "The update nests too deep: write it in parts.") from error
-    return rewrite(checked.text, parser.literals, parser.expressions)
 
 
 class UpdateParser(QueryParser):

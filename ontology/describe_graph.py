@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 from pyoxigraph import Literal, NamedNode, Triple
 
@@ -54,13 +54,22 @@ SECTIONS: Mapping[str, str] = {
 """The containers at the top, with their titles."""
 
 
+class ServerProblems(NamedTuple):
+    """Problems of a server: why it cannot store everything, and the URLs of holds that were interrupted."""
+
+    storage: tuple[str, ...] = ()
+    interrupted_holds: tuple[str, ...] = ()
+
+
+_NO_PROBLEMS = ServerProblems()
+
+
 def entry_document(
-    graph: Graph, space: Space, system: str = "ROS", storage_problems: Sequence[str] = (), *, name: str = "robot"
+    graph: Graph, space: Space, system: str = "ROS", problems: ServerProblems = _NO_PROBLEMS, *, name: str = "robot"
 ) -> Document:
     """The entry point `/`: the distributed application (paper, Table 1), its machine, master, state, and all routes.
 
-    `system` names the kind of ROS system (`ROS 1`, `recording`, ...), `name` the robot; `storage_problems` are the
-    server's.
+    `system` names the kind of ROS system (`ROS 1`, `recording`, ...), `name` the robot.
     """
     entry, robot, status = NamedNode(space.base), NamedNode(f"{space.base}#robot"), NamedNode(f"{space.base}status")
     services = {name: NamedNode(space.base + name) for name in _SERVICES}
@@ -83,7 +92,7 @@ def entry_document(
     )
     triples += _master_triples(graph, space)
     triples += _section_triples(graph, space)
-    triples += triples_about(status, *((ros.storageProblem, text(problem)) for problem in storage_problems))
+    triples += triples_about(status, *problem_statements(problems))
     triples += search_triples(entry, space)
     for each, label in _SERVICES.items():
         triples += triples_about(services[each], (rdfs.label, text(label)))
@@ -115,6 +124,14 @@ def _section_triples(graph: Graph, space: Space) -> Iterator[Triple]:
     for route, title in SECTIONS.items():
         said = ((rdfs.label, text(title)), (ros.count, integer(counts.get(route))))
         yield from triples_about(NamedNode(space.container(route)), *said)
+
+
+def problem_statements(problems: ServerProblems) -> list[Statement]:
+    """The problems of a server."""
+    return [
+        *statements(ros.storageProblem, map(Literal, problems.storage)),
+        *statements(ros.interruptedHold, map(NamedNode, problems.interrupted_holds)),
+    ]
 
 
 def graph_state(graph: Graph) -> list[Statement]:

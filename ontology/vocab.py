@@ -330,6 +330,7 @@ class ros(Namespace, iri="https://w3id.org/rosld#"):
     longestWorkCode: NamedNode
     recentPause: NamedNode
     storageProblem: NamedNode
+    interruptedHold: NamedNode
 
     # receipts
     Write: NamedNode

@@ -87,7 +87,7 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
         "space": partial(SpaceResource, session, scene, factory.history, broadcasters),
     }
     changing: dict[str, Callable[[], Resource]] = {
-        "status": partial(StatusResource, space, lambda: session.graph, services.storage_problems, watchdog),
+        "status": partial(StatusResource, space, lambda: session.graph, services.problems, watchdog),
         **({} if mirror is None else {"mirror": partial(ReplicationResource, space, mirror)}),
     }
     frames = partial(FramesResource, space, session.adapter, scene)
@@ -140,6 +140,7 @@ def background_jobs(
         partial(asyncio.to_thread, prepare_pages),
         partial(log_mapping_warnings, services.affordances, services.mappings),
         partial(triggers.resume, services.recordings),
+        services.interrupted_holds.run,
         *(() if mirror is None else (mirror.run,)),
         *(() if authenticator is None else (authenticator.watch_file,)),
     ]

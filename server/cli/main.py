@@ -1,4 +1,4 @@
-"""The command line: `rosld serve`, `lift`, `types`, `token`, `dump`, `load`. Each is in a module beside this one."""
+"""The command line: `rosld serve`, `guard`, `lift`, `token`, `dump` and others. Each is in a module beside this one."""
 
 from __future__ import annotations
 
@@ -54,6 +54,7 @@ def main() -> None:
       rosld serve ros1://localhost:11311   a live ROS 1 system
       rosld lift run.bag -o run.nq.gz      a whole recording as RDF
       rosld types run.bag                  the message types in it
+      rosld guard ros2: --data DIR         ends the holds of a rosld on DIR that is killed
       rosld token add anna --file a.toml   a token for somebody who may use a server with --auth
       rosld dump DIR -o data.tar.gz        a copy of what clients have put; rosld load brings it back
 
@@ -227,6 +228,36 @@ def record(
     from rosld.server.cli.record import record as run
 
     run(source, output, topics, duration, AdapterOptions(types=types, ros_ip=ros_ip, host_map=dict(host_map), qos=qos))
+
+
+@main.command(short_help="End the holds of a rosld that is killed.")
+@click.argument("source")
+@click.option(
+    "--data", "folder", required=True, type=_FOLDER, metavar="DIR", help="The --data of the rosld it watches."
+)
+@click.option("--once", is_flag=True, help="End once nothing is left to be done: for systemd's ExecStopPost.")
+@_options("types", "ros_ip", "host_map", "qos")
+def guard(
+    source: str,
+    folder: Path,
+    once: bool,
+    types: tuple[Path, ...],
+    ros_ip: str | None,
+    host_map: tuple[tuple[str, str], ...],
+    qos: tuple[tuple[str, Qos], ...],
+) -> None:
+    """Watch the rosld that serves SOURCE with --data DIR; when it dies, publish what ends the holds that it had.
+
+    A rosld that ends in order has none left. Runs beside rosld until Ctrl-C or SIGTERM.
+
+    \b
+    Examples:
+      rosld guard ros1://localhost:11311 --data /var/lib/rosld
+      rosld guard ros2: --data /var/lib/rosld --once
+    """
+    from rosld.server.cli.guard import guard as run
+
+    run(source, folder, AdapterOptions(types=types, ros_ip=ros_ip, host_map=dict(host_map), qos=qos), once=once)
 
 
 @main.command(short_help="List the message and service types of SOURCE.")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 
 from rosld.adapters.model import Graph
-from rosld.ontology.describe_graph import SECTIONS, entry_document
+from rosld.ontology.describe_graph import SECTIONS, ServerProblems, entry_document
 from rosld.server.history.recordings import Recordings
 from rosld.server.html import Csrf, EntryCount, EntryPage, Form, Notice, Site, render_entry
 from rosld.server.html.page import NoticeLevel
@@ -42,13 +42,13 @@ class EntryResource(Resource):
         session: Session,
         states: VersionCache[State],
         recordings: Recordings,
-        storage_problems: Callable[[], tuple[str, ...]],
+        problems: Callable[[], ServerProblems],
     ) -> None:
         super().__init__(session.space.base)
         self.session = session
         self.states = states
         self.recordings = recordings
-        self.storage_problems = storage_problems
+        self.problems = problems
         described = Link(
             f"{session.space.base}openapi.json", "service-desc", type="application/openapi+json"
         )  # RFC 8631
@@ -81,7 +81,11 @@ class EntryResource(Resource):
             *(EntryCount(SECTIONS[each], None, space.container(each)) for each in routes),
         ]
         shown = tuple(each for each in counts if site.may("GET", each.url))
-        troubles = (Notice(problem, NoticeLevel.ERROR) for problem in self.storage_problems())
+        problems = self.problems()
+        troubles = [Notice(problem, NoticeLevel.ERROR) for problem in problems.storage]
+        if problems.interrupted_holds and site.may("GET", space.container("holds")):
+            words = f"rosld was killed while topics were held: {space.container('holds')} says what became of that."
+            troubles.append(Notice(words, NoticeLevel.WARNING))
         return render_entry(EntryPage(site, state.document, shown, self._example(whole, site), (*troubles, *notices)))
 
     def _example(self, graph: Graph, site: Site) -> str | None:
@@ -99,7 +103,7 @@ class EntryResource(Resource):
         return (self.session.space.document_shape("Graph"),)
 
     async def state(self) -> State:
-        capabilities, problems = self.session.adapter.capabilities, self.storage_problems()
+        capabilities, problems = self.session.adapter.capabilities, self.problems()
         graph, system = listed_graph(self.session.graph, capabilities), capabilities.system
         return self.states.get_or_make(
             self.url,

@@ -26,7 +26,7 @@ from rosld.server.rest.state import State
 from rosld.server.robot.calls import Call, Calls, CallState
 from rosld.server.robot.goal_store import Goal
 from rosld.server.robot.goals import Goals
-from rosld.server.robot.hold_store import Hold, Holds
+from rosld.server.robot.hold_store import Hold, Holds, InterruptedHold
 from rosld.server.runtime.signals import Signal
 from rosld.server.runtime.version_cache import VersionCache
 
@@ -150,8 +150,14 @@ def goals_listing(space: Space, goals: Goals, states: VersionCache[State]) -> Li
 
 
 def holds_listing(space: Space, states: VersionCache[State], holds: Holds) -> ListingResource:
-    """`/holds/`: the holds that there are."""
+    """`/holds/`: the holds that there are, and what became of those of a rosld that was killed."""
     known = holds
+
+    def interrupted(hold: InterruptedHold) -> ListedMember:
+        note, words = hold
+        cells = (note.holder, f"{note.rate:g} Hz", time_cell(note.created_ns), words)
+        outline = hold_outline(note.id, note.topic, note.holder, note.rate, note.created_ns, words, space)
+        return ListedMember(space.hold(note.id), note.topic, cells, tuple(outline), is_failed=True)
 
     def listed(hold: Hold) -> ListedMember:
         cells = (hold.holder.name, f"{hold.rate:g} Hz", time_cell(hold.created_ns), hold.last_error or "")
@@ -167,7 +173,7 @@ def holds_listing(space: Space, states: VersionCache[State], holds: Holds) -> Li
         "holds",
         "The holds of topics",
         columns,
-        lambda: map(listed, reversed(known.all())),
+        lambda: (*map(listed, reversed(known.all())), *map(interrupted, known.interrupted.values())),
         known.changes,
     )
 

@@ -8,7 +8,7 @@ import orjson
 from pyoxigraph import NamedNode
 
 from rosld.adapters.model import Graph, Stale
-from rosld.ontology.describe_graph import graph_state
+from rosld.ontology.describe_graph import ServerProblems, graph_state, problem_statements
 from rosld.ontology.document import Document
 from rosld.ontology.triples import RDF_SOURCE, date_time_literal, double, text, triples_about
 from rosld.ontology.urls import Space
@@ -33,13 +33,13 @@ class StatusResource(Resource):
         self,
         space: Space,
         graph: Callable[[], Graph],
-        storage_problems: Callable[[], tuple[str, ...]],
+        problems: Callable[[], ServerProblems],
         watchdog: Watchdog,
     ) -> None:
         super().__init__(space.base + ROUTE)
         self._space = space
         self._graph = graph
-        self._storage_problems = storage_problems
+        self._problems = problems
         self._watchdog = watchdog
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
@@ -54,6 +54,7 @@ class StatusResource(Resource):
                 "reason": nullable(TEXT),
             },
         }
+        told["interruptedHold"] = {"type": "array", "items": TEXT}
         summary = "How promptly the server itself answers, whether it sees the robot, what is wrong with its storage"
         return PathItem(summary, plain={"type": "object", "properties": told})
 
@@ -62,13 +63,13 @@ class StatusResource(Resource):
         return (self._space.document_shape("ServerStatus"),)
 
     async def state(self) -> State:
-        pauses, problems, graph = self._watchdog.pauses, self._storage_problems(), self._graph()
+        pauses, problems, graph = self._watchdog.pauses, self._problems(), self._graph()
         return State(
             lambda: status_document(self._space, pauses, graph, problems), lambda: _plain(pauses, graph, problems)
         )
 
 
-def status_document(space: Space, pauses: Pauses, graph: Graph, storage_problems: Sequence[str] = ()) -> Document:
+def status_document(space: Space, pauses: Pauses, graph: Graph, problems: ServerProblems) -> Document:
     """The RDF of a server's status; times are in seconds."""
     longest, status = pauses.longest, NamedNode(space.base + ROUTE)
     return Document(
@@ -84,14 +85,14 @@ def status_document(space: Space, pauses: Pauses, graph: Graph, storage_problems
                 (ros.longestWork, double(round(pauses.busiest.busy, 4))),
                 (ros.longestWorkCode, text(pauses.busiest.code)),
                 (ros.recentPause, double(round(pauses.recent, 4))),
-                *((ros.storageProblem, text(problem)) for problem in storage_problems),
+                *problem_statements(problems),
             ),
             *triples_about(NamedNode(space.base), (ros.hasServerStatus, status), *graph_state(graph)),
         ),
     )
 
 
-def _plain(pauses: Pauses, graph: Graph, storage_problems: Sequence[str]) -> bytes:
+def _plain(pauses: Pauses, graph: Graph, problems: ServerProblems) -> bytes:
     end, robot = date_time_literal(pauses.longest.ended_ns), graph.state
     since = date_time_literal(robot.since_ns) if isinstance(robot, Stale) else None
     return orjson.dumps(
@@ -102,7 +103,8 @@ def _plain(pauses: Pauses, graph: Graph, storage_problems: Sequence[str]) -> byt
             "longestWork": round(pauses.busiest.busy, 4),
             "longestWorkCode": pauses.busiest.code,
             "recentPause": round(pauses.recent, 4),
-            "storageProblem": [*storage_problems],
+            "storageProblem": [*problems.storage],
+            "interruptedHold": [*problems.interrupted_holds],
             "robot": {
                 "state": type(robot).__name__,
                 "staleSince": None if since is None else since.value,

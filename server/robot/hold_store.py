@@ -14,12 +14,14 @@ import time
 from collections import OrderedDict
 from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from rosld.adapters.model import Encoding, Kind, Message, MessageSchema, RosError
 from rosld.ontology.neutral_message import is_unstamped, with_stamp
 from rosld.server.auth.agent import Agent
 from rosld.server.http.problem import Problem
 from rosld.server.robot.audited_adapter import AuditedAdapter
+from rosld.server.robot.hold_notes import HoldNote, HoldNotes
 from rosld.server.robot.interlock import Holder
 from rosld.server.robot.publication import require_rate
 from rosld.server.robot.publish_rate import PublishLimiter
@@ -96,6 +98,13 @@ class Hold:
     last_error: str | None = None
 
 
+class InterruptedHold(NamedTuple):
+    """A hold of a rosld that was killed, and what became of it in words."""
+
+    note: HoldNote
+    words: str
+
+
 class HoldEnded(LookupError):
     """The hold was there and has ended; its text says why."""
 
@@ -108,6 +117,9 @@ class Holds:
         self._running: dict[str, _Running] = {}
         self._ended: OrderedDict[str, str] = OrderedDict()
         self._closed: str | None = None
+        self.notes = HoldNotes(session.settings.data)
+        self.interrupted: dict[str, InterruptedHold] = {}
+        """Holds of a rosld that was killed, by their ids."""
         self.revision = 0
         self.changes = Signal()
         session.changes.watch(self.end_refused)
@@ -142,6 +154,7 @@ class Holds:
         holder = interlock.held[hold.topic] = Holder(hold.holder.name, session.space.hold(hold.id))
         running = _Running(self, session.adapter, session.limiter, hold)
         try:
+            await self.notes.begin(self._note(hold))
             await running.publish(loop_time() + session.settings.publish_wait)
             self._require_passage(hold.message)
             if self._closed is not None:
@@ -149,6 +162,7 @@ class Holds:
         except BaseException:
             if interlock.held.get(hold.topic) is holder:
                 del interlock.held[hold.topic]
+            self.notes.remove(hold.id)
             raise
         finally:
             session.announce_write(Kind.TOPIC, hold.topic)
@@ -170,6 +184,7 @@ class Holds:
         end_dry_run()
         running = self._running[id]
         running.change(changed)
+        self.notes.change(self._note(changed))
         self.on_changed(running.hold)
         return running.hold
 
@@ -217,22 +232,50 @@ class Holds:
     async def wait_closed(self) -> None:
         """Returns when all that `close` ended has ended."""
         await asyncio.gather(*(task for _, task in self.end_all("rosld ended")), return_exceptions=True)
+        await self.notes.close()
 
     def on_ended(self, hold: Hold, why: str) -> None:
         """A hold has published its last: forget it, but why."""
         self._running.pop(hold.id, None)
         self._session.interlock.held.pop(hold.topic, None)
-        self._ended[hold.id] = why
-        while len(self._ended) > _REMEMBERED:
-            self._ended.popitem(last=False)
+        self.notes.remove(hold.id)
+        self._remember_end(hold.id, why)
         self._session.announce_write(Kind.TOPIC, hold.topic)
         self.on_changed(hold)
 
     def on_changed(self, hold: Hold) -> None:
         """Something about a hold is another than before."""
+        self._announce(hold.id, hold.topic)
+
+    def set_interrupted(self, note: HoldNote, words: str) -> None:
+        """Say what became of a hold of a rosld that was killed."""
+        self.interrupted[note.id] = InterruptedHold(note, words)
+        self._remember_end(note.id, words)
+        self._announce(note.id, note.topic)
+
+    def _announce(self, id: str, topic: str) -> None:
         self.revision += 1
-        self.changes.emit(hold.id)
-        self.changes.emit(hold.topic)
+        self.changes.emit(id)
+        self.changes.emit(topic)
+
+    def _remember_end(self, id: str, why: str) -> None:
+        self._ended[id] = why
+        while len(self._ended) > _REMEMBERED:
+            self._ended.popitem(last=False)
+
+    def _note(self, hold: Hold) -> HoldNote:
+        last = hold.release_message
+        return HoldNote(
+            hold.id,
+            hold.topic,
+            hold.message.schema.ref.name,
+            self._session.graph.own_node,
+            hold.holder.name,
+            hold.rate,
+            hold.created_ns,
+            hold.release_requested,
+            None if last is None else last.data,
+        )
 
 
 def new_hold(

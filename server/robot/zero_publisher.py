@@ -53,7 +53,7 @@ class ZeroPublisher:
 
     def __init__(self, session: Session) -> None:
         self._session = session
-        self._running: dict[str, _Repetition] = {}
+        self._running: dict[str, Repetition] = {}
         self._advertised: set[str] = set()
 
     async def publish(self, topic: Topic) -> Receivers:
@@ -75,7 +75,7 @@ class ZeroPublisher:
             return await before.wait_received()  # the robot is stopped again, which makes it no faster
         if before is not None:
             before.cancel()
-        repetition = self._running[name] = _Repetition(session, name, zero, subscribers_of(topic, graph))
+        repetition = self._running[name] = Repetition(session, name, zero, subscribers_of(topic, graph))
         return await repetition.wait_received()
 
     async def wait_received_late(self, topic: str) -> Receivers | None:
@@ -102,8 +102,8 @@ class ZeroPublisher:
                 await self._session.adapter.unadvertise_always(name)
 
 
-class _Repetition:
-    """Zero on one topic, until a second after it was heard first."""
+class Repetition:
+    """A message on one topic, published again and again until a second after it was heard first."""
 
     def __init__(self, session: Session, topic: str, zero: HeldMessage, expected: int) -> None:
         self._session = session

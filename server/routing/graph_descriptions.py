@@ -82,7 +82,7 @@ class GraphDescriptions:
 
     def _describe(self, graph: Graph) -> Iterator[GraphEntry]:
         session, services, space = self._session, self._services, self._session.space
-        capabilities, problems = session.adapter.capabilities, services.storage_problems()
+        capabilities, problems = session.adapter.capabilities, services.problems()
         listed = listed_graph(graph, capabilities)
         entry = partial(entry_document, listed, space, capabilities.system, problems, name=session.name)
         yield _described(space.base, (graph.revision, problems), entry)

@@ -91,7 +91,7 @@ class ResourceFactory:
 
     def entry(self) -> EntryResource:
         services = self.services
-        return EntryResource(self.session, self.states, services.recordings, services.storage_problems)
+        return EntryResource(self.session, self.states, services.recordings, services.problems)
 
     def node(self, name: str) -> NodeResource:
         return NodeResource(self.session, self.limit_checks, self.states, name)

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 
 from rosld.adapters.base import Adapter
 from rosld.adapters.model import RosError
+from rosld.ontology.describe_graph import ServerProblems
 from rosld.server.history.recordings import Recordings
 from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.mappings import Mappings
@@ -27,6 +28,7 @@ from rosld.server.resources.ldp.validation import (
 )
 from rosld.server.rest.state import State
 from rosld.server.robot.hold_store import Holds
+from rosld.server.robot.interrupted_holds import InterruptedHolds
 from rosld.server.robot.session import Session
 from rosld.server.robot.software_stop import SoftwareStop, StopCommand
 from rosld.server.runtime.offload import WorkerPool
@@ -83,6 +85,7 @@ class Services:
             self.affordances.mapping_warnings,
         )
         self.holds = Holds(session)
+        self.interrupted_holds = InterruptedHolds(session, self.holds, self.receipts.add)
         self.recordings = Recordings(adapter, settings, session.schemas.get, session.schemas.definition_of)
         self.software_stop = SoftwareStop(
             session, self.holds, lambda: self.mappings.mapping_set.stop_commands(), self._is_at_rest
@@ -111,16 +114,18 @@ class Services:
             return False
         return self.affordances.snapshot(tree, readings).results.hold(conditions)
 
-    def storage_problems(self) -> tuple[str, ...]:
-        """Why not everything can be stored just now, in sentences; none where it can."""
+    def problems(self) -> ServerProblems:
+        """What people have to know of this server: problems of its storage, holds that were interrupted."""
         found = (self.documents.records.failure, self.receipts.failure, self.recordings.history.problem)
-        return tuple(problem for problem in found if problem is not None)
+        storage = tuple(problem for problem in found if problem is not None)
+        return ServerProblems(storage, tuple(map(self.session.space.hold, self.holds.interrupted)))
 
     async def start(self) -> None:
         """Open the session, and put into force what is kept. Raises what `Adapter.open` raises."""
         await self.session.open()
         self.documents.records.watch(self._on_record_changes)
         self.receipts.start()
+        self.interrupted_holds.load()
         await self.recordings.start()
         self.session.changes.watch(self.recordings.refresh)
         self.active_limits.load_stored(self.documents.records)

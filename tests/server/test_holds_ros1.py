@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
+import re
 import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import httpx
@@ -15,9 +18,11 @@ import pytest
 from tests import waiting
 from tests.adapters.ros1.system import RosSystem, running
 from tests.processes import Process
+from tests.server.disks.server import Server, server_on
 from tests.server.test_holds import KEEPER, STILL, ahead
 
 TOPIC = "/topics/cmd_vel"
+TURTLE, HTML = {"Accept": "text/turtle"}, {"Accept": "text/html"}
 
 
 @pytest.fixture(scope="module")
@@ -119,12 +124,87 @@ def test_the_robot_stands_still_when_another_node_begins_to_publish(
         other.stop()
 
 
-def test_a_server_that_is_killed_says_nothing_more_so_the_robot_itself_must_stop(wheels: Process, served: Any) -> None:
-    held(served.http, 5)
-    hears(wheels, ahead(5))
-    served.process.kill()
-    served.process.wait(60)
-    with pytest.raises(AssertionError, match="no line"):
-        listen_for_ever(wheels)
-    last = [line for line in wheels.seen if line.startswith("heard")][-1]
-    assert json.loads(last.removeprefix("heard ")) == ahead(5)
+def held_and_killed(server: Server, wheels: Process, x: float, **how: Any) -> str:
+    """Hold the topic, and kill the server when the base drives; the URL of the hold."""
+    waiting.until(lambda: "POST" in server.http.options(TOPIC).headers.get("allow", ""), "the base")
+    answer = server.http.post(TOPIC, params={"rate": 50, "lease": 5, **how}, json=ahead(x))
+    assert answer.status_code == 201, answer.text
+    hears(wheels, ahead(x))
+    server.kill()
+    return str(answer.headers["location"])
+
+
+def test_a_rosld_that_is_killed_leaves_the_base_driving_and_the_next_one_stops_it_and_says_so(
+    ros: RosSystem, wheels: Process, tmp_path: Path
+) -> None:
+    with server_on(tmp_path / "data", tmp_path / "log", source=ros.source) as server:
+        server.start()
+        ended = held_and_killed(server, wheels, 5, rate=20)
+        with pytest.raises(AssertionError, match="no line"):
+            listen_for_ever(wheels)
+        last = [line for line in wheels.seen if line.startswith("heard")][-1]
+        assert json.loads(last.removeprefix("heard ")) == ahead(5)
+
+        server.start()
+        hears(wheels, STILL)
+        http = server.http
+        waiting.until(lambda: "zero was published to 1 subscriber" in http.get(ended).text, "what became of it")
+        assert http.get(ended).status_code == 410
+        assert "while anybody held /cmd_vel: zero was published" in http.get("/holds/", headers=TURTLE).text
+        assert "rosld was killed while topics were held" in http.get("/", headers=HTML).text
+        for path in ("/", "/status"):
+            assert f"interruptedHold> <{ended}>" in http.get(path, headers={"Accept": "application/n-triples"}).text
+        assert "zero was published to 1 subscriber" in server.log.read_text()
+        receipts = re.findall(r"<(http\S+/activity/[^>]+)> \.", http.get("/activity/", headers=TURTLE).text)
+        told = [http.get(url, headers=TURTLE).text for url in receipts]
+        assert any("end the hold of /cmd_vel, which was interrupted: zero was published" in each for each in told)
+        server.kill()
+        server.start()
+        assert http.get(ended).status_code == 404  # once is enough
+
+
+def test_a_hold_that_was_interrupted_is_only_told_of_where_another_node_commands_or_nothing_ends_it(
+    ros: RosSystem, wheels: Process, tmp_path: Path
+) -> None:
+    with server_on(tmp_path / "data", tmp_path / "log", source=ros.source) as server:
+        server.start()
+        silent = held_and_killed(server, wheels, 6, then="none")
+        server.start()
+        waiting.until(lambda: "(then=none)" in server.http.get(silent).text, "what became of it")
+        driven = held_and_killed(server, wheels, 7)
+        other = ros.publish("/cmd_vel", "geometry_msgs/Twist", "{linear: {x: 0.5}}", rate=5)
+        try:
+            server.start()
+            waiting.until(lambda: "/rostopic" in server.http.get(driven).text, "what became of it")
+            assert json.dumps(STILL) not in " ".join(wheels.seen[-3:])
+        finally:
+            other.stop()
+
+
+def test_a_guard_stops_the_base_as_soon_as_rosld_is_killed(ros: RosSystem, wheels: Process, tmp_path: Path) -> None:
+    data = tmp_path / "data"
+    command = [sys.executable, "-m", "rosld", "guard", ros.source, "--data", str(data)]
+    with server_on(data, tmp_path / "log", source=ros.source) as server:
+        server.start()
+        guard = Process(command, os.environ, patience=30)
+        try:
+            waiting.until(lambda: "POST" in server.http.options(TOPIC).headers.get("allow", ""), "the base")
+            hold = server.http.post(TOPIC, params={"rate": 10, "lease": 5}, json=ahead(1)).headers["location"]
+            [note] = (data / "holds").iterdir()
+            written = note.stat().st_mtime_ns
+            assert [server.http.patch(hold, json=ahead(x)).status_code for x in (2, 3)] == [204, 204]
+            assert note.stat().st_mtime_ns == written  # a renewal writes nothing
+            assert server.http.delete(hold).status_code == 204
+            waiting.until(lambda: not note.exists(), "the note of a hold that has ended is gone")
+            ended = held_and_killed(server, wheels, 8)
+            hears(wheels, STILL)
+            guard.line("WARNING rosld: the hold")
+            server.start()
+            waiting.until(lambda: "rosld guard: zero was published" in server.http.get(ended).text, "what became of it")
+            waiting.until(lambda: "POST" in server.http.options(TOPIC).headers["allow"], "the base can be commanded")
+            assert server.stop() == 0
+        finally:
+            guard.stop()
+    assert guard.process.returncode == 0
+    once = subprocess.run([*command, "--once"], capture_output=True, text=True, timeout=30, check=True)
+    assert "0 holds that go on" in once.stderr

@@ -1,0 +1,133 @@
+"""Notes of the holds that go on, on the disk: what ends them when the rosld that published them was killed.
+
+One file a hold, written when it begins or changes what it ends with, removed when it ends; a renewal writes nothing.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import logging
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import cast
+
+import orjson
+
+from rosld.server.storage.note import remove_note, write_note
+
+FOLDER = "holds"
+_SUFFIX = ".json"
+_BEGIN_SECONDS = 0.05
+"""How long the beginning of a hold waits for its note: the hold begins all the same on a disk that is slower."""
+
+_log = logging.getLogger("rosld")
+
+
+@dataclass(frozen=True, slots=True)
+class HoldNote:
+    """A hold that goes on. `node` is the rosld that publishes it, by its name in ROS; `type` the type of messages.
+
+    `data` is the message that ends the hold, encoded as the robot's system encodes, None for nothing; `then` is what
+    was asked for. `outcome` is what `rosld guard` made of a hold whose rosld was killed.
+    """
+
+    id: str
+    topic: str
+    type: str
+    node: str
+    holder: str
+    rate: float
+    created_ns: int
+    then: str
+    data: bytes | None
+    outcome: str | None = None
+
+
+class HoldNotes:
+    """The notes in a folder; without one none is kept."""
+
+    def __init__(self, data: Path | None) -> None:
+        """`data` is the folder of `--data`."""
+        self._folder = None if data is None else data / FOLDER
+        self._noted: dict[str, HoldNote] = {}
+        self._disk = ThreadPoolExecutor(1, "rosld-holds")  # one thread: what is noted last is written last
+
+    async def begin(self, note: HoldNote) -> None:
+        """Note a hold that begins, and wait a moment until that is on the disk."""
+        if self._folder is not None:
+            self.change(note)
+            written = asyncio.get_running_loop().run_in_executor(self._disk, lambda: None)
+            await asyncio.wait([written], timeout=_BEGIN_SECONDS)
+
+    def change(self, note: HoldNote) -> None:
+        """Note how a hold goes on, where that is another than was noted."""
+        if self._folder is not None and self._noted.get(note.id) != note:
+            self._noted[note.id] = note
+            self._disk.submit(self.write, note)
+
+    def remove(self, id: str) -> None:
+        """Remove the note of a hold that has ended."""
+        if self._folder is not None:
+            self._noted.pop(id, None)
+            self._disk.submit(self._remove, id)
+
+    async def close(self) -> None:
+        """Wait until everything is on the disk."""
+        await asyncio.to_thread(self._disk.shutdown)
+
+    def read(self) -> Sequence[HoldNote]:
+        """The notes in the folder, those of a rosld that was killed among them; what cannot be read is left out."""
+        if self._folder is None or not self._folder.is_dir():
+            return []
+        found: list[HoldNote] = []
+        for path in sorted(self._folder.glob(f"[!.]*{_SUFFIX}")):
+            try:
+                found.append(_decode(path.read_bytes()))
+            except (OSError, ValueError, KeyError, TypeError) as error:
+                _log.warning("the note of a hold %s cannot be read: %s", path, error)
+        return found
+
+    def reread(self, note: HoldNote) -> HoldNote:
+        """The note as another process may have changed it."""
+        assert self._folder is not None
+        try:
+            return _decode((self._folder / f"{note.id}{_SUFFIX}").read_bytes())
+        except (OSError, ValueError, KeyError, TypeError):
+            return note
+
+    def write(self, note: HoldNote) -> None:
+        """Write a note, blocking; what fails is logged, for the hold goes on all the same."""
+        assert self._folder is not None
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+            write_note(self._folder / f"{note.id}{_SUFFIX}", _encode(note))
+        except OSError as error:
+            _log.warning(
+                "the hold on %s is not on the disk, and is not ended where rosld is killed: %s", note.topic, error
+            )
+
+    def _remove(self, id: str) -> None:
+        assert self._folder is not None
+        try:
+            remove_note(self._folder / f"{id}{_SUFFIX}")
+        except OSError as error:
+            _log.warning("the note of the hold %s, which has ended, stays on the disk: %s", id, error)
+
+
+def _encode(note: HoldNote) -> bytes:
+    data = None if note.data is None else base64.b64encode(note.data).decode("ascii")
+    return orjson.dumps({**asdict(note), "data": data})
+
+
+def _decode(text: bytes) -> HoldNote:
+    """Raises ValueError, KeyError or TypeError for what is no note."""
+    members = cast("dict[str, object]", orjson.loads(text))
+    made = HoldNote(**members)  # type: ignore[arg-type]
+    for name in ("id", "topic", "type", "node", "holder", "then"):
+        if not isinstance(getattr(made, name), str):
+            raise ValueError(f"its {name} is no text")
+    data = members["data"]
+    return made if data is None else replace(made, data=base64.b64decode(str(data), validate=True))

@@ -26,7 +26,7 @@ def topic_document(
     topic: Topic,
     space: Space,
     graph: Graph,
-    rate: float = 0.0,
+    rate: float | None = None,
     messages: Sequence[LiftedMessage] = (),
     *,
     unreadable: str | None = None,
@@ -49,7 +49,7 @@ def topic_document(
         *triples_about(
             subject,
             (ros.unreadable, text(unreadable or topic.unreadable)),
-            (ros.rate, double(rate)),
+            (ros.rate, None if rate is None else double(rate)),
             (ros.latest, nodes[-1] if nodes else None),
             (ros.heldBy, NamedNode(space.hold(hold)) if hold else None),
             *(statements(ros.latestFrom, nodes) if several else ()),

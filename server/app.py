@@ -50,6 +50,7 @@ from rosld.server.rest.large import LargeDocuments
 from rosld.server.rest.pages import PageRenderer
 from rosld.server.rest.resource import Resource
 from rosld.server.robot.hold_store import Holds
+from rosld.server.robot.interrupted_holds import InterruptedHolds
 from rosld.server.robot.scene import Scene
 from rosld.server.robot.session import Session
 from rosld.server.routing.dispatcher import Dispatcher
@@ -140,7 +141,7 @@ def background_jobs(
         partial(asyncio.to_thread, prepare_pages),
         partial(log_mapping_warnings, services.affordances, services.mappings),
         partial(triggers.resume, services.recordings),
-        services.interrupted_holds.run,
+        InterruptedHolds(services.session, services.holds, services.receipts.add).run,
         *(() if mirror is None else (mirror.run,)),
         *(() if authenticator is None else (authenticator.watch_file,)),
     ]

@@ -85,6 +85,10 @@ class LiveRecorder:
             found.update(dict(each))
         return found
 
+    def topics(self) -> Collection[str]:
+        """The topics that are recorded now."""
+        return self._feed.topics()
+
     def refresh(self) -> None:
         """The graph has changed: there may be other topics to be recorded."""
         self._feed.refresh()

@@ -8,7 +8,7 @@ import logging
 import tempfile
 import time
 from collections import Counter
-from collections.abc import AsyncIterator, Awaitable, Callable, Hashable, Mapping, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Collection, Hashable, Mapping, Sequence
 from fnmatch import fnmatchcase
 from functools import partial
 from pathlib import Path
@@ -124,6 +124,10 @@ class Recordings:
         is_recording = self.history.is_kept or bool(self._running)
         moment = int(time.monotonic() / _REVISION_SECONDS) if is_recording else 0
         return self._changes, self._armed.revision, moment
+
+    def recorded_topics(self) -> Collection[str]:
+        """The topics that are recorded now, by the history or for a client."""
+        return self._live.topics()
 
     @property
     def finished(self) -> Mapping[str, Recording]:

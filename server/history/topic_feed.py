@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import logging
 from collections import Counter
-from collections.abc import Awaitable, Callable, Iterable, Sequence
+from collections.abc import Awaitable, Callable, Collection, Iterable, Sequence
 
 from rosld.adapters.base import Adapter, Subscription
 from rosld.adapters.model import RosError, Sample, TypeRef
@@ -128,6 +128,10 @@ class LiveFeed:
         """What is recorded has changed: what comes from now on goes where it belongs."""
         self._sinks = {topic: sinks for topic in self._feeds if (sinks := self._sinks_of(topic))}
         self._changed = True
+
+    def topics(self) -> Collection[str]:
+        """The topics that are recorded now."""
+        return self._feeds.keys()
 
     def take(self) -> None:
         """Take what is new to the recorder now."""

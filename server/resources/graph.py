@@ -154,7 +154,7 @@ class GraphResource(Resource):
         session, view = self.session, self.session.topics.peek(topic.name) or EMPTY_VIEW
         silence = "" if any(each.name in OCCASIONAL_TYPES for each in topic.types) else self._silence(view)
         return Traffic(
-            0.0 if silence else float(f"{view.rate:.2g}"),
+            0.0 if silence or view.rate is None else float(f"{view.rate:.2g}"),
             silence,
             topic.name in session.adapter.published,
             session.adapter.subscriptions[topic.name] > 0,
@@ -163,7 +163,7 @@ class GraphResource(Resource):
     def _silence(self, view: TopicView) -> str:
         """Since when nothing comes, where messages came at least once a second."""
         newest = view.newest
-        if newest is None or view.rate < 1.0 or newest.sequence < _STEADY:
+        if newest is None or view.rate is None or view.rate < 1.0 or newest.sequence < _STEADY:
             return ""
         if self.session.adapter.age_ns(newest) < STALE_SECONDS * 1e9:
             return ""

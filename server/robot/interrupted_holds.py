@@ -9,7 +9,7 @@ import asyncio
 import contextlib
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import NamedTuple
 
 from rosld.adapters.model import Graph, Kind, Live, RosError, Topic
@@ -51,18 +51,14 @@ class InterruptedHolds:
         self._session = session
         self._holds = holds
         self._note_write = note_write
-        self._found: Sequence[HoldNote] = ()
-
-    def load(self) -> None:
-        """Find them, before any hold begins."""
-        self._found = self._holds.notes.read()
-        for note in self._found:
-            self._holds.set_interrupted(note, f"{_story(note)}: {_THEN_WAITS if note.data else _NO_THEN}")
-            _log.warning("the hold %s on %s did not end: %s", note.id, note.topic, _story(note))
 
     async def run(self) -> None:
-        """End them all, once the robot is there."""
-        await asyncio.gather(*(self._end(note) for note in self._found))
+        """Say which there are, before any hold begins, and end them once the robot is there."""
+        found = self._holds.notes.read()
+        for note in found:
+            self._holds.set_interrupted(note, f"{_story(note)}: {_THEN_WAITS if note.data else _NO_THEN}")
+            _log.warning("the hold %s on %s did not end: %s", note.id, note.topic, _story(note))
+        await asyncio.gather(*(self._end(note) for note in found))
 
     async def _end(self, note: HoldNote) -> None:
         started_ns = time.time_ns()

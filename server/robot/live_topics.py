@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 
@@ -17,6 +17,8 @@ from rosld.server.runtime.loop_time import loop_time
 
 _SWEEP = 0.5
 """Seconds between sweeps, which fold what came and give back what nobody looks at any more."""
+_MEASURE = 2.5
+"""Seconds after which a topic is looked at to measure its rate, where nobody else looks."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,10 +45,12 @@ class _Look:
     subscription: Subscription
     looked_at: float
     eager: bool = False
+    recorded: bool = False
     watches: int = 0
     folded: FoldedTopic | None = None
     rates: RateEstimator = field(default_factory=RateEstimator)
     latest: Sequence[Sample] | None = None
+    refreshed_at: float = 0.0
     view: TopicView = field(default_factory=TopicView)
     awaited: tuple[Endpoint, ...] = ()
     insisted: bool = False
@@ -54,7 +58,7 @@ class _Look:
     @property
     def is_kept(self) -> bool:
         """Whether it stays although nobody looks."""
-        return self.eager or self.watches > 0
+        return self.eager or self.recorded or self.watches > 0
 
 
 class _TopicWatch:
@@ -81,6 +85,8 @@ class LiveTopics:
     """
 
     def __init__(self, adapter: Adapter, schemas: Schemas, settings: LiveSettings) -> None:
+        self.recorded: Callable[[], Collection[str]] = tuple
+        """The topics that are recorded: they are subscribed to in any case, so their values and rates are at hand."""
         self._adapter = adapter
         self._schemas = schemas
         self._settings = settings
@@ -108,7 +114,8 @@ class LiveTopics:
     def always_subscribed(self) -> Sequence[str]:
         """The topics that stay subscribed to whether anybody looks or not, as far as they have a value."""
         there = self._adapter.graph.topics
-        looks = [(topic, look) for topic, look in self._looks.items() if look.is_kept and topic in there]
+        kept = ((topic, look) for topic, look in self._looks.items() if look.eager or look.watches)
+        looks = [(topic, look) for topic, look in kept if topic in there]
         return [topic for topic, look in looks if look.subscription.latest()]
 
     def find_view(self, topic: str) -> TopicView | None:
@@ -221,6 +228,7 @@ class LiveTopics:
             watch.close()
 
     def _refresh(self, look: _Look) -> TopicView:
+        look.refreshed_at = loop_time()
         latest = look.subscription.latest()
         if latest is look.latest:
             return look.view
@@ -239,7 +247,7 @@ class LiveTopics:
                 return
             whole = folded.sample(self._schema_at_hand(ordered[-1]))
         except (ValueError, LookupError):
-            look.view = TopicView(ordered[-1:], 0.0)  # what cannot be folded is shown as it came
+            look.view = TopicView(ordered[-1:])  # what cannot be folded is shown as it came
             return
         newest = {sample.publisher: sample for sample in ordered}
         rate = look.rates.observe(list(newest.values()))
@@ -270,7 +278,9 @@ class LiveTopics:
     async def _sweep_for_ever(self) -> None:
         while True:
             await asyncio.sleep(_SWEEP)
-            horizon = loop_time() - self._settings.idle
+            await self._follow_recorded()
+            now = loop_time()
+            horizon = now - self._settings.idle
             for topic, look in list(self._looks.items()):
                 is_gone = topic not in self._adapter.graph.topics
                 if not look.is_kept and (look.looked_at < horizon or is_gone):
@@ -280,4 +290,15 @@ class LiveTopics:
                     look.awaited = tuple(one for one in look.awaited if one in self._publishers(topic))
                 if look.folded is not None:
                     await self._know_types(look)
+                if look.folded is not None or look.view.rate is None or look.refreshed_at < now - _MEASURE:
                     self._refresh(look)
+
+    async def _follow_recorded(self) -> None:
+        """Have a look at each topic that is recorded, for as long as it is."""
+        recorded = self.recorded()
+        for topic in recorded:
+            if topic in self._adapter.graph.topics and (look := self._looks.get(topic)) is None:
+                with contextlib.suppress(RosError):
+                    await self._open(topic)
+        for topic, look in self._looks.items():
+            look.recorded = topic in recorded

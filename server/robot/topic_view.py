@@ -14,12 +14,12 @@ class TopicView:
     """The samples of a topic as of one look: the newest of each publisher, and how often they come.
 
     `samples` is in order of receipt, the newest last; of a folded topic (`/tf`) it is one, made of all that came.
-    `rate` is in messages a second over all publishers, 0.0 until known. `times` tells of a folded topic when the newest
-    element of each key was received, in nanoseconds.
+    `rate` is in messages a second over all publishers, None until measured. `times` tells of a folded topic when the
+    newest element of each key was received, in nanoseconds.
     """
 
     samples: tuple[Sample, ...] = ()
-    rate: float = 0.0
+    rate: float | None = None
     times: Mapping[str, int] = field(default_factory=dict)
 
     @property
@@ -53,6 +53,8 @@ class _Anchor:
 
 _SPAN_NS = 5_000_000_000
 """Rates are means over the last five to ten seconds, as `rostopic hz` shows them."""
+_LEAST_NS = 200_000_000
+"""The least time between two messages that a rate is measured by: of less, the jitter of the network is the most."""
 
 
 @dataclass(slots=True)
@@ -62,15 +64,15 @@ class RateEstimator:
     _anchors: dict[str, _Anchor] = field(default_factory=dict)
     _rates: dict[str, float] = field(default_factory=dict)
 
-    def observe(self, samples: Sequence[Sample]) -> float:
-        """The rate over all publishers in messages a second after seeing these newest samples."""
+    def observe(self, samples: Sequence[Sample]) -> float | None:
+        """The rate over all publishers in messages a second after seeing these newest samples; None until measured."""
         for sample in samples:
             self._observe(sample)
         gone = self._anchors.keys() - {sample.publisher for sample in samples}
         for publisher in gone:
             self._anchors.pop(publisher)
             self._rates.pop(publisher, None)
-        return round(sum(self._rates.values()), 3)
+        return round(sum(self._rates.values()), 3) if self._rates else None
 
     def _observe(self, sample: Sample) -> None:
         anchor = self._anchors.get(sample.publisher)
@@ -80,7 +82,7 @@ class RateEstimator:
             )
             return
         elapsed = sample.received_ns - anchor.received_ns
-        if elapsed <= 0:
+        if elapsed < _LEAST_NS:
             return
         self._rates[sample.publisher] = (sample.sequence - anchor.sequence) * 1e9 / elapsed
         if elapsed > 2 * _SPAN_NS:

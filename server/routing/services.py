@@ -28,7 +28,6 @@ from rosld.server.resources.ldp.validation import (
 )
 from rosld.server.rest.state import State
 from rosld.server.robot.hold_store import Holds
-from rosld.server.robot.interrupted_holds import InterruptedHolds
 from rosld.server.robot.session import Session
 from rosld.server.robot.software_stop import SoftwareStop, StopCommand
 from rosld.server.runtime.offload import WorkerPool
@@ -85,7 +84,6 @@ class Services:
             self.affordances.mapping_warnings,
         )
         self.holds = Holds(session)
-        self.interrupted_holds = InterruptedHolds(session, self.holds, self.receipts.add)
         self.recordings = Recordings(adapter, settings, session.schemas.get, session.schemas.definition_of)
         self.software_stop = SoftwareStop(
             session, self.holds, lambda: self.mappings.mapping_set.stop_commands(), self._is_at_rest
@@ -125,9 +123,9 @@ class Services:
         await self.session.open()
         self.documents.records.watch(self._on_record_changes)
         self.receipts.start()
-        self.interrupted_holds.load()
         await self.recordings.start()
         self.session.changes.watch(self.recordings.refresh)
+        self.session.topics.recorded = self.recordings.recorded_topics
         self.active_limits.load_stored(self.documents.records)
         await load_stored_mappings(self.mappings, self.documents.records, self.session.settings, self.session.space)
         gc.collect()

@@ -15,6 +15,7 @@ from rosld.ontology.vocab import ldp, rdf, ros
 from tests.server.robots.asking import JSON, LDP, TYPES, objects, triples
 from tests.server.robots.made_up import MadeUp, Serving
 from tests.server.robots.many import COUNT, furnish
+from tests.waiting import until
 
 RDF = {"Accept": "text/turtle"}
 RESULTS = {"Accept": "application/sparql-results+json"}
@@ -61,11 +62,36 @@ def test_values_and_rates_are_told_of_what_is_subscribed_to(robot: MadeUp, http:
     assert json.loads(said(http, "/topics/", "topics/speed")["briefValue"]) == {"data": 1.5}
     image = json.loads(said(http, "/topics/camera/", "topics/camera/image")["briefValue"])
     assert (image["height"], image["..."]) == (2, "more")
-    for number in range(5):
-        robot.publishes("/speed", {"data": float(number)})
-    told = said(http, "/topics/", "topics/speed")
-    assert json.loads(told["briefValue"]) == {"data": 4.0}
-    assert float(told["rate"]) > 0
+    assert "rate" not in said(http, "/topics/", "topics/speed")  # it is not measured yet
+
+    def rate() -> float | None:
+        robot.publishes("/speed", {"data": 4.0})
+        return float(said(http, "/topics/", "topics/speed").get("rate", "0"))
+
+    assert until(rate, "a rate that was measured")
+    assert json.loads(said(http, "/topics/", "topics/speed")["briefValue"]) == {"data": 4.0}
+
+
+def test_what_is_recorded_has_values_and_rates_in_lists_and_queries_and_no_rate_is_told_that_was_not_measured(
+    robot: MadeUp, serving: Serving
+) -> None:
+    robot.topic("/speed", "std_msgs/msg/Float64", {"data": 1.5})
+    robot.topic("/silent", "std_msgs/msg/Float64")
+    http = serving(history=("/speed",))
+    query = f"PREFIX ros: <{ros.iri}> SELECT ?t ?rate {{ ?t a ros:Topic ; ros:rate ?rate }}"
+    assert http.post("/sparql", data={"query": query}, headers=RESULTS).json()["results"]["bindings"] == []
+
+    def told() -> dict[str, str]:
+        robot.publishes("/speed", {"data": 2.5})
+        found = said(http, "/topics/", "topics/speed")
+        return found if "rate" in found else {}
+
+    assert json.loads(until(told, "the rate of a topic that is recorded")["briefValue"]) == {"data": 2.5}
+    [row] = http.post("/sparql", data={"query": query}, headers=RESULTS).json()["results"]["bindings"]
+    assert row["t"]["value"].endswith("/topics/speed")
+    assert float(row["rate"]["value"]) > 0
+    [fastest] = http.get("/queries/fastest-topics", headers=RESULTS).json()["results"]["bindings"]
+    assert fastest["name"]["value"] == "/speed"
 
 
 def test_json_says_the_same_and_the_members_are_those_of_ldp(http: httpx.Client) -> None:

@@ -17,15 +17,17 @@ from rosld.server.events.event_writer import KEEP_ALIVE_SECONDS, EventWriter
 from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
 from rosld.server.rest.resource import Resource
-from rosld.server.rest.state import State
+from rosld.server.rest.state import MessageState, State
 from rosld.server.runtime.token_bucket import TokenBucket
 
 BURST = 1.25
-"""Events of the bucket of a stream: one may come a quarter of an interval early.
+"""Events of the bucket of a slow stream: one may come a quarter of an interval early.
 
 So the jitter of a topic as fast as its reader wishes neither delays nor loses a value. In any time t no more than
-rate * t + 1.25 events pass.
+rate * t + 1.25 events pass, and those of `JITTER_SECONDS`.
 """
+JITTER_SECONDS = 0.05
+"""How long a message may be late: the next ones then come closer together than their rate says."""
 GONE, PROBLEM, UNTIL = "gone", "problem", "until"
 """The types of the events that tell why there is no state. EventSource's own event is called "error", so these are not.
 
@@ -113,7 +115,7 @@ class EventStream(EndlessResponse):
         super().__init__(broadcasters, [*HEADERS, *headers])
         self._resource = resource
         self._stream_format = stream_format
-        self._bucket = TokenBucket(rate, BURST)
+        self._bucket = TokenBucket(rate, BURST + rate * JITTER_SECONDS)
         self._known = known
         """The state that the reader has, as it says itself."""
         self._lease = lease
@@ -160,8 +162,9 @@ class EventStream(EndlessResponse):
                 if not self._stream_format.is_valid():  # once more: the rights may have ended while it waited or read
                     return
                 if moment is not told or self._stream_format.version() != edition:
+                    skipped = _skipped(told.state, moment.state)
                     told, edition = moment, self._stream_format.version()
-                    await self._event(writer, moment)
+                    await self._event(writer, moment, skipped)
 
     async def _may_end(self, broadcaster: Broadcaster) -> bool:
         """Whether the resource may be in the state that ends the stream: that is told without delay."""
@@ -190,10 +193,22 @@ class EventStream(EndlessResponse):
         """Whether the reader says that it has this state."""
         return isinstance(state, State) and query_params.is_state(self._known, self._stream_format.name(state))
 
-    async def _event(self, writer: EventWriter, moment: Observation) -> None:
+    async def _event(self, writer: EventWriter, moment: Observation, skipped: int = 0) -> None:
         chunk = await self._stream_format.chunk(moment)
         self._bucket.take(time.monotonic())
+        if skipped:
+            await writer.send(frame.skipped(skipped))
         await writer.send(chunk)
+
+
+def _skipped(before: State | Problem, after: State | Problem) -> int:
+    """How many messages came between those of two states that are told one after the other."""
+    if not isinstance(before, MessageState) or not isinstance(after, MessageState):
+        return 0
+    known = {(publisher, epoch): sequence for publisher, epoch, sequence in before.messages}
+    return sum(
+        max(sequence - known.get((publisher, epoch), sequence) - 1, 0) for publisher, epoch, sequence in after.messages
+    )
 
 
 @contextlib.contextmanager

@@ -11,6 +11,11 @@ def opening(retry_seconds: float) -> bytes:
     return b"retry: %d\n\n" % round(retry_seconds * 1000)
 
 
+def skipped(count: int) -> bytes:
+    """A comment before an event: how many messages came since the last event, and are told by none."""
+    return b": skipped %d\n" % count
+
+
 def event(data: bytes, id: str | None = None, name: str | None = None) -> bytes:
     """One event. `id` is what a client sends as Last-Event-ID, `name` its type ("message" where there is none).
 

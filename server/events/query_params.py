@@ -8,7 +8,8 @@ from rosld.server.http import header_syntax, negotiation
 from rosld.server.http.problem import Problem
 
 EVENT_STREAM = "text/event-stream"
-DEFAULT_RATE, MIN_RATE, MAX_RATE = 10.0, 0.001, 100.0
+DEFAULT_RATE, MIN_RATE, MAX_RATE = 50.0, 0.001, 1000.0
+MOTION_RATE = 10.0
 DEFAULT_TIMEOUT, MAX_TIMEOUT = 25.0, 60.0
 
 
@@ -19,9 +20,9 @@ def stream_is_preferred(accept: str | None, offers: tuple[str, ...]) -> bool:
     return negotiation.choose(accept, (*offers, EVENT_STREAM)) == EVENT_STREAM
 
 
-def parse_rate(query: Mapping[str, str]) -> float:
+def parse_rate(query: Mapping[str, str], default: float = DEFAULT_RATE) -> float:
     """`?rate=`: at most so many events a second, cut to what can be had. Raises a 400 Problem for what is no rate."""
-    wanted = _number(query, "rate", DEFAULT_RATE)
+    wanted = _number(query, "rate", default)
     if wanted is None or wanted < MIN_RATE:
         raise Problem(
             400,

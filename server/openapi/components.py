@@ -126,7 +126,7 @@ PARAMETERS: Mapping[str, Json] = {
         "name": "rate",
         "in": "query",
         "description": f"Of an event stream: the most events a second, up to {MAX_RATE:g}; {DEFAULT_RATE:g} where it "
-        "is missing.",
+        "is missing. A comment `: skipped N` before an event tells how many messages were left out.",
         "schema": {"type": "number", "minimum": MIN_RATE},
     },
     "If-None-Match": {

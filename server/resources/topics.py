@@ -71,7 +71,7 @@ from rosld.server.rest.motion import Motion
 from rosld.server.rest.path_item import FIELD, FIELD_READS, FORMAT, PathItem
 from rosld.server.rest.plan import Plan, RobotWrite
 from rosld.server.rest.resource import READ, Answer, Resource
-from rosld.server.rest.state import State
+from rosld.server.rest.state import MessageState, State
 from rosld.server.robot.hold_store import Holds
 from rosld.server.robot.publication import publish
 from rosld.server.robot.session import Session
@@ -236,13 +236,14 @@ class TopicResource(CommandResource):
         token = digest(said.encode("utf-8", "replace"))
         recorded = bool(self.session.adapter.recordings)  # a recording's times are of the past: no Age (RFC 9111 5.1)
         received = view.newest.received_ns if view.newest and not recorded else None
-        return State(
+        return MessageState(
             lambda: self._document(topic, view, decoded, None if hold is None else hold.id, holdable=can),
             plain,
             token,
             received,
             headers={"vary": VARY} if is_recorded(self.history, self.name) else {},
             shapes=self._shapes(topic, decoded),
+            messages=() if view.times else tuple((one.publisher, one.epoch, one.sequence) for one in view.samples),
         )
 
     def _shapes(self, topic: Topic, decoded: Sequence[DecodedSample]) -> tuple[str, ...]:

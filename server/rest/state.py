@@ -114,6 +114,16 @@ class State:
         )
 
 
+@dataclass(eq=False)
+class MessageState(State):
+    """A state that shows the newest message of each publisher, of which there may have been more in between.
+
+    `messages` are their publishers, epochs and sequence numbers.
+    """
+
+    messages: tuple[tuple[str, int, int], ...] = ()
+
+
 def _describe_redacted(describe: Callable[[], Document], permissions: Permissions) -> Document:
     return redact_document(describe(), permissions)
 

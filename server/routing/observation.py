@@ -105,7 +105,7 @@ class Observation:
 
     def motion(self, exchange: Exchange, resource: Resource, motion: Motion) -> Response:
         """The pictures of a motion, each replacing the one before, as fast as the client reads. Raises Problems."""
-        rate = query_params.parse_rate(exchange.query)
+        rate = query_params.parse_rate(exchange.query, query_params.MOTION_RATE)
         self._broadcasters.require_capacity(exchange.request.client)
         stream = MotionStream(
             self._broadcasters, motion, rate, encode_headers(resource_headers(resource)), exchange.auth.is_valid

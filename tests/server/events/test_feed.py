@@ -84,6 +84,32 @@ def test_a_slow_reader_loses_what_lies_between_and_holds_up_nobody(opened: Any, 
     asyncio.run(main())
 
 
+def test_a_stream_tells_a_topic_of_50_hz_whole_and_a_slower_one_says_how_many_messages_it_left_out(
+    opened: Any, reader: Any
+) -> None:
+    def skipped(one: Any) -> int:
+        return sum(int(chunk.split()[2]) for chunk in one.chunks if chunk.startswith(b": skipped "))
+
+    async def main() -> None:
+        async with opened() as app:
+            await show(app, "the first")
+            whole, some = reader(app, DISPLAY), reader(app, f"{DISPLAY}?rate=2")
+            for one in (whole, some):
+                await one.until(lambda one: len(one.events) == 1)
+            for number in range(40):
+                await show(app, f"number {number}")
+                await asyncio.sleep(0.02)
+            for one in (whole, some):
+                await one.until(lambda one: b"number 39" in one.events[-1])
+                assert len(one.events) + skipped(one) == 41
+            assert len(whole.events) > 30
+            assert len(some.events) < 10
+            for one in (whole, some):
+                await one.leave()
+
+    asyncio.run(main())
+
+
 def test_who_hangs_up_leaves_nothing_behind(opened: Any, reader: Any) -> None:
     async def main() -> None:
         async with opened() as app:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pyoxigraph import Literal
+
 from rosld.ontology.vocab import ros
 from rosld.server.html.description import objects_of
 from rosld.server.html.page import EntryPage, Page
@@ -12,6 +14,8 @@ MAX_RATE = 3
 _ROUTES = frozenset(
     {"", "resources", "nodes", "topics", "services", "actions", "goals", "parameters", "mappings", "calls", "data"}
 )
+_RECORDING = frozenset({"recording", "armed"})
+"""The states of a recording that changes by itself."""
 _UNDERWAY = frozenset({ros.Accepted, ros.Executing, ros.Canceling})
 
 
@@ -24,4 +28,8 @@ def is_refreshed(page: Page | EntryPage) -> bool:
         return ros.Running in objects_of(page.document, ros.state)
     if route == "goals" and name:
         return not _UNDERWAY.isdisjoint(objects_of(page.document, ros.status))
+    if route == "bags" and name:
+        return not _RECORDING.isdisjoint(
+            each.value for each in objects_of(page.document, ros.recordingStatus) if isinstance(each, Literal)
+        )
     return route in _ROUTES and not any(form.violations for form in getattr(page, "forms", ()))

@@ -72,7 +72,8 @@ class MessageForm:
     """A form for a message: publish it, or call a service with it.
 
     `value` (plain JSON, None for ROS's defaults) is what it is filled with at first, `typed` what was typed into it
-    when it was sent and did not fit, `violations` why. `choices` are names that one of its texts may have.
+    when it was sent and did not fit, `violations` why. `choices` are names that one of its texts may have; `folded` are
+    the names of fields that few need.
     """
 
     template: ClassVar[str] = "message"
@@ -86,6 +87,7 @@ class MessageForm:
     submitted: Pairs | None = None
     violations: tuple[Violation, ...] = ()
     choices: NameChoices | None = None
+    folded: frozenset[str] = frozenset()
 
     def with_submitted(self, pairs: Pairs, violations: Iterable[Violation]) -> MessageForm:
         """The same form as it was sent, with what does not fit beside its fields."""
@@ -261,7 +263,10 @@ class DeleteForm:
 
 @dataclass(frozen=True, slots=True)
 class ChoiceForm:
-    """A button for each of several things that may be asked for by its name, which is sent as the field `name`."""
+    """A button for each of several things that may be asked for by its name, which is sent as the field `name`.
+
+    `labels` are what buttons say that do not say that name.
+    """
 
     template: ClassVar[str] = "choice"
     name: str
@@ -270,6 +275,7 @@ class ChoiceForm:
     method: Method = "POST"
     about: str = ""
     action: str = ""
+    labels: Mapping[str, str] = field(default_factory=dict)
     controls: ClassVar[tuple[Control, ...]] = ()
     violations: ClassVar[tuple[Violation, ...]] = ()
 

@@ -82,7 +82,7 @@ _DRAWN = (
     ros.shape,
 )
 """What a page shows as a table or a form, and keeps folded beside that."""
-_STEPS = {"first": "First", "prev": "Previous", "next": "Next", "last": "Last"}
+_STEPS = {"first": "First", "prev": "Previous", "next": "Next", "last": "Last", "enclosure": "Download"}
 _FORMATS = (
     ("html", "a table on this page"),
     ("json", "JSON"),

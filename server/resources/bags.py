@@ -9,7 +9,7 @@ from starlette.responses import Response
 from rosld.adapters.base import Recording, Watch
 from rosld.ontology.urls import Space
 from rosld.server.history.recordings import Recordings
-from rosld.server.html import DeleteForm, Form
+from rosld.server.html import DeleteForm, Form, SequenceLink
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.bag_descriptions import describe_bag
 from rosld.server.rest.exchange import Exchange
@@ -90,6 +90,11 @@ class BagResource(Resource):
     async def forms(self) -> Sequence[Form]:
         about = "The recording and its file are deleted."
         return (DeleteForm("Delete the recording", "Delete", about),) if "DELETE" in self.methods() else ()
+
+    def navigation_links(self) -> tuple[SequenceLink, ...]:
+        """A button that saves its file, where it is one."""
+        is_file = self.recording is not self.recordings.history.recording and self.recording.path.is_file()
+        return (SequenceLink("enclosure", f"{self.url}file"),) if is_file else ()
 
     async def delete(self, exchange: Exchange) -> Answer:
         """Delete the recording and its file."""

@@ -10,18 +10,18 @@ from rosld.adapters.model.library import TypeLibrary
 from rosld.server.html import MessageForm, NameChoices
 
 _FIELDS = """string name
+float64 duration
 string topics
 float64 before
-float64 duration
 string trigger_resource
 string trigger_condition
 uint8 trigger_limit
 """
+_FOLDED = frozenset({"topics", "before", "trigger_resource", "trigger_condition", "trigger_limit"})
 _ABOUT = (
-    "Topics are names or globs with spaces between them, such as /odom /camera/*, and those that you tick; all where "
-    "there are none. Before: seconds out of the history. "
-    "Duration: seconds, 0 for as long as it takes. With a trigger it begins as a condition, such as percentage < 0.2, "
-    "comes to hold of the value at a URL."
+    "Topics: those that you tick, all where you tick none. Duration: seconds, 0 for as long as you like. More: globs "
+    "of topics with spaces between them, such as /odom /camera/*; seconds out of the history before; a condition, "
+    "such as percentage < 0.2, that begins the recording when it comes to hold of the value at a URL."
 )
 
 
@@ -40,6 +40,7 @@ def recording_form(topics: Mapping[str, str]) -> MessageForm:
         value={"trigger_limit": 1},
         about=_ABOUT,
         choices=NameChoices("topics", "Topics", topics),
+        folded=_FOLDED,
     )
 
 

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import asyncio
+import math
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
 from starlette.responses import Response
 
+from rosld.adapters.base import Watch
 from rosld.ontology.urls import Space
 from rosld.server.history.armed_recordings import ArmedRecording
 from rosld.server.history.recordings import Recordings, RunningRecording
-from rosld.server.html import ChoiceForm, DeleteForm, Form
+from rosld.server.html import ChoiceForm, Csrf, DeleteForm, Form, Notice, Page, Site
+from rosld.server.html.page import NoticeLevel
+from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import DataSchema
 from rosld.server.hypermedia.message_schemas import MessageSchemas
@@ -21,8 +26,12 @@ from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import PathItem, WriteMethod
 from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, READ, RESOURCE, Answer, Resource, ShownAnswer
 from rosld.server.rest.state import State
+from rosld.server.runtime.signals import call_every
 from rosld.server.runtime.version_cache import VersionCache
 from rosld.server.settings import Settings
+
+_LOOK_SECONDS = 1.0
+"""Between two looks of those who follow a recording that is being made."""
 
 
 class UnfinishedBag(Resource):
@@ -68,8 +77,42 @@ class RunningBag(UnfinishedBag):
         self.recordings = recordings
         self.one = one
 
+    @property
+    def _finished(self) -> Resource | None:
+        """The recording as it can be read, once it has ended: who follows it sees it end."""
+        recording = self.recordings.readable.get(self.one.name)
+        if recording is None:
+            return None
+        return BagResource(self.space, self.settings, self.states, self.recordings, recording)
+
     async def state(self) -> State:
-        return State(partial(describe_running, self.space, self.recordings, self.one))
+        if self._finished is not None:
+            return await self._finished.state()
+        if self.one.name not in self.recordings.running:
+            raise Problem(410, f"The recording {self.one.name} was deleted.")
+        writer, describe = self.one.writer, partial(describe_running, self.space, self.recordings, self.one)
+        said = f"{writer.count} {writer.size} {writer.problem} {len(writer.types)} {self._seconds_left}"
+        return State(describe, token=digest(said.encode("utf-8", "replace")))
+
+    async def watch(self, wake: Callable[[], None]) -> Watch:
+        return call_every(_LOOK_SECONDS, wake)
+
+    @property
+    def _seconds_left(self) -> int | None:
+        """The seconds until it ends by itself, None where it does not."""
+        timer = self.one.timer
+        return None if timer is None else max(0, math.ceil(timer.when() - asyncio.get_running_loop().time()))
+
+    def page(
+        self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]
+    ) -> Page | bytes:
+        finished, writer = self._finished, self.one.writer
+        if finished is not None:
+            return finished.page(site, state, forms, csrf, notices)
+        left = "until it is ended" if self._seconds_left is None else f"{self._seconds_left} s are left"
+        counted = f"{writer.count:,} messages of {len(writer.counts)} topics, {writer.size / 1e6:,.1f} MB"
+        told = Notice(f"Recording, {left}: {counted}", NoticeLevel.INFO, is_lasting=True)
+        return super().page(site, state, forms, csrf, (told, *notices))
 
     async def patch(self, exchange: Exchange) -> Answer:
         """End it: `{"status": "ended"}`, or that `ros:recordingStatus` is "ended" from now on.
@@ -79,16 +122,20 @@ class RunningBag(UnfinishedBag):
         before = describe_running(self.space, self.recordings, self.one).triples
         require_end(await exchange.body(), exchange.media_type, self.url, before)
         await self.recordings.end(self.one.name)
-        recording = self.recordings.readable.get(self.one.name)
-        if recording is None:
+        resource = self._finished
+        if resource is None:
             raise Problem(507, self.one.writer.problem or f"The recording {self.one.name} could not be completed.")
-        resource = BagResource(self.space, self.settings, self.states, self.recordings, recording)
         return ShownAnswer(resource, await resource.state())
 
     async def forms(self) -> Sequence[Form]:
+        if self._finished is not None:
+            return await self._finished.forms()
         if "PATCH" not in self.methods():
             return ()
-        end = ChoiceForm("status", ("ended",), "End the recording", method="PATCH", about="It can then be read.")
+        about = "It can then be read."
+        end = ChoiceForm(
+            "status", ("ended",), "End the recording", method="PATCH", about=about, labels={"ended": "End"}
+        )
         return (end, DeleteForm("Delete the recording", "Delete", "It ends, and what there is of it is deleted."))
 
     async def delete(self, exchange: Exchange) -> Answer:

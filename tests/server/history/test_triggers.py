@@ -229,6 +229,7 @@ def test_a_person_begins_ends_and_deletes_a_recording_on_its_pages(armed: Any) -
     http = armed.http
     page = http.get("/bags/", headers=HTML).text
     assert f'name="?choice" value="{SPEED}"' in page
+    assert page.index('name="duration"') < page.index("<summary>More</summary>") < page.index('name="before"')
     hidden = form(page, "POST")
     filled = {**hidden, "name": "by-hand", "topics": "", "?choice": SPEED, "before": "0", "duration": "0",
               "trigger_resource": "", "trigger_condition": "", "trigger_limit": "1"}  # fmt: skip
@@ -240,9 +241,17 @@ def test_a_person_begins_ends_and_deletes_a_recording_on_its_pages(armed: Any) -
     until(lambda: count(http, "/bags/by-hand/") > 0, "a message")
     path = "/bags/by-hand/"
     assert value(http, path, "recordsTopic") == SPEED
-    end_form = {**form(http.get(path, headers=HTML).text, "PATCH"), "status": "ended"}
-    ended = http.post(path, data=end_form, headers=HTML, follow_redirects=False)
-    assert ended.status_code == 303, ended.text
+    shown = http.get(path, headers=HTML).text
+    assert "<bdi>End</bdi></button>" in shown
+    assert ">Download</a>" not in shown
+    with http.stream("GET", f"{path}?format=html&rate=3", headers={"Accept": "text/event-stream"}) as followed:
+        lines = followed.iter_lines()
+        assert any("Recording, until it is ended: " in line for line in lines)
+        ended = http.post(path, data={**form(shown, "PATCH"), "status": "ended"}, headers=HTML, follow_redirects=False)
+        assert ended.status_code == 303, ended.text
+        assert any(
+            'href="/bags/by-hand/file" rel="enclosure" class="button" download>Download</a>' in line for line in lines
+        )
     assert value(http, path, "recordingStatus") is None
     delete_form = form(http.get(path, headers=HTML).text, "DELETE")
     gone = http.post(path, data=delete_form, headers=HTML, follow_redirects=False)

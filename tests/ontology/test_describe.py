@@ -157,13 +157,15 @@ def test_a_node_that_does_not_answer_says_why() -> None:
 # Topics
 
 
-def test_a_topic_names_type_endpoints_and_rate_even_before_it_is_known() -> None:
+def test_a_topic_names_type_and_endpoints_and_its_rate_once_that_was_measured() -> None:
     document = topic_document(GRAPH.topics["/chatter"], SPACE, GRAPH)
     assert own(document, ros.hasMessageType) == [NamedNode("https://w3id.org/rosld/types/geometry_msgs/msg/Point")]
     assert own(document, ros.publishedBy) == [url("nodes/talker")]
     assert own(document, ros.subscribedBy) == [url("nodes/listener")]
-    assert own(document, ros.rate) == [Literal("0.0", datatype=xsd.double)]
+    assert own(document, ros.rate) == []
     assert own(document, ros.latest) == []
+    measured = topic_document(GRAPH.topics["/chatter"], SPACE, GRAPH, 49.5)
+    assert own(measured, ros.rate) == [Literal("49.5", datatype=xsd.double)]
 
 
 def test_a_topic_that_is_a_namespace_too_links_to_its_container_and_back() -> None:

@@ -97,6 +97,7 @@ class Bag:
     end_ns: int
     topics: Mapping[str, Track]
     first: int = 0
+    silent: tuple[str, ...] = ()
 
 
 BAG = Bag("walk", "rosbag1", 7, SECOND, 3 * SECOND, {"/odom": Track("/odom", TypeRef(TWIST), 7)})

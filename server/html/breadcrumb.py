@@ -5,6 +5,9 @@ from __future__ import annotations
 from rosld.server.html.site import Anchor, Site, readable_path
 from rosld.server.html.view import escape_controls
 
+_CONTAINERS = {"bags": "recordings"}
+"""Containers at the top that are called otherwise than in URLs."""
+
 
 def breadcrumb(site: Site, url: str) -> tuple[Anchor, ...]:
     """A link for each level above `url` and, last, one for itself; none for URLs that are not of this site."""
@@ -17,7 +20,7 @@ def breadcrumb(site: Site, url: str) -> tuple[Anchor, ...]:
     here = site.base
     for part in parts:
         here = f"{here}{part}/"
-        crumbs.append(_crumb(site, here, _words(part)))
+        crumbs.append(_crumb(site, here, _words(part) if len(crumbs) > 1 else _CONTAINERS.get(part) or _words(part)))
     if leaf:
         crumbs.append(_crumb(site, f"{here}{leaf}", _words(leaf)))
     return tuple(crumb for crumb in crumbs if crumb.url == path or site.may("GET", crumb.url))

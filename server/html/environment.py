@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import re
 from functools import cache
 from importlib.resources import files
 
 from jinja2 import DictLoader, Environment, StrictUndefined
+from markupsafe import Markup
 
 from rosld.server.html.auto_refresh import MAX_RATE
 from rosld.server.html.forms import CHOICE_FIELD, CSRF_FIELD, METHOD_FIELD
 from rosld.server.html.frame import Frame
 from rosld.server.html.view import escape_controls
+
+_PARTS = re.compile(r"/?[^/_]+[/_]*|[/_]+")
+_LONGEST_WORD = 30
+"""Characters that fit into a line on a phone."""
 
 
 @cache
@@ -25,6 +31,7 @@ def _environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters["breakable"] = _breakable
     environment.filters["grouped"] = lambda number: f"{number:,}"
     environment.globals |= {"csrf_field": CSRF_FIELD, "method_field": METHOD_FIELD, "choice_field": CHOICE_FIELD}
     environment.globals["live_rate"] = MAX_RATE
@@ -45,6 +52,15 @@ def render_template(template: str, frame: Frame, **values: object) -> bytes:
     """
     text = _environment().get_template(template).render(frame=frame, site=frame.site, **values)
     return text.encode("utf-8", "replace")
+
+
+def _breakable(text: str) -> Markup:
+    """A name that lines break after its slashes and underscores, and within a word only where that is very long."""
+    parts = _PARTS.findall(escape_controls(text))
+    name = Markup("<wbr>").join(parts)
+    if len(parts) == 1 or max(map(len, parts)) > _LONGEST_WORD:
+        return name
+    return Markup('<span class="whole">{}</span>').format(name)
 
 
 def _printable(value: object) -> object:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from rosld.ontology.describe_graph import SECTIONS
 from rosld.server.html.assets import ASSETS, ASSETS_VERSION
 from rosld.server.html.breadcrumb import breadcrumb
-from rosld.server.html.labels import capitalize
 from rosld.server.html.page import Notice, NoticeLevel
 from rosld.server.html.site import Anchor, Site
 from rosld.server.html.view import escape_controls
 
+_VIEWS = (("space", "Space"), ("graph", "Graph"), ("diagnostics", "Diagnostics"))
 _LOUDEST_FIRST = (NoticeLevel.ERROR, NoticeLevel.WARNING, NoticeLevel.GOOD, NoticeLevel.INFO)
 
 
@@ -42,19 +43,16 @@ class Frame:
     @property
     def navigation(self) -> tuple[tuple[Anchor, bool], ...]:
         """The sections of the site, and whether the page lies in each."""
-        anchors = [
-            Anchor(f"{self.site.root}{name}/", capitalize(name), f"{self.site.base}{name}/")
-            for name in self.site.sections
-        ]
-        anchors.append(Anchor(f"{self.site.root}sparql", "SPARQL", f"{self.site.base}sparql"))
-        cockpits = f"{self.site.base}cockpit/"
-        cockpit = (Anchor(f"{self.site.root}cockpit/default", "Cockpit", cockpits),) if self._can_see_cockpit else ()
-        found = (*cockpit, *(each for each in anchors if self.site.may("GET", each.url)))
-        return tuple((each, self.url.startswith(each.url)) for each in found)
+        site = self.site
+        sections = [(f"{name}/", SECTIONS[name]) for name in site.sections]
+        places = (("cockpit/default", "Cockpit"), *_VIEWS, *sections, ("sparql", "SPARQL"))
+        found = (Anchor(f"{site.root}{path}", words, f"{site.base}{path}") for path, words in places)
+        return tuple((each, self._lies_in(each.url)) for each in found if site.may("GET", each.url))
 
-    @property
-    def _can_see_cockpit(self) -> bool:
-        return self.site.may("GET", f"{self.site.base}cockpit/default")
+    def _lies_in(self, section: str) -> bool:
+        """Whether the page is this section or below it; the default cockpit stands for all."""
+        path = self.url.partition("?")[0]
+        return path == section or path.startswith(f"{section.removesuffix('default').removesuffix('/')}/")
 
 
 def page_frame(

@@ -23,7 +23,7 @@ SECTIONS = (
     "data",
     "queries",
 )
-"""What the navigation of every page offers, beside SPARQL."""
+"""The containers among what the navigation of every page offers."""
 
 _NAMED = frozenset({"nodes", "topics", "services", "actions", "parameters", "resources"})
 _UNSAFE = re.compile(r"[\x00-\x20\x7f-\xa0\\\u2028\u2029\u202a-\u202e\u2066-\u2069]")

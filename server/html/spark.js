@@ -34,7 +34,7 @@ Without this file the mark beside a number is a link to its plot all the same. *
     const size = { viewBox: `0 0 ${WIDTH} ${HEIGHT}`, width: WIDTH, height: HEIGHT, "aria-hidden": "true" };
     for (const [name, value] of Object.entries(size)) made.setAttribute(name, value);
     made.append(line);
-    link.replaceChildren(made);
+    link.querySelector(".line").replaceChildren(made);
     return line;
   }
 

@@ -34,7 +34,7 @@ from rosld.server.runtime.version_cache import VersionCache
 class BagContainer(Resource):
     """`/bags/`: the recordings of this source, the history, and those that clients make or send."""
 
-    kind = "Bags"
+    kind = "Recordings"
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
     accepts: Mapping[str, Sequence[str]] = {"POST": MEDIA_TYPES}
 

@@ -26,7 +26,7 @@ _TOPIC_BYTES = 200
 class BagResource(Resource):
     """One recording that can be read."""
 
-    kind = "Bag"
+    kind = "Recording"
     is_cacheable = False
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
 

@@ -24,7 +24,7 @@ from rosld.server.space.drawing import can_place
 _COCKPIT = "What the robot is like and can do, on one page of panels."
 _DIAGNOSTICS = "What the parts of the robot say of themselves."
 _SPACE = "Scans, maps, paths and frames, seen from above."
-_FIRST = "What the robot is like now, and what it can do: values to read and to set, actions, links."
+_RESOURCES = "What the robot is like now, and what it can do: values to read and to set, actions, links."
 
 
 def _count_readable(names: Collection[str], url: Callable[[str], str], site: Site) -> int:
@@ -67,9 +67,11 @@ class EntryResource(Resource):
             "parameters": _count_readable(graph.parameters, space.parameter, site),
             "bags": _count_readable(self.recordings.readable, space.bag, site),
         }
-        first = EntryCount(SECTIONS["resources"], None, space.container("resources"), _FIRST, first=True)
         goals = ("goals",) if graph.actions else ()
-        counts = [first, EntryCount("Cockpit", None, space.cockpit("default"), _COCKPIT)]
+        counts = [
+            EntryCount("Cockpit", None, space.cockpit("default"), _COCKPIT, first=True),
+            EntryCount(SECTIONS["resources"], None, space.container("resources"), _RESOURCES),
+        ]
         if any(ref.name == DIAGNOSTIC_ARRAY for topic in graph.topics.values() for ref in topic.types):
             counts.append(EntryCount("Diagnostics", None, f"{space.base}diagnostics", _DIAGNOSTICS))
         if any(can_place(ref.name) for topic in graph.topics.values() for ref in topic.types):

@@ -133,8 +133,10 @@ class PageRenderer:
         if state.is_large:
             excerpt = await self._large.excerpt(state)
             state = excerpt_state(state, excerpt)
-            words = f"This page shows the first {len(excerpt.document.triples):,} of {excerpt.total:,} triples."
-            notices = (*notices, Notice(words, link=NoticeLink("?format=ttl", "All of them, as Turtle")))
+            shown = len(excerpt.document.triples)
+            if shown < excerpt.total:
+                words = f"This page shows the first {shown:,} of {excerpt.total:,} triples."
+                notices = (*notices, Notice(words, link=NoticeLink("?format=ttl", "All of them, as Turtle")))
         may_read = permissions.may_read
         forms = [each.with_choices_of(may_read) if isinstance(each, MessageForm) else each for each in forms]
         page = resource.page(self.site_for(permissions), state, forms, self._csrf(resource, permissions), notices)

@@ -16,6 +16,7 @@ from starlette.responses import Response
 
 from rosld.adapters.base import Watch
 from rosld.adapters.model import RosError
+from rosld.ontology.describe_graph import SECTIONS
 from rosld.server.auth.permissions import Permissions
 from rosld.server.dataset.base import TripleChanges
 from rosld.server.html import Csrf, Form, MemberColumns, Notice, Page, SequenceLink, Site
@@ -279,7 +280,7 @@ def _not_there(resource: Resource, method: str) -> Problem:
 def _heading(title: str, path: str) -> str:
     """What the page at a path below the base is headed by: a container right there by its own name."""
     route, slash, rest = path.partition("/")
-    return route.capitalize() if slash and not rest else title or path
+    return SECTIONS.get(route, route.capitalize()) if slash and not rest else title or path
 
 
 def permanent_redirect(url: str) -> Problem:

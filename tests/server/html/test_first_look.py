@@ -32,7 +32,7 @@ def page(http: httpx.Client, path: str) -> tuple[str, str]:
 def test_the_entry_page_begins_with_what_there_is_and_folds_its_rdf(rover: httpx.Client) -> None:
     seen, folded = page(rover, "/")
     cards = re.findall(r'<span class="name">([^<]+)</span>', seen)
-    assert cards[:4] == ["Resources", "Cockpit", "Diagnostics", "Space"]
+    assert cards[:4] == ["Cockpit", "Resources", "Diagnostics", "Space"]
     assert "hydra:IriTemplate" in folded
     assert "hydra:IriTemplate" not in seen
 

@@ -14,7 +14,7 @@ from rosld.server.html import ASSETS, CONTENT_SECURITY_POLICY
 from tests.server.html.hostile_pages import HOSTILE
 from tests.server.html.real_pages import NAMES
 
-VOID = frozenset({"meta", "link", "img", "input", "br", "hr"})
+VOID = frozenset({"meta", "link", "img", "input", "br", "hr", "wbr"})
 PAGES = (*NAMES, "hostile", "hostile_offer")
 
 

@@ -15,7 +15,8 @@ from rosld.server.html import ASSETS, HEADERS
 
 WIDTH = 360
 MEASURE = """(() => {
-// What in the header is less than four pixels from something else in it, or reaches beyond the page.
+// What in the header is less than four pixels from something else in it, or reaches beyond the page; links that are
+// out of sight at the end of their line do neither.
 function crowding(page, name) {
   page.querySelector(".brand bdi").textContent = name;
   const live = page.querySelector(".liveness");
@@ -24,17 +25,20 @@ function crowding(page, name) {
     live.querySelector("[role=status]").textContent = "Not live";
     live.querySelector("button").textContent = "Pause";
   }
+  const end = page.querySelector(".bar nav").getBoundingClientRect().right;
   const words = [...page.querySelectorAll(".brand bdi, .bar nav li, .bar .stop button, .bar .liveness > *")];
   const boxes = words.filter((each) => each.checkVisibility() && each.textContent).map((each) => {
     const range = page.ownerDocument.createRange();
     range.selectNodeContents(each);
     const told = range.getBoundingClientRect(), box = each.matches("button") ? each.getBoundingClientRect() : told;
-    return {text: each.textContent, left: box.left, right: box.right, top: box.top, bottom: box.bottom};
-  });
+    const right = each.closest("nav") ? Math.min(box.right, end) : box.right;
+    return {text: each.textContent, left: box.left, right, top: box.top, bottom: box.bottom};
+  }).filter((each) => each.left < each.right);
   const near = (one, other) => one.left < other.right + 4 && other.left < one.right + 4 &&
     one.top < other.bottom && other.top < one.bottom;
+  const high = page.querySelector("header.top").offsetHeight > 110 ? [`${name}: ${page.querySelector("header.top").offsetHeight} high`] : [];
   return boxes.filter((one) => one.right > page.clientWidth || boxes.some((other) => other !== one && near(one, other)))
-    .map((one) => `${name}: ${one.text}`);
+    .map((one) => `${name}: ${one.text}`).concat(high);
 }
   const page = document.documentElement;
   const styled = getComputedStyle(page.querySelector("main")).maxWidth !== "none";

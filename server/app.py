@@ -35,6 +35,7 @@ from rosld.server.resources.acl import AclResource
 from rosld.server.resources.channels import Notifications, fixed_resources
 from rosld.server.resources.channels import routes as notification_routes
 from rosld.server.resources.frames import FramesResource
+from rosld.server.resources.goal_targets import GoalTargets
 from rosld.server.resources.mapping_warnings import log_mapping_warnings
 from rosld.server.resources.mirror import ReplicationResource
 from rosld.server.resources.mirror_setup import create_mirror
@@ -83,9 +84,10 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
         space, services.instance_id, Channels(services.instance_id), broadcasters, names, router.resolve
     )
     router.add(notification_routes(notifications, routes[".well-known"]))
+    goals = GoalTargets(session, factory.topic, factory.action)
     views: dict[str, Callable[[], PlotResource | SpaceResource]] = {
         "plot": partial(PlotResource, session, services.affordances, factory.history, broadcasters),
-        "space": partial(SpaceResource, session, scene, factory.history, broadcasters),
+        "space": partial(SpaceResource, session, scene, factory.history, broadcasters, goals),
     }
     changing: dict[str, Callable[[], Resource]] = {
         "status": partial(StatusResource, space, lambda: session.graph, services.problems, watchdog),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import orjson
@@ -29,6 +29,7 @@ PERIOD = 0.04
 _LONGEST = 1.0
 """Seconds after which is looked again although nothing came."""
 _FRAMES_PERIOD = 0.1
+_GOALS_PERIOD = 0.5
 _MAX_FRAMES = 200
 """Frames that are drawn."""
 
@@ -53,6 +54,7 @@ class ShownTopic:
 class SpaceSource:
     """What a stream reads from; `frames` is None for an agent that may not read them.
 
+    `goals` gives what poses may be sent to and the time for their headers, None where it is simulated.
     `has_cloud_files`: the reader draws the points of a cloud from its file, so that the stream need not tell them, too.
     """
 
@@ -61,6 +63,7 @@ class SpaceSource:
     frames: LiveFrames | None
     shown: Callable[[], Sequence[ShownTopic]]
     is_valid: Callable[[], bool]
+    goals: Callable[[], Awaitable[tuple[Sequence[Mapping[str, object]], float | None]]]
     has_cloud_files: bool = False
 
 
@@ -70,7 +73,8 @@ class SpaceStream(EndlessResponse):
     Each event is a JSON object. `show`: the topics of the view, first of all and whenever they are others. `frame`:
     what the view is fixed to. `frames`: the name, the parent and the pose of each frame that is connected to it.
     `things`: by place, what is drawn of a new message (`drawing`), where the frame of the message is (`pose`), or why
-    that cannot be said (`problem`). What is as it was is left out.
+    that cannot be said (`problem`). `goals`: what a pose can be sent to, with the time for its header (`now`, in
+    seconds). What is as it was is left out.
     """
 
     def __init__(self, broadcasters: Broadcasters, source: SpaceSource, fixed: str) -> None:
@@ -125,6 +129,8 @@ class _View:
         self._frame: str | None = None
         self._frames: object = None
         self._framed_at = 0.0
+        self._goals: Sequence[Mapping[str, object]] = ()
+        self._aimed_at = 0.0
         if source.frames is not None:
             stack.callback(source.frames.watch(wake).close)
         stack.callback(self._close)
@@ -142,6 +148,12 @@ class _View:
             event["show"] = [
                 {"label": each.name, "kind": each.kind, "href": each.href, "history": each.history} for each in shown
             ]
+        if time.monotonic() - self._aimed_at >= _GOALS_PERIOD:
+            self._aimed_at = time.monotonic()
+            goals, now = await self._source.goals()
+            if goals != self._goals:
+                event["goals"], event["now"] = goals, now
+                self._goals = goals
         drawn = [(place, each, await self._source.drawings.newest(each.name)) for place, each in enumerate(shown)]
         buffer = FrameBuffer() if self._source.frames is None else await self._source.frames.look()
         fixed = self._fixed or buffer.default_frame() or _first_frame([found for _, _, found in drawn])

@@ -13,6 +13,98 @@ is in the frame that the view is fixed to. Without this file, and space_view.js,
   const colour = (at, name) => getComputedStyle(at).getPropertyValue(name).trim();
   const isDark = matchMedia("(prefers-color-scheme: dark)");
 
+  /* Asks whether a goal is to be sent: shows what and where to, and sends it. Escape cancels. */
+  class GoalDialog {
+    constructor(view) {
+      this.view = view;
+      const number = (step) => element("input", { type: "number", step, required: true });
+      this.target = element("select");
+      [this.x, this.y, this.heading] = [number("any"), number("any"), number("any")];
+      this.text = element("code");
+      this.error = element("p", { className: "error" });
+      this.error.setAttribute("role", "alert");
+      this.send = element("button", { type: "submit", textContent: "Send" });
+      const title = element("h2", { textContent: "Send a goal?", id: "goal-title" });
+      const field = (words, input) => element("label", {}, words, input);
+      const form = element("form", {}, title, field("To ", this.target),
+        element("div", { className: "goal" }, field("x, m ", this.x), field("y, m ", this.y), field("heading, ° ", this.heading)),
+        element("pre", {}, this.text), this.error,
+        element("p", { className: "do" }, this.send, " ", button("Cancel", "Cancel", () => this.dialog.close())));
+      this.dialog = element("dialog", { className: "form" }, form);
+      this.dialog.setAttribute("aria-labelledby", "goal-title");
+      form.addEventListener("input", () => this.show());
+      form.addEventListener("submit", (event) => {
+        event.preventDefault();
+        this.post();
+      });
+      this.dialog.addEventListener("close", () => {
+        this.dialog.remove();
+        view.aim = null;
+        view.renew();
+      });
+    }
+
+    open({ x, y, heading }) {
+      const { goals, canvas } = this.view, chosen = this.target.value;
+      this.target.replaceChildren(...goals.map(({ name, url, type }) => element("option", { value: url, textContent: `${name} (${type})` })));
+      if (goals.some(({ url }) => url === chosen)) this.target.value = chosen;
+      [this.x.value, this.y.value, this.heading.value] = [x.toFixed(3), y.toFixed(3), ((heading * 180) / Math.PI).toFixed(1)];
+      this.error.textContent = "";
+      this.send.disabled = false;
+      document.body.append(this.dialog);
+      this.show();
+      this.dialog.showModal();
+      this.send.focus();
+      canvas.dataset.asked = Number(canvas.dataset.asked ?? 0) + 1;
+    }
+
+    get goal() {
+      return this.view.goals.find(({ url }) => url === this.target.value);
+    }
+
+    /* The message: the pose in the frame that the view is fixed to, with the time of the server. */
+    message() {
+      const { frame, clock } = this.view, { field, stamped } = this.goal, half = (Number(this.heading.value) * Math.PI) / 360;
+      const now = clock.now === null ? 0 : clock.now + (performance.now() - clock.read) / 1000, sec = Math.floor(now);
+      const position = { x: Number(this.x.value), y: Number(this.y.value), z: 0 };
+      const pose = { position, orientation: { x: 0, y: 0, z: Math.sin(half), w: Math.cos(half) } };
+      const stamp = { sec, nanosec: Math.floor((now - sec) * 1e9) };
+      const value = stamped ? { header: { stamp, frame_id: frame }, pose } : pose;
+      return field ? { [field]: value } : value;
+    }
+
+    show() {
+      const { goal } = this;
+      if (!goal) return this.refuse("Nothing takes goals any more.");
+      this.text.textContent = `${goal.method} ${goal.url}\n${JSON.stringify(this.message(), null, 2)}`;
+      const half = (Number(this.heading.value) * Math.PI) / 360;
+      this.view.aim = { x: Number(this.x.value), y: Number(this.y.value), heading: 2 * half };
+      this.view.renew();
+    }
+
+    refuse(words) {
+      this.error.textContent = words;
+      this.send.disabled = false;
+    }
+
+    async post() {
+      const { goal } = this;
+      if (!goal) return this.refuse("Nothing takes goals any more.");
+      this.send.disabled = true;
+      const headers = { accept: "application/json", "content-type": "application/json", prefer: "return=minimal" };
+      try {
+        const answer = await fetch(goal.url, { method: goal.method, headers, body: JSON.stringify(this.message()) });
+        if (!answer.ok) return this.refuse((await answer.json()).detail);
+        const place = answer.headers.get("location"), said = answer.status === 202 ? "Sent, and nobody heard it: " : "Sent to ";
+        const link = place ? element("a", { href: new URL(place, location.href).pathname, textContent: goal.name }) : goal.name;
+        this.view.readout.replaceChildren(said, link);
+        this.dialog.close();
+      } catch {
+        this.refuse("There was no answer: it is not known whether the goal arrived.");
+      }
+    }
+  }
+
   /* A pose (x, y, z and a quaternion) as the two upper rows of its matrix: all that is seen from above. */
   function rows([x, y, z, a, b, c, w]) {
     return [
@@ -42,6 +134,11 @@ is in the frame that the view is fixed to. Without this file, and space_view.js,
       this.centre = [0, 0];
       this.scale = 50; // pixels of a metre
       this.pointers = new Map();
+      this.goals = []; // what a pose can be sent to
+      this.clock = { now: null, read: 0 }; // the server's time when they were told, and the page's
+      this.aim = null; // the pose that is being chosen
+      this.isAiming = false;
+      this.dialog = new GoalDialog(this);
       this.build();
     }
 
@@ -50,10 +147,15 @@ is in the frame that the view is fixed to. Without this file, and space_view.js,
       this.words.setAttribute("role", "status");
       const frames = element("input", { type: "checkbox", checked: true });
       frames.addEventListener("change", () => { this.hasFrames = frames.checked; this.renew(); });
+      this.tool = button("Send a goal", "Send a goal: click on the map, and drag for the heading", ({ detail }) => {
+        if (detail) this.startAiming(!this.isAiming);
+        else this.dialog.open({ x: this.centre[0], y: this.centre[1], heading: 0 }); // by the keyboard
+      });
+      this.tool.hidden = true;
       this.controls = element("div", { className: "controls" }, this.words,
         button("Fit", "Fit", () => { this.isMoved = false; this.followNothing(); this.fit(); }),
         button("\u2212", "Zoom out", () => this.zoom(0.7)), button("+", "Zoom in", () => this.zoom(1 / 0.7)),
-        this.chooseFollowed(), element("label", { className: "tick" }, frames, " Frames"));
+        this.chooseFollowed(), element("label", { className: "tick" }, frames, " Frames"), this.tool);
       this.canvas = element("canvas", { tabIndex: 0 });
       this.canvas.setAttribute("role", "img");
       this.canvas.setAttribute("aria-label", "Seen from above. Arrow keys move it, plus and minus zoom, 0 fits all in.");
@@ -68,7 +170,8 @@ is in the frame that the view is fixed to. Without this file, and space_view.js,
       canvas.addEventListener("keydown", (event) => {
         const far = 60 / this.scale;
         const moves = { ArrowLeft: [-far, 0], ArrowRight: [far, 0], ArrowUp: [0, far], ArrowDown: [0, -far] };
-        if (moves[event.key]) this.move(...moves[event.key]);
+        if (event.key === "Escape" && this.isAiming) this.startAiming(false);
+        else if (moves[event.key]) this.move(...moves[event.key]);
         else if (event.key === "+" || event.key === "=") this.zoom(1.25);
         else if (event.key === "-") this.zoom(0.8);
         else if (event.key === "0") { this.isMoved = false; this.fit(); }
@@ -82,9 +185,20 @@ is in the frame that the view is fixed to. Without this file, and space_view.js,
       }, { passive: false });
       canvas.addEventListener("pointerdown", (event) => {
         canvas.setPointerCapture(event.pointerId);
+        if (this.isAiming && event.button === 0) {
+          const [x, y] = this.place(event);
+          this.aim = { x, y, heading: 0, pointer: event.pointerId };
+          return this.renew();
+        }
         this.pointers.set(event.pointerId, [event.clientX, event.clientY]);
       });
-      const end = (event) => this.pointers.delete(event.pointerId);
+      const end = (event) => {
+        this.pointers.delete(event.pointerId);
+        if (this.aim?.pointer !== event.pointerId) return;
+        const aim = this.aim;
+        this.startAiming(false);
+        if (event.type === "pointerup") this.dialog.open(aim);
+      };
       canvas.addEventListener("pointerup", end);
       canvas.addEventListener("pointercancel", end);
       canvas.addEventListener("pointermove", (event) => this.point(event));
@@ -99,6 +213,11 @@ is in the frame that the view is fixed to. Without this file, and space_view.js,
     point(event) {
       const place = this.place(event);
       this.readout.textContent = `${place[0].toFixed(2)}, ${place[1].toFixed(2)} m${this.frame ? ` in ${this.frame}` : ""}`;
+      if (this.aim?.pointer === event.pointerId) {
+        const [along, across] = [place[0] - this.aim.x, place[1] - this.aim.y];
+        if (Math.hypot(along, across) * this.scale > 8) this.aim.heading = Math.atan2(across, along);
+        return this.renew();
+      }
       const before = this.pointers.get(event.pointerId);
       if (!before) return;
       const now = [event.clientX, event.clientY];
@@ -107,6 +226,20 @@ is in the frame that the view is fixed to. Without this file, and space_view.js,
       if (!other) return this.move((before[0] - now[0]) / this.scale, (now[1] - before[1]) / this.scale);
       const apart = (each) => Math.hypot(each[0] - other[0], each[1] - other[1]) || 1;
       this.zoom(apart(now) / apart(before), this.place({ clientX: (now[0] + other[0]) / 2, clientY: (now[1] + other[1]) / 2 }));
+    }
+
+    /* Whether the next click on the map chooses a goal. */
+    startAiming(isAiming) {
+      this.isAiming = isAiming;
+      this.aim = null;
+      this.tool.setAttribute("aria-pressed", isAiming);
+      this.canvas.classList.toggle("aiming", isAiming);
+      if (isAiming) {
+        this.isMoved = true; // it stays as it is under the pointer
+        this.readout.textContent = "Click the goal, drag for its heading. Escape cancels.";
+        this.canvas.focus({ preventScroll: true });
+      }
+      this.renew();
     }
 
     place({ clientX, clientY }) {
@@ -173,12 +306,18 @@ is in the frame that the view is fixed to. Without this file, and space_view.js,
 
     /* What comes */
 
-    take({ show, frame, frames, things }) {
+    take({ show, frame, frames, things, goals, now: time }) {
       if (show) this.show(show);
+      if (goals) {
+        this.goals = goals;
+        this.clock = { now: time, read: performance.now() };
+      }
       if (frame !== undefined) {
         this.frame = frame;
         for (const thing of this.things) thing.matrix = null;
       }
+      this.tool.hidden = !this.goals.length || !this.frame; // a pose has a frame
+      if (this.tool.hidden && this.isAiming) this.startAiming(false);
       if (frames) this.setFrames(frames);
       let isNew = false;
       for (const each of things ?? []) isNew = this.set(this.things[each.place], each) || isNew;
@@ -299,6 +438,7 @@ is in the frame that the view is fixed to. Without this file, and space_view.js,
       this.drawRule(context, width, height);
       for (const thing of shown) this.drawThing(context, thing);
       if (this.hasFrames) this.drawFrames(context);
+      if (this.aim) this.drawAim(context);
       canvas.dataset.drawn = Number(canvas.dataset.drawn ?? 0) + 1;
       canvas.dataset.messages = this.things.reduce((sum, { count }) => sum + (count ?? 0), 0);
       canvas.dataset.things = shown.map(({ label }) => label).join(" ");
@@ -397,6 +537,19 @@ is in the frame that the view is fixed to. Without this file, and space_view.js,
       for (const [turn, far] of [[0, size * 1.4], [2.5, size], [Math.PI, size * 0.45], [-2.5, size]]) context.lineTo(...corner(turn, far));
       context.closePath();
       context.fill();
+    }
+
+    /* The pose that is being chosen. */
+    drawAim(context) {
+      const { x, y, heading } = this.aim, half = heading / 2;
+      context.strokeStyle = context.fillStyle = colour(this.canvas, "--bad");
+      context.beginPath();
+      context.arc(this.x(x), this.y(y), 5, 0, 2 * Math.PI);
+      context.moveTo(this.x(x), this.y(y));
+      const tip = [x + (30 / this.scale) * Math.cos(heading), y + (30 / this.scale) * Math.sin(heading)];
+      context.lineTo(this.x(tip[0]), this.y(tip[1]));
+      context.stroke();
+      this.drawArrow(context, rows([0, 0, 0, 0, 0, 0, 1]), [...tip, 0, 0, 0, Math.sin(half), Math.cos(half)], false);
     }
 
     drawEllipse(context, { matrix: m, drawing }) {

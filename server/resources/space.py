@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 
 import orjson
@@ -30,6 +30,7 @@ from rosld.server.hypermedia.data_schema import DataSchema
 from rosld.server.hypermedia.json_schema import TEXT, URI
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.pictures.form import OCCUPANCY_GRID
+from rosld.server.resources.goal_targets import GoalTarget, GoalTargets
 from rosld.server.resources.memento import is_recorded
 from rosld.server.resources.namespaces import listed_graph
 from rosld.server.rest.exchange import Exchange
@@ -83,8 +84,23 @@ _PLAIN: DataSchema = {
                 "required": ["topic", "kind", "frame", "pose", "problem"],
             },
         },
+        "goals": {
+            "type": "array",
+            "items": {
+                "type": "object",
+                "properties": {
+                    "url": URI,
+                    "name": TEXT,
+                    "type": TEXT,
+                    "method": {"type": "string", "enum": ["POST", "PUT"]},
+                    "field": TEXT,
+                    "stamped": {"type": "boolean"},
+                },
+                "required": ["url", "name", "type", "method", "field", "stamped"],
+            },
+        },
     },
-    "required": ["frame", "show"],
+    "required": ["frame", "show", "goals"],
 }
 
 
@@ -102,6 +118,7 @@ class SpaceResource(Resource):
         scene: Scene,
         history: History,
         broadcasters: Broadcasters,
+        goals: GoalTargets,
         frame: str = "",
         references: Sequence[str] = (),
         permissions: Permissions = ALLOW_ALL,
@@ -116,6 +133,7 @@ class SpaceResource(Resource):
         self.scene = scene
         self.history = history
         self._broadcasters = broadcasters
+        self._goals = goals
         self._permissions = permissions
         self._topics: Sequence[SpaceTopic] = ()
         self._frames: Sequence[str] = ()
@@ -146,6 +164,7 @@ class SpaceResource(Resource):
             self.scene,
             self.history,
             self._broadcasters,
+            self._goals,
             frame,
             references,
             exchange.permissions,
@@ -174,7 +193,10 @@ class SpaceResource(Resource):
             pose, problem = place_drawing(each, buffer, self._fixed)
             topics.append(SpaceTopic(url, kind, each.drawing.frame if each.drawing else "", pose, problem))
         self._topics = topics
-        plain = orjson.dumps({"frame": self._fixed or None, "show": [_topic_json(each) for each in topics]})
+        goals = [_target_json(each, each.url) for each in await self._goals.offered(self._permissions)]
+        plain = orjson.dumps(
+            {"frame": self._fixed or None, "show": [_topic_json(each) for each in topics], "goals": goals}
+        )
         return State(partial(_document, self.url, [each.url for each in topics]), lambda: plain, digest(plain))
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
@@ -191,9 +213,17 @@ class SpaceResource(Resource):
             self.scene.frames if self._may_read_frames else None,
             lambda: self._shown_topics(self.session.graph, names),
             exchange.auth.is_valid,
+            self._sent_goals,
             self.is_3d,
         )
         return SpaceStream(self._broadcasters, source, self.frame)
+
+    async def _sent_goals(self) -> tuple[Sequence[Mapping[str, object]], float | None]:
+        """What poses are sent to, by references relative to the host, and the time for their headers."""
+        space = self.session.space
+        found = await self._goals.offered(self._permissions)
+        targets = [_target_json(each, space.path + each.url.removeprefix(space.base)) for each in found]
+        return targets, self._goals.now
 
     def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
         graph, said = self.session.graph, list(notices)
@@ -299,6 +329,17 @@ def _kind(graph: Graph, name: str) -> str:
 def _topic_json(topic: SpaceTopic) -> dict[str, object]:
     pose = None if topic.pose is None else pose_json(topic.pose)
     return {"topic": topic.url, "kind": topic.kind, "frame": topic.frame, "pose": pose, "problem": topic.problem}
+
+
+def _target_json(target: GoalTarget, reference: str) -> dict[str, object]:
+    return {
+        "url": reference,
+        "name": target.name.encode("utf-8", "replace").decode(),
+        "type": target.type,
+        "method": target.method,
+        "field": target.field,
+        "stamped": target.is_stamped,
+    }
 
 
 def _document(url: str, topics: Sequence[str]) -> Document:

@@ -36,7 +36,7 @@ function crowding(page, name) {
   }).filter((each) => each.left < each.right);
   const near = (one, other) => one.left < other.right + 4 && other.left < one.right + 4 &&
     one.top < other.bottom && other.top < one.bottom;
-  const high = page.querySelector("header.top").offsetHeight > 110 ? [`${name}: ${page.querySelector("header.top").offsetHeight} high`] : [];
+  const high = page.querySelector("header.top").offsetHeight > 110 ? [`${name}: high`] : [];
   return boxes.filter((one) => one.right > page.clientWidth || boxes.some((other) => other !== one && near(one, other)))
     .map((one) => `${name}: ${one.text}`).concat(high);
 }

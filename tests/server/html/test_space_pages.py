@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -42,6 +44,75 @@ def test_the_page_of_a_scan_has_its_view_which_lives_with_the_page(tab: Any, rov
     tab.until(f"{DATA}.things === '/scan' && Number({DATA}.messages) > 20")
     assert tab.run("document.querySelectorAll('.space canvas').length") == 1
     assert tab.run("document.querySelector('.space figcaption a').getAttribute('href')") == "/space?show=topics/scan"
+
+
+def drag(tab: Any, start: tuple[float, float], end: tuple[float, float]) -> None:
+    for kind, (x, y) in (("mouseMoved", start), ("mousePressed", start), ("mouseMoved", end), ("mouseReleased", end)):
+        tab.send("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+
+
+def aim(tab: Any) -> tuple[float, float]:
+    """Choose a goal on the map, 120 pixels from the left and the top, heading up; where that is in space."""
+    tool = "[...document.querySelectorAll('.space .controls button')].at(-1)"
+    tab.until(f"!{tool}.hidden")
+    tab.run(f"void {CANVAS}.scrollIntoView({{block: 'center'}})")
+    centre = "(({x, y, width, height}) => [x + width / 2, y + height / 2])"
+    tab.press(*tab.run(f"{centre}({tool}.getBoundingClientRect())"))
+    tab.until(f"{CANVAS}.classList.contains('aiming')")
+    x, y = tab.run(f"(({{x, y}}) => [x + 120, y + 120])({CANVAS}.getBoundingClientRect())")
+    tab.send("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y)
+    words = tab.until("document.querySelector('.space .readout').textContent.match(/^(.*), (.*) m in map$/)?.slice(1)")
+    drag(tab, (x, y), (x, y - 40))
+    tab.until("document.querySelector('dialog[open]')")
+    return float(words[0]), float(words[1])
+
+
+def press_key(tab: Any, key: str) -> None:
+    for kind in ("keyDown", "keyUp"):
+        tab.send("Input.dispatchKeyEvent", type=kind, key=key, code=key, windowsVirtualKeyCode=27)
+
+
+def test_a_click_on_the_map_sends_the_goal_of_an_action_after_it_was_confirmed(tab: Any, rover: httpx.Client) -> None:
+    tab.open(f"{rover.base_url}space")
+    tab.until(f"{DATA}.things === '/map /scan /odom'")
+    aim(tab)
+    press_key(tab, "Escape")
+    tab.until("!document.querySelector('dialog')")
+    goals = f"{rover.base_url}actions/navigate_to"
+    assert "goals/" not in rover.get(goals, headers={"Accept": "text/turtle"}).text
+    place = aim(tab)
+    assert tab.run("document.querySelector('dialog pre').textContent").startswith("POST /actions/navigate_to")
+    tab.run("document.querySelector('dialog [type=submit]').click()")
+    goal = tab.until("document.querySelector('.space .readout a')?.getAttribute('href')")
+    sent = rover.get(goal, headers={"Accept": "application/json"}).json()["goal"]["pose"]
+    assert sent["header"]["frame_id"] == "map"
+    assert sent["header"]["stamp"]["sec"] == pytest.approx(time.time(), abs=60)
+    position, turn = sent["pose"]["position"], sent["pose"]["orientation"]
+    assert (position["x"], position["y"]) == pytest.approx(place, abs=0.02)
+    assert (turn["z"], turn["w"]) == pytest.approx((math.sqrt(0.5), math.sqrt(0.5)), abs=1e-3)
+
+
+def test_a_goal_topic_takes_the_pose_in_a_cockpit_unless_the_robot_is_stopped(tab: Any) -> None:
+    robot = MadeUp()
+    robot.topic("/goal_pose", "geometry_msgs/msg/PoseStamped", published=False, heard=True)
+    robot.topic("/told", "geometry_msgs/msg/PoseStamped", {"header": {"frame_id": "map"}}, heard=True)
+    robot.topic("/cmd_vel", "geometry_msgs/msg/Twist", published=False, heard=True)
+    with served(robot) as http:
+        goals = http.get("/space", headers={"Accept": "application/json"}).json()["goals"]
+        assert [(each["method"], each["url"]) for each in goals] == [("PUT", f"{http.base_url}topics/goal_pose")]
+        tab.open(f"{http.base_url}cockpit/default")
+        tab.until(f"{DATA}.things === '/told'")
+        place = aim(tab)
+        tab.run("document.querySelector('dialog [type=submit]').click()")
+        tab.until("document.querySelector('.space .readout').textContent.startsWith('Sent to ')")
+        (sent,) = robot.sent["/goal_pose"]
+        position = sent["pose"]["position"]
+        assert (position["x"], position["y"]) == pytest.approx(place, abs=0.02)
+        assert sent["header"]["frame_id"] == "map"
+        http.post("/stop").raise_for_status()
+        tab.until("[...document.querySelectorAll('.space .controls button')].at(-1).hidden")
+        assert http.get("/space", headers={"Accept": "application/json"}).json()["goals"] == []
+        tab.open("about:blank")
 
 
 TF, STRING = "tf2_msgs/msg/TFMessage", "std_msgs/msg/String"

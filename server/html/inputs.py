@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Container, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import isfinite
 from typing import ClassVar, TypeAlias
 
 from rosld.adapters.model import Array, Field, FieldType, MessageSchema, Nested, Primitive
 from rosld.ontology.field_defaults import stated_default
 from rosld.ontology.literals import OCTETS, STRINGS, base64_text
+from rosld.ontology.neutral_message import HEADER
 from rosld.server.html.bounds import (
     browser_pattern,
     describe_bounds,
@@ -32,6 +33,8 @@ MAX_LEAVES = 120
 MAX_TEXT = 20_000
 """Characters that an input is filled with; what is longer stays empty, to be sent by other means."""
 _DEEPEST = 64
+_FOLDED = frozenset({"stamp", "covariance"})
+"""Fields whose defaults nearly always do, wherever they are."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +42,8 @@ class Input:
     """One input. `type` is number, text, checkbox, textarea or select; `name` is the path of the field.
 
     `value` is the text in it ("true" or "" for a checkbox), `hint` the ROS type, `unit` the symbol beside it, `note` a
-    quiet sentence below it, `error` what does not fit. A select whose value is no option asks for one.
+    quiet sentence below it, `error` what does not fit. A select whose value is no option asks for one. It is folded
+    where its default nearly always does.
     """
 
     kind: ClassVar[str] = "input"
@@ -59,6 +63,7 @@ class Input:
     maxlength: str = ""
     options: tuple[str, ...] = ()
     unit: str = ""
+    is_folded: bool = False
 
     @property
     def lines(self) -> int:
@@ -68,7 +73,7 @@ class Input:
 
 @dataclass(frozen=True, slots=True)
 class Fieldset:
-    """The inputs of a nested message."""
+    """The inputs of a nested message, folded where their defaults nearly always do: of a header."""
 
     kind: ClassVar[str] = "fieldset"
     name: str
@@ -76,6 +81,7 @@ class Fieldset:
     hint: str
     inputs: tuple[Control, ...]
     error: str = ""
+    is_folded: bool = False
 
 
 Control: TypeAlias = Input | Fieldset
@@ -129,12 +135,16 @@ def _control(schema: MessageSchema, each: Field, path: str, value: Json, filling
     if is_fieldset(schema, each.type):
         assert isinstance(each.type, Nested)
         inner = _controls(schema, schema.types[each.type.name].fields, f"{path}.", value, filling)
-        return Fieldset(path, each.name, each.type.name, inner, filling.error(path))
+        is_folded = each.type.name == HEADER or each.name in _FOLDED
+        return Fieldset(
+            path, each.name, each.type.name, inner, filling.error(path), is_folded and not filling.error_below(path)
+        )
     if value is None:
         value = default(schema, each)
     if isinstance(each.type, Primitive):
         return scalar_input(each.type, each.name, path, value, filling)
-    return _json(each.type, each.name, path, value, filling)
+    made = _json(each.type, each.name, path, value, filling)
+    return replace(made, is_folded=each.name in _FOLDED and not made.error)
 
 
 def is_fieldset(schema: MessageSchema, kind: FieldType) -> bool:

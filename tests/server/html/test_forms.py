@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
@@ -246,6 +247,18 @@ def test_missing_unknown_and_repeated_fields_are_refused_together() -> None:
     assert ("linear.y", "is missing") in said
     assert ("linear.q", "is no field of geometry_msgs/msg/Twist") in said
     assert ("__proto__", "is no field of geometry_msgs/msg/Twist") in said
+
+
+def test_headers_and_covariances_are_folded_unless_they_do_not_fit_and_sent_all_the_same() -> None:
+    form = MessageForm(schema("nav_msgs/msg/Odometry"))
+    wrong = form.with_submitted(sent(form), [Violation("header.stamp.sec", "is no number", "x")])
+    folded = []
+    for each in (form, wrong):
+        drawn = render_page(Page(SITE, "Topic", "/x", Document(URL, ()), ("PUT",), (each,))).decode()
+        folded.append(re.findall(r'<details class="fold" data-key="fold ([^"]+)">', drawn))
+    assert folded[0] == ["header", "header.stamp", "pose.covariance", "twist.covariance"]
+    assert folded[1] == ["pose.covariance", "twist.covariance"]
+    assert {"header.frame_id", "header.stamp.sec", "pose.covariance"} <= {name for name, _ in sent(form)}
 
 
 def test_a_field_called_method_or_csrf_is_a_field() -> None:

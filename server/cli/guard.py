@@ -64,7 +64,7 @@ async def _watch(session: Session, notes: HoldNotes, folder: Path, *, once: bool
     while True:
         is_served = _is_served(lock)
         if not is_served and (was_served or once):
-            await _end_all(session, notes, folder, lock, _ONCE_SECONDS if once else None)
+            await _end_all(session, notes, folder, _ONCE_SECONDS if once else None)
         elif is_served and not was_served:
             _log.info("%s is served again, and watched", folder)
         if once:
@@ -81,9 +81,9 @@ def _is_served(lock: FileLock) -> bool:
     return False
 
 
-async def _end_all(session: Session, notes: HoldNotes, folder: Path, lock: FileLock, limit: float | None) -> None:
+async def _end_all(session: Session, notes: HoldNotes, folder: Path, limit: float | None) -> None:
     left = [note for note in notes.read() if note.outcome is None]
-    _log.info("nobody serves %s, which has %d holds that go on", folder, len(left))
+    _log.info("nobody serves %s; holds that did not end: %d", folder, len(left))
     ending = asyncio.gather(*(_end(session, notes, note) for note in left))
     with contextlib.suppress(asyncio.TimeoutError, TimeoutError):
         await asyncio.wait_for(ending, limit)

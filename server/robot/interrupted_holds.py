@@ -95,7 +95,7 @@ _THEN_WAITS = "what ends it is published once the robot and a subscriber are the
 
 
 def _story(note: HoldNote) -> str:
-    return f"rosld was killed while {note.holder} held {note.topic}"
+    return f"rosld was killed while {note.holder} held it"
 
 
 async def end_interrupted(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 from collections.abc import Iterator
 from typing import Any
 from xml.etree import ElementTree
@@ -89,6 +90,7 @@ def test_red_is_only_what_is_wrong_and_all_forms_say_the_same(robot: Any, servin
     for _ in range(12):
         robot.publishes("/steady", {"data": ""})
         get(http, "topics/steady", "application/json")
+        time.sleep(0.03)  # a rate is measured over 0.2 s at least
     monkeypatch.setattr("rosld.server.resources.graph.STALE_SECONDS", 0.0)
     vertices = {each["name"]: each for each in get(http, accept="application/json").json()["vertices"]}
     assert {name for name, each in vertices.items() if each.get("unheard")} == {"/unheard", "/spoken"}

@@ -202,7 +202,7 @@ def lift(recording: Path, output: Path, base_url: str, inline_limit: int, types:
 
 @main.command(cls=_GlobCommand, short_help="Record live topics of SOURCE into FILE.")
 @click.argument("source", default="ros2:")
-@_output("Where to write: an .mcap file.")
+@_output("Where to write: x.mcap, x.bag (a bag of ROS 1), or a name without a suffix (a bag of ROS 2).")
 @click.option("--topic", "topics", multiple=True, metavar="GLOB", help="What to record; default: all. Repeatable.")
 @click.option("--duration", type=click.FloatRange(min=0), metavar="SECONDS", help="End after so long.")
 @_options("types", "ros_ip", "host_map", "qos")
@@ -218,11 +218,12 @@ def record(
 ) -> None:
     """Record live topics of SOURCE (default ros2:) into FILE, until Ctrl-C or for --duration seconds.
 
-    FILE is MCAP, which any of its readers opens; it has its name once it is complete, FILE.active until then.
+    FILE.mcap is MCAP, which any of its readers opens, FILE.bag a bag of ROS 1 for rosbag. A name without a suffix is
+    the folder of a bag of ROS 2 for ros2 bag. Each has its name once it is complete.
 
     \b
     Examples:
-      rosld record ros1://localhost:11311 -o run.mcap
+      rosld record ros1://localhost:11311 -o run.bag
       rosld record ros2: -o drive.mcap --topic /odom --topic '/camera/*' --duration 60
     """
     from rosld.server.cli.record import record as run

@@ -1,4 +1,4 @@
-"""`rosld record`: live topics of a source into one MCAP file, until it is ended."""
+"""`rosld record`: live topics of a source into an MCAP file, a ROS 1 bag or the folder of a ROS 2 bag."""
 
 from __future__ import annotations
 
@@ -13,13 +13,15 @@ from pathlib import Path
 import click
 
 from rosld.adapters.base import Adapter, AdapterOptions, NullSink
-from rosld.adapters.model import Graph
+from rosld.adapters.model import Encoding, Graph, RosError
 from rosld.adapters.registry import adapter_for
 from rosld.server.cli.failure import Failure, user_errors
 from rosld.server.cli.list_types import open_at_once
+from rosld.server.history.bag_export import BAG, ROSBAG2, CannotExport, export
 from rosld.server.history.history_writer import require_room
 from rosld.server.history.live_recorder import LiveRecorder
 from rosld.server.history.recording_writer import RecordingWriter
+from rosld.server.history.recordings import SUFFIX
 from rosld.server.robot.schemas import Schemas
 from rosld.server.serving.end_signals import end_signals
 from rosld.server.settings import check_topic_glob
@@ -29,20 +31,49 @@ _PROGRESS_SECONDS = 1.0
 
 def record(source: str, output: Path, topics: Sequence[str], duration: float | None, options: AdapterOptions) -> None:
     """Record until a signal comes, or for `duration` seconds, and say on stderr how far it is. Raises Failure."""
-    if output.exists():
-        raise Failure(f"{output} is there already: name another file")
+    file = _mcap_file(output)
+    for path in {output, file}:
+        if path.exists():
+            raise Failure(f"{path} is there already: name another file")
     with user_errors():
         for glob in topics:
             check_topic_glob("--topic", glob)
         adapter = adapter_for(source, options)
         if adapter.capabilities.system == "recording":
             raise ValueError(_not_live(source))
-        writer = asyncio.run(_Recording(adapter, output, topics or ("*",)).run(duration))
+        _require_format(output, adapter.capabilities.encoding)
+        writer = asyncio.run(_Recording(adapter, file, topics or ("*",)).run(duration))
     if writer.problem is not None:
         raise Failure(writer.problem)
+    if file != output:
+        try:
+            _convert(file, output, options)
+        except (OSError, RosError, CannotExport) as error:
+            raise Failure(f"{output} cannot be written: {error}; {file} has what was recorded") from error
+        file.unlink()
     if writer.silent:
         click.echo(f"rosld: no message came of {', '.join(writer.silent)}", err=True)
     click.echo(f"{output}: {writer.count} messages of {len(writer.counts)} topics", err=True)
+
+
+def _mcap_file(output: Path) -> Path:
+    """Where messages are written first: another file where the output is converted from that at the end."""
+    return output if output.suffix == SUFFIX else output.with_name(f"{output.name}{SUFFIX}")
+
+
+def _require_format(output: Path, encoding: Encoding) -> None:
+    """Raise ValueError where the name of the output is of no format, or of one of the other ROS."""
+    own = "FILE.bag, a ROS 1 bag" if encoding is Encoding.ROS1 else "FOLDER, a ROS 2 bag"
+    if output.suffix == SUFFIX or output.suffix == (BAG.suffix if encoding is Encoding.ROS1 else ""):
+        return
+    version = 1 if encoding is Encoding.ROS1 else 2
+    raise ValueError(f"-o {output}: the messages are of ROS {version}; name a FILE.mcap, or a {own}")
+
+
+def _convert(file: Path, output: Path, options: AdapterOptions) -> None:
+    """Write what was recorded in the format that the output's name says. Raises OSError, RosError, CannotExport."""
+    wanted = BAG if output.suffix == BAG.suffix else ROSBAG2
+    export(file, output, wanted, AdapterOptions(types=options.types))
 
 
 def _not_live(source: str) -> str:

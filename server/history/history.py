@@ -14,6 +14,7 @@ from typing import TypeAlias
 from rosld.adapters.base import Adapter, MessageFilter, MessagePage, RecordedMessage, RecordedTopic
 from rosld.adapters.model import Encoding, NotFound, Schema, TypeRef, UnknownType, Unreachable
 from rosld.adapters.model.library import TypeLibrary
+from rosld.server.history.bag_export import BagExports
 from rosld.server.history.file_digests import FileDigests
 from rosld.server.history.history_writer import HistoryWriter
 from rosld.server.history.live_recorder import LiveRecorder
@@ -217,6 +218,7 @@ class History:
         )
         self.digests = FileDigests()
         """Those of the recordings beside it."""
+        self.exports = BagExports(settings)
         self._globs = settings.history
         self._live = live
         self._failure: str | None = None

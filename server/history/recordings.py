@@ -5,20 +5,23 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import secrets
 import tempfile
 import time
 from collections import Counter
 from collections.abc import AsyncIterator, Awaitable, Callable, Collection, Hashable, Mapping, Sequence
 from fnmatch import fnmatchcase
 from functools import partial
+from io import FileIO
 from pathlib import Path
 from typing import NamedTuple
 
 from rosld.adapters.base import Adapter, AdapterOptions, NullSink, Recording
-from rosld.adapters.model import RosError, TypeRef
+from rosld.adapters.model import Encoding, RosError, TypeRef
 from rosld.adapters.registry import adapter_for
 from rosld.server.auth.agent import Agent
 from rosld.server.history.armed_recordings import ArmedRecording, ArmedRecordings, MayRecord, Occurrences
+from rosld.server.history.bag_export import ExportFormat
 from rosld.server.history.history import NAME as HISTORY
 from rosld.server.history.history import History
 from rosld.server.history.history_writer import require_room
@@ -27,8 +30,8 @@ from rosld.server.history.live_recorder import LiveRecorder
 from rosld.server.history.ordered_recording import RecordingOrder, RecordingRefused
 from rosld.server.history.recording_notes import RecordingNotes
 from rosld.server.history.recording_writer import RecordingWriter, active_recordings, complete_active
-from rosld.server.history.uploads import NAME as FILE_NAME
 from rosld.server.history.uploads import (
+    DRAFT,
     SUFFIXES,
     UploadRefused,
     check_recording,
@@ -36,6 +39,7 @@ from rosld.server.history.uploads import (
     receive_file,
     remove_drafts,
 )
+from rosld.server.history.uploads import NAME as FILE_NAME
 from rosld.server.receipts.audit_context import record_step
 from rosld.server.runtime.dry_run import end_dry_run
 from rosld.server.runtime.offload import WorkerPool
@@ -271,6 +275,15 @@ class Recordings:
         """The graph has changed: there may be other topics to be recorded."""
         self._live.refresh()
 
+    def encoding(self, recording: Recording) -> Encoding:
+        """How the messages of a recording are laid out."""
+        own = self._opened.get(recording.name)
+        return (self._adapter if own is None else own[0]).capabilities.encoding
+
+    async def export(self, recording: Recording, wanted: ExportFormat) -> FileIO:
+        """Return an open file with a recording in a format. Raises CannotExport, OSError, RosError, and Problems."""
+        return await self.history.exports.make(recording, wanted, self._path(f".{secrets.token_hex(8)}", DRAFT))
+
     def dropped(self, one: RunningRecording) -> Mapping[str, int]:
         """Messages that came since a recording began and could not be taken to it, by topic."""
         return self._live.dropped() - Counter(one.dropped_before)
@@ -283,6 +296,7 @@ class Recordings:
         """End all that are being made, and let go of the files."""
         await self._armed.stop()
         await self._checkers.close()
+        await self.history.exports.close()
         for name, one in list(self._running.items()):
             if one.ending is None:
                 await self._interruptions.add(name, STOPPED)

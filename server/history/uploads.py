@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import re
+import shutil
 import sys
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
@@ -26,7 +27,7 @@ _STEP = 1 << 20
 _CHECK_SECONDS = 30.0
 _BYTES_PER_SECOND = 1_000_000
 """A tenth of what reading a recording without an index of short messages comes to."""
-_DRAFT, _INFLATED = ".part", ".inflated"
+DRAFT, _INFLATED = ".part", ".inflated"
 
 
 class UploadRefused(Exception):
@@ -42,7 +43,7 @@ async def receive_file(folder: Path, name: str, chunks: AsyncIterator[bytes], li
 
     What is compressed by zstd is inflated to at most `limit` bytes. Raises UploadRefused, OSError, and as `chunks`.
     """
-    draft = folder / f".{name}{_DRAFT}"
+    draft = folder / f".{name}{DRAFT}"
     try:
         with draft.open("wb") as file:
             async for chunk in chunks:
@@ -72,12 +73,15 @@ def check_seconds(path: Path) -> float:
 
 
 def remove_drafts(folder: Path) -> None:
-    """Remove what was being received when rosld was ended by force. Nobody else may have the folder."""
+    """Remove what was being received, or exported, when rosld was ended by force. Nobody else may have the folder."""
     for path in folder.glob(".*"):
         name = path.name[1:]
-        for suffix in (_DRAFT, _INFLATED):
-            if name.endswith(suffix) and NAME.fullmatch(name.removesuffix(suffix)) and path.is_file():
-                path.unlink(missing_ok=True)
+        for suffix in (DRAFT, _INFLATED, f"{DRAFT}.folder"):
+            if name.endswith(suffix) and NAME.fullmatch(name.removesuffix(suffix)):
+                if path.is_dir():
+                    shutil.rmtree(path, ignore_errors=True)
+                else:
+                    path.unlink(missing_ok=True)
 
 
 def _write(write: Callable[[bytes], object], folder: Path, data: bytes) -> None:

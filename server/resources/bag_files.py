@@ -4,42 +4,57 @@ from __future__ import annotations
 
 import asyncio
 import os
+from collections.abc import Mapping
+from io import FileIO
 from pathlib import Path
 
 from starlette.responses import Response
 
 from rosld.adapters.base import Recording
+from rosld.adapters.model import Encoding, RosError
 from rosld.ontology.urls import Space
+from rosld.server.history.bag_export import EXPORT_FORMATS, CannotExport, ExportFormat, require_encoding
 from rosld.server.history.ordered_recording import RecordingRefused
 from rosld.server.history.recordings import Recordings
+from rosld.server.http import negotiation
 from rosld.server.http.conditional import ETag, check_preconditions, digest
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.bags import BagResource
 from rosld.server.resources.ldp.bodies import single_chunk
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.file_response import UNKNOWN, file_response
-from rosld.server.rest.path_item import ANY_TYPE, BYTES, PathItem, WriteMethod
+from rosld.server.rest.file_response import UNKNOWN, file_response, file_stream, unless_gone
+from rosld.server.rest.path_item import ANY_TYPE, BYTES, PathItem, QueryParameter, WriteMethod
 from rosld.server.rest.resource import ABSENT, READ, RESOURCE, Answer, CreatedAnswer, Resource, permanent_redirect
 from rosld.server.rest.resource_headers import resource_headers
+from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import State
 from rosld.server.runtime.version_cache import VersionCache
 from rosld.server.settings import Settings
 
+_EXPORTED = tuple(each.media_type for each in EXPORT_FORMATS.values())
+_FORMAT = QueryParameter(
+    "format",
+    "Converted, before Accept: " + "; ".join(f"`{one.name}` is {one.about}" for one in EXPORT_FORMATS.values()) + ".",
+    {"type": "string", "enum": [*EXPORT_FORMATS]},
+)
+
 
 class BagFile(Resource):
-    """The bytes of a recording, whole or in ranges."""
+    """The bytes of a recording, whole or in ranges; or converted into a bag of ROS 1 or ROS 2."""
 
     kind = "File of a recording"
     is_cacheable = False
     links = (RESOURCE,)
 
-    def __init__(self, space: Space, recording: Recording) -> None:
+    def __init__(self, space: Space, recordings: Recordings, recording: Recording) -> None:
         super().__init__(f"{space.bag(recording.name)}file")
+        self.recordings = recordings
         self.recording = recording
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem(f"The file of {self.recording.name}", reads=(BYTES,), query=(), streams=False)
+        reads, about = (BYTES, *_EXPORTED), f"The file of {self.recording.name}"
+        return PathItem(about, reads=reads, query=(_FORMAT,), streams=False, also=(503, 507))
 
     async def state(self) -> State:
         raise Problem(406, "The file of a recording has no other representation than its bytes.")
@@ -48,11 +63,14 @@ class BagFile(Resource):
         path, found = self.recording.path, await asyncio.to_thread(_file_status, self.recording.path)
         if found is None:
             raise Problem(404, f"{self.recording.name} is not one file: POST to /bags/ makes one of what it holds.")
-        etag = ETag(digest(f"{found.st_size} {found.st_mtime_ns}".encode()), "bin")
+        wanted = self._wanted(exchange)
+        etag = ETag(digest(f"{found.st_size} {found.st_mtime_ns}".encode()), "bin" if wanted is None else wanted.name)
         headers = {**resource_headers(self), "vary": "Accept", "cache-control": "no-cache"}
         if_match, if_none_match = exchange.header("if-match"), exchange.header("if-none-match")
         if check_preconditions(exchange.method, etag, if_match=if_match, if_none_match=if_none_match):
             return Response(status_code=304, headers={**headers, "etag": str(etag)})
+        if wanted is not None:
+            return await self._export(exchange, wanted, {**headers, "etag": str(etag)})
         try:
             return await file_response(
                 path,
@@ -67,6 +85,53 @@ class BagFile(Resource):
             )
         except FileNotFoundError as error:
             raise Problem(410, f"{self.recording.name} has just been deleted.") from error
+
+    @property
+    def _encoding(self) -> Encoding:
+        return self.recordings.encoding(self.recording)
+
+    def _wanted(self, exchange: Exchange) -> ExportFormat | None:
+        """The format that the recording is to be converted into; None: its file as it is. Raises a 406 Problem."""
+        name = exchange.query.get("format")
+        if name is None:
+            own = [each.media_type for each in EXPORT_FORMATS.values() if each.encoding is self._encoding]
+            media_type = negotiation.choose(exchange.accept, (UNKNOWN, *own))
+            media_type = media_type or negotiation.choose(exchange.accept, _EXPORTED)  # whose refusal says why
+            return next((one for one in EXPORT_FORMATS.values() if one.media_type == media_type), None)
+        if name not in EXPORT_FORMATS:
+            others = " and ".join(f"?format={each}" for each in EXPORT_FORMATS)
+            raise Problem(406, f"?format={name[:40]} is unknown: there are {others}, and without it the file as it is.")
+        return EXPORT_FORMATS[name]
+
+    async def _export(self, exchange: Exchange, wanted: ExportFormat, headers: Mapping[str, str]) -> Response:
+        """Return the recording in another format, once it is converted. Raises Problems: 406, 410, 503, 507."""
+        recording = self.recording
+        shown = {
+            **headers,
+            "content-type": wanted.media_type,
+            "content-disposition": f'attachment; filename="{recording.name}{wanted.suffix}"',
+            "x-content-type-options": "nosniff",
+        }
+        try:
+            encoding = self._encoding
+            if encoding is wanted.encoding and recording.path.suffix == wanted.suffix:
+                file = await asyncio.to_thread(FileIO, recording.path)  # it is one already
+            else:
+                require_encoding(recording.name, encoding, wanted)
+                if exchange.method == "HEAD":
+                    return Response(headers=shown)
+                file = await unless_gone(exchange.receive, self.recordings.export(recording, wanted))
+        except CannotExport as error:
+            raise Problem(406, f"{str(error)[:1].upper()}{str(error)[1:]}.") from error
+        except FileNotFoundError as error:
+            raise Problem(410, f"{recording.name} has just been deleted.") from error
+        except OSError as error:
+            raise Problem(507, f"The recording cannot be converted: {error.strerror or error}.") from error
+        except RosError as error:
+            raise problem_of(error) from error
+        size = os.fstat(file.fileno()).st_size
+        raw = [(name.encode(), value.encode()) for name, value in {**shown, "content-length": str(size)}.items()]
+        return file_stream(raw, file, size)
 
 
 class BagUpload(Resource):

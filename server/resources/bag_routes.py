@@ -43,7 +43,7 @@ def bag_route(
         case (name,):
             return _bag(session.space, session.settings, states, recordings, name)
         case (name, "file") if not location.is_container:
-            return BagFile(session.space, _recording(recordings, name))
+            return BagFile(session.space, recordings, _recording(recordings, name))
         case (name, "at") if not location.is_container:
             return bag_moment(session, _recording(recordings, name))
         case (name, "ldes") if not location.is_container:

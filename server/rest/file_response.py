@@ -9,10 +9,10 @@ type for another.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Coroutine, Iterable, Iterator, Mapping, Sequence
 from io import FileIO
 from pathlib import Path
-from typing import TypeAlias
+from typing import TypeAlias, TypeVar
 from urllib.parse import quote
 
 from starlette.responses import Response
@@ -37,6 +37,7 @@ _ATTACHED = frozenset({"application/pdf"})
 _PLAIN_NAME = frozenset("!#$&+-.^_`|~ ()[]{},;=@'")
 
 Piece: TypeAlias = "bytes | ranges.Span"
+_T = TypeVar("_T")
 
 
 def exact_media_type(stated: str | None) -> str:
@@ -97,6 +98,20 @@ async def file_response(
 def file_stream(headers: list[tuple[bytes, bytes]], file: FileIO, size: int) -> Response:
     """200 with all of a file that is open, which is closed when it was sent."""
     return _FileStream(200, headers, file, [ranges.Span(0, size)])
+
+
+async def unless_gone(receive: Receive, work: Coroutine[object, object, _T]) -> _T:
+    """Return what work comes to, which is given up where the client goes meanwhile; nobody reads the Problem then."""
+    working, listening = asyncio.ensure_future(work), asyncio.ensure_future(_gone(receive))
+    try:
+        await asyncio.wait({working, listening}, return_when=asyncio.FIRST_COMPLETED)
+        if not working.done():
+            raise Problem(503, "The client has gone.")
+        return working.result()
+    finally:
+        for task in (working, listening):
+            task.cancel()
+        await asyncio.wait({working, listening})
 
 
 class _FileStream(Response):

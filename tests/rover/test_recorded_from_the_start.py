@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import io
+import re
+import tarfile
 from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
 
 import pytest
 from mcap.reader import make_reader
+from rosbags import rosbag2
+from rosbags.highlevel import AnyReader
 
+from tests.adapters.ros1 import system as ros1
 from tests.rover.rovers import Rover, running
 from tests.server.history.mcap_files import decode, read
 from tests.waiting import until
@@ -78,6 +84,62 @@ def test_a_recording_opens_with_the_map_and_the_frames_that_were_sent_before(rec
         path.write_bytes(rover.http.get(f"/bags/{name}/file").content)
         check_file(path)
     assert [count(rover, "history", topic) for topic in ("/map", "/tf_static")] == [1, 2]
+    if rover.name == "rospy":
+        check_bag(rover, tmp_path)
+    else:
+        check_rosbag2(rover, tmp_path)
+
+
+def check_bag(rover: Rover, folder: Path) -> None:
+    """ROS 1's own tools read the bag of a recording, and play it for somebody who comes late."""
+    answer = rover.http.get("/bags/then/file", headers={"Accept": "application/x-rosbag"})
+    assert (answer.status_code, answer.headers["content-type"]) == (200, "application/x-rosbag"), answer.text
+    assert answer.headers["content-disposition"] == 'attachment; filename="then.bag"'
+    again = rover.http.get("/bags/then/file?format=bag", headers={"If-None-Match": answer.headers["etag"]})
+    assert again.status_code == 304
+    bag = folder / "then.bag"
+    bag.write_bytes(answer.content)
+    told = rover.system.yaml(rover.system.run("/usr/bin/rosbag", "info", "--yaml", str(bag)))
+    counts = {each["topic"]: each["messages"] for each in told["topics"]}
+    assert counts == {topic: count(rover, "then", topic) for topic in TOPICS}
+    refused = rover.http.get("/bags/then/file?format=rosbag2", headers=JSON)
+    assert refused.status_code == 406
+    assert "The messages of then are of ROS 1" in refused.json()["detail"]
+    with ros1.running(folder / "late") as other:
+        player = other.start(["/usr/bin/rosbag", "play", "--keep-alive", str(bag)])
+        until(lambda: any(is_over(line) for line in player.seen), "the end of the bag, after which the player stays")
+        late = other.node("static_listener.py")
+        assert late.line("map").split()[1] != "0"
+        until(lambda: {"frame gripper", "frame laser"} <= set(late.seen), "the frames of both nodes")
+
+
+def is_over(line: str) -> bool:
+    """Whether a line of a player says that it has played longer than the bag is."""
+    found = re.search(r"Duration: ([0-9.]+) / ([0-9.]+)", line)
+    return found is not None and float(found[1]) > float(found[2])
+
+
+def check_rosbag2(rover: Rover, folder: Path) -> None:
+    """The folder of a ROS 2 bag is as rosbags reads it."""
+    answer = rover.http.get("/bags/then/file?format=rosbag2")
+    assert (answer.status_code, answer.headers["content-type"]) == (200, "application/x-tar"), answer.text
+    with tarfile.open(fileobj=io.BytesIO(answer.content)) as archive:
+        archive.extractall(folder, filter="data")
+    with rosbag2.Reader(folder / "then") as reader:
+        counts = {each.topic: each.msgcount for each in reader.connections}
+        assert counts == {topic: count(rover, "then", topic) for topic in TOPICS}
+        kept = {each.topic for each in reader.connections if each.ext.offered_qos_profiles}  # type: ignore[union-attr]
+        assert kept == {"/map", "/tf_static"}
+    assert frames_of(decode_folder(folder / "then")) >= {GRIPPER, "laser"}
+    refused = rover.http.get("/bags/then/file", headers={"Accept": "application/x-rosbag"})
+    assert refused.status_code == 406
+    assert "of ROS 2" in refused.text
+
+
+def decode_folder(path: Path) -> list[tuple[str, Any]]:
+    """The messages of a ROS 2 bag, decoded by its own definitions."""
+    with AnyReader([path]) as bag:
+        return [(one.topic, bag.deserialize(data, one.msgtype)) for one, _, data in bag.messages()]
 
 
 def check_file(path: Path) -> None:

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from rosbags import rosbag2
 
 from tests.server.history.mcap_files import decode, read
 from tests.waiting import until
@@ -25,6 +26,20 @@ def test_a_source_is_recorded_for_a_while(tmp_path: Path) -> None:
     assert all(topic == "/odom" or topic.startswith("/camera/") for topic in topics)
     assert f"{path}: {len(found)} messages of {len(topics)} topics" in done.stderr
     assert len(decode(path)) == len(found)
+
+
+def test_a_name_without_a_suffix_is_the_folder_of_a_ros_2_bag_and_each_ros_has_its_own(tmp_path: Path) -> None:
+    command, folder = [*RECORD, "rover", "--duration", "1", "-o"], tmp_path / "drive"
+    done = subprocess.run([*command, str(folder)], capture_output=True, text=True, check=True)
+    assert f"{folder}: " in done.stderr
+    with rosbag2.Reader(folder) as reader:
+        assert {"/odom", "/map", "/tf_static"} <= {each.topic for each in reader.connections}
+        assert f"{folder}: {reader.message_count} messages" in done.stderr
+    assert [each.name for each in tmp_path.iterdir()] == ["drive"], "nothing else is left"
+    for name in ("drive.bag", "drive.db3"):
+        refused = subprocess.run([*command, str(tmp_path / name)], capture_output=True, text=True, check=False)
+        assert refused.returncode == 1
+        assert "the messages are of ROS 2; name a FILE.mcap, or a FOLDER, a ROS 2 bag" in refused.stderr
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

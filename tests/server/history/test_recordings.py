@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from rosbags import rosbag1
 
 from tests.adapters.recording.recorder import lines, write_rosbag1, write_rosbag2
 from tests.server.auth.conftest import token, tokens
@@ -21,12 +22,16 @@ MERGE_PATCH = {"Content-Type": "application/merge-patch+json"}
 SPEED = "/aircraft/engine/speed"
 RESULTS = {"Accept": "application/sparql-results+json"}
 ROS = "https://w3id.org/rosld#"
+UNKNOWN = "application/octet-stream"
 
 
 @pytest.fixture(scope="module")
 def recorded(start_server: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory) -> Any:
     """The aircraft with a history of one topic."""
-    return start_server("aircraft", "--history", SPEED, "--data", str(tmp_path_factory.mktemp("data")))
+    data = tmp_path_factory.mktemp("data")
+    server = start_server("aircraft", "--history", SPEED, "--data", str(data))
+    server.data = data
+    return server
 
 
 def value(http: Any, path: str, term: str) -> str | None:
@@ -144,6 +149,40 @@ def test_a_file_comes_in_ranges_and_is_not_sent_twice(recorded: Any, tmp_path: P
     assert ended.status_code == 405
     assert ended.json()["detail"] == "The recording talk has ended: nothing of it can be changed."
     assert http.delete("/bags/talk/").status_code == 204
+
+
+def test_a_bag_that_was_sent_is_one_and_what_cannot_be_had_is_refused_with_the_reason(
+    recorded: Any, tmp_path: Path
+) -> None:
+    http, path = recorded.http, write_rosbag1(tmp_path / "sent.bag", lines(count=50))
+    assert http.put("/bags/sent", content=path.read_bytes()).status_code == 201
+    assert http.get("/bags/sent/file?format=bag").content == path.read_bytes()
+    for accept in ("*/*", "text/html,*/*;q=0.8", "application/x-tar;q=0.1, application/octet-stream"):
+        assert http.get("/bags/sent/file", headers={"Accept": accept}).headers["content-type"] == UNKNOWN
+    for url, words in (
+        ("/bags/sent/file?format=rosbag2", "The messages of sent are of ROS 1, which a ROS 2 bag"),
+        ("/bags/sent/file?format=zip", "?format=zip is unknown: there are ?format=bag and ?format=rosbag2"),
+    ):
+        refused = http.get(url, headers=JSON)
+        assert (refused.status_code, words in refused.json()["detail"]) == (406, True), refused.text
+    assert http.delete("/bags/sent/").status_code == 204
+
+
+def test_a_bag_is_made_of_what_was_recorded_and_nothing_of_it_is_left(recorded: Any, tmp_path: Path) -> None:
+    http = recorded.http
+    http.post("/bags/", json={"name": "flown", "topics": [SPEED]})
+    until(lambda: count(http, "/bags/flown/") >= 20, "messages")
+    end(http, "/bags/flown/")
+    head = http.head("/bags/flown/file?format=bag")
+    assert (head.status_code, head.headers["content-type"]) == (200, "application/x-rosbag")
+    bag = tmp_path / "flown.bag"
+    bag.write_bytes(http.get("/bags/flown/file?format=bag").content)
+    with rosbag1.Reader(bag) as reader:
+        found = [(time, bytes(data)) for _, time, data in reader.messages()]
+    kept = read(download(http, "/bags/flown/", tmp_path))
+    assert found == [(one.time_ns, one.data) for one in sorted(kept, key=lambda one: one.sequence)]
+    assert not [each for each in Path(recorded.data, "bags").iterdir() if each.name.startswith(".")]
+    assert http.delete("/bags/flown/").status_code == 204
 
 
 @pytest.mark.parametrize("kind", ["bag", "mcap", "db3"])

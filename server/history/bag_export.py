@@ -1,0 +1,242 @@
+"""Recordings as ROS's own tools take them: ROS 1 bags, and the folders of ROS 2 bags, by rosbags' writers."""
+
+from __future__ import annotations
+
+import asyncio
+import shutil
+import struct
+import tarfile
+from collections.abc import Iterator
+from functools import partial
+from io import FileIO
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+from rosbags import rosbag1, rosbag2
+from rosbags.interfaces import (
+    Connection,
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+
+from rosld.adapters.base import AdapterOptions, NullSink, Recording
+from rosld.adapters.model import Encoding, Sample, TypeRef, UnknownType
+from rosld.adapters.model.sample import latched_depth
+from rosld.adapters.registry import adapter_for
+from rosld.server.history.history_writer import require_room
+from rosld.server.http.problem import Problem
+from rosld.server.runtime.offload import WorkerPool
+from rosld.server.settings import Settings
+
+_OPEN_SECONDS = 600.0
+_NO_TIME = QosTime(9223372036, 854775807)
+_METADATA_VERSION: Literal[8] = 8
+"""Of `metadata.yaml`: the newest one that the ROS 2 of before Jazzy reads, too."""
+_FORGOTTEN = (0, 0)
+_CHECKED = 1 << 20
+"""Bytes of messages after which the disk is looked at again."""
+
+
+_EXPORT_SECONDS = 3600.0
+"""The longest that one export may take: a hundred gigabytes."""
+_MAX_WAITING = 4
+
+
+class CannotExport(ValueError):
+    """Why a recording cannot be had in a format, in a sentence without its full stop."""
+
+
+class ExportFormat(NamedTuple):
+    """A format for the messages of one ROS: its name in `?format=`, its media type, and what its file name ends in."""
+
+    name: str
+    encoding: Encoding
+    media_type: str
+    suffix: str
+    about: str
+
+
+BAG = ExportFormat("bag", Encoding.ROS1, "application/x-rosbag", ".bag", "a ROS 1 bag")
+ROSBAG2 = ExportFormat("rosbag2", Encoding.CDR, "application/x-tar", ".tar", "a ROS 2 bag, a folder in a tar archive")
+EXPORT_FORMATS = {each.name: each for each in (BAG, ROSBAG2)}
+
+
+def require_encoding(name: str, encoding: Encoding, wanted: ExportFormat) -> None:
+    """Raise CannotExport where the messages of a recording are of the other ROS: their bytes mean something else."""
+    if encoding is not wanted.encoding:
+        own = next(each for each in EXPORT_FORMATS.values() if each.encoding is encoding)
+        version = 1 if encoding is Encoding.ROS1 else 2
+        raise CannotExport(
+            f"the messages of {name} are of ROS {version}, which {wanted.about} cannot hold: ?format={own.name} is "
+            f"{own.about}, and rosbags-convert (of the PyPI package rosbags) makes one of the other ROS of that"
+        )
+
+
+class BagExports:
+    """Makes exports for clients, one at a time, in a process that is killed where nobody waits for it any more."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._options = AdapterOptions(types=settings.types)
+        self._workers = WorkerPool(1, _EXPORT_SECONDS, subject="recording")
+        self._waiting = 0
+
+    async def make(self, recording: Recording, wanted: ExportFormat, target: Path) -> FileIO:
+        """Return an open file with a recording in a format, made at `target`; nothing is left of it once it is closed.
+
+        Raises CannotExport, OSError, RosError, and Problems: 503 where others wait already.
+        """
+        if self._waiting >= _MAX_WAITING:
+            words = "Too many recordings are being converted: try again."
+            raise Problem(503, words, headers={"Retry-After": "30"})
+        self._waiting += 1
+        try:
+            await self._workers.run(
+                partial(export_archive, recording.path, target, wanted, recording.name, self._options)
+            )
+            return await asyncio.to_thread(FileIO, target)
+        finally:
+            self._waiting -= 1
+            await asyncio.to_thread(_remove, target)
+
+    async def close(self) -> None:
+        """End all of them. Idempotent."""
+        await self._workers.close()
+
+
+def _remove(target: Path) -> None:
+    target.unlink(missing_ok=True)
+    shutil.rmtree(_folder_of(target), ignore_errors=True)
+
+
+def _folder_of(target: Path) -> Path:
+    """Where a folder is made that is then packed."""
+    return target.with_name(f"{target.name}.folder")
+
+
+def export_archive(source: Path, target: Path, wanted: ExportFormat, name: str, options: AdapterOptions) -> None:
+    """Write the recording at a path as one file, in which it has this name. Raises as `export`."""
+    if wanted == BAG:
+        export(source, target, wanted, options)
+        return
+    folder = _folder_of(target) / name
+    export(source, folder, wanted, options)
+    with tarfile.open(target, "w") as archive:
+        archive.add(folder, name)
+
+
+def export(source: Path, target: Path, wanted: ExportFormat, options: AdapterOptions) -> None:
+    """Write the recording at a path as a bag, which is a folder for ROS 2. Takes its time, and little memory.
+
+    Raises CannotExport, OSError for the disk, and RosError where the recording cannot be read.
+    """
+    try:
+        asyncio.run(_export(source, target, wanted, options))
+    except (rosbag1.WriterError, rosbag2.WriterError, UnicodeError, struct.error) as error:
+        raise CannotExport(f"{source.name} cannot be written as {wanted.about}: {error}") from error
+
+
+async def _export(source: Path, target: Path, wanted: ExportFormat, options: AdapterOptions) -> None:
+    adapter = adapter_for(f"recording:{source}", options)
+    await adapter.open(NullSink(), deadline=asyncio.get_running_loop().time() + _OPEN_SECONDS)
+    try:
+        (recording,) = adapter.recordings.values()
+        require_encoding(recording.name, adapter.capabilities.encoding, wanted)
+        write = write_bag if wanted == BAG else write_rosbag2
+        write(recording, target)
+    finally:
+        await adapter.close()
+
+
+def write_bag(recording: Recording, target: Path) -> None:
+    """Write a recording of ROS 1 as a bag, one connection a publisher. Raises OSError."""
+    connections: dict[tuple[object, ...], Connection] = {}
+    with rosbag1.Writer(target) as writer:
+        for topic, sample in _messages(recording, target.parent):
+            key = topic, sample.schema, sample.publisher, sample.latched
+            if key not in connections:
+                connections[key] = writer.add_connection(
+                    topic,
+                    sample.schema.name,
+                    msgdef=_definition(recording, sample.schema),
+                    md5sum=sample.schema.hash or "*",
+                    callerid=sample.publisher or None,
+                    latching=int(sample.latched),
+                )
+            writer.write(connections[key], sample.received_ns, sample.data)
+            _forget_places(writer)
+
+
+def write_rosbag2(recording: Recording, target: Path) -> None:
+    """Write a recording of ROS 2 as the folder of a bag, with MCAP in it. Raises CannotExport, OSError."""
+    connections: dict[tuple[object, ...], Connection] = {}
+    plugin = rosbag2.StoragePlugin.MCAP
+    with rosbag2.Writer(target, version=_METADATA_VERSION, storage_plugin=plugin) as writer:
+        for topic, sample in _messages(recording, target.parent):
+            key = topic, sample.schema.name, sample.latched
+            if key not in connections:
+                connections[key] = writer.add_connection(
+                    topic,
+                    sample.schema.name,
+                    msgdef=_definition(recording, sample.schema),
+                    rihs01=_hash(recording, topic, sample.schema),
+                    offered_qos_profiles=(_latched(sample.schema.name),) if sample.latched else (),
+                )
+            writer.write(connections[key], sample.received_ns, sample.data)
+
+
+def _latched(type_name: str) -> Qos:
+    """The profile of a player's one publisher of a topic, which keeps the messages of all that were recorded."""
+    return Qos(
+        QosHistory.KEEP_LAST,
+        latched_depth(type_name),
+        QosReliability.RELIABLE,
+        QosDurability.TRANSIENT_LOCAL,
+        _NO_TIME,
+        _NO_TIME,
+        QosLiveliness.AUTOMATIC,
+        _NO_TIME,
+        avoid_ros_namespace_conventions=False,
+    )
+
+
+def _messages(recording: Recording, folder: Path) -> Iterator[tuple[str, Sample]]:
+    """All messages with their topics, as long as the disk of a folder has room for them."""
+    left = 0
+    for message in recording.messages():
+        if left <= 0:
+            if folder.is_dir():
+                require_room(folder)
+            left = _CHECKED
+        left -= len(message.sample.data)
+        yield message.topic, message.sample
+
+
+def _definition(recording: Recording, ref: TypeRef) -> str:
+    """The text of a type; empty where it is not known, for players do not read it."""
+    try:
+        return recording.schema(ref).definition
+    except UnknownType:
+        return ""
+
+
+def _hash(recording: Recording, topic: str, ref: TypeRef) -> str:
+    try:
+        found = ref.hash or recording.schema(ref).ref.hash
+    except UnknownType:
+        found = None
+    if not found:
+        raise CannotExport(f"the type {ref.name} of {topic} is not known: give its definition by --types")
+    return found
+
+
+def _forget_places(writer: rosbag1.Writer) -> None:
+    """Let go of what the writer keeps of each message that is written, 120 bytes: it needs their number alone."""
+    for chunk in reversed(writer.chunks[:-1]):
+        if not chunk.connections or next(iter(chunk.connections.values()))[0] == _FORGOTTEN:
+            return
+        for number, places in chunk.connections.items():
+            chunk.connections[number] = [_FORGOTTEN] * len(places)

@@ -1,0 +1,17 @@
+"""Prints the size of the map and the frames that stand still, each once it is heard."""
+
+import rospy
+from nav_msgs.msg import OccupancyGrid
+from tf2_msgs.msg import TFMessage
+
+
+def frames(message):
+    for transform in message.transforms:
+        print(f"frame {transform.child_frame_id}", flush=True)
+
+
+rospy.init_node("late")
+print("ready", flush=True)
+rospy.Subscriber("/map", OccupancyGrid, lambda message: print(f"map {len(message.data)}", flush=True))
+rospy.Subscriber("/tf_static", TFMessage, frames)
+rospy.spin()

@@ -489,7 +489,6 @@ def bound(settings: Settings, port: int, *, base_given: bool) -> Settings:
     """The settings once the port is known: the base follows the address unless it was given.
 
     Beyond loopback the server is read-only unless it knows who may write. Raises ValueError for a wildcard address
-
     without a base URL.
     """
     if is_wildcard(settings.host) and not base_given:

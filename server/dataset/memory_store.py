@@ -30,9 +30,10 @@ _REMEMBERED = 32 * 1024 * 1024
 _SLICE = 1000
 """Quads copied at a time to a new store: about two milliseconds."""
 _LABEL = re.compile(r'"(?:[^"\\]|\\.)*"|<[^>]*>|_:(?![a-f][0-9a-f]{23,31}(?:[\s.]|$))')
-"""Where a label begins that other graphs may have for other nodes. Those drawn at random, as hexadecimal numbers of 128
+"""Where a label begins that other graphs may have for other nodes.
 
-bits, stand for one node in all graphs: that is how a copy of a graph shares its blank nodes with it.
+Those drawn at random, as hexadecimal numbers of 128 bits, stand for one node in all graphs: that is how a copy of a
+graph shares its blank nodes with it.
 """
 
 

@@ -19,9 +19,9 @@ from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
 
 NORMAL, GOING_AWAY = 1000, 1001
+"""Why a connection is closed (RFC 6455 7.4.1)."""
 _CLOCKS_NS = 100_000_000
 """How far the loop's clock and the wall's may be apart when the loop says that the time has come."""
-"""Why a connection is closed (RFC 6455 7.4.1)."""
 CLOSE_SECONDS = 0.5
 """How long a receiver that takes nothing may keep the server from saying why it closes."""
 

@@ -14,6 +14,8 @@ from rosld.server.pictures.raw_image import ENCODINGS, draw_raw, read_bytes, rea
 from rosld.server.pictures.refusal import MAX_PIXELS, CannotDraw, UnknownPicture
 
 _QUALITY = 80
+_JPEG_SIDE = 65_500
+"""Pixels of a side of a JPEG, as libjpeg writes it; the format has room for 65,535."""
 _PNG_EFFORT = 1
 """Of zlib: 6 takes six times as long, and the file is 15 % smaller."""
 
@@ -49,13 +51,16 @@ def is_drawable(schema: MessageSchema, message: Message) -> bool:
 
 
 def write_picture(picture: Image.Image, form: PictureForm) -> bytes:
-    """The file of a picture."""
+    """The file of a picture. Raises UnknownPicture where it has more pixels a side than a JPEG may have."""
     small = _shrink(picture, form.width)
     target = io.BytesIO()
     if form.media_type == PNG:
         small.save(target, "PNG", compress_level=_PNG_EFFORT)
-    else:
-        _without_transparency(small).save(target, "JPEG", quality=_QUALITY)
+        return target.getvalue()
+    if max(small.size) > _JPEG_SIDE:
+        words = f"The picture has {small.width} by {small.height} pixels, and a JPEG at most {_JPEG_SIDE} a side"
+        raise UnknownPicture(f"{words}: ask for image/png, or for a smaller one by ?width=")
+    _without_transparency(small).save(target, "JPEG", quality=_QUALITY)
     return target.getvalue()
 
 

@@ -19,9 +19,10 @@ from rosld.server.serving.transport import CoalescingTransport
 from rosld.server.serving.websocket_connection import WebSocketConnection
 
 _FRAMING_RATIO = 16
-"""Bytes of chunk sizes, chunk extensions and trailers that may come with each byte of a chunked body: a byte in a chunk
+"""Bytes of chunk sizes, chunk extensions and trailers that may come with each byte of a chunked body.
 
-of its own takes five more."""
+A byte in a chunk of its own takes five more.
+"""
 LINGER_SECONDS = 2.0
 """How long a client may go on sending after its answer: closing at once would reset it before it has read why."""
 

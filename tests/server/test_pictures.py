@@ -56,6 +56,9 @@ def camera(robot: Any) -> Any:
     robot.topic("/odd", IMAGE, image(frame(0), "yuv420"))
     robot.topic("/short", IMAGE, image(frame(0), step=1000))
     robot.topic("/huge", IMAGE, image(frame(0), width=2**31, height=2**31))
+    robot.topic("/wide", IMAGE, image(np.zeros((1, 70_000), np.uint8), "mono8"))
+    robot.topic("/tall", IMAGE, image(np.zeros((70_000, 2), np.uint8), "mono8"))
+    robot.topic("/empty", IMAGE, image(np.zeros((1, 1), np.uint8), "mono8", width=0, height=0, step=0, data=""))
     robot.topic("/words", "std_msgs/msg/String", {"data": "<img>"})
     robot.topic("/silent", IMAGE, published=False)
     file = cv2.imencode(".jpg", frame(3))[1].tobytes()
@@ -145,6 +148,20 @@ class Viewer:
     def has(self, number: int, size: tuple[int, int] = (48, 64)) -> bool:
         """Whether the last picture is that of a number."""
         return bool(self.files) and np.abs(decoded(self.files[-1]).astype(int) - frame(number, size)).max() < 6
+
+
+def test_what_is_wider_or_higher_than_a_jpeg_can_be_is_refused_as_one(camera: Any, serving: Any) -> None:
+    http = serving()
+    for path, size in (("topics/wide", "70000 by 1"), ("topics/tall", "2 by 70000")):
+        for form in ("jpeg", "mjpeg"):
+            answer = get(http, f"{path}?format={form}")
+            assert answer.status_code == 406
+            assert f"{size} pixels, and a JPEG at most 65500 a side: ask for image/png" in answer.json()["detail"]
+        assert get(http, f"{path}?format=png").status_code == 200
+        assert get(http, f"{path}?format=jpeg&width=1").status_code == 200
+    for form in ("jpeg", "png", "mjpeg"):
+        answer = get(http, f"topics/empty?format={form}")
+        assert (answer.status_code, "nothing to be seen" in answer.text) == (422, True)
 
 
 def test_many_see_one_motion_that_is_drawn_once(camera: Any, serving: Any, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -55,7 +55,7 @@ from rosld.server.sparql.update.parser import read_update
 from rosld.server.storage import Conflict, ConflictCause, Write
 
 ATTEMPTS = 4
-"""Times that an update is delta where what it is delta over changes before it is carried out."""
+"""Times that an update is evaluated where what it is evaluated over changes before it is carried out."""
 _LIVE = ("topics", "parameters", "resources")
 """The routes whose graphs hold values that change by themselves."""
 _PATIENCE = 1.0

@@ -250,7 +250,7 @@ def _aim_pad(form: HoldForm, site: Site) -> HoldForm:
 def _picture(view: PictureView, url: str, site: Site, sequence: int, *, moves: bool) -> PictureView:
     """The picture with references that are right on any page; what does not move is fetched anew when it changes."""
     path = site.href(url) or ""
-    still = f"{path}{view.still}" + ("" if moves else f"&no={sequence}")
+    still = f"{path}{view.still}" + ("" if moves else f"&v={sequence}")
     return replace(view, still=still, motion=f"{path}{view.motion}" if moves and view.motion else "")
 
 

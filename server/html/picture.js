@@ -15,7 +15,7 @@ drawn that nobody sees. */
     if (Boolean(image.dataset.moving) === Boolean(moves)) return;
     image.dataset.still ??= image.getAttribute("src");
     image.dataset.moving = moves ? "yes" : "";
-    image.src = moves ? image.dataset.motion : `${image.dataset.still}&stopped=${Date.now()}`;
+    image.src = moves ? image.dataset.motion : `${image.dataset.still}&v=${Date.now()}`;
   }
 
   const all = () => [...seen.keys()].forEach(update);

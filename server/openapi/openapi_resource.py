@@ -31,7 +31,7 @@ from rosld.server.openapi.description_parts import description_parts
 from rosld.server.openapi.path_collector import PathCollector
 from rosld.server.openapi.permitted_paths import add_security, permitted_paths
 from rosld.server.policies.stored_queries import StoredQueries
-from rosld.server.resources.namespaces import listed_graph, listing_parameters
+from rosld.server.resources.namespaces import LISTING_PARAMETERS, listed_graph
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.parts import PART_QUERY, parse_part
 from rosld.server.rest.path_item import PathItem
@@ -111,7 +111,7 @@ class OpenApiResource(Resource):
         self._making = asyncio.Lock()
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        query = (*PART_QUERY, *listing_parameters(self.session.adapter.capabilities)[1:])
+        query = (*PART_QUERY, *LISTING_PARAMETERS[1:])
         return PathItem("This description", MEDIA_TYPES, OBJECT, query, streams=False)
 
     async def custom_get(self, exchange: Exchange) -> Response | None:

@@ -38,6 +38,7 @@ from rosld.server.resources.bulk_write import (
 )
 from rosld.server.resources.command import CommandResource
 from rosld.server.resources.limit_checks import LimitChecks
+from rosld.server.resources.memento import PAST
 from rosld.server.resources.preconditions import read_fresh_state
 from rosld.server.resources.things import FORMAT as TD
 from rosld.server.resources.things import ThingDescriptions, wants_thing
@@ -124,7 +125,7 @@ class ComplexResource(CommandResource):
             f"The resource {self.path}",
             (*OFFERS, MEDIA_TYPE),
             {"type": "object", "properties": read},
-            (_FORMAT, *(replace(one, about=f"Of a Thing Description. {one.about}") for one in PART_QUERY)),
+            (_FORMAT, *PAST, *(replace(one, about=f"Of a Thing Description. {one.about}") for one in PART_QUERY)),
             {"PATCH": WriteMethod(sends=patch, done=(200, 204))},
             members=members,
         )

@@ -73,7 +73,7 @@ def thumbnail(latest: LatestValue, url: str) -> Thumbnail | None:
     if latest.picture is None:
         return None
     format = "png" if latest.picture.type_name == OCCUPANCY_GRID else "jpeg"  # of maps much is transparent
-    query = f"format={format}&width={_THUMBNAIL_WIDTH}&no={latest.picture.sequence}"
+    query = f"format={format}&width={_THUMBNAIL_WIDTH}&v={latest.picture.sequence}"
     return Thumbnail(url, query, "" if latest.json is None else brief_text(latest.json))
 
 

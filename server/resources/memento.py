@@ -31,7 +31,12 @@ LINK_FORMAT = "application/link-format"
 VARY = "Accept, Accept-Datetime"
 SETTLED_NS = 3_000_000_000
 """How long ago what was is what will always have been: everything of then is written."""
-TIMEMAP = QueryParameter("timemap", "The mementos that there are of it (RFC 7089), `start` the number of the first.")
+TIMEMAP = (
+    QueryParameter("timemap", "The mementos that there are of it (RFC 7089), `start` the number of the first."),
+    QueryParameter("start", "The number of the first memento that `timemap` tells."),
+)
+PAST = (QueryParameter("at", "The resource as it was at this time, an xsd:dateTime, by the history."), *TIMEMAP)
+"""What asks for the past of a resource."""
 _PAGE = 1000
 _SECOND = 1_000_000_000
 _DATE = "Tue, 31 Jan 2030 12:00:00 GMT"

@@ -102,9 +102,8 @@ def listed_graph(graph: Graph, capabilities: Capabilities) -> Graph:
     return _listed(graph) if capabilities.hidden_names else graph
 
 
-def listing_parameters(capabilities: Capabilities) -> tuple[QueryParameter, ...]:
-    """What the query of a listing of names may have."""
-    return (FORMAT, _HIDDEN) if capabilities.hidden_names else (FORMAT,)
+LISTING_PARAMETERS = (FORMAT, _HIDDEN)
+"""What the query of a listing of names may have. Where no name is hidden, `hidden` changes nothing."""
 
 
 def with_hidden(url: str) -> str:
@@ -242,8 +241,9 @@ class NamespaceContainer(Resource):
         return await self.methods_if_there()
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        query = listing_parameters(self.session.adapter.capabilities)
-        return PathItem(self.route.capitalize(), query=query, is_paged=True, alike=f"namespace-of-{self.route}")
+        return PathItem(
+            self.route.capitalize(), query=LISTING_PARAMETERS, is_paged=True, alike=f"namespace-of-{self.route}"
+        )
 
     async def state(self) -> State:
         now = self._listed()

@@ -35,7 +35,7 @@ from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.patches.patch import apply_update, merge_patch
 from rosld.server.resources.accepted_shape import has_parameter_shape, parameter_shape, shape_query
 from rosld.server.resources.limit_checks import LimitChecks
-from rosld.server.resources.namespaces import count_members, listing_parameters
+from rosld.server.resources.namespaces import LISTING_PARAMETERS, count_members
 from rosld.server.resources.parameter_base import ParameterBase, descriptor_of, require_not_fixed
 from rosld.server.resources.parameter_container import ParameterContainer
 from rosld.server.resources.parameter_form import parameter_form
@@ -248,7 +248,7 @@ class ParameterTree(ParameterContainer):
         return PathItem(
             "A tree of parameters",
             plain=OBJECT,
-            query=listing_parameters(self.session.adapter.capabilities),
+            query=LISTING_PARAMETERS,
             writes={
                 "POST": WriteMethod(
                     "Makes a parameter, named by `Slug` where that is free.", ANYTHING, done=(200, 201, 204)

@@ -42,7 +42,9 @@ _MAX_NAME = 20
 PICTURE_FORMAT = QueryParameter(
     "format", "The representation wanted, before Accept.", {"type": "string", "enum": [*FORMATS, *PICTURE_FORMATS]}
 )
+VERSION = QueryParameter("v", "Passed over: pages add it, to have another address for another message.")
 PICTURE_PARAMETERS = (
+    VERSION,
     QueryParameter(
         "width", "The most pixels a row of the picture.", {"type": "integer", "minimum": 1, "maximum": MAX_WIDTH}
     ),

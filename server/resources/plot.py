@@ -40,6 +40,7 @@ _PARAMETERS = (
         "y",
         "A number of a topic or of a property: its URL, or that below the base, and after # the path of the field. "
         "It may be given several times.",
+        {"type": "array", "items": TEXT},
     ),
     FORMAT,
 )

@@ -13,7 +13,7 @@ from rosld.server.http.conditional import ETag
 from rosld.server.http.problem import Problem
 from rosld.server.pictures.picture_cache import PictureCache
 from rosld.server.pictures.refusal import CannotDraw
-from rosld.server.resources.pictures import sample_identity
+from rosld.server.resources.pictures import VERSION, sample_identity
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import FORMATS, OFFERS
 from rosld.server.rest.path_item import BYTES, QueryParameter
@@ -27,6 +27,7 @@ from rosld.server.space.point_cloud import DEFAULT_POINTS, MAX_POINTS, POINT_CLO
 PLY = BYTES
 """IANA has registered no media type for PLY."""
 CLOUD_PARAMETERS = (
+    VERSION,
     QueryParameter(
         "format", "The representation wanted, before Accept.", {"type": "string", "enum": [*FORMATS, "ply"]}
     ),

@@ -44,6 +44,7 @@ from rosld.server.resources.bulk_write import with_field
 from rosld.server.resources.command import CommandResource
 from rosld.server.resources.complex_resource import ComplexResource
 from rosld.server.resources.limit_checks import LimitChecks
+from rosld.server.resources.memento import PAST
 from rosld.server.resources.preconditions import read_fresh_state, require_offered, require_writable
 from rosld.server.resources.property_writes import plan_property_write, write_response
 from rosld.server.resources.service_request import call_problem, call_service, read_request, refusal_problem
@@ -124,7 +125,7 @@ class MemberResource(CommandResource):
             f"The {'action' if value is None else 'property'} {self.name}",
             FIELD_READS,
             None if value is None else nullable(read_schema(value)),
-            (FORMAT, FIELD),
+            (FORMAT, FIELD, *PAST),
             {
                 "DELETE": WriteMethod(_CANCELS, done=(202,), query=(_OTHERS,)),
                 "PUT": WriteMethod(

@@ -60,6 +60,7 @@ _PARAMETERS = (
     QueryParameter(
         "show",
         "A topic: its URL, or that below the base. It may be given several times; without it all is drawn.",
+        {"type": "array", "items": TEXT},
     ),
     QueryParameter(
         "view", "How the page draws it: `above`, or `3d`: in three dimensions.", {"type": "string", "enum": [*_VIEWS]}

@@ -229,6 +229,7 @@ class SparqlResource(Resource):
 
     kind = "SPARQL"
     takes_forms = False
+    passes_unknown_parameters = frozenset({"GET", "HEAD"})  # clients send some of other endpoints
 
     def __init__(
         self,

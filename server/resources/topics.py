@@ -134,9 +134,9 @@ class TopicResource(CommandResource):
             "A topic that may be made" if topic is None else f"The topic {self.name}",
             (*FIELD_READS, *PICTURES) if self.is_picture else FIELD_READS,  # the bytes of a cloud are among them
             ANYTHING if schema is None else nullable(schemas.read(schema)),
-            (PICTURE_FORMAT, FIELD, *PARAMETERS, TIMEMAP, *PICTURE_PARAMETERS)
+            (PICTURE_FORMAT, FIELD, *PARAMETERS, *TIMEMAP, *PICTURE_PARAMETERS)
             if self.is_picture
-            else (*(CLOUD_PARAMETERS if self.is_cloud else (FORMAT,)), FIELD, *PARAMETERS, TIMEMAP),
+            else (*(CLOUD_PARAMETERS if self.is_cloud else (FORMAT,)), FIELD, *PARAMETERS, *TIMEMAP),
             topic_writes(
                 topic,
                 schema,

@@ -79,7 +79,7 @@ class Dispatcher:
             if not exchange.permissions.is_unrestricted:
                 self._authorize(exchange, resource)
                 exchange.answering = resource
-            if query_string and exchange.method in VERBS and not is_form(exchange, resource):
+            if query_string and exchange.method != "OPTIONS" and not is_form(exchange, resource):
                 self._require_known(exchange.method, query_string, asked, resource)
             response = await self._answer(exchange, resource)
         except (BodyError, LoweringError, RosError, Problem) as error:
@@ -89,8 +89,8 @@ class Dispatcher:
         return response
 
     def _require_known(self, method: str, query_string: bytes, asked: Resource, resource: Resource) -> None:
-        """Raise a 400 Problem where a write, which is allowed, has parameters that are not known."""
-        if method in resource.methods():
+        """Raise a 400 Problem where a request, unless its method is refused, has parameters that are not known."""
+        if method not in VERBS or method in resource.methods():
             self._known_parameters.require(method, query_string, asked, resource)
 
     def _with_near(self, exchange: Exchange, resource: Resource, problem: Problem) -> Problem:

@@ -196,7 +196,7 @@ def test_lists_show_small_pictures_of_what_is_subscribed_to_and_can_be_drawn(
         http.get(f"topics/{topic}")
     found = thumbnails(http, path)
     assert found.keys() == {"topics/camera", "topics/file", "topics/map_image"}
-    assert found["topics/map_image"].startswith("/topics/map_image?format=png&width=192&no=")
+    assert found["topics/map_image"].startswith("/topics/map_image?format=png&width=192&v=")
     assert {get(http, source, IMG).status_code for source in found.values()} == {200}
     assert "encoding yuv420" in get(http, path, BROWSER).text
 

@@ -1,4 +1,4 @@
-"""Query parameters that nobody knows: a write that has one is refused, and nothing is done."""
+"""Query parameters that nobody knows: a request that has one is refused, and a write does nothing."""
 
 from __future__ import annotations
 
@@ -40,6 +40,36 @@ def test_a_write_with_a_parameter_that_is_not_known_is_refused_with_the_nearest_
     assert answer.status_code == 400, answer.text
     if "graf" not in named:  # no graph is named then, either
         assert f"?{named} here; the nearest is ?{nearest}." in answer.json()["detail"]
+
+
+@pytest.mark.parametrize(
+    ("path", "nearest"),
+    [
+        ("/topics/cockpit/display?feild=data", "field"),
+        ("/topics/cockpit/display?untill=data+%3D+1", "until"),
+        ("/topics/?formt=json", "format"),
+        ("/resources/aircraft/power?fromat=json", "format"),
+        ("/parameters/aircraft/seats?rates=1", "rate"),
+        ("/find?qq=battery", "q"),
+        ("/graph?bellow=/camera", "below"),
+        ("/openapi.json?bellow=/topics/", "below"),
+    ],
+)
+def test_a_read_that_would_mean_something_else_is_refused_with_the_nearest_parameter(
+    http: httpx.Client, path: str, nearest: str
+) -> None:
+    for method in ("GET", "HEAD", "GET"):
+        answer = http.request(method, path, headers={"Accept": "application/json"})
+        assert answer.status_code == 400, (path, answer.text)
+    assert f"the nearest is ?{nearest}." in answer.json()["detail"]
+
+
+@pytest.mark.parametrize(
+    "path", ["/data/?_=1", "/data/kept?v=3&v=4", "/sparql?query=ASK+%7B%7D&infer=no", "/style.css?v=1"]
+)
+def test_what_browsers_caches_and_sparql_clients_add_is_passed_over(http: httpx.Client, path: str) -> None:
+    http.put("/data/kept", content="<> <urn:p> 1 .", headers={"Content-Type": "text/turtle"})
+    assert http.get(path).status_code == 200
 
 
 def test_a_parameter_that_is_there_twice_is_refused_where_one_would_count(robot: MadeUp, serving: Serving) -> None:

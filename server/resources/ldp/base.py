@@ -38,6 +38,7 @@ class StoredResource(Resource):
     """Base of the resources that clients keep. `path` is the URL without the base."""
 
     is_cacheable = False
+    passes_unknown_parameters = frozenset({"GET", "HEAD"})  # such as those that browsers add to be told anew
 
     def __init__(self, documents: Documents, path: str) -> None:
         super().__init__(documents.space.base + path)

@@ -224,6 +224,10 @@ class Recording(Protocol):
         """Message `index`; raises NotFound outside first to first+count-1. Quick, but reads the disk."""
         ...
 
+    def topic_of(self, index: int) -> str | None:
+        """The topic of message `index`, None where there is no such message. Quick, and reads no message."""
+        ...
+
     def messages(self) -> Iterator[RecordedMessage]:
         """All messages in recorded order, those that cannot be decoded included."""
         ...

@@ -31,6 +31,7 @@ from rosld.server.middleware.scheduling import Scheduling
 from rosld.server.middleware.tokens_in_urls import RejectTokensInUrls
 from rosld.server.middleware.websockets import WebSockets
 from rosld.server.receipts.journal import Journal
+from rosld.server.resources.about import AboutResources
 from rosld.server.resources.acl import AclResource
 from rosld.server.resources.channels import Notifications, fixed_resources
 from rosld.server.resources.channels import routes as notification_routes
@@ -99,7 +100,7 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
     fixed = (router.endpoint, router.graphs, router.search, *(make() for make in views.values()))
     described = {each.url: each.document for each in (*fixed_resources(notifications), *fixed)}
     sparql.graphs.add(described, [router.at(f"/{name}") for name in changing])
-    authenticator = create_authenticator(services)
+    authenticator = create_authenticator(services, notifications.channels)
     if authenticator is not None:
         authenticator.changed.watch(broadcasters.wake_all)
         router.add({"acl": single_route(partial(AclResource, space.base, authenticator))})
@@ -149,12 +150,14 @@ def background_jobs(
     ]
 
 
-def create_authenticator(services: Services) -> Authenticator | None:
+def create_authenticator(services: Services, channels: Channels) -> Authenticator | None:
     """Who asks and what they may do, by the file of `--auth`; None without one."""
     session = services.session
     if session.settings.auth is None:
         return None
-    return Authenticator(session.settings.auth, session.space, partial(types_at, session, services.affordances))
+    about = AboutResources(session, services.holds, services.recordings, services.receipts, channels)
+    types = partial(types_at, session, services.affordances)
+    return Authenticator(session.settings.auth, session.space, types, about)
 
 
 def client_limiter(settings: Settings) -> ClientLimiter:

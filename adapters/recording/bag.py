@@ -89,6 +89,10 @@ class Bag:
         sequence = int(np.searchsorted(stream.positions, index)) + 1
         return RecordedMessage(index, stream.topic, self.sample(index, sequence), self._is_opening(index))
 
+    def topic_of(self, index: int) -> str | None:
+        """The topic of message `index`, None where there is no such message."""
+        return self._stream(index).topic if 0 <= index < self.count else None
+
     def messages(self) -> Iterator[RecordedMessage]:
         """All messages in recorded order; those that the disk does not give are left out, with a warning."""
         sequences: Counter[int] = Counter()

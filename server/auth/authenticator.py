@@ -16,7 +16,7 @@ from rosld.server.auth.agent import ANONYMOUS, Agent
 from rosld.server.auth.config import AuthConfig
 from rosld.server.auth.errors import invalid_token
 from rosld.server.auth.oidc import Claims, InvalidToken, TokenVerifier, issuer_of, require_library
-from rosld.server.auth.permissions import ALLOW_ALL, Permissions, TypesAt
+from rosld.server.auth.permissions import ALLOW_ALL, AboutAt, Permissions, TypesAt
 from rosld.server.auth.rules import AUTHENTICATED
 from rosld.server.auth.tokens import parse_credentials
 from rosld.server.runtime.signals import Signal
@@ -49,10 +49,11 @@ UNRESTRICTED = AuthContext(ALLOW_ALL, _always, ALLOW_ALL)
 class Authenticator:
     """Authenticates the requests of one server. Belongs to one loop. Raises ValueError on an unreadable file."""
 
-    def __init__(self, path: Path, space: Space, types: TypesAt) -> None:
+    def __init__(self, path: Path, space: Space, types: TypesAt, about: AboutAt) -> None:
         self._path = path
         self._space = space
         self._types = types
+        self._about = about
         self._stamp = _stamp(path)
         self.config = config.read_config(path, space.base)
         if self.config.issuers:
@@ -91,7 +92,7 @@ class Authenticator:
         if found is None:
             if len(self._judges) >= _MAX_AGENTS:
                 self._judges.clear()
-            found = Permissions(agent, self.config.policy.rights_of(agent), self._space, self._types)
+            found = Permissions(agent, self.config.policy.rights_of(agent), self._space, self._types, self._about)
             self._judges[agent] = found
         return found
 

@@ -72,7 +72,10 @@ def authorize(permissions: Permissions, method: str, place: Location | None, res
     if method == "OPTIONS" or (method not in _SAFE and method not in resource.methods()):
         return
     if not permissions.may_at(method, place):
-        raise forbidden(permissions.agent, _WORDS.get(method, "read this"))
+        what = _WORDS.get(method, "read this")
+        if not permissions.may_about(method, place):
+            what += ": it tells of others, too, that are not yours to read"
+        raise forbidden(permissions.agent, what)
     if method in _SAFE:
         return
     if resource.changes_subtree:

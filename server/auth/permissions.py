@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache
 from typing import TypeAlias
 
@@ -15,12 +15,28 @@ from rosld.server.auth.tokens import token_digest
 
 TypesAt: TypeAlias = Callable[[Location], Types]
 """The types of the resource at a location."""
+AboutAt: TypeAlias = Callable[[Location], "Sequence[str] | None"]
+"""The URLs of what the resource at a location tells of: all of these must be readable for it to be read.
+
+None where that is not known: then it takes the right to read everything. May be called in any thread.
+"""
+TELLING_OF_OTHERS = frozenset({"activity", "bags", "calls", "channels", "goals", "holds"})
+"""The routes of resources that tell of others: of what a call called, of what a receipt's write touched."""
 
 _PAGE = re.compile(r"(?:^|&)page=[0-9]*:([^&]+)")
 
 
 def _untyped(location: Location) -> Types:
     return UNTYPED
+
+
+def _about_nothing_else(location: Location) -> Sequence[str]:
+    return ()
+
+
+def _about_unknown(location: Location) -> Sequence[str] | None:
+    """In a worker process, where it is not known what calls, receipts and recordings tell of."""
+    return None if location.kind in TELLING_OF_OTHERS and location.segments else ()
 
 
 class Permissions:
@@ -30,7 +46,14 @@ class Permissions:
     of what is cached for them.
     """
 
-    def __init__(self, agent: Agent, rights: Rights, space: Space | None = None, types: TypesAt = _untyped) -> None:
+    def __init__(
+        self,
+        agent: Agent,
+        rights: Rights,
+        space: Space | None = None,
+        types: TypesAt = _untyped,
+        about: AboutAt = _about_nothing_else,
+    ) -> None:
         self.agent = agent
         self.rights = rights
         self.is_unrestricted = rights.is_unrestricted
@@ -40,13 +63,14 @@ class Permissions:
         """What tells what is made for this agent alone from what is made for others."""
         self._space = space
         self._types = types
+        self._about = about
         self._located = lru_cache(maxsize=16384)(self._locate)
 
     def __reduce__(self) -> tuple[object, ...]:
         """For a worker process. Raises TypeError where types matter: what is where is known to the server only."""
         if self.rights.is_typed:
             raise TypeError("rights that depend on types are judged in the server only")
-        return Permissions, (self.agent, Rights(self.rights.rules), self._space)
+        return Permissions, (self.agent, Rights(self.rights.rules), self._space, _untyped, _about_unknown)
 
     def may_read(self, url: str) -> bool:
         """Whether what is at a URL may be read, whatever its query and fragment."""
@@ -75,12 +99,41 @@ class Permissions:
         """Whether a request with this method may be made of what is at a location."""
         path = path_at(location)
         if method == "OPTIONS":
-            return self.rights.may_know(path, self._types(location))
-        return self.rights.may(mode_of(method, path), path, self._types(location))
+            return self.may_know(location)
+        return self.rights.may(mode_of(method, path), path, self._types(location)) and self.may_about(method, location)
+
+    def may_about(self, method: str, location: Location) -> bool:
+        """Whether what the resource at a location tells of lets an agent do this who may do it by the path.
+
+        What is denied is denied wherever it is told of: to read takes the right to read all that the resource tells of,
+        to change it takes the right to know of all that.
+        """
+        if self.may_read_all or location.kind not in TELLING_OF_OTHERS:
+            return True
+        about = self._about(location)
+        if about is None:
+            return False
+        is_read = mode_of(method, path_at(location)) is Mode.READ
+        return all(self.may_read(url) if is_read else self._may_know_url(url) for url in about)
+
+    def may_read_topic(self, name: str) -> bool:
+        """Whether the topic of a name may be read; a glob is taken as a name."""
+        return self._space is None or self.may_read(self._space.topic(name if name.startswith("/") else f"/{name}"))
 
     def may_know(self, location: Location) -> bool:
-        """Whether the agent may know if anything is there."""
-        return self.is_unrestricted or self.rights.may_know(path_at(location), self._types(location))
+        """Whether the agent may know if anything is there: at what tells of others, if of any of these."""
+        if self.is_unrestricted:
+            return True
+        if not self.rights.may_know(path_at(location), self._types(location)):
+            return False
+        if self.may_read_all or location.kind not in TELLING_OF_OTHERS:
+            return True
+        about = self._about(location)
+        return about is not None and (not about or any(map(self._may_know_url, about)))
+
+    def _may_know_url(self, url: str) -> bool:
+        location = self._located(url)
+        return location is None or self.may_know(location)
 
     def may_know_path(self, location: Location) -> bool:
         """The same, as far as the path says: what is there is not looked at."""

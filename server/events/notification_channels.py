@@ -123,6 +123,11 @@ class Channels:
             raise Problem(404, "There is no such channel, or its time has passed: subscribe again.")
         return channel
 
+    def topic_of(self, token: str) -> str | None:
+        """The URL that a channel notifies of, None where there is no such channel; any thread may ask."""
+        channel = self._kept.get(token)
+        return None if channel is None else channel.terms.topic
+
     def close(self, channel: Channel) -> None:
         """End a channel, and the task that sends to its receiver unless that is the current one."""
         end_dry_run()

@@ -110,6 +110,10 @@ class HistoryRecording:
         channel, sample = found
         return RecordedMessage(index, channel.topic, sample)
 
+    def topic_of(self, index: int) -> str | None:
+        """The topic of the message of a number, None where there is none."""
+        return self._writer.topic_of(index)
+
     def messages(self) -> Iterator[RecordedMessage]:
         """All messages, in the order of their numbers; those that cannot be read are left out."""
         for index in range(self._writer.first, self._writer.next):

@@ -127,6 +127,17 @@ class HistoryWriter:
                 return found
         return None
 
+    def topic_of(self, number: int) -> str | None:
+        """The topic of the message of a number, None where there is none; no message is read."""
+        for _ in range(2):  # as for `message`
+            with self._lock:
+                chunks = (*self._closing, *self._open.values())
+                topic = next((chunk.topic for chunk in chunks if number in chunk.numbers), None)
+            row = self.segments.index.find(number) if topic is None else None
+            if topic is not None or row is not None:
+                return topic if row is None else row.topic
+        return None
+
     def unwritten(self, topic: str) -> list[Sample]:
         """The messages of a topic that are not in the index yet, in the order of their receipt."""
         with self._lock:

@@ -144,6 +144,15 @@ class Recordings:
         own = {HISTORY: self.history.recording} if self.history.is_kept else {}
         return {**own, **self.finished, **self._adapter.recordings}
 
+    def find(self, name: str) -> Recording | None:
+        """The recording of a name that can be read, None where there is none; any thread may ask."""
+        found, opened = self._adapter.recordings.get(name), self._opened.get(name)
+        if found is None and opened is not None:
+            return opened[1]
+        if found is None and name == HISTORY and self.history.is_kept:
+            return self.history.recording
+        return found
+
     @property
     def unreadable(self) -> Mapping[str, UnreadableFile]:
         """Files that cannot be opened, by the name that they have taken."""

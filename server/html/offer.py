@@ -194,7 +194,7 @@ def offer_view(offer: Offer, site: Site, posted: Iterable[FormTarget]) -> OfferV
         case ActionView(affordance):
             return ActionOffer(
                 affordance.request is not None,
-                _behind(site, (ros.invokes, (offer.invokes,))),
+                _behind(site, (ros.invokes, () if offer.invokes is None else (offer.invokes,))),
                 site.anchor(offer.part_of),
                 _term(affordance.relation, site),
             )

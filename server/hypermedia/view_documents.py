@@ -91,7 +91,7 @@ def action_document(view: ActionView, space: Space, lifting: LiftSettings) -> Do
         *RDF_SOURCE,
         (ros.name, text(_name(subject.value, space))),
         (dcterms.title, text(view.affordance.title)),
-        (ros.invokes, NamedNode(view.invokes)),
+        (ros.invokes, None if view.invokes is None else NamedNode(view.invokes)),
         (dcterms.isPartOf, NamedNode(view.part_of)),
     )
     triples += _action_affordance(view.affordance, subject, "#action", space)

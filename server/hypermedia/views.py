@@ -132,18 +132,19 @@ class PropertyView:
 class ActionView:
     """An action by itself (`/resources/aircraft/start`); `invokes` is the URL of the service or action behind it.
 
-    `parts` tell how the goal of an action of ROS stands.
+    None for who may not read that. `parts` tell how the goal of an action of ROS stands.
     """
 
     affordance: ActionAffordance
-    invokes: str
+    invokes: str | None
     part_of: str
     parts: tuple[PropertyAffordance, ...] = ()
 
     def redact(self, permissions: Permissions) -> ActionView:
         """It without what an agent of these rights may not do, and the parts that must not be read."""
         parts = tuple(one.redact(permissions) for one in self.parts if permissions.may_read(one.url))
-        return replace(self, affordance=self.affordance.redact(permissions), parts=parts)
+        invokes = self.invokes if self.invokes is not None and permissions.may_read(self.invokes) else None
+        return replace(self, affordance=self.affordance.redact(permissions), invokes=invokes, parts=parts)
 
 
 @dataclass(frozen=True, slots=True)

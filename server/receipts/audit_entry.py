@@ -10,7 +10,9 @@ import base64
 import codecs
 import hashlib
 import re
+from collections.abc import Sequence
 from typing import NamedTuple
+from urllib.parse import parse_qsl, urljoin
 
 from rosld.ontology.describe_activities import Receipt
 from rosld.server.auth.agent import Agent
@@ -80,6 +82,21 @@ def receipt_of(entry: AuditEntry, number: int, id: str, excerpt_bytes: int) -> R
         None if entry.created is None else redact_tokens(entry.created),
         None if entry.words is None else _said(entry.words, withheld),
     )
+
+
+def touched_urls(url: str, touched: Sequence[str], made: str | None, status: int, length: int) -> Sequence[str] | None:
+    """The URLs of what a write was about: that it was sent to, those in its query, those of its steps, what it made.
+
+    None where it may have been about more: an update, whose WHERE looks at everything; steps that are too many to be
+    all here; a query that is withheld; and a body that names other things and was refused before all were known.
+    """
+    own, _, query = url.partition("?")
+    if own.endswith("/sparql") or len(touched) >= _MAX_STEPS or query == _WITHHELD.strip("()"):
+        return None
+    if own.endswith("/") and length and status >= 400:
+        return None
+    named = (urljoin(own, value) for _, value in parse_qsl(query) if value.startswith(("/", "http:", "https:")))
+    return (own, *touched, *named, *(() if made is None else (made,)))
 
 
 def _text(body: bytes) -> str | None:

@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from rosld.ontology.describe_activities import Receipt
-from rosld.server.receipts.audit_entry import AuditEntry, receipt_of
+from rosld.server.receipts.audit_entry import AuditEntry, receipt_of, touched_urls
 from rosld.server.receipts.sqlite_log import SqliteLog
 from rosld.server.runtime.identifiers import new_identifier
 from rosld.server.runtime.signals import Signal
@@ -47,6 +47,21 @@ class JournalEntry:
         assert known is not None
         self.ended_ns = known.ended_ns
         self.is_refused = known.status >= 400
+
+    @property
+    def touched(self) -> Sequence[str] | None:
+        """The URLs of what the write was about, as far as the request and the steps name it.
+
+        None where it may have been about more. The receipt is not made for it; any thread may ask.
+        """
+        known = self._receipt
+        if known is not None:
+            return touched_urls(known.url, known.touched, known.made, known.status, known.length)
+        asked = self._asked
+        if asked is None:  # another thread has just made the receipt
+            return self.touched
+        url = f"{asked.url}?{asked.query.decode('latin-1')}"
+        return touched_urls(url, asked.touched, asked.created, asked.status, asked.length)
 
     @property
     def receipt(self) -> Receipt:

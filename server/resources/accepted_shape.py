@@ -76,7 +76,12 @@ async def message_shape(
     """What may be sent to a topic, a service or an action, as the shapes graph at the URL `shape`."""
     url = {Kind.TOPIC: space.topic, Kind.SERVICE: space.service, Kind.ACTION: space.action}[kind](name)
     demand = await limit_checks.message_demand(kind, name, schema, url, node)
-    return accepted_message_document(shape, schema, space, f"What may be sent to {name}", demand)
+    return accepted_message_document(shape, schema, space, f"What may be sent to {_path(shape, space)}", demand)
+
+
+def _path(shape: str, space: Space) -> str:
+    """The path of what a shape is of: what lies behind that (a service, a topic) is not for all who may read it."""
+    return "/" + shape.partition("?")[0].removeprefix(space.base)
 
 
 def has_parameter_shape(graph: Graph, name: str) -> bool:
@@ -89,7 +94,7 @@ async def parameter_shape(
 ) -> Document | None:
     """What a parameter may be set to; None where there is none."""
     url, kinds = space.parameter(name), await _of_parameter(adapter, limit_checks, name)
-    title = f"What {name} may be set to"
+    title = f"What {_path(shape, space)} may be set to"
     return accepted_value_document(shape, url, ros.value, kinds, space, title) if kinds else None
 
 
@@ -104,7 +109,7 @@ async def property_shape(
     """What a property may be made; None where nothing writes it, or nothing tells its type."""
     writer = property_writer(session.adapter, session.settings, plan.source)
     kinds = [] if writer is None else await _of_writer(session, affordances, limit_checks, plan, writer)
-    title = f"What {plan.source.name} may be made"
+    title = f"What {_path(shape, session.space)} may be made"
     return accepted_value_document(shape, url, rdf.value, kinds, session.space, title) if kinds else None
 
 

@@ -13,6 +13,7 @@ from rosld.ontology.describe_containers import container_document
 from rosld.ontology.document import Document
 from rosld.ontology.literals import date_time
 from rosld.ontology.urls import Space
+from rosld.server.auth.permissions import Permissions
 from rosld.server.events import query_params
 from rosld.server.html import MemberColumns, SequenceLink
 from rosld.server.html.page import Cell
@@ -114,7 +115,7 @@ class ActivityContainer(Resource):
         if exchange.method not in ("GET", "HEAD"):
             return self
         if query_params.stream_is_preferred(exchange.accept, OFFERS):
-            return NewestReceipt(self.space, self.receipts)
+            return NewestReceipt(self.space, self.receipts, exchange.permissions)
         token = exchange.query.get("page")
         if token is not None:
             return ActivityContainer(self.space, self.states, self.receipts, parse_position(token))
@@ -179,22 +180,31 @@ class ActivityContainer(Resource):
 
 
 class NewestReceipt(Resource):
-    """`/activity/` as a stream: each write when it comes. Those that come faster than is read are left out."""
+    """`/activity/` as a stream: each write when it comes, as far as an agent may read its receipt.
+
+    Those that come faster than is read are left out.
+    """
 
     kind = "Activity"
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
 
-    def __init__(self, space: Space, receipts: Journal) -> None:
+    def __init__(self, space: Space, receipts: Journal, permissions: Permissions) -> None:
         super().__init__(space.container("activity"))
         self.space = space
         self.receipts = receipts
+        self._permissions = permissions
+
+    @property
+    def variant_key(self) -> str:
+        return self._permissions.rights_key
 
     @property
     def conforms_to(self) -> Sequence[str]:
         return (self.space.document_shape("Write"),)
 
     async def state(self) -> State:
-        entry = next(self.receipts.newest_first(), None)
+        entries, may_read = self.receipts.newest_first(), self._permissions.may_read
+        entry = next((each for each in entries if may_read(self.space.activity(each.id))), None)
         if entry is None:
             return State(lambda: container_document(self.url, (), TITLE), lambda: b"null", "nothing")
         return _receipt_state(self.space, entry)

@@ -21,6 +21,7 @@ from rosld.server.resources.recording_trigger import (
     can_record,
     may_read_topic,
     require_topics,
+    urls_of,
 )
 from rosld.server.resources.unfinished_bags import ArmedBag, RunningBag
 from rosld.server.rest.exchange import Exchange
@@ -107,7 +108,9 @@ class BagContainer(Resource):
         slug = exchange.header("slug")
         if order.name is None and slug is not None and self.recordings.can_be_named(slug):
             order = replace(order, name=slug)
-        require_topics(order, exchange.permissions, self.session.space)
+        space = self.session.space
+        exchange.audit.add_step(f"record {', '.join(order.topics)}", *urls_of(order, space))
+        require_topics(order, exchange.permissions, space)
         return order
 
     async def _begin(self, order: RecordingOrder, exchange: Exchange) -> RunningBag | ArmedBag:

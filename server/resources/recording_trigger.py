@@ -218,6 +218,13 @@ def named_topics(order: RecordingOrder) -> Sequence[str]:
     return [topic for topic in order.topics if not set(topic) & set("*?[")]
 
 
+def urls_of(order: RecordingOrder, space: Space) -> Sequence[str]:
+    """The URLs of the topics that an order names, globs as if they were names, and of what it waits for."""
+    trigger = () if order.trigger is None else (order.trigger.resource or order.trigger.condition,)
+    topics = (space.topic(each if each.startswith("/") else f"/{each}") for each in order.topics)
+    return (*topics, *(urljoin(space.base, each) for each in trigger))
+
+
 def require_topics(order: RecordingOrder, permissions: Permissions, space: Space) -> None:
     """Raise a 403 Problem where an order names a topic that must not be read."""
     for topic in named_topics(order):

@@ -99,6 +99,11 @@ class Calls:
             raise Gone(id)
         return self._calls[id]
 
+    def service_of(self, id: str) -> str | None:
+        """The service of a call, empty for one that is gone, None for one that never was; any thread may ask."""
+        call = self._calls.get(id)
+        return call.service if call is not None else "" if id in self._gone else None
+
     def delete(self, id: str) -> None:
         """Forget a call; raises as `find`. A running one goes on, its answer is dropped."""
         record_step(f"forget the call {self.find(id).id}")

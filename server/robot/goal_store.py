@@ -96,6 +96,11 @@ class GoalStore:
         """A goal that is kept, whatever its age."""
         return self._goals.get(id)
 
+    def action_of(self, id: str) -> str | None:
+        """The action of a goal, empty for one that is gone, None for one that never was; any thread may ask."""
+        goal = self._goals.get(id)
+        return goal.action if goal is not None else "" if id in self._gone else None
+
     def of_key(self, key: GoalId) -> Goal | None:
         """The goal that the robot calls so."""
         return self._goals.get(self._ids.get(key, ""))

@@ -102,6 +102,10 @@ class Goals:
         """A goal by its id; raises Gone for one that was deleted or is too old, KeyError for one that never was."""
         return self._store.find(id)
 
+    def action_of(self, id: str) -> str | None:
+        """The action of a goal, empty for one that is gone, None for one that never was; any thread may ask."""
+        return self._store.action_of(id)
+
     def delete(self, id: str) -> None:
         """Forget a goal; raises as `find`."""
         record_step(f"forget the goal {self.find(id).id}")

@@ -138,6 +138,11 @@ class Holds:
             raise HoldEnded(self._ended[id])
         return self._running[id].hold
 
+    def topic_of(self, id: str) -> str | None:
+        """The topic of a hold, empty for one that has ended, None for one that never was; any thread may ask."""
+        running = self._running.get(id)
+        return running.hold.topic if running is not None else "" if id in self._ended else None
+
     async def start(self, hold: Hold) -> Hold:
         """Publish the message of a new hold for the first time, and go on with it.
 

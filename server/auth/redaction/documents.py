@@ -20,6 +20,10 @@ from rosld.server.auth.permissions import Permissions
 
 _Term: TypeAlias = "NamedNode | BlankNode | Literal | Triple"
 
+_ABOUT = frozenset({ros.shows, ros.touches})
+"""Predicates by which a part of a document says what it is about: a step of a stop, a panel of a cockpit."""
+_WORDS = frozenset({ros.recordingProblem, ros.triggerCondition})
+"""Predicates of an order whose words may name what it records, or waits for."""
 _TELLING = frozenset({ros.mappingWarning})
 """Predicates whose words name whatever there is: only who may read everything is told them."""
 
@@ -48,6 +52,7 @@ class _Redaction:
         """Return the triples that the agent may read."""
         before = self._document.triples
         parts = self._hidden_parts()
+        orders = self._orders_of_hidden()
         after = [
             each
             for each in before
@@ -55,6 +60,9 @@ class _Redaction:
                 self._is_hidden(each.subject)
                 or self._is_hidden(each.object)
                 or each.subject in parts
+                or each.object in parts
+                or (each.predicate == ros.recordsTopic and self._is_hidden_topic(each.object))
+                or (each.predicate in _WORDS and each.subject in orders)
                 or (each.predicate in _TELLING and not self._permissions.may_read_all)
             )
         ]
@@ -91,8 +99,21 @@ class _Redaction:
         return frozenset(
             each.subject
             for each in self._document.triples
-            if each.predicate == ros.touches and _is_part(each.subject, self._own) and self._is_hidden(each.object)
+            if each.predicate in _ABOUT and _is_part(each.subject, self._own) and self._is_hidden(each.object)
         )
+
+    def _orders_of_hidden(self) -> frozenset[_Term]:
+        """Return the recordings that are ordered of hidden topics, or by a trigger about something hidden."""
+        return frozenset(
+            each.subject
+            for each in self._document.triples
+            if (each.predicate == ros.recordsTopic and self._is_hidden_topic(each.object))
+            or (each.predicate == ros.triggerResource and self._is_hidden(each.object))
+        )
+
+    def _is_hidden_topic(self, term: _Term) -> bool:
+        """Whether a literal is the name of a topic, or a glob that is spelt as one, that the agent may not read."""
+        return isinstance(term, Literal) and not self._permissions.may_read_topic(term.value)
 
     def _is_hidden(self, term: _Term) -> bool:
         if not isinstance(term, NamedNode):

@@ -1,0 +1,666 @@
+"""What is denied to a reader is told nowhere: in no route, syntax, query, stream, file or link.
+
+The robot and everything that an administrator makes of it has names with `zq7`, and the number 7317.25. The reader may
+read all other paths. What the documents of clients (`/data/`, `/mappings/`, `/queries/`, `/cockpit/`, and
+`/shapes/`) literally say is not denied by it: theirs name denied things by URLs, which are left out.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import html
+import io
+import json
+import re
+from collections import Counter
+from collections.abc import AsyncIterator, Iterable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote, unquote
+
+from mcap.reader import NonSeekingReader
+
+from rosld.adapters.base import Capabilities, Sink, Watch
+from rosld.adapters.embedded import NoWatch
+from rosld.adapters.model import (
+    Action,
+    ActionSchema,
+    Encoding,
+    Endpoint,
+    GoalEvent,
+    GoalId,
+    GoalStatus,
+    Graph,
+    Kind,
+    Node,
+    Operation,
+    Ref,
+    TypeRef,
+    freeze,
+)
+from rosld.ontology.lift import LiftSettings
+from rosld.ontology.lower import lowerer
+from rosld.server.app import Application, create_app
+from rosld.server.resources.static_assets import FILES
+from rosld.server.serving.run_lifespan import lifespan
+from rosld.server.settings import Settings
+from tests.server.auth.conftest import token, tokens
+from tests.server.robots.made_up import MadeUp
+
+MARKER = re.compile(r"zq7\w*|7317\.25|7\.31725")
+NUMBER = 7317.25
+HOST = "127.0.0.1:8080"
+BASE = f"http://{HOST}/"
+RULES = """
+[[rule]]
+agents = ["admin"]
+modes = ["read", "write", "control", "administer"]
+paths = ["/**"]
+
+[[rule]]
+agents = ["reader"]
+modes = ["read"]
+paths = ["/**"]
+
+[[rule]]
+agents = ["reader"]
+modes = ["read"]
+paths = ["/**/*zq7*", "/**/*zq7*/**"]
+deny = true
+"""
+DENIED_NODE = "/zq7_node"
+TURN = "float64 angle\n---\nstring words\n---\nfloat64 left"
+SYNTAXES = (
+    "text/turtle", "application/ld+json", "application/n-triples", "application/rdf+xml", "text/n3", "application/trig",
+    "application/n-quads", "application/json", "text/html", "image/svg+xml", "text/vnd.graphviz", "text/csv",
+    "application/td+json", "application/vnd.oai.openapi+json", "application/sparql-results+json", "*/*",
+)  # fmt: skip
+SAMPLES: Mapping[str, tuple[str, ...]] = {
+    "": ("/",),
+    "nodes": ("/nodes/", "/nodes/robot", "/nodes/zq7_node"),
+    "topics": (
+        "/topics/", "/topics/open", "/topics/shared", "/topics/zq7_speed", "/topics/zq7_never", "/topics/opn",
+        "/topics/open?series=data", "/topics/zq7_speed?series=data", "/topics/open?timemap", "/topics/open?at=-0.01",
+        "/topics/open?shape", "/topics/zq7_image?format=jpeg", "/topics/open?until=data%20%3E%2099999&timeout=0.01",
+    ),
+    "services": ("/services/", "/services/open_service", "/services/zq7_service", "/services/zq7_servic"),
+    "calls": ("/calls/", "/calls/never"),
+    "actions": ("/actions/", "/actions/open_action", "/actions/zq7_action"),
+    "goals": ("/goals/", "/goals/never"),
+    "activity": ("/activity/", "/activity/never", "/activity/?page=5:"),
+    "holds": ("/holds/", "/holds/never"),
+    "parameters": ("/parameters/", "/parameters/open/", "/parameters/zq7_tree/", "/parameters/open/numbr"),
+    "types": ("/types/", "/types/std_msgs/msg/Float64"),
+    "shapes": ("/shapes/", "/shapes/std_msgs/msg/Float64", "/shapes/limits", "/shapes/resources", "/shapes/documents"),
+    "bags": (
+        "/bags/", "/bags/done", "/bags/done/", "/bags/done/file", "/bags/done/messages/", "/bags/done/messages/?page=0",
+        "/bags/done/messages/?start=0", "/bags/done/messages/?topic=/zq7_speed", "/bags/done/messages/?topic=*",
+        "/bags/done/messages/?topic=/never", "/bags/done/at", "/bags/done/at?topic=/zq7_speed", "/bags/done/ldes",
+        "/bags/sent/", "/bags/sent/file", "/bags/sent/at", "/bags/sent/messages/?start=0", "/bags/running/",
+        "/bags/running/file", "/bags/armed/", "/bags/mapped/", "/bags/history/", "/bags/history/file",
+        "/bags/history/at?time=-0.001", "/bags/history/messages/?page=0", "/bags/history/messages/?start=0",
+        "/bags/history/ldes", "/bags/open/", "/bags/open/file", "/bags/never/", "/bags/done/ldes?profile=sosa",
+    ),
+    "resources": ("/resources/", "/resources/open", "/resources/open?at=-0.01", "/resources/car/",
+                  "/resources/zq7_speed"),
+    "data": ("/data/", "/data/plan", "/data/zq7/document", "/data/box/", "/data/plan?timemap"),
+    "mappings": ("/mappings/",),
+    ".well-known": ("/.well-known/", "/.well-known/wot", "/.well-known/solid", "/.well-known/wot?below=/topics/"),
+    "stop": ("/stop",),
+    "graph": ("/graph", "/graph?all=true", "/graph?below=/zq7_node", "/graph?format=svg", "/graph?format=dot"),
+    "diagnostics": ("/diagnostics", "/diagnostics?name=zq7%20motor", "/diagnostics?name=motor"),
+    "llms.txt": ("/llms.txt",),
+    "ontology": ("/ontology",),
+    "sparql": ("/sparql",),
+    "queries": ("/queries/", "/queries/graph"),
+    "cockpit": ("/cockpit/", "/cockpit/default", "/cockpit/kept", "/cockpit/kept?format=html"),
+    "openapi.json": ("/openapi.json", "/openapi.json?below=/topics/", "/openapi.json?below=/bags/"),
+    "find": (
+        "/find", "/find?q=zq", "/find?q=open", "/find?q=speed&values=true", "/find?q=Float64&values=true",
+        "/find?q=shared", "/find?q=message", "/find?q=done", "/find?q=denied",
+    ),
+    "graphs": ("/graphs", "/graphs?default"),
+    "channels": ("/channels/", "/channels/StreamingHTTPChannel2023", "/channels/WebSocketChannel2023"),
+    "plot": ("/plot", "/plot?y=topics/open%23data", "/plot?y=topics/zq7_speed%23data"),
+    "space": ("/space", "/space?show=topics/zq7_scan", "/space?view=3d", "/space?frame=zq7_frame"),
+    "status": ("/status",),
+    "frames": ("/frames",),
+    "acl": ("/acl",),
+}  # fmt: skip
+"""Where the crawl begins in each route: a new route has to be added here."""
+VARIANTS = ("format=json", "format=html", "hidden=true", "timemap", "at=-0.01", "page=0", "shape", "values=true")
+WRITES = (
+    ("PUT", b"{nonsense", "application/json"),
+    ("PATCH", b"<> <", "application/sparql-update"),
+    ("POST", b"{}", "application/json"),
+    ("DELETE", b"", ""),
+)
+"""Writes, which are all refused to the reader."""
+QUERIES = (
+    "SELECT * { ?s ?p ?o }",
+    "SELECT * { GRAPH ?g { ?s ?p ?o } }",
+    "SELECT (GROUP_CONCAT(STR(?o)) AS ?all) { GRAPH ?g { ?s ?p ?o } }",
+    "CONSTRUCT { ?s ?p ?o } { ?s ?p ?o }",
+    "CONSTRUCT { GRAPH ?g { ?s ?p ?o } } WHERE { GRAPH ?g { ?s ?p ?o } }",
+    "DESCRIBE ?x { ?x ros:name ?n }",
+    "SELECT * { ?topic ros:past ?m . ?m ?p ?o }",
+    "SELECT * { ?topic ros:past ?m . ?r ros:recordedMessage ?m ; ?p ?o }",
+    "SELECT * { ?m ros:recordedIn </bags/done/> . ?topic ros:past ?m . ?m ?p ?o }",
+    "SELECT * { ?x a ros:ComplexResource ; ?p ?o }",
+    "SELECT * { ?x a ros:Property ; ?p ?o }",
+    "SELECT * { ?x a ros:Write ; ?p ?o . OPTIONAL { ?o ?q ?r } }",
+    "SELECT * { ?x a ros:Parameter ; ?p ?o }",
+    "SELECT * { ?x ros:rate ?rate ; ros:briefValue ?value }",
+    "SELECT * { GRAPH ?g { ?x ldp:contains ?y } }",
+    "ASK { ?s ?p ?o FILTER(CONTAINS(STR(?o), 'zq7')) }",
+)
+RESULTS = ("application/sparql-results+json", "text/csv", "text/html", "application/n-triples", "application/ld+json")
+
+
+class Secretive(MadeUp):
+    """A made-up robot with actions, a node that may not be known, and denied things of every kind."""
+
+    capabilities = Capabilities("made-up", Encoding.ROS1, writes=True, creates_topics=True, parameter_trees=True)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.sink: Sink | None = None
+        self.turn: ActionSchema = self._library.learn_action("made_up/action/Turn", TURN)
+        for name in ("open", "zq7"):
+            self.answer(f"/{name}_service", "std_srvs/srv/Trigger", success=True, message=f"{name}answered")
+            self.strange(Action(f"/{name}_action", self.turn.ref, ("/robot",)))
+        self.strange(Action("/shared_action", self.turn.ref, ("/robot", DENIED_NODE)))
+        self.parameter("/open/number", 1)
+        self.parameter("/zq7_tree/leaf", "zq7leaf")
+        self.parameter("/open/zq7_inner", "zq7inner")
+        self.topic("/open", "std_msgs/msg/Float64", {"data": 1.5})
+        self.topic("/shared", "std_msgs/msg/Float64", {"data": 2.5}, heard=True)
+        self.topic("/cmd_vel", "geometry_msgs/msg/Twist", heard=True, published=False)
+        self.topic("/zq7_cmd", "geometry_msgs/msg/Twist", heard=True, published=False)
+        self.topic("/zq7_speed", "std_msgs/msg/Float64", {"data": NUMBER}, heard=True)
+        self.topic("/zq7_words", "std_msgs/msg/String", {"data": "zq7said"}, heard=True, published=False)
+        self.topic("/open_words", "std_msgs/msg/String", heard=True, published=False)
+        self.topic("/battery", "sensor_msgs/msg/BatteryState", {"voltage": 12.0})
+        self.topic("/zq7_battery", "sensor_msgs/msg/BatteryState", {"voltage": NUMBER})
+        scan = {"angle_max": 1.0, "angle_increment": 0.5, "range_max": 9000.0, "ranges": [1.0, NUMBER, 2.0]}
+        self.topic("/scan", "sensor_msgs/msg/LaserScan", {**scan, "header": {"frame_id": "base"}, "ranges": [1, 2, 3]})
+        self.topic("/zq7_scan", "sensor_msgs/msg/LaserScan", {**scan, "header": {"frame_id": "zq7_frame"}})
+        image = {"height": 1, "width": 1, "encoding": "mono8", "step": 1, "data": [7]}
+        self.topic("/zq7_image", "sensor_msgs/msg/Image", {**image, "header": {"frame_id": "zq7_camera"}})
+        for name in ("", "zq7_"):
+            status = [{"name": f"{name.replace('_', ' ')}motor", "message": f"{name}fine", "hardware_id": f"{name}id"}]
+            self.topic(f"/{name}diagnostics", "diagnostic_msgs/msg/DiagnosticArray", {"status": status})
+        transform = {"header": {"frame_id": "map"}, "child_frame_id": "base", "transform": {"rotation": {"w": 1.0}}}
+        self.topic("/tf", "tf2_msgs/msg/TFMessage", {"transforms": [transform]})
+        self.publishes("/tf", {"transforms": [transform]})
+
+    async def open(self, sink: Sink, *, deadline: float) -> None:
+        self.sink = sink
+        await super().open(sink, deadline=deadline)
+
+    async def schema(self, ref: TypeRef, *, deadline: float) -> Any:
+        return self.turn if ref.name == self.turn.ref.name else await super().schema(ref, deadline=deadline)
+
+    def allows(self, ref: Ref) -> frozenset[Operation]:
+        if ref.kind is Kind.TOPIC:
+            return frozenset({Operation.SUBSCRIBE, Operation.PUBLISH})
+        return super().allows(ref)
+
+    async def send_goal(self, action: str, type: TypeRef, goal: bytes, *, deadline: float) -> GoalId:
+        """Accept it, tell of it, and have it succeed; one of less than zero goes on."""
+        id = GoalId(action, f"{len(self.sent)}{abs(hash(goal)):x}{len(action)}")
+        self._tell(id, GoalEvent(1, GoalStatus.ACCEPTED, goal=goal, own=True))
+        left = self._turned("feedback", {"left": NUMBER if "zq7" in action else 1.0})
+        self._tell(id, GoalEvent(2, GoalStatus.EXECUTING, feedback=left, own=True))
+        words = f"{action[1:4]}turned"
+        self._tell(
+            id, GoalEvent(3, GoalStatus.SUCCEEDED, words, result=self._turned("result", {"words": words}), own=True)
+        )
+        return id
+
+    async def cancel_goal(self, goal: GoalId, *, deadline: float) -> None:
+        self._tell(goal, GoalEvent(4, GoalStatus.CANCELED, own=True))
+
+    async def cancel_goals(self, action: str, *, deadline: float) -> None:
+        pass
+
+    async def follow_goals(self, action: str, *, deadline: float) -> Watch:
+        return NoWatch()
+
+    def _tell(self, id: GoalId, event: GoalEvent) -> None:
+        if self.sink is not None:
+            self.sink.goal_changed(id, event)
+
+    def _turned(self, part: str, value: Mapping[str, object]) -> bytes:
+        schema = getattr(self.turn, part)
+        return schema.codec.encode(
+            lowerer(schema, LiftSettings(inline_limit=1 << 62)).from_json(dict(value), defaults=True), Encoding.ROS1
+        )
+
+    def _announce(self, graph: Graph) -> None:
+        """The graph with a denied node, which publishes what others may read and hears it."""
+        topics = dict(graph.topics)
+        shared = topics.get("/shared")
+        if shared is not None and shared.type is not None:
+            ends = (Endpoint(DENIED_NODE, shared.type), Endpoint("/robot", shared.type))
+            topics["/shared"] = replace(shared, publishers=ends, subscribers=ends)
+        nodes = {**graph.nodes, DENIED_NODE: Node(DENIED_NODE)}
+        super()._announce(replace(graph, topics=freeze(topics), nodes=freeze(nodes)))
+
+    def _put(self, name: str, publisher: str, data: bytes) -> None:
+        super()._put(name, DENIED_NODE if name == "/shared" else publisher, data)
+
+
+@dataclass
+class Answer:
+    """What came back for a request: its head in words, its body."""
+
+    request: str
+    status: int
+    headers: dict[str, str]
+    body: bytes
+
+    @property
+    def text(self) -> str:
+        """Head and body as text, the messages of a recording's file included."""
+        head = "\n".join([str(self.status), *map(": ".join, self.headers.items())])
+        inflated = _inflated(self.body) if self.body.startswith(b"\x89MCAP") else b""
+        return f"{head}\n{(self.body + inflated).decode('utf-8', 'replace')}"
+
+    @property
+    def leaks(self) -> set[str]:
+        """The denied names and values in it, but for those that the request named."""
+        said = self.text
+        found = {each for text in {said, unquote(said), html.unescape(said)} for each in MARKER.findall(text)}
+        named = unquote(unquote(self.request))
+        return {each for each in found if each not in named and each not in LITERAL}
+
+
+LITERAL = frozenset({"zq7_asked"})
+"""What a stored query names in its text, which who may read the query may read."""
+
+
+def _inflated(data: bytes) -> bytes:
+    """The records of an MCAP file."""
+    reader = NonSeekingReader(io.BytesIO(data))
+    return b"\n".join(
+        b"%s %s" % (channel.topic.encode(), message.data) for _, channel, message in reader.iter_messages()
+    )
+
+
+class Request:
+    """A request to the app itself: its answer as far as it came, which ends when the client leaves or all is sent."""
+
+    def __init__(
+        self, app: Application, agent: str, method: str, path: str, body: bytes, headers: dict[str, str]
+    ) -> None:
+        plain, _, query = path.partition("?")
+        said = {"host": HOST, "authorization": f"Bearer {token(agent)}", **headers}
+        scope = {
+            "type": "http", "method": method, "path": unquote(plain), "raw_path": plain.encode(), "root_path": "",
+            "query_string": query.encode(), "scheme": "http", "http_version": "1.1", "asgi": {"version": "3.0"},
+            "server": ("127.0.0.1", 8080), "client": ("127.0.0.1", 1),
+            "headers": [(name.encode(), value.encode()) for name, value in said.items()],
+        }  # fmt: skip
+        self.answer = Answer(f"{method} {path} {body.decode('utf-8', 'replace')}", 0, {}, b"")
+        self._bodies = [{"type": "http.request", "body": body, "more_body": False}]
+        self._left = asyncio.Event()
+        self._came = asyncio.Condition()
+        self._task = asyncio.ensure_future(app(scope, self._receive, self._send))
+
+    async def _receive(self) -> Any:
+        if self._bodies:
+            return self._bodies.pop()
+        await self._left.wait()
+        return {"type": "http.disconnect"}
+
+    async def _send(self, message: Any) -> None:
+        async with self._came:
+            if message["type"] == "http.response.start":
+                self.answer.status = message["status"]
+                for name, value in message["headers"]:
+                    known = self.answer.headers.setdefault(name.decode().lower(), "")
+                    self.answer.headers[name.decode().lower()] = known + ", " * bool(known) + value.decode("latin-1")
+            else:
+                self.answer.body += message.get("body", b"")
+            self._came.notify_all()
+
+    async def until(self, words: bytes, count: int = 1, seconds: float = 10.0) -> None:
+        """Wait until the words came so often, or everything has come."""
+
+        async def come() -> None:
+            async with self._came:
+                await self._came.wait_for(lambda: self.answer.body.count(words) >= count)
+
+        coming = asyncio.ensure_future(come())
+        await asyncio.wait({self._task, coming}, timeout=seconds, return_when=asyncio.FIRST_COMPLETED)
+        coming.cancel()
+
+    async def leave(self) -> Answer:
+        """Hang up."""
+        self._left.set()
+        return await self.finish()
+
+    async def finish(self) -> Answer:
+        """The whole answer."""
+        await asyncio.wait_for(self._task, 60)
+        return self.answer
+
+
+class Client:
+    """Requests of one agent; `statuses` are counted."""
+
+    def __init__(self, app: Application, agent: str) -> None:
+        self._app = app
+        self._agent = agent
+        self.statuses: Counter[int] = Counter()
+
+    def begin(self, method: str, path: str, body: bytes = b"", **headers: str) -> Request:
+        """A request under way."""
+        sent = {name.replace("_", "-").lower(): value for name, value in headers.items()}
+        return Request(self._app, self._agent, method, path, body, sent)
+
+    async def __call__(self, method: str, path: str, body: bytes = b"", **headers: str) -> Answer:
+        """The answer; of an event stream its first event, where one comes soon, as of a channel."""
+        request = self.begin(method, path, body, **headers)
+        if headers.get("Accept") == "text/event-stream" or path.startswith("/channels/"):
+            await request.until(b"data:", seconds=0.2)
+            answer = await request.leave()
+        else:
+            answer = await request.finish()
+        self.statuses[answer.status] += 1
+        return answer
+
+
+PREFIXES = """# {padding}
+@prefix map: <https://w3id.org/rosld/mapping#> . @prefix ros: <https://w3id.org/rosld#> . @prefix ex: <http://e.x/> .
+@prefix sh: <http://www.w3.org/ns/shacl#> . @prefix rdf: <http://www.w3.org/1999/02/22-rdf-syntax-ns#> .
+@prefix dcterms: <http://purl.org/dc/terms/> . @prefix rdfs: <http://www.w3.org/2000/01/rdf-schema#> .
+""".replace("{padding}", "x" * 300)
+"""They are longer than the excerpts of receipts, so that these do not have what the documents say."""
+MAPPING = """
+<#car> a map:ComplexResource ; map:path "/car/" ; rdfs:label "The car" ;
+  map:property [ map:predicate ex:speed ; map:name "speed" ; map:member "/zq7_speed" ] ,
+    [ map:predicate ex:open ; map:member "/open" ; map:writableWhen <#low> ] ,
+    [ map:predicate ex:leaf ; map:name "leaf" ; map:member "/zq7_tree/leaf" ] ;
+  map:action [ map:relation ex:act ; map:name "act" ; map:service "/zq7_service" ] ,
+    [ map:relation ex:turn ; map:name "turn" ; map:service "/open_service" ; map:availableWhen <#low> ] ;
+  map:stop [ map:publish "/zq7_words" ; map:content '{"data": "zq7stopped"}' ] .
+<#low> a sh:NodeShape ; map:about "/zq7_tree/leaf" ; sh:property [ sh:path rdf:value ;
+  sh:hasValue "zq7never" ; sh:message "zq7 is low" ] .
+"""
+PLAN = "<> ex:about </topics/zq7_speed>, </bags/done/file> ; ex:says 'open' ."
+KEPT = """<> a ros:Cockpit ; dcterms:title "Kept" ;
+  ros:hasPanel [ a ros:ValuePanel ; ros:shows </topics/open> ; dcterms:title "Open" ] ,
+  [ a ros:PlotPanel ; ros:shows </topics/zq7_speed> ; dcterms:title "zq7 titled" ] .
+"""
+LIMITS = """
+<#limit> a sh:NodeShape ; sh:targetNode </resources/zq7_speed> ;
+  sh:property [ sh:path rdf:value ; sh:maxInclusive 7317.25 ] .
+"""
+ASKED = "# The value of a topic.\nSELECT ?s ?o { GRAPH </topics/zq7_asked> { ?s ?p ?o } }"
+JSON = "application/json"
+TURTLE = "text/turtle"
+
+
+async def fill(admin: Client, robot: Secretive) -> list[str]:
+    """Have an administrator do what can be done, with denied things and with others; the paths of holds."""
+
+    async def do(method: str, path: str, status: int, body: object = None, kind: str = JSON) -> Answer:
+        text = body if isinstance(body, str | bytes) else "" if body is None else json.dumps(body)
+        data = text if isinstance(text, bytes) else text.encode()
+        answer = await admin(method, path, data, Content_Type=kind)
+        assert answer.status == status, (method, path, answer.status, answer.body)
+        return answer
+
+    twist = {"linear": {"x": 0.0}}
+    await do("PUT", "/mappings/zq7_car", 201, PREFIXES + MAPPING, TURTLE)
+    await do("PUT", "/data/plan", 201, PREFIXES + PLAN, TURTLE)
+    await do("PUT", "/data/box/open", 201, PREFIXES + "<> ex:says 1 .", TURTLE)
+    await do("PUT", "/data/zq7/document", 201, PREFIXES + "<> ex:says 'zq7text' .", TURTLE)
+    await do("PUT", "/cockpit/kept", 201, PREFIXES + KEPT, TURTLE)
+    await do("PUT", "/shapes/zq7_limits", 201, PREFIXES + LIMITS, TURTLE)
+    await do("PUT", "/queries/asked", 201, ASKED, "application/sparql-query")
+    await do("PUT", "/queries/zq7_query", 201, "# zq7purpose\nSELECT * { ?s ?p ?o }", "application/sparql-query")
+    for name in ("open", "zq7"):
+        await do("POST", f"/services/{name}_service", 201, {})
+        await do("POST", f"/actions/{name}_action", 201, {"angle": NUMBER if name == "zq7" else 1.0})
+    await do("PUT", "/topics/zq7_words", 204, {"data": "zq7written"})
+    await do("PUT", "/topics/open_words", 204, {"data": "said"})
+    await do("PUT", "/parameters/zq7_tree/leaf", 204, "zq7parameter".join('""'))
+    await do("PUT", "/parameters/zq7_tree/more", 201, NUMBER)
+    await do(
+        "PATCH", "/parameters/open/", 204, {"number": 2, "zq7_inner": "zq7patched"}, "application/merge-patch+json"
+    )
+    await do("PUT", "/parameters/zq7_refused", 400, "{zq7bad")
+    await do("PUT", "/topics/zq7_nothing", 404, "{zq7worse")
+    await do("POST", "/sparql", 204, "INSERT DATA { GRAPH </data/zq7/document> { <#x> <http://e.x/p> 'zq7updated' } }",
+             "application/sparql-update")  # fmt: skip
+    await do("POST", "/sparql", 204, "INSERT DATA { GRAPH </data/box/open> { <#x> <http://e.x/p> 2 } }",
+             "application/sparql-update")  # fmt: skip
+    graph = quote(f"{BASE}data/zq7/graph", safe="")
+    await do("PUT", f"/graphs?graph={graph}", 201, "<#x> <http://e.x/p> 'zq7stored' .", TURTLE)
+    held = [await do("POST", f"/topics/{name}?rate=1&lease=5", 201, twist) for name in ("cmd_vel", "zq7_cmd")]
+    await do("POST", "/bags/", 201, {"name": "done", "topics": ["*"], "before": 60})
+    await do("POST", "/bags/", 201, {"name": "open", "topics": ["/open"], "before": 60})
+    for name in ("open", "zq7_speed"):
+        robot.publishes(f"/{name}", {"data": NUMBER if "zq7" in name else 4.5})
+    for name in ("done", "open"):
+        await do("PATCH", f"/bags/{name}/", 200, {"status": "ended"}, "application/merge-patch+json")
+    sent = await do("GET", "/bags/done/file", 200)
+    assert b"zq7_speed" in _inflated(sent.body)
+    await do("PUT", "/bags/sent", 201, sent.body, "application/octet-stream")
+    await do("POST", "/bags/", 201, {"name": "running", "topics": ["/zq7_speed", "/open", "/zq7_w*", "/shared"]})
+    trigger: dict[str, object] = {"resource": "/topics/zq7_speed", "condition": "data > 73172511"}
+    await do("POST", "/bags/", 201, {"name": "armed", "topics": ["/zq7_speed", "/open"], "trigger": trigger})
+    trigger = {"condition": f"{BASE}mappings/zq7_car#low"}
+    await do("POST", "/bags/", 201, {"name": "mapped", "topics": ["/open"], "trigger": trigger})
+    wish = {
+        "@context": ["https://www.w3.org/ns/solid/notifications-context/v1"],
+        "type": "http://www.w3.org/ns/solid/notifications#StreamingHTTPChannel2023",
+        "topic": f"{BASE}topics/zq7_speed",
+    }
+    await do("POST", "/channels/StreamingHTTPChannel2023", 201, wish, "application/ld+json")
+    return [each.headers["location"].removeprefix(BASE[:-1]) for each in held]
+
+
+@contextlib.asynccontextmanager
+async def secretive_app(folder: Path) -> AsyncIterator[tuple[Application, Secretive]]:
+    """The robot behind the rules, with all that an administrator made of it."""
+    robot = Secretive()
+    robot.topic("/zq7_asked", "std_msgs/msg/Float64", {"data": NUMBER})
+    rules = folder / "auth.toml"
+    rules.write_text(tokens("admin", "reader") + RULES)
+    chosen = Settings(
+        base_url=BASE, auth=rules, data=folder / "data", history=("*",), subscribe=("*",), max_publish_rate=1e9,
+        client_rate=1e9, client_streams=1000, receipt_excerpt=200, versions=5, first_value_wait=0.1,
+    )  # fmt: skip
+    app = create_app(robot, chosen)
+    async with lifespan(app):
+        admin = Client(app, "admin")
+        held = await fill(admin, robot)
+        streams = [admin.begin("GET", f"{path}?keep=true", Accept="text/event-stream") for path in held]
+        try:
+            yield app, robot
+        finally:
+            await asyncio.gather(*(each.leave() for each in streams))
+
+
+# The crawl
+
+
+class Crawl:
+    """A walk of one agent along all links, in all syntaxes; `leaks` are the requests that told what is denied."""
+
+    def __init__(self, app: Application, agent: str) -> None:
+        self.ask = Client(app, agent)
+        self.seen: dict[str, int] = {}
+        self.leaks: dict[str, set[str]] = {}
+        self.failures: list[str] = []
+        self._waiting: dict[str, None] = {}
+
+    async def walk(self, paths: Iterable[str]) -> None:
+        """Look at these paths, and at all that they lead to."""
+        self.add(paths)
+        while self._waiting:
+            path = next(iter(self._waiting))
+            del self._waiting[path]
+            await self._look(path)
+
+    async def walk_again(self, paths: Iterable[str]) -> None:
+        """Look at paths that may have been looked at before, and at what else they lead to."""
+        for path in paths:
+            self.seen.pop(path, None)
+            await self.walk([path])
+
+    def add(self, paths: Iterable[str]) -> None:
+        """Paths to be looked at, once."""
+        self._waiting.update(dict.fromkeys(each for each in paths if each not in self.seen and "{" not in each))
+
+    async def find_paths(self, paths: Iterable[str]) -> None:
+        """Follow the links of these paths, each looked at once."""
+        self.add(paths)
+        while self._waiting:
+            path = next(iter(self._waiting))
+            del self._waiting[path]
+            answer = await self.ask("GET", path, Accept="application/n-triples")
+            self.seen[path] = answer.status
+            self._follow(answer)
+
+    async def request(self, method: str, path: str, body: bytes = b"", **headers: str) -> Answer:
+        """The answer to a request, which is looked through."""
+        answer = await self.ask(method, path, body, **headers)
+        leaks = answer.leaks
+        if leaks:
+            self.leaks[f"{answer.request} {' '.join(headers.values())} {answer.status}"] = leaks
+        if answer.status >= 500:
+            self.failures.append(f"{answer.request} {headers}: {answer.status} {answer.body!r:.500}")
+        return answer
+
+    async def _look(self, path: str) -> None:
+        first = await self.request("GET", path, Accept="application/n-triples")
+        self.seen[path] = first.status
+        self._follow(first)
+        joined = "&" if "?" in path else "?"
+        for method in ("OPTIONS", "HEAD"):
+            await self.request(method, path)
+        await self.request("GET", path, Accept="text/html")
+        if first.status in (401, 404):
+            return
+        for syntax in SYNTAXES:
+            self._follow(await self.request("GET", path, Accept=syntax))
+        await self.request("GET", path, Accept="text/event-stream")
+        for variant in VARIANTS:
+            await self.request("GET", f"{path}{joined}{variant}")
+        for method, body, kind in WRITES:
+            await self.request(method, path, body, Content_Type=kind)
+
+    def _follow(self, answer: Answer) -> None:
+        """Add what an answer links to."""
+        if answer.status >= 500 or "svg" in answer.headers.get("content-type", ""):
+            return
+        kind, text = answer.headers.get("content-type", ""), answer.text
+        found = re.findall(r"<http://127\.0\.0\.1:8080(/[^>]*)>", text)
+        if "html" in kind:
+            found += [html.unescape(each) for each in re.findall(r'(?:href|src|action)="(/[^"]*)"', text)]
+        elif "json" in kind:
+            found += re.findall(r'"http://127\.0\.0\.1:8080(/[^"]*)"', text)
+        self.add(each.partition("#")[0] for each in found if not _LEFT_OUT.search(each))
+
+
+_LEFT_OUT = re.compile(
+    r"[?&](receipt|after|from|start|limit|add|part)=|/ontology/|messages/[0-9]*[3-9]$|/types/.*/.*/|/shapes/.*/.*/"
+)
+"""What differs from what is looked at by numbers alone, and what is the same on every server."""
+
+
+async def ask_the_dataset(crawl: Crawl, urls: Iterable[str]) -> None:
+    """Ask queries about everything, the stored ones, and the graphs at these URLs."""
+    for text in QUERIES:
+        for accept in RESULTS:
+            await crawl.request(
+                "POST", "/sparql", text.encode(), Content_Type="application/sparql-query", Accept=accept
+            )
+    listed = await crawl.request("GET", "/queries/", Accept="application/n-triples")
+    for name in re.findall(r"/queries/([\w-]+)>", listed.text):
+        for accept in ("application/json", "text/csv", "text/html", "application/n-triples"):
+            await crawl.request("GET", f"/queries/{name}?run=true", Accept=accept)
+    for url in urls:
+        graph = quote(BASE[:-1] + url, safe="")
+        await crawl.request("GET", f"/graphs?graph={graph}", Accept="text/turtle")
+        text = f"SELECT * {{ GRAPH <{BASE[:-1]}{url}> {{ ?s ?p ?o }} }}"
+        await crawl.request(
+            "POST", "/sparql", text.encode(), Content_Type="application/sparql-query", Accept="text/csv"
+        )
+
+
+def test_what_is_denied_is_told_nowhere(tmp_path: Path) -> None:
+    asyncio.run(_look_everywhere(tmp_path))
+
+
+async def _look_everywhere(folder: Path) -> None:
+    async with secretive_app(folder) as (app, _):
+        samples = SAMPLES | {name: (f"/{name}",) for name in FILES}
+        assert samples.keys() == app.rooms, "every route has paths at which the crawl begins"
+        paths = [path for each in samples.values() for path in each]
+        everything = Crawl(app, "admin")
+        await everything.find_paths(paths)
+        crawl = Crawl(app, "reader")
+        await crawl.walk([*paths, *everything.seen])
+        await ask_the_dataset(crawl, [path for path, status in everything.seen.items() if status == 200])
+        await check_what_may_be_read(crawl.ask, everything.ask)
+        await follow_streams(crawl, Client(app, "admin"))
+        await crawl.walk_again(await stop(Client(app, "admin")))
+        print(f"{len(crawl.seen)} URLs, {crawl.ask.statuses.total()} answers: {dict(crawl.ask.statuses)}")
+        assert not crawl.leaks
+        assert not crawl.failures
+
+
+async def follow_streams(crawl: Crawl, admin: Client) -> None:
+    """Listen to what comes while an administrator writes to what is denied, and last to what is not."""
+    listened = ("/activity/", "/calls/", "/goals/", "/holds/", "/bags/", "/topics/", "/diagnostics", "/stop")
+    streams = [
+        crawl.ask.begin("GET", f"{path}?format={format}", Accept="text/event-stream")
+        for path in listened
+        for format in ("json", "ttl", "html")
+    ]
+    for each in streams:
+        await each.until(b"data:", seconds=1.0)
+    before = [each.answer.body.count(b"data:") for each in streams]
+    for name in ("zq7", "open"):
+        await admin("POST", f"/services/{name}_service", b"{}", Content_Type=JSON)
+        await admin("POST", f"/actions/{name}_action", b'{"angle": 2.0}', Content_Type=JSON)
+        await admin("PUT", f"/topics/{name}_words", f'{{"data": "{name}streamed"}}'.encode(), Content_Type=JSON)
+    for path, each, count in zip((path for path in listened for _ in range(3)), streams, before, strict=True):
+        await each.until(b"data:", count + 1, seconds=5.0 if path in ("/activity/", "/calls/", "/goals/") else 0.05)
+        answer = await each.leave()
+        if answer.leaks:
+            crawl.leaks[f"stream of {path}"] = answer.leaks
+
+
+async def stop(admin: Client) -> list[str]:
+    """Stop the robot, which touches what is denied; the paths of what tells of that."""
+    answer = await admin("POST", "/stop", b'{"reason": "a test"}', Content_Type=JSON)
+    assert answer.status in (200, 201), answer.body
+    return ["/", "/stop", "/holds/", "/activity/", "/topics/", "/topics/cmd_vel", "/resources/car/", "/cockpit/default"]
+
+
+async def check_what_may_be_read(reader: Client, admin: Client) -> None:
+    """What is not denied is read as before, and the same requests tell an administrator what the reader is not told."""
+    assert (await reader("GET", "/bags/open/file")).status == 200
+    refused = await reader("GET", "/bags/done/file")
+    assert refused.status == 403
+    assert b"it tells of others, too, that are not yours to read" in refused.body
+    assert (await reader("GET", "/bags/done/file", Range="bytes=0-10")).status == 403
+    for path in ("/calls/", "/goals/", "/holds/", "/activity/"):
+        mine, all = [
+            (await ask("GET", path, Accept=JSON)).body.count(b"8080" + path.encode()) for ask in (reader, admin)
+        ]
+        assert 1 < mine < all, path
+    moments = [json.loads((await ask("GET", "/bags/done/at", Accept=JSON)).body) for ask in (reader, admin)]
+    told, there = ({each["topic"] for each in moment["messages"]} for moment in moments)
+    assert told == {each for each in there if "zq7" not in each}
+    for path in ("/bags/done/at", "/bags/done/file", "/bags/armed/", "/cockpit/default", "/cockpit/kept", "/calls/"):
+        assert (await admin("GET", path)).leaks, path

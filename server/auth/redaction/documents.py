@@ -22,6 +22,8 @@ _Term: TypeAlias = "NamedNode | BlankNode | Literal | Triple"
 
 _ABOUT = frozenset({ros.shows, ros.touches})
 """Predicates by which a part of a document says what it is about: a step of a stop, a panel of a cockpit."""
+_NAMES = frozenset({ros.recordsTopic, ros.silentTopic})
+"""Predicates of recordings whose values are names of topics, or globs."""
 _WORDS = frozenset({ros.recordingProblem, ros.triggerCondition})
 """Predicates of an order whose words may name what it records, or waits for."""
 _TELLING = frozenset({ros.mappingWarning})
@@ -61,7 +63,7 @@ class _Redaction:
                 or self._is_hidden(each.object)
                 or each.subject in parts
                 or each.object in parts
-                or (each.predicate == ros.recordsTopic and self._is_hidden_topic(each.object))
+                or (each.predicate in _NAMES and self._is_hidden_topic(each.object))
                 or (each.predicate in _WORDS and each.subject in orders)
                 or (each.predicate in _TELLING and not self._permissions.may_read_all)
             )

@@ -13,6 +13,7 @@ import html
 import io
 import json
 import re
+import time
 from collections import Counter
 from collections.abc import AsyncIterator, Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -211,17 +212,20 @@ class Secretive(MadeUp):
     async def send_goal(self, action: str, type: TypeRef, goal: bytes, *, deadline: float) -> GoalId:
         """Accept it, tell of it, and have it succeed; one of less than zero goes on."""
         id = GoalId(action, f"{len(self.sent)}{abs(hash(goal)):x}{len(action)}")
-        self._tell(id, GoalEvent(1, GoalStatus.ACCEPTED, goal=goal, own=True))
+        self._tell(id, GoalEvent(time.time_ns(), GoalStatus.ACCEPTED, goal=goal, own=True))
         left = self._turned("feedback", {"left": NUMBER if "zq7" in action else 1.0})
-        self._tell(id, GoalEvent(2, GoalStatus.EXECUTING, feedback=left, own=True))
+        self._tell(id, GoalEvent(time.time_ns(), GoalStatus.EXECUTING, feedback=left, own=True))
         words = f"{action[1:4]}turned"
         self._tell(
-            id, GoalEvent(3, GoalStatus.SUCCEEDED, words, result=self._turned("result", {"words": words}), own=True)
+            id,
+            GoalEvent(
+                time.time_ns(), GoalStatus.SUCCEEDED, words, result=self._turned("result", {"words": words}), own=True
+            ),
         )
         return id
 
     async def cancel_goal(self, goal: GoalId, *, deadline: float) -> None:
-        self._tell(goal, GoalEvent(4, GoalStatus.CANCELED, own=True))
+        self._tell(goal, GoalEvent(time.time_ns(), GoalStatus.CANCELED, own=True))
 
     async def cancel_goals(self, action: str, *, deadline: float) -> None:
         pass

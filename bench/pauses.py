@@ -61,6 +61,11 @@ class Client:
             size += len(piece)
         return answer.status, size
 
+    def read_confirmation(self) -> str:
+        """What confirms a release, as the page of the stop shows it."""
+        self._connection.request("GET", "/stop", headers={"Accept": "text/html"})
+        return self._connection.getresponse().read().split(b'name="?confirm" value="')[1].split(b'"')[0].decode()
+
     def read(self, path: str) -> dict[str, float]:
         """A resource as JSON."""
         self._connection.request("GET", path, headers={"Accept": "application/json"})
@@ -111,7 +116,8 @@ class Presser:
             status, _ = self._client.ask("POST", "/stop")
             self.presses.append((begun, time.monotonic() - begun))
             assert status == 200, status
-            while self._client.ask("DELETE", "/stop")[0] == 409:
+            confirm = self._client.read_confirmation()
+            while self._client.ask("DELETE", f"/stop?confirm={confirm}")[0] == 409:
                 time.sleep(0.005)
 
     def end(self) -> list[float]:

@@ -312,7 +312,9 @@ def press(address: str) -> None:
         if told["warning"] or any(step["words"] for step in told["steps"]):
             print(told["warning"], told["steps"], file=sys.stderr, flush=True)
         print(moment, flush=True)
-        while client.ask("DELETE", "/stop") == 409:
+        client.ask("GET", "/stop", headers={"Accept": "text/html"})
+        confirm = client.body.split(b'name="?confirm" value="')[1].split(b'"')[0].decode()
+        while client.ask("DELETE", f"/stop?confirm={confirm}") == 409:
             time.sleep(0.01)
         print("released", flush=True)
 

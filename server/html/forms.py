@@ -249,7 +249,7 @@ class ValueForm:
 
 @dataclass(frozen=True, slots=True)
 class DeleteForm:
-    """A button that deletes the resource; `about` says what that does."""
+    """A button that deletes the resource; `about` says what that does, `query` are parameters that it sends."""
 
     template: ClassVar[str] = "delete"
     title: str = "Delete"
@@ -257,6 +257,7 @@ class DeleteForm:
     about: str = ""
     action: str = ""
     method: Method = "DELETE"
+    query: tuple[tuple[str, str], ...] = ()
     controls: ClassVar[tuple[Control, ...]] = ()
     violations: ClassVar[tuple[Violation, ...]] = ()
 

@@ -13,6 +13,7 @@ from rosld.ontology.body import BodyError
 from rosld.ontology.lower import LoweringError
 from rosld.ontology.urls import Space
 from rosld.server.auth import enforcement
+from rosld.server.auth.agent import ANONYMOUS
 from rosld.server.auth.rate_limit import RETRY_SECONDS, RateLimitExceeded
 from rosld.server.auth.redaction.problems import redact_problem
 from rosld.server.http.problem import Problem
@@ -65,10 +66,20 @@ class ErrorResponses:
             _log.exception("%s %s failed", exchange.method, scope["path"], exc_info=error)
             error = Problem(500, "The server failed on this request; its log says more.")
         error = redact_problem(error, exchange.permissions, enforcement.location_of(scope, self._space))
+        self._tell_release(error, exchange)
         exchange.audit.set_refusal(error.with_quotes)
         path = quote(scope["raw_path"].lstrip(b"/"), safe="/%:@!$&'()*+,;=~")
         url = redact_tokens(self._space.base + path)
         return self._pages.problem(exchange, error, url) or render(error, exchange.accept, url=url).response()
+
+    def _tell_release(self, error: Problem, exchange: Exchange) -> None:
+        """Tell an agent who may release the stop how, and nobody else."""
+        if error.status != 423 or not exchange.permissions.may("DELETE", self._space.stop):
+            return
+        if exchange.agent == ANONYMOUS:
+            error.detail += f" A person can release the stop at {self._space.stop}."
+        else:
+            error.detail += f" DELETE of {self._space.stop} releases the stop."
 
     def _would_write(self, exchange: Exchange) -> bool:
         """Whether a request is a write, as far as it was read: of a form for `/sparql`, only its content tells."""

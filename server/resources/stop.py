@@ -14,6 +14,7 @@ from rosld.ontology.document import Document
 from rosld.ontology.triples import date_time_literal
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import ros
+from rosld.server.auth.agent import ANONYMOUS
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.html import DeleteForm, Form
 from rosld.server.http.problem import Problem
@@ -23,7 +24,7 @@ from rosld.server.hypermedia.json_schema import TEXT, nullable
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON
-from rosld.server.rest.path_item import PathItem, WriteMethod
+from rosld.server.rest.path_item import PathItem, QueryParameter, WriteMethod
 from rosld.server.rest.resource import READ, Answer, Resource, ShownAnswer
 from rosld.server.rest.state import State
 from rosld.server.robot.software_stop import SoftwareStop
@@ -34,6 +35,11 @@ _MAX_REASON = 500
 _ABOUT = (
     "It publishes zero on the topics that command velocities, ends every hold, cancels goals, does what the mappings "
     "say, and refuses all writes but zero."
+)
+
+
+_CONFIRM = QueryParameter(
+    "confirm", "The id of the stop, which its page shows: needed of those who have not said who they are."
 )
 
 
@@ -67,7 +73,7 @@ class StopResource(Resource):
             done=(200, 204),
             shows=plain,
         )
-        release = WriteMethod("Lets writes reach the robot again.", done=(204,))
+        release = WriteMethod("Lets writes reach the robot again.", done=(204,), query=(_CONFIRM,))
         return PathItem("The stop of the whole robot", plain=plain, writes={"POST": stop, "DELETE": release})
 
     @property
@@ -146,10 +152,11 @@ class StopResource(Resource):
         if self.software_stop.unusable_reason is not None:
             return ()
         stop = DeleteForm("Stop the robot", "Stop", _ABOUT, method="POST")
-        if self.software_stop.stop_state is None:
+        stop_state = self.software_stop.stop_state
+        if stop_state is None:
             return (stop,)
-        about = "Writes reach the robot again. Nothing is begun anew by that."
-        return (DeleteForm("Release the robot", "Release", about), stop)
+        about = f"Writes reach the robot again. Nothing is begun anew by that. The id of this stop is {stop_state.id}."
+        return (DeleteForm("Release the robot", "Release", about, query=(("confirm", stop_state.id),)), stop)
 
     async def post(self, exchange: Exchange) -> Answer:
         """Stop the robot: 200 with what was done, step by step. The body may state a reason."""
@@ -160,14 +167,34 @@ class StopResource(Resource):
         return ShownAnswer(self, self.current_state())
 
     async def delete(self, exchange: Exchange) -> Answer:
-        """Release the stop: writes pass again. Raises a 409 Problem while the robot is still being stopped."""
+        """Release the stop: writes pass again.
+
+        Raises a 409 Problem while the robot is still being stopped, and where another stop is confirmed; a 428 Problem
+        where nobody in particular does not confirm it.
+        """
         self._require_usable()
+        self._require_confirmed(exchange)
         if self.software_stop.is_running:
             raise _still_being_stopped()
         exchange.audit.add_step("let writes pass again", self.url)
         if not await self.software_stop.release(exchange.agent):
             raise _still_being_stopped()
         return Response(status_code=204)
+
+    def _require_confirmed(self, exchange: Exchange) -> None:
+        """Raise a 428 or 409 Problem unless a person releases the stop that there is now.
+
+        Who may release it by the rules of --auth has said so with their token; others show that they read its page.
+        """
+        stop_state, confirmed = self.software_stop.stop_state, exchange.query.get("confirm")
+        if stop_state is None or confirmed == stop_state.id:
+            return
+        if confirmed is not None:
+            raise Problem(409, f"{confirmed[:40]!r} is not the id of this stop: the page {self.url} shows it.")
+        if exchange.agent == ANONYMOUS:
+            raise Problem(
+                428, f"A person releases the stop: the page {self.url} has the button, and the id to confirm."
+            )
 
     def _require_usable(self) -> None:
         """Raise a 403 Problem where the robot cannot be stopped and released from here."""

@@ -183,7 +183,7 @@ class PageRenderer:
         form = next((form for form in forms if form.method == method and not form.action), None)
         if form is None:
             raise Problem(405, resource.deny_reason(method or "POST"), headers={"Allow": allow_field(resource)})
-        query, fields = html.split_query(typed) if isinstance(form, HoldForm) else ({}, typed)
+        query, fields = html.split_query(typed) if isinstance(form, HoldForm | DeleteForm) else ({}, typed)
         try:
             value = _value(form, fields)
         except LoweringError as error:

@@ -19,13 +19,14 @@ _T = TypeVar("_T")
 class StopState:
     """That the robot is stopped: who stopped it, when (wall-clock nanoseconds), and why if they said so.
 
-    `url` is where that may be read.
+    `url` is where that may be read, `id` what a person confirms a release with who has said no name.
     """
 
     stopped_by: str
     since_ns: int
     reason: str | None = None
     url: str | None = None
+    id: str = ""
 
     @property
     def sentence(self) -> str:
@@ -48,7 +49,7 @@ class Stopped(RosError):
 
     def __init__(self, stop_state: StopState, *, sent: Sent = Sent.NO) -> None:
         what = "This write was refused" if sent is Sent.NO else "This write was cut off, and may have been carried out"
-        super().__init__(f"{stop_state.sentence}. {what}; DELETE of /stop lets writes pass again.", sent=sent)
+        super().__init__(f"{stop_state.sentence}. {what}.", sent=sent)
         self.stop_state = stop_state
 
 

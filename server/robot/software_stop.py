@@ -23,6 +23,7 @@ from rosld.server.robot.velocity import commanded_topics, subscribers_of
 from rosld.server.robot.write_policy import any_number_hint, takes_finite_numbers
 from rosld.server.robot.zero_publisher import Receivers, ZeroPublisher
 from rosld.server.runtime.dry_run import end_dry_run, is_dry_run
+from rosld.server.runtime.identifiers import new_identifier
 from rosld.server.runtime.loop_time import loop_time
 from rosld.server.runtime.signals import Signal
 from rosld.shapes.command_numbers import require_finite_message
@@ -161,7 +162,7 @@ class SoftwareStop:
         if is_dry_run():
             self._record_steps()
         end_dry_run(200)
-        stop_state = self.stop_state or StopState(by.name, time.time_ns(), reason, session.space.stop)
+        stop_state = self.stop_state or self._new_state(by, reason)
         session.interlock.engage(stop_state)
         self._count += 1
         deadline = loop_time() + session.settings.call_deadline
@@ -205,6 +206,9 @@ class SoftwareStop:
             record_step(_end_of(hold), space.hold(hold.id), space.topic(hold.topic))
         for goal in self._goals():
             record_step(_cancel_of(goal), space.goal(goal.id), space.action(goal.action))
+
+    def _new_state(self, by: Agent, reason: str | None) -> StopState:
+        return StopState(by.name, time.time_ns(), reason, self._session.space.stop, new_identifier())
 
     async def release(self, by: Agent) -> bool:
         """Let writes pass again; False where the robot was stopped anew before that was done."""

@@ -12,6 +12,7 @@ import pytest
 from tests.processes import Process
 from tests.ros2.system import running
 from tests.server.conftest import Served, servers
+from tests.stopping import release
 from tests.waiting import until
 
 DRIVE, BRAKE, FLY = "/topics/rover/drive", "/services/rover/brake", "/actions/aircraft/fly"
@@ -112,7 +113,7 @@ def test_a_stop_ends_the_hold_cancels_the_goal_brakes_and_lets_nothing_pass(driv
             assert refused.json()["agentSaid"] == "a person on the track"
         assert driven.speeds()[-1] == 0.0
     finally:
-        assert http.delete("/stop").status_code == 204
+        assert release(http).status_code == 204
     receipt = http.get(http.post(BRAKE, json={}).links["http://www.w3.org/ns/prov#has_provenance"]["url"])
     assert receipt.status_code == 200
     assert http.post("/services/aircraft/engine/set_speed", json={"data": 0.0}).status_code == 201

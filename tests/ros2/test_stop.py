@@ -10,6 +10,7 @@ import pytest
 from tests.processes import Process
 from tests.ros2.system import System, running
 from tests.server.conftest import Served, servers
+from tests.stopping import release
 from tests.waiting import until
 
 DRIVE = "/topics/rover/drive"
@@ -52,6 +53,6 @@ def test_a_rover_that_another_commands_is_told_zero_by_a_server_that_never_publi
         other.stop()
         until(lambda: own.http.put(DRIVE, json=STILL).status_code == 204, "the other is gone, and zero passes")
         assert own.http.put(DRIVE, json=AHEAD).status_code == 423
-        assert own.http.delete("/stop").status_code == 204
+        assert release(own.http).status_code == 204
         assert own.http.put(DRIVE, json=AHEAD).status_code == 204
         until(lambda: speeds(rover)[-1] == 1.5, "the command after the release")

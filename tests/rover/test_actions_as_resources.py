@@ -12,6 +12,7 @@ import rdflib
 from rosld.adapters.rover.topics import NAVIGATE_TO
 from tests.rover.conftest import StartRover
 from tests.rover.rovers import UNDER_WAY, Rover
+from tests.stopping import release
 from tests.waiting import until
 
 TD = rdflib.Namespace("https://www.w3.org/2019/wot/td#")
@@ -206,4 +207,4 @@ def test_while_the_robot_is_stopped_a_goal_can_only_be_canceled(start_rover: Sta
     }
     assert operations == {"queryAction", "cancelAction"}
     assert sent(rover, 1.0, 0.0).status_code == 423
-    assert rover.http.delete("/stop").status_code in (200, 204)
+    assert release(rover.http).status_code in (200, 204)

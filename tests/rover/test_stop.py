@@ -7,6 +7,7 @@ from typing import Any
 from rosld.adapters.rover.topics import CMD_VEL, NAVIGATE_TO
 from tests.rover.conftest import StartRover
 from tests.rover.rovers import STANDSTILL, Rover
+from tests.stopping import release
 from tests.waiting import until
 
 JSON = {"Accept": "application/json"}
@@ -37,7 +38,7 @@ def test_a_command_that_is_never_repeated_ends_with_the_stop(rover: Rover) -> No
         assert rover.send(1.0, 0.0).status_code == 423
         assert rover.velocity() == (0.0, 0.0)
     finally:
-        assert rover.http.delete("/stop").status_code == 204
+        assert release(rover.http).status_code == 204
     rover.drive(0.1)
     until(lambda: rover.velocity()[0] == 0.1, "motion after the release")
     rover.drive(0.0)

@@ -41,7 +41,7 @@ def test_to_drive_and_to_stop_takes_six_requests(rover: Rover) -> None:
     rover.complete()
     with counted(rover, drive_and_stop, 6, 20_000) as statuses:
         assert statuses[0] in (200, 202)
-        assert statuses[1:] == [200, 204]
+        assert statuses[1:] == [200, 428], "a model stops the robot; a person releases it"
 
 
 def test_to_send_a_goal_and_see_it_fail_takes_six_requests(rover: Rover) -> None:

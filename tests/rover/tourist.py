@@ -56,7 +56,7 @@ def first_value(tourist: Tourist) -> Any:
 
 
 def drive_and_stop(tourist: Tourist) -> list[int]:
-    """Drive by whatever topic takes a Twist, stop, and release the stop."""
+    """Drive by whatever topic takes a Twist, stop, and try to release the stop."""
     links = tourist.guide()
     found = tourist.find(links, "twist", lambda one: one["kind"] == "topic" and one.get("type", "").endswith("/Twist"))
     driven = tourist.ask("PUT", found["url"], json={"linear": {"x": 0.2}})

@@ -18,6 +18,7 @@ from rosld.ontology.cockpit import read_cockpit
 from rosld.ontology.vocab import ros
 from rosld.server.auth.tokens import token_digest
 from tests.server.robots.made_up import MadeUp, served
+from tests.stopping import release
 from tests.waiting import until
 
 TURTLE = {"Content-Type": "text/turtle"}
@@ -219,7 +220,7 @@ def test_a_stopped_robot_is_not_driven_from_a_cockpit(rover: httpx.Client) -> No
         assert "it is not driven until it is released" in page
         assert 'action="/services/' not in page
     finally:
-        assert rover.delete("/stop").status_code == 204
+        assert release(rover).status_code == 204
 
 
 TOKEN = "token-of-pilot"

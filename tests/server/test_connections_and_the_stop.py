@@ -13,6 +13,7 @@ import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
+from tests.stopping import release
 from tests.waiting import until
 
 MOST = 40
@@ -44,7 +45,7 @@ def stopped(url: str) -> None:
     """Stop the robot on a new connection, and lift the stop."""
     with httpx.Client(base_url=url, timeout=15) as http:
         assert http.post("/stop").status_code == 200
-        http.delete("/stop")
+        release(http)
 
 
 @contextlib.contextmanager

@@ -20,6 +20,7 @@ from tests.adapters.ros1.system import RosSystem, running
 from tests.processes import Process
 from tests.server.disks.server import Server, server_on
 from tests.server.test_holds import KEEPER, STILL, ahead
+from tests.stopping import release
 
 TOPIC = "/topics/cmd_vel"
 TURTLE, HTML = {"Accept": "text/turtle"}, {"Accept": "text/html"}
@@ -91,7 +92,7 @@ def test_the_robot_stands_still_when_the_client_the_lease_or_the_stop_ends_a_hol
     assert http.post("/stop").status_code == 200
     hears(wheels, STILL)
     assert http.put(TOPIC, json=ahead(9)).status_code == 423
-    assert http.delete("/stop").status_code == 204
+    assert release(http).status_code == 204
 
     assert json.dumps(ahead(9)) not in " ".join(wheels.seen)
 

@@ -12,6 +12,8 @@ from typing import Any
 import httpx
 import pytest
 
+from tests.stopping import release
+
 GREEDY, MODEST = "127.0.0.2", "127.0.0.3"
 """Two addresses of this machine: two clients."""
 SETTINGS = {
@@ -81,7 +83,7 @@ def test_streams_count_and_stopping_the_robot_is_never_too_much(url: str) -> Non
         for path in ("/services/aircraft/stop", "/topics/stop", "/data/stop"):
             assert http.post(path).status_code == 429, path
         assert http.post("/stop").status_code != 429
-        http.delete("/stop")
+        release(http)
         for each in streams:
             each.__exit__(None, None, None)
 

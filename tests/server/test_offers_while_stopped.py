@@ -10,6 +10,7 @@ import pytest
 
 from rosld.adapters.model import Descriptor
 from tests.server.robots.made_up import MadeUp, served
+from tests.stopping import release
 from tests.waiting import until
 
 STRING, TWIST = "std_msgs/msg/String", "geometry_msgs/msg/Twist"
@@ -51,7 +52,7 @@ def http(robot: MadeUp) -> Iterator[httpx.Client]:
 def stopped(http: httpx.Client) -> Iterator[None]:
     assert http.post("/stop").status_code == 200
     yield
-    assert http.delete("/stop").status_code == 204
+    assert release(http).status_code == 204
 
 
 def allowed(http: httpx.Client, path: str, method: str = "OPTIONS") -> set[str]:
@@ -93,7 +94,7 @@ def test_allow_and_what_is_accepted_follow_the_stop(http: httpx.Client, robot: M
         assert http.put("/data/x", content="<> <p> 1 .", headers={"Content-Type": "text/turtle"}).is_success
         assert "PUT" in allowed(http, "/data/x")
     finally:
-        assert http.delete("/stop").status_code == 204
+        assert release(http).status_code == 204
     for path, methods in OFFERED.items():
         assert allowed(http, path) == methods, path
 
@@ -140,7 +141,7 @@ def test_affordances_and_the_query_of_what_can_be_done_follow_the_stop(http: htt
             assert "writeProperty" not in told.text
         assert "readProperty" in http.get("/resources/arm/", headers=TURTLE).text
     finally:
-        assert http.delete("/stop").status_code == 204
+        assert release(http).status_code == 204
     until(lambda: on_offer(http) == before, "all that was on offer")
 
 
@@ -155,7 +156,7 @@ def test_thing_descriptions_and_openapi_keep_all(http: httpx.Client, robot: Made
     try:
         assert kept() == before
     finally:
-        assert http.delete("/stop").status_code == 204
+        assert release(http).status_code == 204
 
 
 def test_a_page_that_is_followed_loses_its_forms_with_the_stop(http: httpx.Client, robot: MadeUp) -> None:
@@ -180,5 +181,5 @@ def test_a_page_that_is_followed_loses_its_forms_with_the_stop(http: httpx.Clien
         shown(has_form=True)
         other.post("/stop")
         shown(has_form=False)
-        other.delete("/stop")
+        release(other)
         shown(has_form=True)

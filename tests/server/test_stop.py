@@ -18,6 +18,7 @@ from rosld.adapters.base import AdapterOptions, Published
 from rosld.adapters.model import GoalEvent, GoalId, GoalStatus, Refused, TypeRef
 from tests.server.robots.asking import mapped
 from tests.server.robots.made_up import MadeUp, served
+from tests.stopping import release
 from tests.waiting import until
 
 JSON = {"Accept": "application/json"}
@@ -127,7 +128,7 @@ def test_every_write_that_would_reach_the_robot_is_refused_until_it_is_released(
     assert robot.moved() == before
     assert http.put("/data/x", content="<> <p> 1 .", headers=TURTLE).status_code == 201
     assert http.get("/resources/arm/label", headers=JSON).json() == "x", "reading goes on, by getters too"
-    assert http.delete("/stop").status_code == 204
+    assert release(http).status_code == 204
     for method, path, content in writes(str(http.base_url)):
         assert http.request(method, path, **content).status_code < 300, (method, path)
 
@@ -171,7 +172,7 @@ def test_what_refuses_because_it_is_at_rest_has_not_failed(robot: Stoppable, htt
         step = told["steps"][-1]
         assert (step["does"], step["state"], step["words"][: len(words)]) == ("call /arm/fold", state, words)
         assert (told["warning"] is None) is (state == "Succeeded")
-        assert http.delete("/stop").status_code == 204
+        assert release(http).status_code == 204
 
 
 def test_the_aircraft_can_be_stopped_while_it_is_off(serve: Callable[..., Any]) -> None:
@@ -203,7 +204,7 @@ def test_a_stop_ends_holds_and_nothing_follows_but_zero(robot: Stoppable, http: 
         until(lambda: robot.sent["/drive"].count(STILL) >= 15, "zero, again and again")
         after = robot.sent["/drive"][robot.sent["/drive"].index(STILL) :]
         assert all(message == STILL for message in after), then
-        assert http.delete("/stop").status_code == 204
+        assert release(http).status_code == 204
 
 
 def test_what_is_under_way_is_cut_off(robot: Stoppable, http: httpx.Client) -> None:
@@ -230,8 +231,8 @@ def test_stopping_twice_stops_again_and_the_first_is_who_stopped_it(robot: Stopp
     second = stopped(http, reason="second")
     assert (second["reason"], second["since"]) == ("first", first["since"])
     assert len(robot.braked) == 2
-    assert http.delete("/stop").status_code == 204
-    assert http.delete("/stop").status_code == 204, "releasing twice is fine"
+    assert release(http).status_code == 204
+    assert release(http).status_code == 204, "releasing twice is fine"
     assert http.get("/stop", headers=JSON).json()["stopped"] is False
 
 
@@ -244,9 +245,30 @@ def test_a_stop_action_that_hangs_holds_nobody_up(robot: Stoppable) -> None:
             stopping = pool.submit(other.post, "/stop", headers=JSON)
             robot.until(lambda: robot.calls["/arm/brake"] == 1)
             assert http.put("/parameters/gain", json=2).status_code == 423
-            assert http.delete("/stop").status_code == 409, "it is still being stopped"
+            assert release(http).status_code == 409, "it is still being stopped"
             [brake] = [one for one in stopping.result(20).json()["steps"] if "/arm/brake" in one["does"]]
         assert brake["state"] in ("Running", "Failed")
+
+
+def test_without_tokens_a_release_takes_what_a_person_sees_on_the_page(robot: Stoppable, http: httpx.Client) -> None:
+    stopped(http, reason="a person on the track")
+    refused = http.put("/parameters/gain", json=2)
+    assert refused.status_code == 423
+    assert "DELETE" not in refused.text
+    assert "A person can release the stop at" in refused.json()["detail"]
+    unconfirmed = http.delete("/stop")
+    assert unconfirmed.status_code == 428
+    assert f"{http.base_url}stop" in unconfirmed.json()["detail"]
+    assert http.delete("/stop?confirm=guess").status_code == 409
+    id = http.get("/stop", headers={"Accept": "text/html"}).text.split('name="?confirm" value="')[1].split('"')[0]
+    for accept in ("application/json", "text/turtle", "application/ld+json"):
+        assert id not in http.get("/stop", headers={"Accept": accept}).text
+    assert id not in refused.text + unconfirmed.text
+    assert http.get("/stop", headers=JSON).json()["stopped"] is True
+    released = http.delete("/stop", params={"confirm": id})
+    assert released.status_code == 204
+    stopped(http)
+    assert http.delete("/stop", params={"confirm": id}).status_code == 409, "it was the id of another stop"
 
 
 @pytest.mark.parametrize("body", [b"[]", b'{"reason": 1}', b'{"other": "x"}', b'{"reason": "%s"}' % (b"x" * 501)])
@@ -286,9 +308,11 @@ def test_every_page_has_a_button_that_stops_without_a_script_and_says_when_it_is
     assert pressed.headers["location"].startswith(f"{http.base_url}stop?receipt=")
     for page in pages:
         assert "Nothing is written to it until" in http.get(page, headers=html).text, page
-    release = http.get("/stop", headers=html).text
-    assert "Release" in release
-    assert http.post("/stop", data={**fields, "method": "DELETE"}, headers=html).status_code == 303
+    shown = http.get("/stop", headers=html).text
+    assert "Release" in shown
+    id = shown.split('name="?confirm" value="')[1].split('"')[0]
+    assert http.post("/stop", data={**fields, "method": "DELETE"}, headers=html).status_code == 428
+    assert http.post("/stop", data={**fields, "method": "DELETE", "?confirm": id}, headers=html).status_code == 303
     assert "Nothing is written to it until" not in http.get("/topics/drive", headers=html).text
 
 
@@ -304,7 +328,7 @@ def test_a_page_that_is_open_shows_the_stop_and_its_end_and_values_are_not_told_
         assert next(told) == "1"
         stopped(other, reason="a person on the track")
         assert "a person on the track" in next(pages)
-        assert other.delete("/stop").status_code == 204
+        assert release(other).status_code == 204
         assert any("a person on the track" not in page for page in pages)
         assert other.put("/parameters/gain", json=2).status_code == 204
         assert next(told) == "2"

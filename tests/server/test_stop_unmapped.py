@@ -13,6 +13,7 @@ import pytest
 from rosld.adapters.base import Published
 from rosld.adapters.model import NotFound, Topic, TypeRef, Unreachable
 from tests.server.robots.made_up import MadeUp, served
+from tests.stopping import release
 from tests.waiting import until
 
 JSON = {"Accept": "application/json"}
@@ -149,7 +150,7 @@ def test_while_stopped_zero_passes_and_nothing_else(base: Base, http: httpx.Clie
     assert http.patch(hold, json=AHEAD).status_code == 423
     assert all(message == STILL for message in base.sent["/cmd_vel"])
     assert http.get(hold, headers=JSON).json()["message"] == STILL
-    assert http.delete("/stop").status_code == 204
+    assert release(http).status_code == 204
     assert http.patch(hold, json=AHEAD).status_code == 204
     until(lambda: AHEAD in base.sent["/cmd_vel"], "the command")
     stop(http)
@@ -211,7 +212,7 @@ def test_a_base_that_nobody_reached_in_time_is_told_zero_when_it_is_there(base: 
     assert re.fullmatch(r"told late, \d+\.\d s after the stop", late["words"])
     assert "told late" in http.get("/stop", headers=HTML).text
     assert f'"{late["words"]}"' in http.get("/stop", headers={"Accept": "text/turtle"}).text
-    assert http.delete("/stop").status_code == 204
+    assert release(http).status_code == 204
 
 
 def test_what_a_stop_publishes_on_is_advertised_beforehand_where_that_is_asked_for() -> None:
@@ -223,7 +224,7 @@ def test_what_a_stop_publishes_on_is_advertised_beforehand_where_that_is_asked_f
         until(lambda: "/cmd_vel_2" in base.advertised, "the topic that came later")
         assert base.advertised.count("/stamped") > 1, "what could not be advertised is tried again"
         stop(http)
-        assert http.delete("/stop").status_code == 204
+        assert release(http).status_code == 204
         assert base.withdrawn == []
 
 
@@ -240,7 +241,7 @@ def test_what_was_advertised_to_stop_the_robot_is_withdrawn_with_the_stop(base: 
     assert http.put("/topics/cmd_vel", json=AHEAD).status_code == 204
     stop(http)
     assert base.withdrawn == []
-    assert http.delete("/stop").status_code == 204
+    assert release(http).status_code == 204
     assert sorted(base.withdrawn) == sorted(set(COMMANDS) - {"/cmd_vel"})
 
 
@@ -248,7 +249,7 @@ def test_a_release_waits_for_the_second_of_zeros_so_that_none_comes_between_comm
     base: Base, http: httpx.Client
 ) -> None:
     stop(http)
-    assert http.delete("/stop").status_code == 204
+    assert release(http).status_code == 204
     assert all(len(base.sent[each]) >= 15 for each in COMMANDS)
     held = http.post("/topics/cmd_vel", params={"rate": 50, "lease": 5}, json=AHEAD)
     assert held.status_code == 201
@@ -280,4 +281,4 @@ def test_a_topic_that_is_unreachable_fails_with_its_reason(base: Base) -> None:
         told = stop(http)
         assert {step["words"] for step in told["steps"]} == {f"the node of {each} is gone" for each in COMMANDS}
         assert "nothing could be told to stand still" in told["warning"]
-        assert http.delete("/stop").status_code == 204
+        assert release(http).status_code == 204

@@ -11,6 +11,7 @@ import pytest
 
 from rosld.server.html import drive_pad
 from tests.server.robots.made_up import MadeUp, served
+from tests.stopping import release
 from tests.waiting import until
 
 STICK = "document.querySelector('.stick')"
@@ -320,7 +321,7 @@ def test_a_stop_ends_it_takes_the_pad_away_and_a_release_brings_it_back(
     assert http.post("/stop").status_code == 200
     pad.until(f"!{STICK}")
     assert base.told()[-1] == STILL
-    assert http.delete("/stop").status_code == 204
+    assert release(http).status_code == 204
     assert base.told()[-1] == STILL, "nothing drives on"
     pad.until(f"{STICK} && !document.querySelector('main [inert]')")
     mouse(pad, "mouseReleased", 0.0, 1.0)

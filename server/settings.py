@@ -124,6 +124,13 @@ class Settings:
         option=True,
         metavar="WHOSE",
     )
+    name: str = setting(
+        "",
+        "What pages and descriptions call the robot; else the parameter /robot_name, the name in its URDF "
+        "(robot_description), or that of its machine.",
+        option=True,
+        metavar="NAME",
+    )
     resources_only: tuple[str, ...] = setting(
         (),
         "ROS names that are written under /resources/ only, where mappings guard them: /topics, /services and "

@@ -109,6 +109,6 @@ class EntryResource(Resource):
         graph, system = listed_graph(self.session.graph, capabilities), capabilities.system
         return self.states.get_or_make(
             self.url,
-            (graph.revision, problems),
+            (graph.revision, problems, self.session.name),
             lambda: State(lambda: entry_document(graph, self.session.space, system, problems, name=self.session.name)),
         )

@@ -18,6 +18,7 @@ from rosld.server.robot.goals import Goals
 from rosld.server.robot.interlock import WriteInterlock
 from rosld.server.robot.live_topics import LiveSettings, LiveTopics
 from rosld.server.robot.publish_rate import PublishLimiter
+from rosld.server.robot.robot_name import host_name, naming_parameters, read_robot_name, shown_name
 from rosld.server.robot.schemas import Schemas
 from rosld.server.runtime.dry_run import is_dry_run
 from rosld.server.runtime.loop_time import loop_time
@@ -79,12 +80,16 @@ class Session:
 
     @property
     def name(self) -> str:
-        """What people call it: a recording's name, a master's address, else the kind of system."""
+        """What people call it: `--name`, a recording's name, what the robot calls itself, its machine, its kind."""
+        if self.settings.name:
+            return shown_name(self.settings.name)
         recordings = list(self.adapter.recordings)
         if recordings:
             return recordings[0]
-        master = self.graph.master
-        return master.uri.partition("//")[2].rstrip("/") if master else self.adapter.capabilities.system
+        if self._follower.robot_name is not None:
+            return self._follower.robot_name
+        master, system = self.graph.master, self.adapter.capabilities.system
+        return host_name(None if master is None else master.uri) if system.startswith("ROS") else system
 
     def message_age(self, url: str) -> float | None:
         """How long ago the newest message of the topic at `url` was received, None where none was; from any thread."""
@@ -163,6 +168,8 @@ class GraphFollower:
         self._following = WokenTask(self._follow)
         self._loop: asyncio.AbstractEventLoop | None = None
         self._is_stale = False
+        self.robot_name: str | None = None
+        """What the robot's parameters say that it is called, once that is known."""
 
     def open(self) -> None:
         """Take the running loop for the one on which changes are announced."""
@@ -201,10 +208,18 @@ class GraphFollower:
 
     async def _follow(self) -> None:
         graph = self._session.graph
+        await self._learn_name(graph)
         await self._session.topics.subscribe_eager(graph)
         for ref in used_types(graph):
             with contextlib.suppress(RosError, asyncio.TimeoutError):
                 await self._session.schemas.get(ref)
+
+    async def _learn_name(self, graph: Graph) -> None:
+        """Ask the robot what it is called, unless that is known."""
+        if self.robot_name is None and naming_parameters(graph):
+            self.robot_name = await read_robot_name(self._session.adapter, graph, deadline=loop_time() + OPEN_SECONDS)
+            if self.robot_name is not None:
+                self._session.changes.emit()
 
 
 def used_types(graph: Graph) -> list[TypeRef]:

@@ -62,6 +62,7 @@ class GraphDescriptions:
             session.schemas.count,
             session.calls.revision,
             session.goals.revision,
+            session.name,
             services.holds.revision,
             services.software_stop.revision,
             services.recordings.history.digests.revision,
@@ -85,7 +86,7 @@ class GraphDescriptions:
         capabilities, problems = session.adapter.capabilities, services.problems()
         listed = listed_graph(graph, capabilities)
         entry = partial(entry_document, listed, space, capabilities.system, problems, name=session.name)
-        yield _described(space.base, (graph.revision, problems), entry)
+        yield _described(space.base, (graph.revision, problems, session.name), entry)
         simulated = graph.simulated_time
         for name, known in node_views(graph).items():
             view = self._factory.node(name).with_offers(known)

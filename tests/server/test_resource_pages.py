@@ -96,6 +96,6 @@ def test_what_is_not_there_has_a_page_with_the_way_back(http: httpx.Client) -> N
     assert f'<a href="{AIRCRAFT}">' in page.text
 
 
-def test_the_entry_page_leads_to_the_resources_first(http: httpx.Client) -> None:
+def test_the_entry_page_leads_to_the_cockpit_first_and_then_to_the_resources(http: httpx.Client) -> None:
     cards = re.findall(r'<li[^>]*><a href="([^"]+)"><span class="number">', http.get("/").text)
-    assert cards[0] == "/resources/"
+    assert cards[:2] == ["/cockpit/default", "/resources/"]

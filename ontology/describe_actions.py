@@ -68,7 +68,7 @@ class GoalView:
     """A goal as it is described; a message comes with its schema, feedback with when it came and its number.
 
     Times are wall-clock nanoseconds. `goal_id` is what its server knows it by. `cancelable`: it can be canceled here
-    now, and a form says how.
+    now, and a form says how. `receipt` is the id of the receipt of the request that sent it.
     """
 
     id: str
@@ -84,6 +84,7 @@ class GoalView:
     words: str | None = None
     unreadable: str | None = None
     cancelable: bool = False
+    receipt: str | None = None
 
 
 def goal_document(goal: GoalView, space: Space, settings: LiftSettings = _SETTINGS) -> Document:
@@ -104,6 +105,7 @@ def goal_document(goal: GoalView, space: Space, settings: LiftSettings = _SETTIN
         *RDF_SOURCE,
         (ros.goalId, text(goal.goal_id)),
         (ros.own, boolean(goal.own)),
+        (prov.wasInformedBy, None if goal.receipt is None else NamedNode(space.activity(goal.receipt))),
         (ros.unreadable, text(goal.unreadable)),
         (ros.goalMessage, NamedNode(f"{url}#goal") if goal.goal else None),
         (ros.feedback, NamedNode(f"{url}#feedback") if goal.feedback else None),

@@ -51,7 +51,7 @@ def _type(service: Service, space: Space) -> list[Statement]:
 class CallView:
     """A call as it is described: `state` is a local name of the vocabulary (`Running`, `Succeeded`, ...).
 
-    A message comes with its schema. Times are wall-clock nanoseconds.
+    A message comes with its schema. Times are wall-clock nanoseconds. `receipt` is the id of that of its request.
     """
 
     id: str
@@ -62,6 +62,7 @@ class CallView:
     response: tuple[MessageSchema, Message] | None = None
     answered_ns: int | None = None
     words: str | None = None
+    receipt: str | None = None
 
 
 def call_document(call: CallView, space: Space, settings: LiftSettings = _SETTINGS) -> Document:
@@ -76,6 +77,7 @@ def call_document(call: CallView, space: Space, settings: LiftSettings = _SETTIN
         *RDF_SOURCE,
         (ros.request, NamedNode(f"{url}#request")),
         (ros.response, NamedNode(f"{url}#response") if call.response else None),
+        (prov.wasInformedBy, None if call.receipt is None else NamedNode(space.activity(call.receipt))),
     )
     times = call.created_ns, call.answered_ns
     outline = call_outline(call.id, call.service, call.state, times, call.words, space)

@@ -131,6 +131,18 @@ class Combination:
 Condition: TypeAlias = "Comparison | Negation | Combination"
 
 
+def named_members(condition: Condition) -> frozenset[str]:
+    """Return the outermost members that a condition names."""
+    match condition:
+        case Comparison(path=(name, *_)):
+            return frozenset({str(name)})
+        case Negation(of=inner):
+            return named_members(inner)
+        case Combination(parts=parts):
+            return frozenset().union(*map(named_members, parts))
+    raise AssertionError(f"{condition!r} is no condition")
+
+
 def parse_condition(text: str) -> Condition:
     """Parse a condition. Raises ConditionError that says what is wrong where."""
     if len(text) > MAX_LENGTH:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import cast
 
-from rosld.server.events.condition import Condition, ConditionError, Value, parse_condition
+from rosld.server.events.condition import Condition, ConditionError, Value, named_members, parse_condition
 from rosld.server.http.problem import Problem
-from rosld.server.rest.state import State
+from rosld.server.rest.state import EndedState, State
 
 
 class Until:
@@ -27,7 +27,11 @@ class Until:
         self._is_checked = False
 
     def holds(self, state: State) -> bool:
-        """Whether the condition holds of a state. Raises Problems: 400 where it never can, and those of its JSON."""
+        """Whether the condition holds of a state.
+
+        Raises Problems: 400 where it never can, 409 where it no longer can because what is looked at has ended, and
+        those of its JSON.
+        """
         seen = self._view(state)
         if seen.plain is None:
             raise Problem(
@@ -41,7 +45,12 @@ class Until:
             except ConditionError as error:
                 raise _refusal(error) from error
             self._is_checked = True
-        return self._condition.holds(value)
+        if self._condition.holds(value):
+            return True
+        if isinstance(seen, EndedState) and not seen.open_members & named_members(self._condition):
+            detail = "?until= no longer comes true: what it waits for has ended, and `state` is how it stands."
+            raise Problem(409, detail, title="Has ended", extra={"state": value})
+        return False
 
 
 def _refusal(error: ConditionError) -> Problem:

@@ -57,7 +57,8 @@ class Recorder:
                 response.status_code,
                 _location(response) if response.status_code == 201 else None,
                 context.refusal,
-            )
+            ),
+            context.receipt,
         )
 
     def link(self, id: str) -> Header:

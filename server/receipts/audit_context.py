@@ -9,11 +9,20 @@ from __future__ import annotations
 import hashlib
 import time
 from contextvars import ContextVar
+from typing import NamedTuple
 
 from rosld.server.runtime.dry_run import current_dry_run
+from rosld.server.runtime.identifiers import new_identifier
 
 _MAX_STEPS = 100
 """Steps and URLs that are noted: a write of thousands of things is not told one by one."""
+
+
+class Sender(NamedTuple):
+    """Who sent a call or a goal: what the agent is called, and the id of the receipt."""
+
+    agent: str
+    receipt: str
 
 
 class AuditContext:
@@ -23,7 +32,18 @@ class AuditContext:
     `leads_to_page`: its answer sends a browser to a page, which is to tell of the receipt.
     """
 
-    __slots__ = ("is_write", "leads_to_page", "length", "matched", "plan", "refusal", "sent", "started_ns", "touched")
+    __slots__ = (
+        "is_write",
+        "leads_to_page",
+        "length",
+        "matched",
+        "plan",
+        "receipt",
+        "refusal",
+        "sent",
+        "started_ns",
+        "touched",
+    )
 
     sent: hashlib._Hash | None
 
@@ -35,6 +55,7 @@ class AuditContext:
         self.touched: tuple[str, ...] = ()
         self.matched: int | None = None
         self.refusal: str | None = None
+        self.receipt: str | None = None
         self.sent = None
         self.length = 0
 
@@ -42,6 +63,12 @@ class AuditContext:
         """Mark the request as a write: from now on it leaves a receipt, whatever its outcome. A dry run leaves none."""
         self.is_write = current_dry_run.get() is None
         current_audit.set(self)
+
+    def receipt_id(self) -> str:
+        """The id of the receipt that the request will leave."""
+        if self.receipt is None:
+            self.receipt = new_identifier()
+        return self.receipt
 
     def mark_read_only(self) -> None:
         """It turned out to change nothing, whatever it says: a query."""

@@ -113,10 +113,10 @@ class Journal:
         """Begin to remove entries that have become too old."""
         self._look_again()
 
-    def add(self, asked: AuditEntry) -> str:
+    def add(self, asked: AuditEntry, id: str | None = None) -> str:
         """Keep a write; the id of its receipt. It is written to the disk soon, and by `close` at the latest."""
         self.version += 1
-        entry = JournalEntry(self.version, new_identifier(), asked, self._excerpt_bytes, None)
+        entry = JournalEntry(self.version, id or new_identifier(), asked, self._excerpt_bytes, None)
         self._keep(entry)
         if self._disk is not None:
             self._unwritten[entry.number] = entry

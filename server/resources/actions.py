@@ -29,25 +29,26 @@ from rosld.adapters.model import (
 from rosld.ontology.describe_actions import GoalView, action_document, goal_document
 from rosld.ontology.document import Document, Envelope
 from rosld.ontology.lift import lifter
+from rosld.ontology.literals import date_time
 from rosld.ontology.urls import Space
 from rosld.server.html import DeleteForm, Form, MessageForm
 from rosld.server.http.link import to_uri
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import DataSchema
-from rosld.server.hypermedia.json_schema import TEXT, nullable
+from rosld.server.hypermedia.json_schema import TEXT, URI, nullable
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.accepted_shape import message_shape, shape_query
 from rosld.server.resources.command import CommandResource
 from rosld.server.resources.limit_checks import LimitChecks
 from rosld.server.resources.namespaces import is_absent, redirect_to_namespace
-from rosld.server.resources.service_request import read_message
+from rosld.server.resources.service_request import read_message, sender_of
 from rosld.server.resources.strictness import STRICTNESS
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, RDF_BODIES
 from rosld.server.rest.path_item import PathItem, WriteMethod
 from rosld.server.rest.resource import READ, Answer, CreatedAnswer, Resource
 from rosld.server.rest.ros_problems import problem_of
-from rosld.server.rest.state import State
+from rosld.server.rest.state import EndedState, State
 from rosld.server.robot.calls import Gone, IdempotencyKeyReused
 from rosld.server.robot.goal_store import Goal
 from rosld.server.robot.goals import GoalSubmission
@@ -214,12 +215,12 @@ class ActionResource(CommandResource):
     async def _submit(self, exchange: Exchange, schema: ActionSchema, message: Message) -> GoalSubmission:
         """What became of a goal that was sent, once only for each Idempotency-Key."""
         goals, deadline = self.session.goals, loop_time() + self.session.settings.call_deadline
-        key = exchange.header("idempotency-key")
+        key, sender = exchange.header("idempotency-key"), sender_of(exchange)
         if key is None:
-            return await goals.send(self.name, schema, message, deadline=deadline)
+            return await goals.send(self.name, schema, message, deadline=deadline, sender=sender)
         try:
             return await goals.send_idempotent(
-                key, self.name, schema, message, await exchange.body(), deadline=deadline
+                key, self.name, schema, message, await exchange.body(), deadline=deadline, sender=sender
             )
         except IdempotencyKeyReused as error:
             raise Problem(422, f"The Idempotency-Key {key!r} came before with another goal.") from error
@@ -319,14 +320,17 @@ class GoalResource(Resource):
     def state_of(self, goal: Goal) -> State:
         """The state of this goal as it stood."""
         return self.states.get_or_make(
-            self.url,
-            (IdentityKey(goal), self._is_open(goal)),
-            lambda: State(
-                lambda: self.document(goal),
-                lambda: self._plain(goal),
-                shapes=() if goal.schema is None else self.session.space.shapes_of(goal.schema),
-            ),
+            self.url, (IdentityKey(goal), self._is_open(goal)), lambda: self._make_state(goal)
         )
+
+    def _make_state(self, goal: Goal) -> State:
+        shapes = () if goal.schema is None else self.session.space.shapes_of(goal.schema)
+        state = State(lambda: self.document(goal), lambda: self._plain(goal), shapes=shapes)
+        if not goal.status.is_settled:
+            return state
+        has_result = goal.result is not None or goal.key is None  # it may come after the status
+        open_members = frozenset[str]() if has_result else frozenset({"result"})
+        return EndedState(state.describe, state.plain, shapes=shapes, open_members=open_members)
 
     def document(self, goal: Goal) -> Document:
         """The RDF of this goal as it stood."""
@@ -338,7 +342,10 @@ class GoalResource(Resource):
         """How it stands as JSON, its messages as ROS's own."""
         told = {
             "id": self.id,
+            "url": self.url,
             "action": goal.action,
+            "sentBy": None if goal.sender is None else goal.sender.agent,
+            "ended": None if goal.ended_ns is None else date_time(0, goal.ended_ns),
             "status": goal.status.value,
             "words": None if goal.words is None else goal.words.encode("utf-8", "replace").decode(),
         }
@@ -407,7 +414,10 @@ def _goal_schema(schemas: MessageSchemas, schema: ActionSchema | None) -> DataSc
     parts = {} if schema is None else {"goal": schema.goal, "feedback": schema.feedback, "result": schema.result}
     told = {name: nullable(schemas.read(part)) for name, part in parts.items()}
     status: DataSchema = {"type": "string", "enum": [status.value for status in GoalStatus]}
-    words: DataSchema = {"id": TEXT, "action": TEXT, "status": status, "words": nullable(TEXT)}
+    words: DataSchema = {
+        "id": TEXT, "url": URI, "action": TEXT, "sentBy": nullable(TEXT), "ended": nullable(TEXT), "status": status,
+        "words": nullable(TEXT),
+    }  # fmt: skip
     return {"type": "object", "properties": {**words, **told}}
 
 
@@ -447,4 +457,5 @@ def _view(goal: Goal, *, cancelable: bool) -> GoalView:
         goal.words,
         goal.unreadable,
         cancelable,
+        None if goal.sender is None else goal.sender.receipt,
     )

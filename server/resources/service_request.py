@@ -9,6 +9,7 @@ from rosld.ontology.lower import lowerer, parse_json
 from rosld.ontology.urls import Space
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.value import refusal_text
+from rosld.server.receipts.audit_context import Sender
 from rosld.server.resources.limit_checks import LimitChecks
 from rosld.server.resources.strictness import is_strict
 from rosld.server.rest.exchange import Exchange
@@ -59,17 +60,22 @@ async def read_message(
     return lowering.from_body(body, url, node)
 
 
+def sender_of(exchange: Exchange) -> Sender:
+    """Who sends what a request asks for, and the receipt that it leaves."""
+    return Sender(exchange.agent.name, exchange.audit.receipt_id())
+
+
 async def call_service(
     exchange: Exchange, session: Session, service: str, schema: ServiceSchema, request: Message
 ) -> CallOutcome:
     """Call a service, once only for each Idempotency-Key. Raises a 422 Problem for a key of another request."""
     deadline = loop_time() + session.settings.call_deadline
-    key = exchange.header("idempotency-key")
+    key, sender = exchange.header("idempotency-key"), sender_of(exchange)
     if key is None:
-        return await session.calls.call(service, schema, request, deadline=deadline)
+        return await session.calls.call(service, schema, request, deadline=deadline, sender=sender)
     try:
         return await session.calls.call_idempotent(
-            key, service, schema, request, await exchange.body(), deadline=deadline
+            key, service, schema, request, await exchange.body(), deadline=deadline, sender=sender
         )
     except IdempotencyKeyReused as error:
         raise Problem(422, f"The Idempotency-Key {key!r} came before with another request.") from error

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
+import orjson
 from starlette.responses import Response
 
 from rosld.adapters.base import Watch
@@ -11,9 +13,11 @@ from rosld.adapters.model import Kind, Operation, Ref, RosError, Service, Servic
 from rosld.ontology.describe_services import CallView, call_document, service_document
 from rosld.ontology.document import Document
 from rosld.ontology.lift import lifter
+from rosld.ontology.literals import date_time
 from rosld.server.html import DeleteForm, Form, MessageForm
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.json_schema import ANYTHING, nullable
+from rosld.server.hypermedia.data_schema import DataSchema
+from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, URI, nullable
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.accepted_shape import message_shape, shape_query
 from rosld.server.resources.command import CommandResource
@@ -25,11 +29,20 @@ from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, RDF_BODIES
 from rosld.server.rest.path_item import PathItem, WriteMethod
 from rosld.server.rest.resource import READ, Answer, CreatedAnswer, Resource
-from rosld.server.rest.state import State
-from rosld.server.robot.calls import Call, Gone
+from rosld.server.rest.state import EndedState, State
+from rosld.server.robot.calls import Call, CallState, Gone
 from rosld.server.robot.session import Session
 from rosld.server.robot.write_policy import resources_only_reason
 from rosld.server.runtime.version_cache import IdentityKey, VersionCache
+
+_CALL: DataSchema = {
+    "type": "object",
+    "properties": {
+        **dict.fromkeys(("id", "service", "state"), TEXT),
+        **{name: nullable(TEXT) for name in ("sentBy", "ended", "words")},
+        "url": URI,
+    },
+}
 
 
 class ServiceResource(CommandResource):
@@ -134,7 +147,7 @@ class ServiceResource(CommandResource):
         if problem is not None:
             raise problem
         resource = CallResource(self.session, self.states, outcome.call.id)
-        return CreatedAnswer(resource.url, resource, resource.state_of(outcome.call))
+        return CreatedAnswer(resource.url, resource, resource.response_state_of(outcome.call))
 
     async def _schema(self) -> ServiceSchema:
         service = self.service
@@ -170,7 +183,7 @@ class CallResource(Resource):
         return False
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem("A call of a service", plain=ANYTHING, writes={"DELETE": WriteMethod(done=(204,))}, also=(410,))
+        return PathItem("A call of a service", plain=_CALL, writes={"DELETE": WriteMethod(done=(204,))}, also=(410,))
 
     def methods(self) -> frozenset[str]:
         return READ if self.session.settings.read_only else READ | {"DELETE"}
@@ -198,13 +211,35 @@ class CallResource(Resource):
 
     def state_of(self, call: Call) -> State:
         """The state of this call as it stood."""
+        shapes = self.session.space.shapes_of(call.schema)
+        has_ended = call.state not in (CallState.RUNNING, CallState.UNKNOWN)
+        kind = EndedState if has_ended else State
+        return kind(lambda: self.document(call), lambda: self._plain(call), shapes=shapes)
 
-        def plain() -> bytes:
-            if call.response is None:
-                return b"null"
-            return lifter(call.schema.response, self.session.lifting).json(call.response, self.url)
+    def response_state_of(self, call: Call) -> State:
+        """The same with the response alone as plain JSON, which is what the caller asked for."""
+        return replace(self.state_of(call), plain=lambda: self._response_json(call), part="response")
 
-        return State(lambda: self.document(call), plain, shapes=self.session.space.shapes_of(call.schema))
+    def _response_json(self, call: Call) -> bytes:
+        if call.response is None:
+            return b"null"
+        return lifter(call.schema.response, self.session.lifting).json(call.response, self.url)
+
+    def _plain(self, call: Call) -> bytes:
+        """How it stands as JSON, its messages as ROS's own."""
+        ended_ns = None if call.state is CallState.UNKNOWN else call.answered_ns
+        described = {
+            "id": call.id,
+            "url": self.url,
+            "service": call.service,
+            "sentBy": None if call.sender is None else call.sender.agent,
+            "ended": None if ended_ns is None else date_time(0, ended_ns),
+            "state": call.state.value,
+            "words": call.words,
+        }
+        request = lifter(call.schema.request, self.session.lifting).json(call.request, self.url)
+        rest = b',"request":' + request + b',"response":' + self._response_json(call) + b"}"
+        return orjson.dumps(described)[:-1] + rest
 
     def document(self, call: Call) -> Document:
         """The RDF of this call as it stood."""
@@ -235,4 +270,5 @@ def _view(call: Call) -> CallView:
         None if call.response is None else (schema.response, call.response),
         call.answered_ns,
         call.words,
+        None if call.sender is None else call.sender.receipt,
     )

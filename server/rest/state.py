@@ -124,6 +124,13 @@ class MessageState(State):
     messages: tuple[tuple[str, int, int], ...] = ()
 
 
+@dataclass(eq=False)
+class EndedState(State):
+    """The last state of what has ended; `open_members` are those of its plain JSON that may still change."""
+
+    open_members: frozenset[str] = frozenset()
+
+
 def _describe_redacted(describe: Callable[[], Document], permissions: Permissions) -> Document:
     return redact_document(describe(), permissions)
 

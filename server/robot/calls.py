@@ -12,7 +12,7 @@ from enum import Enum
 
 from rosld.adapters.base import Adapter
 from rosld.adapters.model import Message, Refused, RosError, Sent, ServiceSchema, TimedOut
-from rosld.server.receipts.audit_context import record_step
+from rosld.server.receipts.audit_context import Sender, record_step
 from rosld.server.runtime.dry_run import end_dry_run, is_dry_run
 from rosld.server.runtime.identifiers import new_identifier
 from rosld.server.runtime.signals import Signal
@@ -42,6 +42,7 @@ class Call:
     response: Message | None = None
     answered_ns: int | None = None
     words: str | None = None
+    sender: Sender | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +111,15 @@ class Calls:
         end_dry_run()
         self._drop(id)
 
-    async def call(self, service: str, schema: ServiceSchema, request: Message, *, deadline: float) -> CallOutcome:
+    async def call(
+        self,
+        service: str,
+        schema: ServiceSchema,
+        request: Message,
+        *,
+        deadline: float,
+        sender: Sender | None = None,
+    ) -> CallOutcome:
         """Call and wait until `deadline`; the call goes on after that, and after its caller has gone.
 
         Raises ValueError where the request cannot be encoded: then nothing was sent. A dry run keeps no call, and
@@ -119,7 +128,7 @@ class Calls:
         data = schema.request.codec.encode(request, self._adapter.capabilities.encoding)
         if is_dry_run():
             await self._adapter.call(service, schema.ref, data, deadline=deadline)
-        call = Call(new_identifier(), service, schema, request, time.time_ns())
+        call = Call(new_identifier(), service, schema, request, time.time_ns(), sender=sender)
         self._keep(call)
         loop = asyncio.get_running_loop()
         settled = loop.create_task(self._settle(call, data, deadline + LATE_SECONDS))
@@ -134,7 +143,15 @@ class Calls:
         return CallOutcome(self._calls.get(call.id, call), late)
 
     async def call_idempotent(
-        self, key: str, service: str, schema: ServiceSchema, request: Message, body: bytes, *, deadline: float
+        self,
+        key: str,
+        service: str,
+        schema: ServiceSchema,
+        request: Message,
+        body: bytes,
+        *,
+        deadline: float,
+        sender: Sender | None = None,
     ) -> CallOutcome:
         """As `call`, but a second call with the same key gets the outcome of the first.
 
@@ -147,7 +164,9 @@ class Calls:
         if known is None and is_dry_run():
             return await self.call(service, schema, request, deadline=deadline)
         if known is None:
-            making = asyncio.get_running_loop().create_task(self.call(service, schema, request, deadline=deadline))
+            making = asyncio.get_running_loop().create_task(
+                self.call(service, schema, request, deadline=deadline, sender=sender)
+            )
             known = self._keyed[(service, key)] = (digest, making)
             while len(self._keyed) > self._limit:
                 self._keyed.popitem(last=False)

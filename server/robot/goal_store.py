@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from rosld.adapters.model import ActionSchema, GoalId, GoalStatus, Message
+from rosld.server.receipts.audit_context import Sender
 from rosld.server.robot.calls import Gone
 from rosld.server.runtime.signals import Signal
 
@@ -51,6 +52,7 @@ class Goal:
     words: str | None = None
     unreadable: str | None = None
     is_own: bool = False
+    sender: Sender | None = None
 
     @property
     def is_cancelable(self) -> bool:

@@ -24,7 +24,7 @@ from rosld.adapters.model import (
     Refused,
     RosError,
 )
-from rosld.server.receipts.audit_context import record_step
+from rosld.server.receipts.audit_context import Sender, record_step
 from rosld.server.robot.calls import IdempotencyKeyReused
 from rosld.server.robot.goal_follower import GoalFollower
 from rosld.server.robot.goal_store import MAX_REMEMBERED, Feedback, Goal, GoalStore
@@ -114,7 +114,9 @@ class Goals:
 
     # Sending and canceling
 
-    async def send(self, action: str, schema: ActionSchema, message: Message, *, deadline: float) -> GoalSubmission:
+    async def send(
+        self, action: str, schema: ActionSchema, message: Message, *, deadline: float, sender: Sender | None = None
+    ) -> GoalSubmission:
         """Send a goal; the one that was rejected is kept as well. Raises ValueError where it cannot be encoded."""
         data = schema.goal.codec.encode(message, self._adapter.capabilities.encoding)
         now = time.time_ns()
@@ -126,7 +128,7 @@ class Goals:
             words = error.words or error.sentence
             goal = Goal(
                 new_identifier(), action, None, now, now, GoalStatus.REJECTED, schema, message, words=words,
-                ended_ns=time.time_ns(), is_own=True,
+                ended_ns=time.time_ns(), is_own=True, sender=sender,
             )  # fmt: skip
             self._store.keep(goal)
             return GoalSubmission(goal, error)
@@ -135,12 +137,22 @@ class Goals:
         if known is None:
             known = Goal(self._store.new_id(key), action, key, now, now, GoalStatus.ACCEPTED)
         self._store.keep(
-            replace(known, schema=schema, goal=message, created_ns=min(now, known.created_ns), is_own=True)
+            replace(
+                known, schema=schema, goal=message, created_ns=min(now, known.created_ns), is_own=True, sender=sender
+            )
         )
         return GoalSubmission(self._store.get(known.id), None)
 
     async def send_idempotent(
-        self, key: str, action: str, schema: ActionSchema, message: Message, body: bytes, *, deadline: float
+        self,
+        key: str,
+        action: str,
+        schema: ActionSchema,
+        message: Message,
+        body: bytes,
+        *,
+        deadline: float,
+        sender: Sender | None = None,
     ) -> GoalSubmission:
         """As `send`, but a second goal with the same key is the first; raises IdempotencyKeyReused where it differs."""
         digest = hashlib.blake2b(body).digest()
@@ -150,7 +162,9 @@ class Goals:
         if known is None and is_dry_run():
             return await self.send(action, schema, message, deadline=deadline)
         if known is None:
-            sending = asyncio.get_running_loop().create_task(self.send(action, schema, message, deadline=deadline))
+            sending = asyncio.get_running_loop().create_task(
+                self.send(action, schema, message, deadline=deadline, sender=sender)
+            )
             known = self._keyed[(action, key)] = (digest, sending)
             while len(self._keyed) > self._most_keys:
                 self._keyed.popitem(last=False)

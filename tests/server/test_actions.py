@@ -78,6 +78,9 @@ def test_a_goal_is_created_told_of_by_events_and_has_a_result(plane: httpx.Clien
     assert answer.headers["content-location"] == goal
     assert answer.json() | {"feedback": None} == {
         "id": goal.rpartition("/")[2],
+        "url": goal,
+        "sentBy": "anybody",
+        "ended": None,
         "action": "/aircraft/fly",
         "status": "accepted",
         "words": None,

@@ -224,7 +224,7 @@ def test_a_topic_that_goes_is_told_and_told_again_when_it_is_back(aircraft: Any)
 def test_what_is_gone_for_good_ends_the_stream(aircraft: Any) -> None:
     call = aircraft.http.post("/services/aircraft/get_power", json={}, headers=JSON).headers["location"]
     with streaming(aircraft, call) as found:
-        assert next(found).json == {"data": "off"}
+        assert next(found).json["response"] == {"data": "off"}
         aircraft.http.delete(call).raise_for_status()
         rest = list(found)
     assert [(event.name, event.json["status"]) for event in rest] == [("gone", 410)]

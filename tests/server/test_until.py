@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -92,7 +93,11 @@ def test_parameters_calls_and_trees_are_waited_for(aircraft: Served, aside: Thre
     finally:
         http.put(NIGHT, json=False).raise_for_status()
     call = http.post("/services/aircraft/get_power", json={}).headers["location"]
-    assert wait(http, call, "data = 'on' or data = 'off'").json()["data"] in ("on", "off")
+    answer = wait(http, call, "response.data = 'on' or response.data = 'off'").json()
+    assert (answer["url"], answer["sentBy"], answer["state"]) == (call, "anybody", "Succeeded")
+    assert answer["ended"]
+    too_late = wait(http, call, "response.data = 'broken'")
+    assert (too_late.status_code, too_late.json()["state"]) == (409, answer)
 
 
 def test_the_end_of_a_goal_is_waited_for(serve: Callable[..., Served]) -> None:
@@ -100,8 +105,26 @@ def test_the_end_of_a_goal_is_waited_for(serve: Callable[..., Served]) -> None:
     far = {"pose": {"header": {"frame_id": "map"}, "pose": {"position": {"x": 90.0, "y": 90.0}}}}
     sent = http.post("/actions/navigate_to", json=far)
     goal = sent.headers["location"]
-    ended = wait(http, goal, "status != 'accepted' and status != 'executing'")
-    assert ended.json()["status"] == "aborted"
+    assert sent.status_code == 201
+    missed = wait(http, goal, "status = 'succeeded'")  # waits for the end, and is told then that it never comes
+    assert (missed.status_code, missed.json()["title"]) == (409, "Has ended")
+    assert missed.json()["state"]["status"] == "aborted"
+    ended = wait(http, goal, "status != 'accepted' and status != 'executing'").json()
+    assert (ended["status"], ended["url"], ended["sentBy"]) == ("aborted", goal, "anybody")
+    assert ended["ended"] == missed.json()["state"]["ended"]
+    assert wait(http, goal, "result != null").status_code == 200
+    stream = {"Accept": "text/event-stream"}
+    assert http.get(goal, params={"until": "status = 'succeeded'"}, headers=stream).status_code == 409
+    turtle = http.get(goal, params={"until": "status = 'succeeded'"}, headers={"Accept": "text/turtle"})
+    assert turtle.status_code == 409
+    [receipt] = [link for link in sent.headers["link"].split("<") if "/activity/" in link]
+    triple = f"<{goal}> <http://www.w3.org/ns/prov#wasInformedBy> <{receipt.partition('>')[0]}> ."
+    assert triple in http.get(goal, headers={"Accept": "application/n-triples"}).text
+    again = http.post("/actions/navigate_to", json=far).headers["location"]
+    with http.stream("GET", again, params={"until": "status = 'succeeded'"}, headers=stream) as streamed:
+        lines = [line for line in streamed.iter_lines() if line]
+    problem = lines[lines.index("event: problem") + 1 :]
+    assert json.loads("".join(line.removeprefix("data: ") for line in problem))["status"] == 409
 
 
 def test_the_battery_of_the_rover_is_waited_for(serve: Callable[..., Served]) -> None:

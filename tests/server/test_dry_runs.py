@@ -297,7 +297,10 @@ def test_while_the_robot_is_stopped_a_dry_run_is_refused_and_its_stop_stops_noth
     assert http.post("/stop").status_code == 200
     for path in ("/topics/cockpit/display", "/services/aircraft/start", "/actions/aircraft/fly"):
         assert http.request("PUT" if "topics" in path else "POST", path, params=DRY, json={}).status_code == 423, path
-    assert http.delete("/stop", params=DRY).json()["status"] == 204
+    assert http.delete("/stop", params=DRY).status_code == 428, "nobody confirms it"
+    page = http.get("/stop", headers={"Accept": "text/html"}).text
+    confirmed = {"confirm": page.split('name="?confirm" value="')[1].split('"')[0]}
+    assert http.delete("/stop", params={**DRY, **confirmed}).json()["status"] == 204
     assert http.get("/stop", headers=ACCEPT_JSON).json()["stopped"] is True
 
 

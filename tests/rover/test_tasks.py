@@ -16,6 +16,7 @@ from tests.rover.tourist import (
     low_battery,
     parameter_in_range,
 )
+from tests.stopping import release
 
 
 @contextmanager
@@ -42,6 +43,7 @@ def test_to_drive_and_to_stop_takes_six_requests(rover: Rover) -> None:
     with counted(rover, drive_and_stop, 6, 20_000) as statuses:
         assert statuses[0] in (200, 202)
         assert statuses[1:] == [200, 428], "a model stops the robot; a person releases it"
+    assert release(rover.http).status_code == 204
 
 
 def test_to_send_a_goal_and_see_it_fail_takes_six_requests(rover: Rover) -> None:

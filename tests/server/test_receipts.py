@@ -251,7 +251,7 @@ def test_pages_link_to_receipts_and_show_them(plane: httpx.Client) -> None:
     url = receipt_url(plane.put("/topics/cockpit/display", json={"data": "<script>alert(1)</script>"}))
     assert url is not None
     html = {"Accept": "text/html"}
-    assert "PUT /topics/cockpit/display" in plane.get("/activity/", headers=html).text
+    assert "PUT /topics/cockpit/display" in plane.get("/activity/", headers=html).text.replace("<wbr>", "")
     page = plane.get(url, headers=html)
     assert page.status_code == 200
     assert "<script>alert" not in page.text

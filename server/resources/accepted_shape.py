@@ -59,7 +59,7 @@ class AcceptedShape(Resource):
         return (SHACL_SHACL,)
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem("The shape of what may be written")
+        return PathItem("The shape of what may be written", has_shape=True)
 
     async def state(self) -> State:
         if await self._of.current_methods() == ABSENT:

@@ -62,7 +62,7 @@ $(INSTALLED): pyproject.toml
 # What the tests use beside Python, from Debian: a real ROS 1, a browser, Node, and a C compiler for ROS 2. Without them
 # their tests are skipped by name, and fail where CI=true.
 debian:
-	@{ test -x /usr/bin/rosmaster && /usr/bin/python3 -c 'import numpy, diagnostic_msgs, dynamic_reconfigure'; } \
+	@{ test -x /usr/bin/rosmaster && /usr/bin/python3 -c 'import numpy, diagnostic_msgs, dynamic_reconfigure, rosbag'; } \
 		2>/dev/null || .ci/debian tests/debian-ros.txt
 	@command -v chromium >/dev/null || .ci/debian tests/debian-browser.txt
 	@command -v npm >/dev/null || .ci/debian tests/debian-node.txt

@@ -48,6 +48,8 @@ class _Redaction:
         self._document = document
         self._permissions = permissions
         self._own = document.url.partition("?")[0].partition("#")[0]
+        self._judged: dict[str, bool] = {}
+        """Whether documents may be read, by URL: a page of 100 recorded messages names each some 50 times."""
         self._names = frozenset(self._hidden_names())
 
     def triples(self) -> list[Triple]:
@@ -93,7 +95,7 @@ class _Redaction:
         urls |= {one.envelope.publisher for one in self._document.messages if one.envelope and one.envelope.publisher}
         for url in urls:
             place = self._permissions.locate(url)
-            if place is not None and place.segments and not self._permissions.may_read(url):
+            if place is not None and place.segments and not self._may_read(url):
                 yield "/" + "/".join(place.segments)
 
     def _hidden_parts(self) -> frozenset[_Term]:
@@ -122,8 +124,15 @@ class _Redaction:
             return False
         url = term.value
         if url.partition("#")[0].partition("?")[0] == self._own:
-            return ("?" in url and not self._permissions.may_read(url)) or self._is_named_after_hidden(url)
-        return not self._permissions.may_read(url)
+            return ("?" in url and not self._may_read(url)) or self._is_named_after_hidden(url)
+        return not self._may_read(url)
+
+    def _may_read(self, url: str) -> bool:
+        document = url.partition("#")[0]
+        found = self._judged.get(document)
+        if found is None:
+            found = self._judged[document] = self._permissions.may_read(document)
+        return found
 
     def _is_named_after_hidden(self, url: str) -> bool:
         """Whether a URL ends in a fragment named after something hidden (`#from/talker`)."""

@@ -7,8 +7,8 @@ import re
 import httpx
 
 
-def release(http: httpx.Client) -> httpx.Response:
+def release(http: httpx.Client, **params: str) -> httpx.Response:
     """DELETE the stop, confirmed with the id that its page shows."""
     page = http.get("/stop", headers={"Accept": "text/html"}).text
     found = re.search(r'name="[?]confirm" value="([^"]+)"', page)
-    return http.delete("/stop", params=None if found is None else {"confirm": found[1]})
+    return http.delete("/stop", params=params if found is None else {"confirm": found[1], **params})

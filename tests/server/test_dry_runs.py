@@ -17,6 +17,7 @@ from rosld.adapters.base import Adapter, AdapterOptions
 from rosld.adapters.registry import adapter_for
 from tests.server.robots.made_up import MadeUp, Serving, served
 from tests.server.test_mappings import COCKPIT
+from tests.stopping import release
 from tests.waiting import until
 
 UPDATE = "application/sparql-update"
@@ -298,9 +299,7 @@ def test_while_the_robot_is_stopped_a_dry_run_is_refused_and_its_stop_stops_noth
     for path in ("/topics/cockpit/display", "/services/aircraft/start", "/actions/aircraft/fly"):
         assert http.request("PUT" if "topics" in path else "POST", path, params=DRY, json={}).status_code == 423, path
     assert http.delete("/stop", params=DRY).status_code == 428, "nobody confirms it"
-    page = http.get("/stop", headers={"Accept": "text/html"}).text
-    confirmed = {"confirm": page.split('name="?confirm" value="')[1].split('"')[0]}
-    assert http.delete("/stop", params={**DRY, **confirmed}).json()["status"] == 204
+    assert release(http, **DRY).json()["status"] == 204
     assert http.get("/stop", headers=ACCEPT_JSON).json()["stopped"] is True
 
 

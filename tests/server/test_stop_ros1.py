@@ -9,6 +9,7 @@ import pytest
 
 from tests.adapters.ros1.system import RosSystem, running
 from tests.processes import Process
+from tests.stopping import release
 from tests.waiting import until
 
 TOPIC, TWIST = "/cmd_vel", "geometry_msgs/Twist"
@@ -57,7 +58,7 @@ def test_a_base_that_another_node_set_going_and_left_is_told_zero_again_and_agai
     until(lambda: len(speeds(base)) >= 15, "zero for a second")
     assert set(speeds(base)[1:]) == {0.0}
     assert any("rosld" in node for node in ros.publishers(TOPIC))
-    assert served.http.delete("stop").status_code == 204
+    assert release(served.http).status_code == 204
     assert ros.publishers(TOPIC) == [], "what was advertised for the stop alone is withdrawn"
 
 
@@ -70,7 +71,7 @@ def test_a_base_is_connected_before_the_stop_where_that_is_asked_for(
     told = served.http.post("stop", headers=JSON).json()
     assert [step["subscribers"] for step in told["steps"]] == [1]
     until(lambda: len(speeds(base)) >= 15, "zero for a second")
-    assert served.http.delete("stop").status_code == 204
+    assert release(served.http).status_code == 204
     assert any("rosld" in node for node in ros.publishers(TOPIC)), "it stays ready"
 
 

@@ -61,7 +61,7 @@ def held(agent: httpx.Client, lease: float = 5) -> httpx.Response:
 def test_the_hold_is_offered_with_its_form_to_those_who_may_hold_and_to_nobody_else(aircraft: Guarded) -> None:
     def offered(agent: str) -> tuple[bool, bool]:
         told = aircraft[agent].get(DISPLAY, headers={"Accept": "application/n-triples"}).text
-        return "#hold>" in told, "{?rate,lease,then" in told
+        return "#hold>" in told, "{?rate,lease,for,then}" in told
 
     assert offered("keeper") == offered("pilot") == offered("admin") == (True, True)
     assert offered("reader") == (False, False)

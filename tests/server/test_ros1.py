@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import socket
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -134,7 +135,9 @@ def test_a_service_answers_raises_and_refuses(ros: Any, robot: Any) -> None:
     assert echo.json() == {"success": True, "message": "you said True"}
     raised = robot.http.post("/services/raises")
     assert raised.status_code == 422
-    assert "the gripper is jammed" in raised.json()["detail"]
+    assert raised.json()["detail"] == "/raises failed"
+    assert "the gripper is jammed" in raised.json()["robotSaid"]
+    assert f"<title>{socket.gethostname()}" in robot.http.get("/", headers={"Accept": "text/html"}).text
     kept = robot.http.get(raised.json()["call"])
     assert kept.status_code == 200
     assert "Refused" in kept.text

@@ -143,7 +143,7 @@ def test_a_service_answers_raises_and_refuses(ros: Any, robot: Any) -> None:
     assert "Refused" in kept.text
     refused = robot.http.post("/services/refuses")
     assert refused.status_code == 422
-    assert "not today" in refused.json()["detail"]
+    assert "not today" in refused.json()["robotSaid"]
     node.stop()
 
 

@@ -248,5 +248,5 @@ def _partly(error: RosError | Problem, name: str, done: Sequence[dict[str, objec
     problem.extra |= {"members": [*done, failed, *rest]}
     if done or rest:
         said = ", ".join(str(one["name"]) for one in done) or "none"
-        problem.detail = f"{name}: {problem.detail} Written before: {said}."
+        problem.detail = f"{name}: {problem.detail.rstrip('.')}. Written before: {said}."
     return problem

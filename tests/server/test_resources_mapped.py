@@ -458,8 +458,8 @@ def test_what_became_of_each_member_is_told_where_one_fails(robot: MadeUp, servi
     assert answer.status_code == 422
     told = {one["name"]: one["status"] for one in answer.json()["members"]}
     assert told == {"a": 204, "b": 422, "c": 424}
-    assert "stuck" in answer.json()["detail"]
-    assert "Written before: a" in answer.json()["detail"]
+    assert answer.json()["robotSaid"] == "stuck"
+    assert answer.json()["detail"] == "b: /arm/set_b refused the value. Written before: a."
     assert value(http, "/resources/arm/") == {"a": 2, "b": 1, "c": 1}
     assert robot.calls["/arm/set_c"] == 0
 

@@ -94,11 +94,14 @@ def test_the_history_of_a_running_robot_has_moments_too(flown: Any) -> None:
 
 def test_a_part_of_a_recording_is_a_robot_of_its_own(serve: Callable[..., Any], bag: Path) -> None:
     http = serve(f"{bag}?from=0.3&to={START}.45Z&rate=0.01", "--once").http
-    assert {one["topic"] for one in http.get("/bags/walk/messages/?limit=9", headers=JSON).json()["messages"]} == {
-        "/left"
-    }
+    messages = http.get("/bags/walk/messages/?limit=9", headers=JSON).json()["messages"]
+    assert [(one["topic"], one.get("opening", False)) for one in messages] == [
+        ("/name", True),
+        ("/left", False),
+        ("/left", False),
+    ], "what was latched before opens it"
     assert http.get("/topics/left", headers=JSON).json() == {"data": "3"}, "it has only begun"
-    assert http.get("/bags/walk/messages/1", headers=JSON).json() == {"data": "4"}
+    assert http.get("/bags/walk/messages/2", headers=JSON).json() == {"data": "4"}
 
 
 def test_a_part_of_a_history_that_was_kept_is_played_by_another_server(flown: Any, serve: Callable[..., Any]) -> None:

@@ -48,7 +48,7 @@ def agents(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, httpx
     file.write_text(tokens(*AGENTS) + RULES)
     with served(rover_adapter("rover", AdapterOptions()), auth=file, client_rate=100000) as http:
         known = clients(str(http.base_url), *AGENTS)
-        assert known["admin"].post("/topics/cmd_vel?lease=5", json={}).status_code == 201
+        assert known["admin"].post("/topics/cmd_vel?for=60", json={}).status_code == 201
         yield known
         for client in known.values():
             client.close()

@@ -16,6 +16,7 @@ import pytest
 
 from rosld.server.auth.tokens import generate_token
 from rosld.server.http.token_redaction import PLACEHOLDER, contains_token
+from tests.stopping import release
 
 TOKEN = "rosld_S18GwepwBtiQPG1TbT9Ds-VaGrpqB_7tcmN9QmWM7yE"
 """As `rosld token add` makes them."""
@@ -90,6 +91,8 @@ def test_a_token_that_is_sent_is_in_no_answer_receipt_or_log(
     assert found or answer.status_code in (404, 415)
     assert TOKEN[6:40] not in log.read_text()
     assert TOKEN[6:40] not in plane.get("/activity/", headers={"Accept": "text/html"}).text
+    if (method, path) == ("POST", "/stop"):
+        release(plane)
 
 
 @pytest.mark.parametrize("accept", ACCEPTED)

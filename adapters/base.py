@@ -217,7 +217,7 @@ class Recording(Protocol):
 
     @property
     def silent(self) -> Sequence[str]:
-        """Names and globs of topics that were chosen, and of which it has no message."""
+        """Names and globs of the chosen topics without a message in this recording."""
         ...
 
     def message(self, index: int) -> RecordedMessage:

@@ -1,4 +1,4 @@
-"""Small changes of a document of 300,000 triples, beside reading it, and what another client waits meanwhile.
+"""Small changes to a document of 300,000 triples, against reading it; latency of another client meanwhile.
 
 Run: python bench/changes.py [triples]. The aim is 3 s for each; the baseline is a GET of the document in N-Triples.
 """
@@ -48,7 +48,7 @@ CHANGES = (
 
 
 def document(triples: int) -> bytes:
-    """A document of so many triples, five a subject."""
+    """Return a document with this number of triples, five per subject."""
     lines = (b"e:s%d e:p%d %d .\n" % (number // 5, number % 5, number) for number in range(triples))
     return b"@prefix e: <http://example.org/> .\n" + b"".join(lines)
 

@@ -62,7 +62,7 @@ class Client:
         return answer.status, size
 
     def read_confirmation(self) -> str:
-        """What confirms a release, as the page of the stop shows it."""
+        """Return the query that confirms a release, as the page of the stop shows it."""
         self._connection.request("GET", "/stop", headers={"Accept": "text/html"})
         return self._connection.getresponse().read().split(b'name="?confirm" value="')[1].split(b'"')[0].decode()
 

@@ -8,7 +8,7 @@ MAGIC = b"\x89MCAP0\r\n"
 OPENING = "rosld.opening"
 """The metadata of a channel that is "1" where its messages came before the file was begun, and open it as latched."""
 SILENT_TOPICS = "rosld.silent_topics"
-"""The name of the metadata whose keys are topics that were to be recorded, and of which no message came."""
+"""Name of the metadata record whose keys are the chosen topics without a message."""
 
 
 class Fields:

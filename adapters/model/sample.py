@@ -21,7 +21,7 @@ _MAX_TRANSFORMS = 32
 
 
 def latched_depth(type_name: str) -> int:
-    """How many of the latest latched messages of a publisher tell what it has to say: of transforms more than one."""
+    """Number of latched messages to keep per publisher; transforms add up, so more than one counts."""
     return _MAX_TRANSFORMS if type_name in _TRANSFORMS else 1
 
 

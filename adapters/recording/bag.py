@@ -236,7 +236,7 @@ def _grouped(values: Iterable[_Value], keys: Iterable[_Key]) -> dict[_Key, list[
 def _learn_all(
     library: TypeLibrary, connections: Iterable[RecordedConnection], ros_version: RosVersion, budget: OpenBudget
 ) -> list[tuple[TypeRef, str | None]]:
-    """What `learn` says of each connection: asked once for all that differ in no more than topic and publisher."""
+    """Result of `learn` per connection, computed once for connections that differ in topic or publisher only."""
     keys = [each._replace(topic="", publisher="", latched=False) for each in connections]
     types = dict.fromkeys(keys)
     budget.learn(len(types), sum(len(each.definition) for each in types))

@@ -210,7 +210,7 @@ def _summary(file: RandomFile) -> int:
 
 
 def _silent(file: RandomFile, index: _Fields, budget: OpenBudget) -> tuple[str, ...]:
-    """The topics that a metadata record names of which no message came, where its index says that it does."""
+    """Return the chosen topics without a message, as the file's metadata record names them."""
     at, _length = index.uint(8), index.uint(8)
     if index.text() != SILENT_TOPICS:
         return ()

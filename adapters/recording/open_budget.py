@@ -1,4 +1,4 @@
-"""What opening a recording may cost: the memory of its index, the work of reading it, and until when."""
+"""Limits on opening a recording: memory of the index, work, and a deadline."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _RECORD_WORK = 1024
 _TYPE_WORK = 1_000_000
 """Units of compiling a type, which takes half a millisecond and 10 kB."""
 _TEXT_WORK = 200
-"""Units of a character of its definition, most of which are comments."""
+"""Work units per character of a definition; most characters are comments."""
 
 
 class OpeningRefused(Exception):
@@ -53,7 +53,7 @@ class OpenBudget:
             raise OpeningRefused("reading it was called off")
 
     def allow(self, size: int) -> None:
-        """Allow the work that a file of so many bytes takes."""
+        """Allow the work that a file of this size justifies."""
         self._allowed += size * _WORK_PER_BYTE
 
     def work(self, units: int = _RECORD_WORK) -> None:

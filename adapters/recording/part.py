@@ -31,7 +31,7 @@ class Moment(NamedTuple):
 
 
 class Selection(NamedTuple):
-    """The rows of a part, of which the first few are latched messages from before it."""
+    """Rows of a part of a recording; the first ones are latched messages from before it."""
 
     table: MessageTable
     openings: int

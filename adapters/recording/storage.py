@@ -56,7 +56,7 @@ class MessageTable(NamedTuple):
         return self.rows(np.argsort(self.times, kind="stable"))
 
     def rows(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> MessageTable:
-        """The rows of these numbers, in their order, or those of which it is true."""
+        """Return the rows with these numbers in order, or those for which the condition holds."""
         return MessageTable(self.times[rows], self.connections[rows], self.places[rows], self.offsets[rows])
 
 
@@ -137,7 +137,7 @@ class Storage(Protocol):
 
     @property
     def silent(self) -> Sequence[str]:
-        """Topics that were to be recorded, and of which no message came."""
+        """Chosen topics without a message."""
         ...
 
     @property

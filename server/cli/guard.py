@@ -25,7 +25,7 @@ LOOK_SECONDS = 0.1
 """Between two looks at whether the rosld that is watched lives."""
 _SUBSCRIBER_SECONDS = 10.0
 _ONCE_SECONDS = 30.0
-"""How long `--once` waits for a robot that cannot be seen: systemd kills what takes longer than 90 s."""
+"""Seconds that `--once` waits for a robot that does not answer; systemd kills after 90 s."""
 
 _log = logging.getLogger("rosld")
 
@@ -96,4 +96,4 @@ async def _end(session: Session, notes: HoldNotes, note: HoldNote) -> None:
         notes.write(replace(note, outcome=f"rosld guard: {outcome.words}"))
     if outcome.subscribers is not None:
         with contextlib.suppress(RosError):
-            await session.adapter.unadvertise_always(note.topic)  # whoever comes next is no second publisher
+            await session.adapter.unadvertise_always(note.topic)  # so that the next rosld is no second publisher

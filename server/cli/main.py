@@ -1,4 +1,4 @@
-"""The command line: `rosld serve`, `guard`, `lift`, `token`, `dump` and others. Each is in a module beside this one."""
+"""The command line: `rosld serve`, `guard`, `lift`, `token`, `dump` and others. Each has a module of its own."""
 
 from __future__ import annotations
 

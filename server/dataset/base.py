@@ -18,7 +18,7 @@ class QueryError(ValueError):
 
 
 class TripleChanges(NamedTuple):
-    """What a patch, a merge or an update changes of a large graph."""
+    """Change that a patch, a merge or an update makes to a large graph."""
 
     removed: Sequence[Triple]
     added: Sequence[Triple]

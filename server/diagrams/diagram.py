@@ -53,7 +53,7 @@ class Vertex:
 
 @dataclass(frozen=True, slots=True)
 class Traffic:
-    """What this server knows of a topic besides the graph.
+    """Observations of a topic that the computation graph does not have.
 
     `rate` is in messages a second, 0.0 until it is measured; `silence` says in words since when nothing comes of what
     came steadily; the server itself publishes or subscribes to it or not.
@@ -85,7 +85,7 @@ class Diagram:
 
     @property
     def problems(self) -> Sequence[tuple[Vertex, str]]:
-        """What is wrong, each with the vertex that it is about: the receiving one of an edge."""
+        """Return the problems with their vertices; that of an edge is its receiving vertex."""
         by_key = {each.key: each for each in self.vertices}
         found = [(each, each.problem) for each in self.vertices if each.problem]
         ends = ((by_key[each.target], by_key[each.source].name, each.problem) for each in self.edges)

@@ -86,7 +86,7 @@ def _pages(layout: Layout) -> float:
 
 
 def _wrap(ordered: Sequence[Sequence[str]], most: int) -> dict[str, int]:
-    """Ranks of at most so many boxes: neighbours in a rank come to stand in columns beside each other."""
+    """Split ranks that are too high into adjacent columns."""
     ranks: dict[str, int] = {}
     first = 0
     for rank in ordered:

@@ -27,7 +27,7 @@ So the jitter of a topic as fast as its reader wishes neither delays nor loses a
 rate * t + 1.25 events pass, and those of `JITTER_SECONDS`.
 """
 JITTER_SECONDS = 0.05
-"""How long a message may be late: the next ones then come closer together than their rate says."""
+"""Seconds that a message may be late; the next ones then follow more closely than the rate says."""
 GONE, PROBLEM, UNTIL = "gone", "problem", "until"
 """The types of the events that tell why there is no state. EventSource's own event is called "error", so these are not.
 
@@ -202,7 +202,7 @@ class EventStream(EndlessResponse):
 
 
 def _skipped(before: State | Problem, after: State | Problem) -> int:
-    """How many messages came between those of two states that are told one after the other."""
+    """Return the number of messages between two states that are sent one after the other."""
     if not isinstance(before, MessageState) or not isinstance(after, MessageState):
         return 0
     known = {(publisher, epoch): sequence for publisher, epoch, sequence in before.messages}

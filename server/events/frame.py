@@ -12,7 +12,7 @@ def opening(retry_seconds: float) -> bytes:
 
 
 def skipped(count: int) -> bytes:
-    """A comment before an event: how many messages came since the last event, and are told by none."""
+    """Return the comment that says how many messages were left out before an event."""
     return b": skipped %d\n" % count
 
 

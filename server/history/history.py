@@ -55,7 +55,7 @@ class HistoryRecording:
         folders: Sequence[Path],
         silent: Callable[[Collection[str]], Sequence[str]] = lambda _: (),
     ) -> None:
-        """`silent` returns what is recorded beside the topics of which there are messages."""
+        """`silent` returns the recorded topics and globs that have no message yet."""
         self.path = writer.segments.folder or Path()  # a folder in any case: it is no file that could be sent
         self._writer = writer
         self._folders = folders
@@ -94,7 +94,7 @@ class HistoryRecording:
 
     @property
     def silent(self) -> Sequence[str]:
-        """The topics, and globs, that are recorded, and of which no message is kept."""
+        """Recorded topics and globs without a kept message."""
         return self._silent(self.topics)
 
     def message(self, index: int) -> RecordedMessage:

@@ -30,7 +30,7 @@ _OVERLAPPING = 2
 _RESERVED_PART = 16
 """What is left of a disk to everything else: `_RESERVE`, or one part in so many of a small one."""
 _OPENING_PART = 4
-"""The latched messages that open a segment take one part in so many of it; what is larger does not open it."""
+"""Share of a segment that opening messages may take, as a divisor; larger messages do not open it."""
 _Failures = (OSError, sqlite3.Error)
 
 

@@ -52,7 +52,7 @@ class LiveRecorder:
         return [] if wants is None else self._feed.latched.messages(wants)
 
     def silent(self, sink: Sink, globs: Sequence[str], recorded: Collection[str]) -> Sequence[str]:
-        """The topics that are recorded for a sink and not among those of which it has messages, and idle globs."""
+        """Return the topics and globs recorded for a sink that are not among those with messages."""
         wants, topics = self._wanted.get(sink), self._adapter.graph.topics
         if wants is None:
             return ()

@@ -53,7 +53,7 @@ class McapWriter:
 
     @property
     def count(self) -> int:
-        """How many messages were written, without those that open the file."""
+        """Number of messages written, without those that open the file."""
         opening = (number for one, number in self.channels.items() if one.is_opening)
         return sum(self._summary.counts.values()) - sum(self._summary.counts[number] for number in opening)
 

@@ -44,7 +44,7 @@ class RecordingWriter:
         self.end_ns = 0
         self.problem: str | None = None
         self.silent: Sequence[str] = ()
-        """Topics and globs that were to be recorded and of which no message came, as the file will name them."""
+        """Chosen topics and globs without a message, as the file will name them."""
         self._require_room = require_room
         self._active = path.with_name(path.name + ACTIVE)
         require_room(path.parent)

@@ -58,7 +58,7 @@ _MAX_RUNNING = 16
 _MAX_CHECKED = 4
 """Files that are checked at a time: one that takes long holds up no other."""
 _CHECK_BYTES = 3 * 1024 * 1024 * 1024
-"""Bytes of address space for checking one, of which the libraries take a third."""
+"""Address space of a checking process in bytes; the libraries take a third of it."""
 
 
 class UnreadableFile(NamedTuple):
@@ -298,7 +298,7 @@ class Recordings:
         return self._live.dropped() - Counter(one.dropped_before)
 
     def silent(self, one: RunningRecording) -> Sequence[str]:
-        """The topics, and globs, of which a recording that is being made has no message so far."""
+        """Return the topics and globs without a message so far in a recording that is being made."""
         return self._live.silent(one.writer, one.order.topics, one.writer.counts)
 
     async def stop(self) -> None:

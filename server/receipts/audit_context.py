@@ -19,7 +19,7 @@ _MAX_STEPS = 100
 
 
 class Sender(NamedTuple):
-    """Who sent a call or a goal: what the agent is called, and the id of the receipt."""
+    """Sender of a call or a goal: the agent's name and the id of the receipt."""
 
     agent: str
     receipt: str

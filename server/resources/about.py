@@ -1,4 +1,4 @@
-"""What resources tell of besides themselves, for rights: who may not read that may not read them."""
+"""Resources that others tell of: reading the latter takes the right to read the former."""
 
 from __future__ import annotations
 

@@ -60,7 +60,7 @@ class GoalTargets:
         return target.method in resource.methods() - resource.withheld
 
     async def _targets(self, graph: Graph) -> AsyncIterator[GoalTarget]:
-        """All that take a pose, whoever may send it."""
+        """Return all targets that take a pose, whatever the rights of the agent."""
         space, listed = self._session.space, listed_graph(graph, self._session.adapter.capabilities)
         for name, action in sorted(listed.actions.items()):
             if action.type is None:

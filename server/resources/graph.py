@@ -150,7 +150,7 @@ class GraphResource(Resource):
         return draw_graph(graph, self.session.space, self._selection, self._traffic, self._permissions.may_read)
 
     def _traffic(self, topic: Topic) -> Traffic:
-        """What is known of a topic without subscribing to it; the rate has two digits, to change rarely."""
+        """Return the observations of a topic, without subscribing; the rate has two digits to change rarely."""
         session, view = self.session, self.session.topics.peek(topic.name) or EMPTY_VIEW
         silence = "" if any(each.name in OCCASIONAL_TYPES for each in topic.types) else self._silence(view)
         return Traffic(

@@ -36,7 +36,7 @@ TIMEMAP = (
     QueryParameter("start", "The number of the first memento that `timemap` tells."),
 )
 PAST = (QueryParameter("at", "The resource as it was at this time, an xsd:dateTime, by the history."), *TIMEMAP)
-"""What asks for the past of a resource."""
+"""Parameters that ask for the past of a resource."""
 _PAGE = 1000
 _SECOND = 1_000_000_000
 _DATE = "Tue, 31 Jan 2030 12:00:00 GMT"

@@ -103,7 +103,7 @@ def listed_graph(graph: Graph, capabilities: Capabilities) -> Graph:
 
 
 LISTING_PARAMETERS = (FORMAT, _HIDDEN)
-"""What the query of a listing of names may have. Where no name is hidden, `hidden` changes nothing."""
+"""Query parameters of a listing of names. Without hidden names `hidden` changes nothing."""
 
 
 def with_hidden(url: str) -> str:

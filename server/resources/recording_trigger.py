@@ -239,7 +239,7 @@ def _judge(until: Until, state: State | Problem) -> tuple[bool, str | None]:
             raise state
         return until.holds(state), None
     except Problem as problem:
-        return False, f"It cannot be told whether its condition holds: {problem.with_quotes}"
+        return False, f"Its condition cannot be evaluated: {problem.with_quotes}"
 
 
 def _resource(space: Space, url: str, find: Find, permissions: Permissions) -> Resource:

@@ -61,7 +61,7 @@ async def read_message(
 
 
 def sender_of(exchange: Exchange) -> Sender:
-    """Who sends what a request asks for, and the receipt that it leaves."""
+    """Return the sender of a request: its agent and its receipt."""
     return Sender(exchange.agent.name, exchange.audit.receipt_id())
 
 

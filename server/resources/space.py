@@ -220,7 +220,7 @@ class SpaceResource(Resource):
         return SpaceStream(self._broadcasters, source, self.frame)
 
     async def _sent_goals(self) -> tuple[Sequence[Mapping[str, object]], float | None]:
-        """What poses are sent to, by references relative to the host, and the time for their headers."""
+        """Return the targets of poses, as references relative to the host, and the time for their headers."""
         space = self.session.space
         found = await self._goals.offered(self._permissions)
         targets = [_target_json(each, space.path + each.url.removeprefix(space.base)) for each in found]

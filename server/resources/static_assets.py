@@ -26,7 +26,7 @@ class FileResource(Resource):
     """A file that never changes in one version of rosld."""
 
     kind = "File"
-    passes_unknown_parameters = frozenset({"GET", "HEAD"})  # such as those that browsers add to be told anew
+    passes_unknown_parameters = frozenset({"GET", "HEAD"})  # browsers add some to bypass caches
     links = (RESOURCE, Link(f"{LDP}NonRDFSource", "type"))
 
     def __init__(self, space: Space, name: str, data: bytes, media_type: str, summary: str) -> None:

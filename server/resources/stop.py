@@ -49,7 +49,7 @@ class StopResource(Resource):
     kind = "Stop"
     title = "Stop"
     accepts: Mapping[str, Sequence[str]] = {"POST": (JSON,)}
-    passes_unknown_parameters = frozenset({"POST"})  # whatever is asked for beside it, the robot is stopped
+    passes_unknown_parameters = frozenset({"POST"})  # a typing error must not refuse a stop
 
     def __init__(self, space: Space, states: VersionCache[State], software_stop: SoftwareStop) -> None:
         super().__init__(space.stop)

@@ -34,7 +34,7 @@ DRY_RUN = QueryParameter(
     "dry-run", "Whether the write is only planned and checked: 200 with the plan, and nothing is done.", BOOLEAN
 )
 OF_EVERY_WRITE = (FORMAT, DRY_RUN)
-"""What every write takes, beside its own parameters."""
+"""Parameters that every write takes."""
 FIELD_READS = (*OFFERS, BYTES, "text/plain")
 """What a value is read as, of which `FIELD` asks for a part."""
 
@@ -96,7 +96,7 @@ class PathItem:
     alike: str | None = None
 
     def write(self, method: str) -> WriteMethod:
-        """What is said of a method that writes."""
+        """Return the description of a method that writes."""
         return self.writes.get(method, USUAL_STATUSES)
 
     @property
@@ -111,7 +111,7 @@ class PathItem:
 
     @property
     def shared_query(self) -> tuple[str, ...]:
-        """The names of the parameters of GET that other URLs have too, beside those in `query`."""
+        """Names of the parameters of GET that are shared with other URLs."""
         names = (
             *(("page",) if self.is_paged else ()),
             *(("shape",) if self.has_shape else ()),

@@ -116,7 +116,7 @@ class State:
 
 @dataclass(eq=False)
 class MessageState(State):
-    """A state that shows the newest message of each publisher, of which there may have been more in between.
+    """State with the newest message of each publisher; messages in between may have been passed over.
 
     `messages` are their publishers, epochs and sequence numbers.
     """

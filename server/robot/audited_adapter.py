@@ -78,7 +78,7 @@ class AuditedAdapter:
         return published
 
     def _planned_publish(self, topic: str, *, passes_stop: bool) -> Published:
-        """What a publish would come to by the graph, for a dry run. Raises Stopped."""
+        """Return the expected outcome of a publish in a dry run, from the graph. Raises Stopped."""
         if not passes_stop:
             self._interlock.require_open()
         graph = self.graph

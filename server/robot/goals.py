@@ -183,7 +183,7 @@ class Goals:
         )
 
     async def wait_all_ended(self, action: str, *, seconds: float) -> bool:
-        """Wait until every goal of an action has ended, whoever sent it; return whether one is known and all have."""
+        """Wait until all goals of an action have ended; return whether at least one is known and all have."""
 
         def have_ended() -> bool:
             goals = self.of_action(action)

@@ -21,7 +21,7 @@ from rosld.server.storage.note import remove_note, write_note
 FOLDER = "holds"
 _SUFFIX = ".json"
 _BEGIN_SECONDS = 0.05
-"""How long the beginning of a hold waits for its note: the hold begins all the same on a disk that is slower."""
+"""Seconds that a hold waits for its note at the begin; on a slower disk it begins without."""
 
 _log = logging.getLogger("rosld")
 

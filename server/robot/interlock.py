@@ -35,7 +35,7 @@ class StopState:
 
     @property
     def words(self) -> str:
-        """Who stopped the robot, when and why, for people: the reason is a quotation."""
+        """Sentence for people: agent, time and reason of the stop, the reason as a quotation."""
         why = f": {json.dumps(self.reason, ensure_ascii=False)}" if self.reason else ""
         return f"The robot was stopped by {self.stopped_by} at {self._moment}{why}"
 

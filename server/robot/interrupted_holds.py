@@ -1,4 +1,4 @@
-"""Holds that were interrupted because their rosld was killed: what ends them is published by whoever comes next.
+"""Holds that were interrupted because their rosld was killed: the next rosld publishes what ends them.
 
 That is the rosld that starts with the same `--data`, or `rosld guard`, which watches it.
 """
@@ -25,7 +25,7 @@ from rosld.server.robot.zero_publisher import Repetition
 from rosld.server.runtime.loop_time import loop_time
 
 SUBSCRIBER_SECONDS = 60.0
-"""How long a subscriber of the topic is waited for, once the robot is there."""
+"""Seconds to wait for a subscriber of the topic, once the robot is there."""
 _PUBLISH_SECONDS = 10.0
 _LOOK_SECONDS = 0.5
 _SELF = Agent("rosld")
@@ -34,7 +34,7 @@ _log = logging.getLogger("rosld")
 
 
 class Outcome(NamedTuple):
-    """What became of an interrupted hold, in words; `subscribers` got the message, None where none was published.
+    """Return the outcome of an interrupted hold as a sentence; `subscribers` is None if nothing was published.
 
     `is_final`: it is not to be tried again.
     """

@@ -1,4 +1,4 @@
-"""What people call a robot: the parameter `/robot_name`, the name in its URDF, or that of the machine that it is."""
+"""Name of the robot: the parameter `/robot_name`, the name in its URDF, or its host's name."""
 
 from __future__ import annotations
 

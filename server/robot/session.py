@@ -80,7 +80,7 @@ class Session:
 
     @property
     def name(self) -> str:
-        """What people call it: `--name`, a recording's name, what the robot calls itself, its machine, its kind."""
+        """Name of the robot: `--name`, a recording's name, the robot's own, its host's, or the kind of system."""
         if self.settings.name:
             return shown_name(self.settings.name)
         recordings = list(self.adapter.recordings)
@@ -169,7 +169,7 @@ class GraphFollower:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._is_stale = False
         self.robot_name: str | None = None
-        """What the robot's parameters say that it is called, once that is known."""
+        """Name that the robot's parameters give it, once they are known."""
 
     def open(self) -> None:
         """Take the running loop for the one on which changes are announced."""

@@ -31,7 +31,7 @@ from rosld.shapes.command_numbers import require_finite_message
 _log = logging.getLogger("rosld")
 _NOTHING = "no topic of a velocity type has a subscriber (--stop-zero names others), and no mapping says what stops it"
 _ENDING_SECONDS = 1.0
-"""How long a goal is watched that could not be canceled: that it has ended may become known after the refusal."""
+"""Seconds to watch a goal that could not be canceled; its end may become known after the refusal."""
 
 
 class StepStatus(Enum):

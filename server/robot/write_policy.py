@@ -53,7 +53,7 @@ def takes_finite_numbers(graph: Graph, permitted: tuple[str, ...], kind: Kind, n
 
 
 def any_number_hint(name: str) -> str:
-    """How to send a number that is not finite, for the end of a sentence."""
+    """Return the hint on how to send any number, for the end of a sentence."""
     return f"start rosld with --allow-non-finite {name} to send it all the same"
 
 

@@ -65,7 +65,7 @@ def _names(query_string: bytes) -> tuple[str, ...]:
 
 
 def _of_page(item: PathItem) -> dict[str, bool]:
-    """What GET takes, each with whether it may be given several times."""
+    """Return the parameters of GET, and whether each may be repeated."""
     anywhere = dict.fromkeys((_RECEIPT, _UNTIL, *item.shared_query), False)
     return {**anywhere, **{each.name: each.is_list for each in item.query}}
 

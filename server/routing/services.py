@@ -113,7 +113,7 @@ class Services:
         return self.affordances.snapshot(tree, readings).results.hold(conditions)
 
     def problems(self) -> ServerProblems:
-        """What people have to know of this server: problems of its storage, holds that were interrupted."""
+        """Return the problems of this server: of its storage, and interrupted holds."""
         found = (self.documents.records.failure, self.receipts.failure, self.recordings.history.problem)
         storage = tuple(problem for problem in found if problem is not None)
         return ServerProblems(storage, tuple(map(self.session.space.hold, self.holds.interrupted)))

@@ -15,7 +15,7 @@ _MIN_PART = 3
 _MAX_COMPARED = 1000
 """Last segments that are compared letter by letter: a robot may have thousands that differ in a number alone."""
 _BEYOND = _MAX_EDITS + 1
-"""The distance of segments of which one begins with the other; names that only share words are further away."""
+"""Distance of two segments if one begins with the other; names that only share words are further away."""
 _MAX_WORDS = 8
 """Words of a last segment that are looked for."""
 

@@ -28,7 +28,7 @@ ANYTHING = "*/*"
 DELETES = WriteMethod(
     done=(204,), query=(QueryParameter("versions", "Whether its former versions are deleted, too.", BOOLEAN),)
 )
-"""What DELETE of what clients keep takes."""
+"""Description of DELETE of a stored document."""
 
 EXTRA_STATUSES = (303, 410, 507)
 """Statuses of refusals that what clients keep has beside the usual ones."""
@@ -38,7 +38,7 @@ class StoredResource(Resource):
     """Base of the resources that clients keep. `path` is the URL without the base."""
 
     is_cacheable = False
-    passes_unknown_parameters = frozenset({"GET", "HEAD"})  # such as those that browsers add to be told anew
+    passes_unknown_parameters = frozenset({"GET", "HEAD"})  # browsers add some to bypass caches
 
     def __init__(self, documents: Documents, path: str) -> None:
         super().__init__(documents.space.base + path)

@@ -67,7 +67,7 @@ _INLINE = 16 * 1024
 
 
 class _WholeGraphNeeded(Exception):
-    """A graph of which only the change is known can only be planned from all that it is to say."""
+    """The plan of a graph needs its whole content, and only the change is known."""
 
 
 class Target(NamedTuple):

@@ -20,9 +20,9 @@ from enum import Enum
 from pathlib import Path
 
 LENGTH = struct.Struct("<Q")
-"""What precedes a result: its bytes."""
+"""Header of a result: its length in bytes."""
 ORDER = struct.Struct("<Qd")
-"""What precedes work: its bytes, and the seconds that it may take."""
+"""Header of work: its length in bytes, and its time limit in seconds."""
 _NICENESS = 5
 """How much nicer than the server a worker is: whoever moves or stops the robot never waits for its processor."""
 _LARGE = 256 * 1024 * 1024

@@ -217,7 +217,7 @@ class _Update(NamedTuple):
 
 
 class EvaluateUpdate(NamedTuple):
-    """What operations come to: pickled graphs, each with whether it was there, and what it says after, as N-Triples.
+    """Result of operations: pickled graphs, each with whether it existed and its new content as N-Triples.
 
     Of large graphs whose names begin with `documents` what changes is told.
     """

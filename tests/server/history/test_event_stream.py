@@ -195,12 +195,12 @@ def test_who_may_not_read_a_message_is_not_told_of_it_as_a_member(
 [[rule]]
 agents = ["anna"]
 modes = ["read", "write"]
-paths = ["/bags/**"]
+paths = ["/bags/**", "/topics/**"]
 
 [[rule]]
 agents = ["bert"]
 modes = ["read"]
-paths = ["/bags/talk/ldes", "/bags/talk/ldes/**", "/bags/talk/messages/", "/bags/talk/messages/7"]
+paths = ["/bags/talk/ldes", "/bags/talk/ldes/**", "/bags/talk/messages/", "/bags/talk/messages/7", "/topics/**"]
 """
     auth.write_text(rules + tokens("anna", "bert"))
     http = serve("aircraft", "--auth", str(auth)).http

@@ -42,6 +42,7 @@ from rosld.server.history.uploads import (
 from rosld.server.history.uploads import NAME as FILE_NAME
 from rosld.server.receipts.audit_context import record_step
 from rosld.server.runtime.dry_run import end_dry_run
+from rosld.server.runtime.loop_time import loop_time
 from rosld.server.runtime.offload import WorkerPool
 from rosld.server.settings import Settings
 
@@ -78,7 +79,9 @@ class RunningRecording:
         self.order = order
         self.writer = writer
         self.dropped_before = dropped_before
-        self.timer: asyncio.TimerHandle | None = None
+        self.timer: asyncio.Handle | None = None
+        self.ends_at: float | None = None
+        """Loop time of its end, None without one: the handle that uvloop returns for a delay of 0 lacks `when`."""
         self.ending: asyncio.Task[None] | None = None
 
 
@@ -209,6 +212,7 @@ class Recordings:
         copy = (lambda: self.history.copy_to(writer, wants, since)) if order.before > 0 else None
         self._live.add(writer, wants, copy)
         if order.duration is not None:
+            one.ends_at = loop_time() + order.duration
             one.timer = asyncio.get_running_loop().call_later(order.duration, self._end_soon, one)
         self._changes += 1
         return one

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -26,6 +25,7 @@ from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import PathItem, WriteMethod
 from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, READ, RESOURCE, Answer, Resource, ShownAnswer
 from rosld.server.rest.state import State
+from rosld.server.runtime.loop_time import loop_time
 from rosld.server.runtime.signals import call_every
 from rosld.server.runtime.version_cache import VersionCache
 from rosld.server.settings import Settings
@@ -100,8 +100,8 @@ class RunningBag(UnfinishedBag):
     @property
     def _seconds_left(self) -> int | None:
         """The seconds until it ends by itself, None where it does not."""
-        timer = self.one.timer
-        return None if timer is None else max(0, math.ceil(timer.when() - asyncio.get_running_loop().time()))
+        ends_at = self.one.ends_at
+        return None if ends_at is None else max(0, math.ceil(ends_at - loop_time()))
 
     def page(
         self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]

@@ -58,7 +58,7 @@ def _breakable(text: str) -> Markup:
     """A name that lines break after its slashes and underscores, and within a word only where that is very long."""
     parts = _PARTS.findall(escape_controls(text))
     name = Markup("<wbr>").join(parts)
-    if len(parts) == 1 or max(map(len, parts)) > _LONGEST_WORD:
+    if len(parts) <= 1 or max(map(len, parts)) > _LONGEST_WORD:
         return name
     return Markup('<span class="whole">{}</span>').format(name)
 

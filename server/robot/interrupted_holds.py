@@ -34,7 +34,7 @@ _log = logging.getLogger("rosld")
 
 
 class Outcome(NamedTuple):
-    """Return the outcome of an interrupted hold as a sentence; `subscribers` is None if nothing was published.
+    """Outcome of an interrupted hold as a sentence; `subscribers` is None if nothing was published.
 
     `is_final`: it is not to be tried again.
     """

@@ -131,8 +131,11 @@ def held_and_killed(server: Server, wheels: Process, x: float, **how: Any) -> st
     answer = server.http.post(TOPIC, params={"rate": 50, "lease": 5, **how}, json=ahead(x))
     assert answer.status_code == 201, answer.text
     hears(wheels, ahead(x))
+    url = str(answer.headers["location"])
+    note = server.folder / "holds" / f"{url.rpartition('/')[2]}.json"
+    waiting.until(note.exists, "the note of the hold, which a hold on a slow disk does not wait for")
     server.kill()
-    return str(answer.headers["location"])
+    return url
 
 
 def test_a_rosld_that_is_killed_leaves_the_base_driving_and_the_next_one_stops_it_and_says_so(

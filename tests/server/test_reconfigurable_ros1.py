@@ -131,7 +131,7 @@ def test_what_does_not_fit_is_refused_before_it_is_sent(
 def test_what_the_node_refuses_is_told_in_its_words(http: httpx.Client) -> None:
     answer = http.put("/parameters/arm/mode", json=3)
     assert answer.status_code == 422
-    assert "this mode is broken" in answer.json()["detail"]
+    assert "this mode is broken" in answer.json()["robotSaid"]
     assert http.get("/parameters/arm/mode", headers=JSON).json() == 0
 
 

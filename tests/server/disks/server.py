@@ -27,6 +27,7 @@ class Server:
         self, folder: Path, log: Path, environment: Mapping[str, str] | None = None, source: str = "aircraft"
     ) -> None:
         self.http = httpx.Client(timeout=30)
+        self.folder = folder
         self.log = log
         self.process: subprocess.Popen[str] | None = None
         self._environment = {**os.environ, **(environment or {})}

@@ -128,7 +128,11 @@ _SCOPES: Mapping[str, _Scope] = {
             "output": (td.hasOutputSchema, "member"),
             "forms": (td.hasForm, "form"),
         },
-        maps={"uriVariables": (td.hasUriTemplateSchema, td.name, "member")},
+        maps={"uriVariables": (td.hasUriTemplateSchema, td.name, "variable")},
+    ),
+    # The context of WoT has no data schemas within uriVariables: their members are terms of td itself.
+    "variable": _Scope(
+        literals={name: NamedNode(td.iri + name) for name in ("type", "exclusiveMinimum", "maximum")}, texts=_WORDS
     ),
     "form": _Scope(
         literals={"contentType": hctl.forContentType, "subprotocol": hctl.forSubProtocol},

@@ -25,6 +25,7 @@ from rosld.shapes.lexical_patterns import (
     base64_pattern,
     hex_pattern,
     json_array_pattern,
+    open_array_pattern,
     parameter_array_pattern,
 )
 from rosld.shapes.lists import LIST, list_of, write_list_shape
@@ -242,7 +243,7 @@ class AcceptedValues:
             *specials,
             [(sh.datatype, xsd.base64Binary), (sh.pattern, text(base64_pattern()))],
             [(sh.datatype, xsd.dateTime), (sh.pattern, text(moment))],
-            [(sh.datatype, rdf.JSON), (sh.pattern, text(r"^\s*\["))],
+            [(sh.datatype, rdf.JSON), (sh.pattern, text(open_array_pattern(is_finite=self._largest is not None)))],
         )
 
     def _array(self, kind: Array, element: Primitive) -> Sequence[Statement]:

@@ -83,6 +83,15 @@ def parameter_array_pattern(element: Primitive, *, is_finite: bool = False) -> s
     return rf"^{_SPACE}\[{_SPACE}({one}({_SPACE},{_SPACE}{one})*{_SPACE})?\]{_SPACE}$"
 
 
+def open_array_pattern(*, is_finite: bool) -> str:
+    """Any list in JSON, as far as SHACL can say. `is_finite`: its numbers are finite, also as float32."""
+    start = rf"^{_SPACE}\["
+    if not is_finite:
+        return start
+    number = f"-?({'|'.join(_FLOATS['float32'])})"
+    return rf'{start}("{_CHARACTER}*"|{number}[\s,\]}}]|[^"0-9-])*$'
+
+
 def _parameter_element(kind: Primitive, *, is_finite: bool) -> str:
     if kind.name in RANGES:
         number = integer_pattern(*RANGES[kind.name])

@@ -80,7 +80,7 @@ class Dispatcher:
                 self._authorize(exchange, resource)
                 exchange.answering = resource
             if query_string and exchange.method != "OPTIONS" and not is_form(exchange, resource):
-                self._require_known(exchange.method, query_string, asked, resource)
+                self._require_known_parameters(exchange.method, query_string, asked, resource)
             response = await self._answer(exchange, resource)
         except (BodyError, LoweringError, RosError, Problem) as error:
             raise self._with_near(exchange, resource, with_type_links(resource, problem_of_error(error))) from error
@@ -88,9 +88,9 @@ class Dispatcher:
             response.raw_headers = [*response.raw_headers, (b"link", rendered(resource.links).encode("latin-1"))]
         return response
 
-    def _require_known(self, method: str, query_string: bytes, asked: Resource, resource: Resource) -> None:
-        """Raise a 400 Problem where a request, unless its method is refused, has parameters that are not known."""
-        if method not in VERBS or method in resource.methods():
+    def _require_known_parameters(self, method: str, query_string: bytes, asked: Resource, resource: Resource) -> None:
+        """Raise a 400 Problem for unknown parameters; a method that the resource does not answer is a 405 instead."""
+        if method in ("GET", "HEAD") or method in resource.methods():
             self._known_parameters.require(method, query_string, asked, resource)
 
     def _with_near(self, exchange: Exchange, resource: Resource, problem: Problem) -> Problem:

@@ -10,7 +10,7 @@ import pytest
 
 from rosld.adapters.model import Endpoint, Graph, Node, Topic
 from rosld.ontology.urls import Space
-from rosld.server.diagrams.diagram import Diagram, Selection, draw_graph
+from rosld.server.diagrams.diagram import Diagram, Selection, Traffic, draw_graph
 from rosld.server.diagrams.dot import write_dot
 from tests.interop.missing import require
 
@@ -43,7 +43,7 @@ def test_the_graph_of_a_robot_is_laid_out(server: Any) -> None:
 def test_names_are_text_to_graphviz() -> None:
     topics = {name: Topic(name, (), (Endpoint("/n"),)) for name in HOSTILE}
     graph = Graph(1, nodes={"/n": Node("/n")}, topics=topics)
-    diagram: Diagram = draw_graph(graph, Space("http://robot/"), Selection(), lambda _: 0.0, lambda _: True)
+    diagram: Diagram = draw_graph(graph, Space("http://robot/"), Selection(), lambda _: Traffic(), lambda _: True)
     found = read(write_dot(diagram))
     assert len(found["objects"]) == len(HOSTILE) + 1
     assert len(found["edges"]) == len(HOSTILE)

@@ -89,8 +89,8 @@ class Dispatcher:
         return response
 
     def _require_known_parameters(self, method: str, query_string: bytes, asked: Resource, resource: Resource) -> None:
-        """Raise a 400 Problem for unknown parameters; a method that the resource does not answer is a 405 instead."""
-        if method in ("GET", "HEAD") or method in resource.methods():
+        """Raise a 400 Problem for unknown parameters; a method that the resource does not answer is 404 or 405."""
+        if method in resource.methods():
             self._known_parameters.require(method, query_string, asked, resource)
 
     def _with_near(self, exchange: Exchange, resource: Resource, problem: Problem) -> Problem:

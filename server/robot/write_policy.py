@@ -46,10 +46,12 @@ def takes_finite_numbers(graph: Graph, permitted: tuple[str, ...], kind: Kind, n
 
     `permitted` are the globs of --allow-non-finite, `type` is the name of the message's.
     """
-    if any(fnmatchcase(name, glob) for glob in permitted):
+    if permitted and any(fnmatchcase(name, glob) for glob in permitted):
         return False
     topic = graph.topics.get(name) if kind is Kind.TOPIC else None
-    return topic is None or type in COMMANDS or all(each.node == graph.own_node for each in topic.publishers)
+    if topic is None or not topic.publishers or type in COMMANDS:
+        return True
+    return all(each.node == graph.own_node for each in topic.publishers)
 
 
 def any_number_hint(name: str) -> str:

@@ -55,16 +55,18 @@ def zero_message(schema: MessageSchema, lifting: LiftSettings) -> Message:
 
 def goes_on(session: Session, name: str, schema: MessageSchema, message: Message) -> bool:
     """Whether a message sets the robot in motion until something else is published: a velocity other than zero."""
-    globs = session.settings.stop_zero
-    if not globs and schema.ref.name not in COMMANDS:
+    if not session.settings.stop_zero and schema.ref.name not in COMMANDS:
         return False
-    topic = session.graph.topics.get(name) or Topic(name, (schema.ref,))
-    return is_velocity_topic(topic, session.graph, globs) and not is_zero(schema, message)
+    return _commands_velocity(session, name, schema) and not is_zero(schema, message)
 
 
 def passes_stop(session: Session, name: str, schema: MessageSchema, message: Message) -> bool:
     """Whether the robot is stopped, and a message may be published all the same: zero on a velocity topic."""
     if session.interlock.stop_state is None:
         return False
+    return _commands_velocity(session, name, schema) and is_zero(schema, message)
+
+
+def _commands_velocity(session: Session, name: str, schema: MessageSchema) -> bool:
     topic = session.graph.topics.get(name) or Topic(name, (schema.ref,))
-    return is_velocity_topic(topic, session.graph, session.settings.stop_zero) and is_zero(schema, message)
+    return is_velocity_topic(topic, session.graph, session.settings.stop_zero)

@@ -21,6 +21,7 @@ from typing import Any, TextIO, cast
 from rosld.server.dataset.encoding import NAMESPACE, VARIABLE
 from rosld.server.sparql.process.child import SpawnedProcess
 from rosld.server.sparql.process.frames import SharedStatus
+from tests.mutants import attribute_to
 
 os.environ[VARIABLE] = NAMESPACE  # the private namespace of the server is that of its query process
 _CONTEXT = multiprocessing.get_context("forkserver")
@@ -50,15 +51,17 @@ def _run(arguments: tuple[str, ...], output: _Descriptor, errors: _Descriptor, e
     os.environ.clear()
     os.environ.update(environment)
     sys.argv = ["rosld", *arguments]
+    attribute_to(environment.get("PYTEST_CURRENT_TEST", ""))
     main(prog_name="rosld")
 
 
-def _run_query_process(connection: _Descriptor, status: _Descriptor, concurrency: int, queue: int) -> None:
+def _run_query_process(connection: _Descriptor, status: _Descriptor, concurrency: int, queue: int, test: str) -> None:
     from rosld.server.sparql.process.main import main
 
     os.setsid()
     os.dup2(connection.number, 0)
     os.close(connection.number)
+    attribute_to(test)
     sys.argv = ["-c", str(status.number), str(concurrency), str(queue)]
     main()
 
@@ -123,7 +126,8 @@ def fork_query_process(concurrency: int, queue: int) -> SpawnedProcess:
     ours, theirs = socket.socketpair()
     with theirs, tempfile.TemporaryFile() as file:
         file.truncate(SharedStatus.SIZE)
-        given = (_Descriptor(theirs.fileno()), _Descriptor(file.fileno()), concurrency, queue)
+        test = os.environ.get("PYTEST_CURRENT_TEST", "")
+        given = (_Descriptor(theirs.fileno()), _Descriptor(file.fileno()), concurrency, queue, test)
         process = ForkedProcess(_CONTEXT.Process(target=_run_query_process, args=given, daemon=True))
         status = SharedStatus(file.fileno())
     ours.setblocking(False)

@@ -158,14 +158,19 @@ def serve(source: str, others: tuple[tuple[str, str], ...], base_url: str | None
       rosld serve ros1://robot:11311 --ros-ip 10.0.0.7 --allow-publish /cmd_vel
       rosld serve ros1: --host 0.0.0.0 --base-url http://robot.example:8080/
     """
+    settings = settings_of(others, base_url, **options)
+    from rosld.server.cli.serve import serve as run
+
+    run(source, settings, base_given=base_url is not None)
+
+
+def settings_of(others: tuple[tuple[str, str], ...], base_url: str | None, **options: Any) -> Settings:
+    """Return the settings that the parameters of `serve` give. Raises Failure for values that do not go together."""
     with user_errors():
         options |= {name.replace("-", "_"): declared.parse(name, text) for name, text in others}
         if base_url is not None:
             options["base_url"] = declared.canonical_base(base_url)
-        settings = Settings(**options)
-    from rosld.server.cli.serve import serve as run
-
-    run(source, settings, base_given=base_url is not None)
+        return Settings(**options)
 
 
 @main.command()

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import gc
 import os
 import socket
 import sys
 import threading
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 import click
@@ -36,6 +38,15 @@ def serve(source: str, settings: Settings, *, base_given: bool) -> None:
     """Serve a source until a signal comes. Raises Failure where it cannot begin."""
     http_server.configure_logging()
     raise_file_limit()
+    with opened(source, settings, _announce, base_given=base_given) as serving:
+        http_server.run(serving.until_stopped())
+
+
+@contextlib.contextmanager
+def opened(
+    source: str, settings: Settings, on_listening: Callable[[str], None], *, base_given: bool
+) -> Iterator[Serving]:
+    """Yield a server that has its address and its data folder. Raises Failure where it cannot begin."""
     with user_errors():
         adapter = adapter_for(source, settings.adapter_options)
         sock = http_server.bind(settings.host, settings.port)
@@ -49,31 +60,44 @@ def serve(source: str, settings: Settings, *, base_given: bool) -> None:
         _warn(settings)
         from rosld.server.app import create_app
 
-        http_server.run(Serving(create_app(adapter, settings), adapter, sock, settings.base_url).until_stopped())
+        yield Serving(create_app(adapter, settings), adapter, sock, lambda: on_listening(settings.base_url))
+
+
+def _announce(url: str) -> None:
+    """Print the one line on stdout; a reader that has gone is no reason to stop."""
+    gc.collect()
+    gc.freeze()  # what is loaded now stays: each collection that looks through it would hold up all requests
+    with contextlib.suppress(OSError):
+        print(url, flush=True)
 
 
 class Serving:
     """The lifecycle of one server: open the source, listen, serve, shut down."""
 
-    def __init__(self, app: Application, adapter: Adapter, sock: socket.socket, url: str) -> None:
+    def __init__(
+        self, app: Application, adapter: Adapter, sock: socket.socket, on_listening: Callable[[], None]
+    ) -> None:
         self._app = app
         self._adapter = adapter
         self._sock = sock
-        self._url = url
         settings = app.session.settings
         limits = (settings.head_limit, settings.head_timeout, settings.read_timeout)
         bounds = ConnectionBounds(*limits, app.clients.connect, app.clients.open_websocket, app.is_urgent)
         limit = min(settings.connections, max_open_files() - MAX_FILES)
-        self._server = http_server.Server(app, self._listening, bounds, max(limit, 1))
+        self._server = http_server.Server(app, on_listening, bounds, max(limit, 1))
         tls.configure_tls(self._server.config, app.session.settings.tls_cert, app.session.settings.tls_key)
         self._work: asyncio.Task[None] | None = None
 
     async def until_stopped(self) -> None:
-        """Serve until a signal. Raises what opening the source raises; the adapter is closed in any case."""
+        """Serve until a signal, as `until_ended` does."""
         loop = asyncio.get_running_loop()
         for number in end_signals():
-            loop.add_signal_handler(number, self._told_to_stop)
-        self._work = loop.create_task(self._open_and_serve())
+            loop.add_signal_handler(number, self._stop_in_time)
+        await self.until_ended()
+
+    async def until_ended(self) -> None:
+        """Serve until `stop` is called; the adapter is closed in any case. Raises what opening the source raises."""
+        self._work = asyncio.get_running_loop().create_task(self._open_and_serve())
         try:
             with contextlib.suppress(asyncio.CancelledError):
                 await self._work
@@ -84,13 +108,12 @@ class Serving:
         async with lifespan(self._app):
             await self._server.serve(sockets=[self._sock])
 
-    def _listening(self) -> None:
-        """The one line on stdout; a reader that has gone is no reason to stop."""
-        with contextlib.suppress(OSError):
-            print(self._url, flush=True)
-
-    def _told_to_stop(self) -> None:
+    def _stop_in_time(self) -> None:
         end_at_the_latest(EXIT_SECONDS)
+        self.stop()
+
+    def stop(self) -> None:
+        """Shut down, in order when it is called first, at once when it is called again."""
         if not self._server.started and self._work is not None:
             self._work.cancel()
         self._app.end_streams()

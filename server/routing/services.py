@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import secrets
 from collections.abc import Mapping, Sequence
 
@@ -128,8 +127,6 @@ class Services:
         self.session.topics.recorded = self.recordings.recorded_topics
         self.active_limits.load_stored(self.documents.records)
         await load_stored_mappings(self.mappings, self.documents.records, self.session.settings, self.session.space)
-        gc.collect()
-        gc.freeze()  # what is loaded now stays: looking through it again and again would hold everybody up
         self.session.follow()
         self.software_stop.start()
 

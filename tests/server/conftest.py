@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import asyncio
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
-from typing import Any
+from concurrent.futures import Future
+from contextlib import contextmanager, suppress
+from typing import Any, TypeAlias
 
 import httpx
 import pytest
@@ -15,16 +18,71 @@ from pyoxigraph import RdfFormat, Triple, parse
 
 from rosld.adapters.base import AdapterOptions
 from rosld.adapters.registry import adapter_for
+from rosld.server.cli.main import serve as command
+from rosld.server.cli.main import settings_of
+from rosld.server.cli.serve import Serving, opened
+from rosld.server.serving import http_server
 from tests.forked import ForkedCommand
 from tests.server.robots.made_up import robot, served, serving
 
 __all__ = ["robot", "serving"]
 
 
-class Served:
-    """A running server: its process, its entry URL, a client for it."""
+class ServingThread:
+    """`rosld serve ARGUMENTS` on a thread of the tests' process, with what is used of `subprocess.Popen`."""
 
-    def __init__(self, process: subprocess.Popen[str] | ForkedCommand, url: str) -> None:
+    def __init__(self, *arguments: str) -> None:
+        self._url: Future[str] = Future()
+        self._serving: Serving | None = None
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._thread = threading.Thread(target=self._run, args=arguments, daemon=True)
+        self._thread.start()
+
+    def url(self) -> str:
+        """Wait until the server listens; raise what it raised if it does not."""
+        return self._url.result(60)
+
+    def poll(self) -> int | None:
+        """Return None while the server runs."""
+        return None if self._thread.is_alive() else 0
+
+    def wait(self, timeout: float) -> int:
+        """Wait until the server has ended."""
+        self._thread.join(timeout)
+        assert not self._thread.is_alive(), "the server did not end"
+        return 0
+
+    def send_signal(self, number: signal.Signals) -> None:
+        """Stop the server as this signal would."""
+        assert number in (signal.SIGTERM, signal.SIGINT)
+        if self._thread.is_alive() and self._loop and self._serving:
+            with suppress(RuntimeError):  # the loop has just ended
+                self._loop.call_soon_threadsafe(self._serving.stop)
+
+    def _run(self, *arguments: str) -> None:
+        try:
+            given = command.make_context("serve", list(arguments)).params
+            source, base_url = given.pop("source"), given["base_url"]
+            settings = settings_of(given.pop("others"), given.pop("base_url"), **given)
+            with opened(source, settings, self._url.set_result, base_given=base_url is not None) as serving:
+                http_server.run(self._serve(serving))
+        except BaseException as error:
+            if self._url.done():
+                raise
+            self._url.set_exception(error)
+
+    async def _serve(self, serving: Serving) -> None:
+        self._serving, self._loop = serving, asyncio.get_running_loop()
+        await serving.until_ended()
+
+
+Running: TypeAlias = "ServingThread | subprocess.Popen[str] | ForkedCommand"
+
+
+class Served:
+    """A running server: its process or thread, its entry URL, a client for it."""
+
+    def __init__(self, process: Running, url: str) -> None:
         self.process = process
         self.url = url
         self.http = httpx.Client(base_url=url, timeout=60)
@@ -40,20 +98,28 @@ class Served:
         return self.process.wait(60)
 
 
-def start(*arguments: str, python: str = sys.executable, environment: Mapping[str, str] | None = None) -> Served:
-    """`rosld serve ARGUMENTS` on a free port: a fork, or the command itself with a Python and an environment."""
-    command = ["serve", *arguments, "--port", "0"]
-    process: subprocess.Popen[str] | ForkedCommand
+def start(
+    *arguments: str, process: bool = False, python: str = sys.executable, environment: Mapping[str, str] | None = None
+) -> Served:
+    """Start `rosld serve ARGUMENTS` on a free port.
+
+    It is a thread, a process of its own for tests of processes, or the command itself with a Python and an environment.
+    """
+    words = ["serve", *arguments, "--port", "0"]
+    if environment is None and not process:
+        thread = ServingThread(*words[1:])
+        return Served(thread, thread.url())
+    running: subprocess.Popen[str] | ForkedCommand
     if environment is None:
-        process = ForkedCommand(*command)
+        running = ForkedCommand(*words)
     else:
-        whole = [python, "-m", "rosld", *command]
-        process = subprocess.Popen(whole, env=environment, stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None
-    url = process.stdout.readline().strip()
+        whole = [python, "-m", "rosld", *words]
+        running = subprocess.Popen(whole, env=environment, stdout=subprocess.PIPE, text=True)
+    assert running.stdout is not None
+    url = running.stdout.readline().strip()
     if not url.startswith("http"):
-        raise AssertionError(f"{command} printed {url!r} and ended with {process.wait(60)}")
-    return Served(process, url)
+        raise AssertionError(f"{words} printed {url!r} and ended with {running.wait(60)}")
+    return Served(running, url)
 
 
 @contextmanager

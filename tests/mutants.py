@@ -1,0 +1,304 @@
+"""Small faults at random places of the product, and how many of them the tests notice.
+
+    python -m tests.mutants record          # run all tests; which test runs which line goes to .mutants/
+    python -m tests.mutants                 # make 80 faults one by one, run the tests of each line
+    python -m tests.mutants --tree OTHER    # the same faults in another checkout, which has a .mutants/ of its own
+
+A place is chosen by the hash of its seed, file and line, not by its position: the same seed chooses the same places in
+two versions of the product, except where the lines themselves differ.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import hashlib
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections import Counter, defaultdict
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+PACKAGES = ("adapters", "ontology", "server", "shapes")
+PYTEST = ("-m", "pytest", "-q", "-p", "no:cacheprovider", "--timeout", "60")
+KINDS = ("comparison turned round", "constant changed", "statement left out", "branch always taken")
+OPPOSITE = {"==": "!=", "!=": "==", "<": ">=", ">=": "<", ">": "<=", "<=": ">", "is": "is not", "in": "not in"}
+RECORD = """\
+[run]
+data_file = {folder}/data
+parallel = true
+patch = subprocess, _exit
+context = ${{PYTEST_CURRENT_TEST-}}
+include =
+{include}
+"""
+"""What a process runs is attributed to the test that started it by pytest's variable, in forks by `tests/forked.py`."""
+
+Position = tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A change of some characters of a file; `lines` are those of the statement around them."""
+
+    file: str
+    kind: str
+    lines: range
+    start: Position
+    end: Position
+    text: str
+
+    def __str__(self) -> str:
+        return f"{self.file}:{self.start[0]} {self.kind}: {self.text.strip() or '(nothing)'}"
+
+
+# Where faults can be made
+
+
+def faults_of(file: str, source: str) -> Iterator[Fault]:
+    """Yield all the faults that can be made in a file."""
+    lines = source.splitlines(keepends=True)
+    tree = ast.parse(source)
+    skipped = {id(one) for node in ast.walk(tree) for one in _not_run(node)}
+
+    def text(start: Position, end: Position) -> str:
+        first, last = start[0] - 1, end[0] - 1
+        encoded = [line.encode() for line in lines[first : last + 1]]
+        encoded[-1] = encoded[-1][: end[1]]
+        encoded[0] = encoded[0][start[1] :]
+        return b"".join(encoded).decode()
+
+    def visit(node: ast.AST, around: range) -> Iterator[Fault]:
+        if id(node) in skipped:
+            return
+        if isinstance(node, ast.stmt):
+            around = range(node.lineno, (_header_end(node) or node.lineno) + 1)
+        for kind, start, end, new in _changes(node, text):
+            yield Fault(file, kind, around, start, end, new)
+        for child in ast.iter_child_nodes(node):
+            yield from visit(child, around)
+
+    yield from visit(tree, range(0))
+
+
+def _not_run(node: ast.AST) -> Iterator[ast.AST]:
+    """Yield what is documentation, a type, or text put together: a change there is no fault."""
+    if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+        yield node
+    elif isinstance(node, ast.JoinedStr):
+        yield from node.values
+    elif isinstance(node, ast.AnnAssign) or (isinstance(node, ast.arg) and node.annotation):
+        yield node.annotation
+    elif isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and node.returns:
+        yield node.returns
+    elif isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+        yield node
+
+
+def _header_end(node: ast.stmt) -> int | None:
+    body = getattr(node, "body", None)
+    return body[0].lineno - 1 if isinstance(body, list) and body and body[0].lineno > node.lineno else node.end_lineno
+
+
+def _end(node: ast.expr | ast.stmt) -> Position:
+    return node.end_lineno or 0, node.end_col_offset or 0
+
+
+def _changes(node: ast.AST, text: Callable[[Position, Position], str]) -> Iterator[tuple[str, Position, Position, str]]:
+    if not isinstance(node, ast.expr | ast.stmt):
+        return
+    start, end = (node.lineno, node.col_offset), _end(node)
+    if isinstance(node, ast.Compare) and len(node.ops) == 1:
+        left, right = node.left, node.comparators[0]
+        between = _end(left), (right.lineno, right.col_offset)
+        old = text(*between)
+        found = re.search(r"==|!=|<=|>=|<|>|\bis not\b|\bnot in\b|\bis\b|\bin\b", old)
+        if found:
+            opposite = OPPOSITE.get(found[0]) or found[0].replace("is not", "is").replace("not in", "in")
+            yield KINDS[0], *between, old[: found.start()] + opposite + old[found.end() :]
+    elif isinstance(node, ast.Constant) and start[0] == end[0]:
+        if isinstance(node.value, bool):
+            yield KINDS[1], start, end, repr(not node.value)
+        elif isinstance(node.value, int | float):
+            yield KINDS[1], start, end, f"({node.value!r} + 1)"
+        elif isinstance(node.value, str) and node.value and " " not in node.value:
+            yield KINDS[1], start, end, repr(node.value + "x")
+    elif isinstance(node, ast.Expr | ast.AugAssign | ast.Raise):
+        yield KINDS[2], start, end, "pass" + "\n" * (end[0] - start[0])
+    elif isinstance(node, ast.If):
+        test = node.test
+        begin, finish = (test.lineno, test.col_offset), _end(test)
+        yield KINDS[3], begin, finish, f"(True or ({text(begin, finish)}))"
+
+
+def chosen(tree: Path, seed: int, count: int) -> list[Fault]:
+    """Return as many faults of each kind, chosen by the hash of the seed and the line."""
+    ranked: dict[str, list[tuple[bytes, Fault]]] = defaultdict(list)
+    for package in PACKAGES:
+        for path in sorted((tree / package).rglob("*.py")):
+            file, source = str(path.relative_to(tree)), path.read_text()
+            lines = source.splitlines()
+            seen: Counter[str] = Counter()
+            for fault in faults_of(file, source):
+                place = f"{seed} {file} {fault.kind} {lines[fault.start[0] - 1]} {fault.text}"
+                seen[place] += 1
+                ranked[fault.kind].append((hashlib.sha256(f"{place} {seen[place]}".encode()).digest(), fault))
+    return [fault for kind in KINDS for _, fault in sorted(ranked[kind], key=lambda one: one[0])[: count // len(KINDS)]]
+
+
+def changed(source: str, fault: Fault) -> str:
+    """Return the source with the fault in it."""
+    lines = [line.encode() for line in source.splitlines(keepends=True)]
+    (first, left), (last, right) = fault.start, fault.end
+    joined = lines[first - 1][:left] + fault.text.encode() + lines[last - 1][right:]
+    return b"".join([*lines[: first - 1], joined, *lines[last:]]).decode()
+
+
+# Which tests run a line
+
+
+def record(tree: Path, arguments: Sequence[str]) -> None:
+    """Run all the tests with coverage.py, and keep which test ran which line."""
+    folder = tree / ".mutants"
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    include = "\n".join(f"  {tree}/{package}/*" for package in PACKAGES)
+    (folder / "coveragerc").write_text(RECORD.format(folder=folder, include=include))
+    coverage = [sys.executable, "-m", "coverage"]
+    given = ("-p", "tests.mutants", *arguments)
+    configured = f"--rcfile={folder / 'coveragerc'}"
+    environment = {**os.environ, "PYTHONPATH": str(tree)}
+    subprocess.run([*coverage, "run", configured, *PYTEST[:3], *PYTEST[5:], *given], cwd=tree, env=environment)
+    subprocess.run([*coverage, "combine", configured, "--quiet"], cwd=tree, check=True)
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
+    """Attribute the lines that run from now on to this test."""
+    os.environ["PYTEST_CURRENT_TEST"] = item.nodeid
+    attribute_to(item.nodeid)
+    return (yield)
+
+
+def attribute_to(test: str) -> None:
+    """Attribute the lines that this process runs to a test, where coverage is recorded."""
+    if (module := sys.modules.get("coverage")) and (current := module.Coverage.current()):
+        current.switch_context(test)
+
+
+TEST = re.compile(r"(?:^|\|)(tests/(?:(?!\|tests/).)*?)(?: \((setup|call|teardown)\))?$", re.DOTALL)
+
+
+def tests_of(fault: Fault, contexts: Mapping[int, Iterable[str]]) -> list[str]:
+    """Return the tests that run the line of a fault, spread over files; whole files where a fixture runs it."""
+    found: dict[str, set[str]] = defaultdict(set)
+    here = [context for line in fault.lines for context in contexts.get(line, ())]
+    if not any(TEST.search(context) for context in here):  # it runs as its module is imported
+        here = [context for line in contexts for context in contexts[line]]
+    for context in here:
+        if match := TEST.search(context):
+            file = match[1].partition("::")[0]
+            found[file].add(file if match[2] == "setup" else match[1])
+    turns = [sorted({file} if file in tests else tests) for file, tests in found.items()]
+    turns.sort(key=lambda tests: (any("::" not in one for one in tests), tests))
+    return [tests[turn] for turn in range(max(map(len, turns), default=0)) for tests in turns if turn < len(tests)]
+
+
+# Whether it is noticed
+
+
+def judged(fault: Fault, tests: Sequence[str], tree: Path, limit: float) -> str:
+    """Return `noticed`, `not noticed`, or `not run` where no test runs the line."""
+    if not tests:
+        return "not run"
+    path = tree / fault.file
+    source = path.read_text()
+    left = list(tests)
+    while left:
+        path.write_text(changed(source, fault))
+        try:
+            failed = _failed(left, tree, limit)
+        finally:
+            path.write_text(source)
+        if failed is None:
+            return "not noticed"
+        again = [one for one in failed if one != "-"]
+        if not again or _failed(again, tree, limit) is None:
+            return "noticed"
+        left = [one for one in left if one not in again and one.partition("::")[0] not in again]
+    return "not noticed"
+
+
+def _failed(tests: Sequence[str], tree: Path, limit: float) -> list[str] | None:
+    """Run tests up to the first that fails; return it, `-` where there is no telling which, None if all pass."""
+    environment = {**os.environ, "PYTHONPATH": str(tree), "HYPOTHESIS_STORAGE_DIRECTORY": str(tree / ".hypothesis")}
+    process = subprocess.Popen(
+        [sys.executable, *PYTEST, "-x", "-rfE", *tests],
+        cwd=tree, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True,
+    )  # fmt: skip
+    try:
+        output, _ = process.communicate(timeout=limit)
+    except subprocess.TimeoutExpired:
+        os.killpg(process.pid, 9)
+        process.communicate()
+        return None
+    if process.returncode == 0:
+        return None
+    return re.findall(r"^(?:FAILED|ERROR) (tests/.*?)(?: - .*)?$", output, re.MULTILINE)[:1] or ["-"]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("command", nargs="?", choices=("judge", "record"), default="judge")
+    parser.add_argument("--tree", type=Path, default=Path(__file__).parent.parent, help="the checkout")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--count", type=int, default=80)
+    parser.add_argument("--jobs", type=int, default=2, help="how many faults are judged at once, each in its own copy")
+    parser.add_argument("--tests", type=int, default=60, help="how many tests are run for one fault at most")
+    parser.add_argument("--limit", type=float, default=180, help="seconds for the tests of one fault at most")
+    given, others = parser.parse_known_args()
+    tree: Path = given.tree.resolve()
+    if given.command == "record":
+        record(tree, others)
+        return
+    from coverage import CoverageData
+
+    data = CoverageData(str(tree / ".mutants" / "data"))
+    data.read()
+    recorded = {Path(file): file for file in data.measured_files()}
+    contexts = {}
+    faults = chosen(tree, given.seed, given.count)
+    for file in {fault.file for fault in faults}:
+        contexts[file] = data.contexts_by_lineno(recorded.get(tree / file, ""))
+    results: list[tuple[Fault, str]] = []
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(given.jobs) as pool:
+        copies = [Path(folder) / str(number) for number in range(given.jobs)]
+        for copy in copies:
+            ignored = shutil.ignore_patterns(".git", ".venv", ".mutants", ".mypy_cache", "node_modules", "target")
+            shutil.copytree(tree, copy, symlinks=True, ignore=ignored)
+
+        def judge(fault: Fault) -> tuple[Fault, str]:
+            copy = copies.pop()
+            try:
+                tests = tests_of(fault, contexts[fault.file])[: given.tests]
+                return fault, judged(fault, tests, copy, given.limit)
+            finally:
+                copies.append(copy)
+
+        for fault, verdict in pool.map(judge, faults):
+            results.append((fault, verdict))
+            print(f"{verdict:12} {fault}", flush=True)
+    print(json.dumps(Counter(verdict for _, verdict in results)))
+
+
+if __name__ == "__main__":
+    main()

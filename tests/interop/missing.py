@@ -19,10 +19,10 @@ def missing(reason: str) -> NoReturn:
     pytest.skip(reason)
 
 
-def require(*commands: str) -> None:
+def require(*commands: str, path: str | None = None) -> None:
     """Skip where a command that Debian has is not installed."""
     for command in commands:
-        if shutil.which(command) is None:
+        if shutil.which(command, path=path) is None:
             missing(
                 f"there is no {command}: apt-get install --no-install-recommends {' '.join(DEBIAN.read_text().split())}"
             )

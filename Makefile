@@ -1,5 +1,6 @@
-# demo: the paper's aircraft at http://127.0.0.1:8080/     test: all tests     check: style and types
-# interop: other people's clients     bench: the table of ratios     clean: back to a fresh clone
+# demo: the paper's aircraft at http://127.0.0.1:8080/     check: style and types
+# quick: most tests in a minute     test: all tests     interop: other people's clients
+# bench: the table of ratios     clean: back to a fresh clone
 #
 # Each of them makes .venv when it is missing or pyproject.toml has changed. PYTHON=python3.12 chooses another Python.
 
@@ -10,7 +11,7 @@ READY := .venv/.ready
 PORT ?= 8080
 HEADERS := import sysconfig; print(sysconfig.get_path("include") + "/Python.h")
 
-.PHONY: demo test interop check bench clean venv debian ros2
+.PHONY: demo quick test interop check bench clean venv debian ros2
 
 demo: $(INSTALLED)
 	$(BIN)/rosld serve aircraft --port $(PORT)
@@ -20,6 +21,10 @@ demo: $(INSTALLED)
 # A test runs once: one that fails on a busy machine is to be mended.
 WORKERS ?= 3
 PYTEST := -m pytest --quiet --timeout 900
+quick: export PYTHONDONTWRITEBYTECODE =
+quick: $(READY)
+	$(BIN)/python $(PYTEST) --quick -n 2 --dist loadfile
+
 test: export PYTHONDONTWRITEBYTECODE =
 test: $(READY) debian
 	@$(MAKE) --no-print-directory ros2 & making=$$!; trap "kill $$making" INT TERM; \

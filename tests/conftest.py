@@ -6,8 +6,10 @@ What is missing must be installed then, or the run fails and says what it is.
 from __future__ import annotations
 
 import os
+import re
 import sys
 from collections.abc import Generator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -17,8 +19,9 @@ from rosld.server.sparql.process import client
 from tests.forked import fork_query_process
 from tests.groups import group_of
 
-settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
-settings.load_profile("any machine")
+settings.register_profile("whole", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile("quick", settings.get_profile("whole"), max_examples=20)
+settings.load_profile("whole")
 """How long an example takes, to make or to try, is no test: hypothesis' limits of time fail on a busy machine."""
 
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
@@ -31,8 +34,37 @@ vars(client)["spawn"] = fork_query_process
 NOTHING_SKIPPED = os.environ.get("CI", "").lower() == "true"
 
 
+SLOW = re.compile(r"^pytestmark = pytest\.mark\.slow$", re.MULTILINE)
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--quick", action="store_true", help="leave out tests marked slow, and try few examples")
+
+
 def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "ros2: on a real ROS 2, whose wheels (270 MB each) are fetched where they lack")
+    config.addinivalue_line("markers", "slow: starts a process, or takes more than a second: not for `make quick`")
+    if config.option.quick:
+        settings.load_profile("quick")
+        sys.addaudithook(refuse_processes)
+
+
+def refuse_processes(event: str, arguments: tuple[object, ...]) -> None:
+    """Fail a test of `make quick` that starts a program."""
+    if event == "subprocess.Popen":
+        raise AssertionError(f"{arguments[0]} is started by a test that is not marked slow")
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Leave out files of slow tests unread: to import them takes long, too."""
+    quick = config.option.quick and collection_path.suffix == ".py"
+    return True if quick and SLOW.search(collection_path.read_text("utf-8")) else None
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if config.option.quick:
+        config.hook.pytest_deselected(items=[item for item in items if item.get_closest_marker("slow")])
+        items[:] = [item for item in items if not item.get_closest_marker("slow")]
 
 
 @pytest.hookimpl(optionalhook=True, tryfirst=True)

@@ -109,6 +109,7 @@ class ForkedCommand(ForkedProcess):
     """`rosld` with these arguments; what it prints is in `stdout`."""
 
     def __init__(self, *arguments: str) -> None:
+        sys.audit("subprocess.Popen", "rosld", arguments, None, None)
         reading, writing = os.pipe()
         self.stdout: TextIO = os.fdopen(reading, encoding="utf-8")
         given = (arguments, _Descriptor(writing), _Descriptor(2), dict(os.environ))

@@ -315,7 +315,7 @@ def test_three_hundred_readers_get_every_value_in_time(serve: Callable[..., Any]
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_the_server_ends_at_once_with_streams_and_waits_open(serve: Callable[..., Any], number: signal.Signals) -> None:
-    served = serve("aircraft")
+    served = serve("aircraft", process=True)
     etag = served.http.get(NIGHT, headers=JSON).headers["etag"]
     url = urlsplit(served.url)
     query = urlencode({"after": etag})

@@ -42,7 +42,7 @@ def wheels(ros: RosSystem) -> Process:
 @pytest.fixture
 def served(ros: RosSystem, wheels: Process, serve: Callable[..., Any]) -> Any:
     """rosld on it."""
-    return serve(ros.source, "--setting", "publish_wait", "5")
+    return serve(ros.source, "--setting", "publish_wait", "5", process=True)
 
 
 def held(http: httpx.Client, x: float, lease: float = 5) -> str:

@@ -37,7 +37,7 @@ def single(start_server: Callable[..., Served]) -> Served:
     """A server that answers one query at a time, for a minute; one more may wait."""
     return until_ready(start_server(
         "aircraft", "--setting", "query_time_limit", "60", "--setting", "query_concurrency", "1",
-        "--setting", "query_queue", "1", "--query-row-limit", "30000",
+        "--setting", "query_queue", "1", "--query-row-limit", "30000", process=True,
     ))  # fmt: skip
 
 

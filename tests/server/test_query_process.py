@@ -39,7 +39,7 @@ MIXED = " ".join(
 @pytest.fixture
 def served(serve: Callable[..., Served]) -> Iterator[Served]:
     """A server of its own."""
-    one = serve("aircraft", "--max-publish-rate", "100000")
+    one = serve("aircraft", "--max-publish-rate", "100000", process=True)
     yield one
     assert one.process.poll() is None, "the server died"
 
@@ -128,7 +128,7 @@ def test_values_of_many_types_in_order_do_not_end_the_server(served: Served) -> 
 def test_killed_again_and_again_under_load_it_costs_queries_a_503_and_others_nothing(
     serve: Callable[..., Served],
 ) -> None:
-    served = serve("aircraft", *OPTIONS)
+    served = serve("aircraft", *OPTIONS, process=True)
     answered(served, name(served))
     load = Load(served.url)
     try:
@@ -200,7 +200,7 @@ def test_while_what_clients_keep_is_read_anew_queries_are_503_with_how_far_it_is
 
 def test_whatever_is_at_work_ends_with_the_server_even_if_that_is_killed(serve: Callable[..., Served]) -> None:
     for number in (signal.SIGTERM, signal.SIGKILL):
-        served = serve("aircraft", "--setting", "query_time_limit", "60")
+        served = serve("aircraft", "--setting", "query_time_limit", "60", process=True)
         pid = process_of(served)
         address = urlsplit(served.url)
         with closing(socket.create_connection((address.hostname, address.port), timeout=PATIENCE)) as connection:

@@ -80,7 +80,9 @@ def peak_megabytes(served: Any) -> float:
 def test_eight_publishers_that_announce_half_a_gigabyte_each_cost_little(
     ros: RosSystem, serve: Callable[..., Any]
 ) -> None:
-    served = serve(ros.source, "--setting", "message_limit", str(2 * HUGE), "--setting", "first_value_wait", "0.1")
+    served = serve(
+        ros.source, "--setting", "message_limit", str(2 * HUGE), "--setting", "first_value_wait", "0.1", process=True
+    )
     before = peak_megabytes(served)
     with ExitStack() as publishing:
         topics = [f"/big_{number}" for number in range(8)]
@@ -95,7 +97,7 @@ def test_eight_publishers_that_announce_half_a_gigabyte_each_cost_little(
 def test_a_message_longer_than_the_limit_is_not_read_and_the_topic_says_so(
     ros: RosSystem, serve: Callable[..., Any]
 ) -> None:
-    served = serve(ros.source)
+    served = serve(ros.source, process=True)
     with announcing(ros, "/big", HUGE, b"") as sent:
         until(lambda: served.http.get("/topics/big").status_code == 200, "the topic")
         assert sent.wait(10)
@@ -119,7 +121,7 @@ def longest(lines: Sequence[str]) -> float:
 def test_while_rosld_is_suspended_for_a_second_no_publisher_waits(ros: RosSystem, serve: Callable[..., Any]) -> None:
     rate = min(30, held_megabytes())
     steady = ros.node("steady_node.py", "/steady", str(MEGABYTE), str(rate))
-    served = serve(ros.source, "--subscribe", "/steady")
+    served = serve(ros.source, "--subscribe", "/steady", process=True)
     until(lambda: steady.seen[-1].endswith(" 1"), "rosld reads")
     waited: list[tuple[float, float]] = []
     for _ in range(4):  # how much comes in is learnt in seconds in which all processes run, and others use the cores

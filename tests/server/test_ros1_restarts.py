@@ -48,11 +48,11 @@ def put(http: httpx.Client) -> int:
 def test_the_robot_is_commanded_at_once_by_who_comes_after_a_rosld_that_was_killed(
     ros: RosSystem, serve: Callable[..., Any]
 ) -> None:
-    first = serve(ros.source)
+    first = serve(ros.source, process=True)
     assert put(first.http) == 204
     killed(first)
     [dead] = ros.publishers("/cmd_vel")
-    second = serve(ros.source)
+    second = serve(ros.source, process=True)
     assert put(second.http) == 204
     assert dead not in ros.publishers("/cmd_vel")
 
@@ -60,7 +60,7 @@ def test_the_robot_is_commanded_at_once_by_who_comes_after_a_rosld_that_was_kill
 def test_a_rosld_that_is_killed_beside_another_is_noticed_by_that_one(
     ros: RosSystem, serve: Callable[..., Any]
 ) -> None:
-    first, second = serve(ros.source), serve(ros.source)
+    first, second = serve(ros.source, process=True), serve(ros.source, process=True)
     assert put(first.http) == 204
     until(lambda: put(second.http) == 405, "the second sees the first publish")
     killed(first)
@@ -81,7 +81,7 @@ async def removed(ros: RosSystem, node: str, own_uri: str | None = None) -> bool
 def test_a_rosld_that_lives_keeps_its_registration_even_while_it_is_suspended(
     ros: RosSystem, serve: Callable[..., Any], number: signal.Signals | None
 ) -> None:
-    living = serve(ros.source)
+    living = serve(ros.source, process=True)
     assert put(living.http) == 204
     [node] = ros.publishers("/cmd_vel")
     if number is not None:

@@ -6,7 +6,7 @@ import itertools
 import re
 import signal
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
 import httpx
@@ -16,7 +16,7 @@ from pyoxigraph import NamedNode, RdfFormat, Triple, parse
 from rosld.ontology.vocab import ldp
 from rosld.server.http import link
 from rosld.server.http.link import Link
-from tests.forked import ForkedCommand
+from tests.server.conftest import ServingThread
 
 TURTLE = "text/turtle"
 ROBOT = (
@@ -116,45 +116,24 @@ def triples(answer: httpx.Response) -> set[Triple]:
     return {quad.triple for quad in parse(answer.content, format=syntax, base_iri=str(answer.url))}
 
 
-def start(*arguments: str) -> tuple[ForkedCommand, Served]:
-    """`rosld serve ARGUMENTS` on a free port."""
-    process = ForkedCommand("serve", *arguments, "--port", "0")
-    url = process.stdout.readline().strip()
-    assert url.startswith("http"), f"{process.args} printed {url!r}"
-    return process, Served(url, httpx.Client(timeout=15))
-
-
 @contextmanager
 def running(*arguments: str) -> Iterator[Served]:
     """A server that ends afterwards, and in order."""
-    process, served = start(*arguments)
+    server = ServingThread(*arguments, "--port", "0")
     try:
-        yield served
+        with httpx.Client(timeout=15) as http:
+            yield Served(server.url(), http)
+        assert server.poll() is None, "the server died during the tests"
     finally:
-        died = process.poll() is not None
-        served.http.close()
-        process.send_signal(signal.SIGTERM)
-        code = process.wait(60)
-        assert not died, "the server died during the tests"
-        assert code == 0
+        server.send_signal(signal.SIGTERM)
+        server.wait(60)
 
 
 @pytest.fixture(scope="module")
-def start_and_kill() -> Iterator[Callable[..., Served]]:
-    """Starts servers that are killed when the tests of a file are over, whatever they are at."""
-    started: list[ForkedCommand] = []
-
-    def serve(*arguments: str) -> Served:
-        process, served = start(*arguments)
-        started.append(process)
-        return served
-
-    yield serve
-    for process in started:
-        died = process.poll() is not None
-        process.kill()
-        process.wait(60)
-        assert not died, "the server died during the tests"
+def start_many() -> Iterator[Callable[..., Served]]:
+    """Start servers that end with the tests of a file."""
+    with ExitStack() as stack:
+        yield lambda *arguments: stack.enter_context(running(*arguments))
 
 
 @pytest.fixture(scope="module")

@@ -92,9 +92,9 @@ WRITES = (
 
 
 @pytest.fixture(scope="module")
-def large(filled: Path, steps: object, start_and_kill: Callable[..., Served]) -> Place:
+def large(filled: Path, steps: object, start_many: Callable[..., Served]) -> Place:
     """That container, served."""
-    return start_and_kill("aircraft", "--data", str(filled)).at("data/many/")
+    return start_many("aircraft", "--data", str(filled)).at("data/many/")
 
 
 def contained(page: httpx.Response) -> list[str]:

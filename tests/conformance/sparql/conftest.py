@@ -13,7 +13,7 @@ import pytest
 from pyoxigraph import CanonicalizationAlgorithm, Dataset, NamedNode, Quad, RdfFormat, Triple, parse
 
 from rosld.ontology.vocab import dcterms, ldp, rdf
-from tests.forked import ForkedCommand
+from tests.server.conftest import ServingThread
 
 TURTLE = "text/turtle"
 EX = "http://example.org/"
@@ -122,16 +122,14 @@ def _is_managed(triple: Triple, url: NamedNode) -> bool:
 @contextmanager
 def running(*arguments: str) -> Iterator[Endpoint]:
     """A server that ends afterwards, and in order."""
-    process = ForkedCommand("serve", "aircraft", *arguments, "--port", "0")
-    url = process.stdout.readline().strip()
-    assert url.startswith("http"), f"{process.args} printed {url!r}"
-    with httpx.Client(timeout=20) as http:
-        yield Endpoint(url, http)
-    died = process.poll() is not None
-    process.send_signal(signal.SIGTERM)
-    code = process.wait(60)
-    assert not died, "the server died during the tests"
-    assert code == 0
+    server = ServingThread("aircraft", *arguments, "--port", "0")
+    try:
+        with httpx.Client(timeout=20) as http:
+            yield Endpoint(server.url(), http)
+        assert server.poll() is None, "the server died during the tests"
+    finally:
+        server.send_signal(signal.SIGTERM)
+        server.wait(60)
 
 
 @pytest.fixture(scope="module")

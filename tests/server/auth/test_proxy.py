@@ -77,7 +77,7 @@ def proxied(
     base = f"https://localhost:{port}/"
     rules = folder / "auth.toml"
     rules.write_text(tokens("reader", "admin") + RULES)
-    served = start_server("aircraft", "--auth", str(rules), "--base-url", base)
+    served = start_server("aircraft", "--auth", str(rules), "--base-url", base, process=True)
     inner = next(line.rpartition(":")[2].strip().partition(" ")[0] for line in listening(served.process.pid) if line)
     with nginx(folder, port, inner) as trusted:
         yield base, trusted

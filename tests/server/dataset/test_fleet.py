@@ -40,7 +40,7 @@ def test_one_query_spans_two_robots_and_neither_drops_the_others_graphs(
     oxigraph = new_oxigraph()
     options = ("--store", oxigraph.url, "--store-rate", "10", "--subscribe", "*")
     one = serve("aircraft", *options)
-    two = serve("aircraft", *options, "--data", str(tmp_path))
+    two = serve("aircraft", *options, "--data", str(tmp_path), process=True)
     kept = two.http.put("data/note", content='<> <http://h/p> "kept" .', headers=TURTLE)
     assert kept.status_code == 201
 

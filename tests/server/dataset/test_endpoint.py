@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 EMPTY = b'{"head":{"vars":["g"]},"results":{"bindings":[]}}'
 JSON = "application/sparql-results+json"
-SECONDS = 0.4
+SECONDS = 0.2
 ASK = b"query=ASK{}"
 Start: TypeAlias = "Callable[[Behaviour], Failing]"
 
@@ -127,13 +127,12 @@ def test_a_refusal_is_told_with_its_status_and_one_line_of_its_words(failing: St
     assert str(error.value).isprintable()
 
 
-@pytest.mark.parametrize("status", [301, 302, 307, 308])
-def test_redirects_are_not_followed(status: int, failing: Start) -> None:
+def test_redirects_are_not_followed(failing: Start) -> None:
     def answering(server: Failing, connection: socket.socket, body: bytes) -> bool:
         return server.answer(connection, "200 OK", EMPTY, JSON)
 
     def redirecting(server: Failing, connection: socket.socket, body: bytes) -> bool:
-        return server.answer(connection, f"{status} Elsewhere", b"", "text/plain", f"Location: {other.url}")
+        return server.answer(connection, "307 Elsewhere", b"", "text/plain", f"Location: {other.url}")
 
     other = failing(answering)
     with pytest.raises(StoreRefused, match="redirects to"):
@@ -188,24 +187,25 @@ def test_a_request_under_way_can_be_ended(failing: Start) -> None:
     assert len(found) == 1
 
 
-@pytest.mark.parametrize(
-    ("media_type", "body"),
-    [
-        ("text/html", b"<html>Hello</html>"),
-        (JSON, b"{"),
-        (JSON, b"[" * 100_000),
-        (JSON, b'{"head":{"vars":["g"]},"results":{"bindings":[{"g":{"type":"uri","value":"no iri"}}]}}'),
-        (JSON, b'{"head":{"vars":["g"]},"results":{"bindings":[{"g":7}]}}'),
-        ("application/n-triples", b"<a> <b>"),
-    ],
-)
-def test_results_that_are_none_are_told_of_before_anybody_reads_them(
-    media_type: str, body: bytes, failing: Start
-) -> None:
+NO_RESULTS = [
+    ("text/html", b"<html>Hello</html>"),
+    (JSON, b"{"),
+    (JSON, b"[" * 100_000),
+    (JSON, b'{"head":{"vars":["g"]},"results":{"bindings":[{"g":{"type":"uri","value":"no iri"}}]}}'),
+    (JSON, b'{"head":{"vars":["g"]},"results":{"bindings":[{"g":7}]}}'),
+    ("application/n-triples", b"<a> <b>"),
+]
+
+
+def test_results_that_are_none_are_told_of_before_anybody_reads_them(failing: Start) -> None:
+    answers = iter(NO_RESULTS)
+
     def answering(server: Failing, connection: socket.socket, asked: bytes) -> bool:
+        media_type, body = next(answers)
         return server.answer(connection, "200 OK", body, media_type)
 
     url = failing(answering).url
     store = RemoteStore(Endpoint(url, seconds=5), Endpoint(url, seconds=5))
-    with pytest.raises(StoreUnreachable, match="results"):
-        store.graphs()
+    for _ in NO_RESULTS:
+        with pytest.raises(StoreUnreachable, match="results"):
+            store.graphs()

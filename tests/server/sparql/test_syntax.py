@@ -1,86 +1,331 @@
-"""What is wrong with a query, in words. W3C's negative syntax tests judge the same in `tests/interop/w3c`."""
+"""Queries as texts over HTTP: what is understood, what is wrong in words, and what is refused before it does harm.
+
+W3C's syntax tests judge the same in `tests/conformance/sparql`.
+"""
 
 from __future__ import annotations
 
+import socket
+from collections.abc import Iterator
+
+import httpx
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from rosld.server.http.problem import Problem
-from rosld.server.sparql.analysis import Analyser, Analysis
-
-
-def analyse(text: str) -> Analysis:
-    return Analyser("http://robot/", "https://w3id.org/rosld/types/").analyse(text)
+DIRECT = {"Content-Type": "application/sparql-query", "Accept": "text/csv, application/problem+json;q=0.9"}
+UPDATE = {"Content-Type": "application/sparql-update"}
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("", "There is no query: it begins with SELECT, ASK, CONSTRUCT or DESCRIBE."),
-        ("SELEC ?x {}", "SELEC at 1:1 is no query form: SELECT, ASK, CONSTRUCT or DESCRIBE."),
-        ("SELECT ?x {\n ?x foo:bar 1 }", "The prefix foo: is not declared, at 2:5."),
-        ("ASK { ?s rdffs:label 1 }", "The prefix rdffs: is not declared (rdfs:?), at 1:10."),
-        (
-            "PREFIX ex <http://a/> ASK {}",
-            "ex at 1:8 is no name of a prefix: it ends in a colon, such as ex:, and has no other.",
-        ),
-        ("PREFIX ex: http://a/ ASK {}", "http: at 1:12 stands where the IRI of ex: in <> is expected."),
-        ("SELECT * { OPTINAL { ?s ?p ?o } }", "OPTINAL at 1:12 is no keyword of SPARQL (OPTIONAL?), where a triple"),
-        ("SELECT * { ?s ?p ?o", "The query ends where . or } is expected, and { at 1:10 is not closed."),
-        ("SELECT * { ?s ?p ?o } }", "} at 1:23 stands where the end of the query is expected."),
-        ("SELECT * { ?s ?p ?o FILTER ?o > 3 }", "?o at 1:28 stands where an expression in brackets, EXISTS"),
-        ("SELECT * { ?s ?p ?o ?t ?q ?r }", "?t at 1:21 stands where . or } is expected."),
-        ("SELECT ?x { ?x a foo }", "foo at 1:18 is no term: put it in quotes, or write it as a variable"),
-        ("SELECT * { ?s ?p <a b> }", "< at 1:18 begins no IRI: it has no end, or a blank, a quote or a bracket in it."),
-        ("SELECT * { ?s ?p 'a }", "The string that begins at 1:18 has no end."),
-        (r"SELECT * { ?s ?p 'C:\data' }", "A backslash in the string at 1:18 escapes nothing: write it as two."),
-        ("SELECT % {}", "'%' at 1:8 is no part of SPARQL."),
-        ("SELECT (STRLEN() AS ?n) {}", "STRLEN at 1:9 has 0 arguments and takes 1."),
-        ("SELECT (REGX('a', 'b') AS ?n) {}", "REGX at 1:9 is no function of SPARQL (REGEX?)."),
-        (
-            "SELECT * { ?s ?p ?o } LIMIT ten",
-            "ten at 1:29 is no keyword of SPARQL, where the number of LIMIT is expected.",
-        ),
-        ("SELECT ?s (COUNT(?o) AS ?n) { ?s ?p ?o }", "?s at 1:8 is not grouped by: name it in GROUP BY, or use an"),
-        ("SELECT * { ?s ?p ?o } GROUP BY ?s", "SELECT * at 1:1 cannot stand with GROUP BY or an aggregate: name what"),
-        ("SELECT * { ?s ?p ?o BIND(1 AS ?o) }", "?o at 1:31 has a value already, before this BIND: choose another"),
-        ("SELECT * { VALUES (?a ?b) { (1) } }", "( at 1:29 begins a row of 1 values for 2 variables."),
-        (
-            "SELECT * { _:a ?p 1 { _:a ?q 2 } }",
-            "_:a at 1:23 stands in another group of triples already: use a variable",
-        ),
-        (
-            "SELECT * { FILTER(1 = 2 = 3) }",
-            "= at 1:25 compares what a comparison says: put brackets around one of them.",
-        ),
-        ("CONSTRUCT WHERE { ?s ?p ?o FILTER(true) }", "FILTER at 1:28 stands where . or } is expected."),
-        ("SELECT (1) {}", ") at 1:10 stands where AS and a variable is expected."),
-        ("ASK { ?s " + "x" * 100 + " ?o }", "x" * 37 + "... at 1:10 is no keyword of SPARQL, where a predicate"),
-    ],
-)
-def test_what_is_wrong_is_named_with_its_place_and_what_was_expected(text: str, words: str) -> None:
-    with pytest.raises(Problem) as caught:
-        analyse(text)
-    assert caught.value.status == 400
-    assert caught.value.detail.startswith(words)
-    assert len(caught.value.detail) < 200
+def ask(http: httpx.Client, text: str) -> httpx.Response:
+    return http.post("/sparql", content=text.encode("utf-8", "surrogatepass"), headers=DIRECT)
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "BASE <http://h/> PREFIX : <#> SELECT DISTINCT ?a (COUNT(DISTINCT *) AS ?n) FROM <g> FROM NAMED :g "
-        "{ ?a :p ?b } GROUP BY ?a (?b + 1 AS ?c) STR(?d) "
-        "HAVING (COUNT(?b) > 1) :f(?a) ORDER BY DESC(?n) ?a LIMIT 3 OFFSET 4",
-        "SELECT * { ?s ^rdf:type/(rdfs:label|!(a|^rdfs:comment))* ?o ; a ?c , [ ?p ( 1 -2.5 'a'@en ) ] "
-        ". FILTER NOT EXISTS { ?s ?p true } OPTIONAL { ?s ?q () } MINUS { } { } UNION { SELECT (1 AS ?x) {} } "
-        "VALUES ?v { UNDEF <a> } BIND(IF(BOUND(?s), -?o, !?o) AS ?w) GRAPH ?g { } } VALUES (?y ?z) { (1 2) }",
-        "CONSTRUCT { ?s ?p _:b . _:b ?q [] } WHERE { ?s ?p ?o }",
-        "CONSTRUCT WHERE { ?s ?p ?o . ?o a ?c }",
-        "DESCRIBE ?x <a> rdf:type WHERE { ?x ?y ?z }",
-        "DESCRIBE *  { ?x ?y ?z }",
-        "SELECT ?o { _:a ?p ?o FILTER(?o IN (1, 2) && ?o NOT IN () || ?o = 2) _:a ?q 2 }",
-        "SELECT (SAMPLE(?o) AS ?x) (GROUP_CONCAT(?o ; separator=',') AS ?y) { ?s ?p ?o }",
-    ],
-)
-def test_nothing_is_wrong_with_what_is_a_query(text: str) -> None:
-    assert analyse(text).form in text
+def taken(http: httpx.Client, texts: list[str]) -> list[str]:
+    """The texts that are not refused as no query: they may still be too much."""
+    return [text[:100] for text in texts if ask(http, text).status_code != 400]
+
+
+@pytest.fixture(scope="module")
+def trap() -> Iterator[socket.socket]:
+    """A place that nobody is to connect to, whatever is asked."""
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        yield listening
+        listening.settimeout(0.01)
+        with pytest.raises(TimeoutError):
+            listening.accept()
+
+
+def url(trap: socket.socket) -> str:
+    return f"http://127.0.0.1:{trap.getsockname()[1]}/"
+
+
+WRONG = [
+    ("", "There is no query: it begins with SELECT, ASK, CONSTRUCT or DESCRIBE."),
+    ("SELEC ?x {}", "SELEC at 1:1 is no query form: SELECT, ASK, CONSTRUCT or DESCRIBE."),
+    ("SELECT ?x {\n ?x foo:bar 1 }", "The prefix foo: is not declared, at 2:5."),
+    ("ASK { ?s rdffs:label 1 }", "The prefix rdffs: is not declared (rdfs:?), at 1:10."),
+    (
+        "PREFIX ex <http://a/> ASK {}",
+        "ex at 1:8 is no name of a prefix: it ends in a colon, such as ex:, and has no other.",
+    ),
+    ("PREFIX ex: http://a/ ASK {}", "http: at 1:12 stands where the IRI of ex: in <> is expected."),
+    ("SELECT * { OPTINAL { ?s ?p ?o } }", "OPTINAL at 1:12 is no keyword of SPARQL (OPTIONAL?), where a triple"),
+    ("SELECT * { ?s ?p ?o", "The query ends where . or } is expected, and { at 1:10 is not closed."),
+    ("SELECT * { ?s ?p ?o } }", "} at 1:23 stands where the end of the query is expected."),
+    ("SELECT * { ?s ?p ?o FILTER ?o > 3 }", "?o at 1:28 stands where an expression in brackets, EXISTS"),
+    ("SELECT * { ?s ?p ?o ?t ?q ?r }", "?t at 1:21 stands where . or } is expected."),
+    ("SELECT ?x { ?x a foo }", "foo at 1:18 is no term: put it in quotes, or write it as a variable"),
+    ("SELECT * { ?s ?p <a b> }", "< at 1:18 begins no IRI: it has no end, or a blank, a quote or a bracket in it."),
+    ("SELECT * { ?s ?p 'a }", "The string that begins at 1:18 has no end."),
+    (r"SELECT * { ?s ?p 'C:\data' }", "A backslash in the string at 1:18 escapes nothing: write it as two."),
+    ("SELECT % {}", "'%' at 1:8 is no part of SPARQL."),
+    ("SELECT (STRLEN() AS ?n) {}", "STRLEN at 1:9 has 0 arguments and takes 1."),
+    ("SELECT (REGX('a', 'b') AS ?n) {}", "REGX at 1:9 is no function of SPARQL (REGEX?)."),
+    (
+        "SELECT * { ?s ?p ?o } LIMIT ten",
+        "ten at 1:29 is no keyword of SPARQL, where the number of LIMIT is expected.",
+    ),
+    ("SELECT ?s (COUNT(?o) AS ?n) { ?s ?p ?o }", "?s at 1:8 is not grouped by: name it in GROUP BY, or use an"),
+    ("SELECT * { ?s ?p ?o } GROUP BY ?s", "SELECT * at 1:1 cannot stand with GROUP BY or an aggregate: name what"),
+    ("SELECT * { ?s ?p ?o BIND(1 AS ?o) }", "?o at 1:31 has a value already, before this BIND: choose another"),
+    ("SELECT * { VALUES (?a ?b) { (1) } }", "( at 1:29 begins a row of 1 values for 2 variables."),
+    (
+        "SELECT * { _:a ?p 1 { _:a ?q 2 } }",
+        "_:a at 1:23 stands in another group of triples already: use a variable",
+    ),
+    (
+        "SELECT * { FILTER(1 = 2 = 3) }",
+        "= at 1:25 compares what a comparison says: put brackets around one of them.",
+    ),
+    ("CONSTRUCT WHERE { ?s ?p ?o FILTER(true) }", "FILTER at 1:28 stands where . or } is expected."),
+    ("SELECT (1) {}", ") at 1:10 stands where AS and a variable is expected."),
+    ("ASK { ?s " + "x" * 100 + " ?o }", "x" * 37 + "... at 1:10 is no keyword of SPARQL, where a predicate"),
+]
+
+
+def test_what_is_wrong_is_named_with_its_place_and_what_was_expected(http: httpx.Client) -> None:
+    wrong = []
+    for text, words in WRONG:
+        answer = ask(http, text)
+        detail = answer.json()["detail"]
+        if answer.status_code != 400 or not detail.startswith(words) or len(detail) >= 200:
+            wrong.append((text, detail))
+    assert not wrong, wrong
+
+
+RIGHT = [
+    "BASE <http://h/> PREFIX : <#> SELECT DISTINCT ?a (COUNT(DISTINCT *) AS ?n) FROM <g> FROM NAMED :g "
+    "{ ?a :p ?b } GROUP BY ?a (?b + 1 AS ?c) STR(?d) "
+    "HAVING (COUNT(?b) > 1) :f(?a) ORDER BY DESC(?n) ?a LIMIT 3 OFFSET 4",
+    "SELECT * { ?s ^rdf:type/(rdfs:label|!(a|^rdfs:comment))* ?o ; a ?c , [ ?p ( 1 -2.5 'a'@en ) ] "
+    ". FILTER NOT EXISTS { ?s ?p true } OPTIONAL { ?s ?q () } MINUS { } { } UNION { SELECT (1 AS ?x) {} } "
+    "VALUES ?v { UNDEF <a> } BIND(IF(BOUND(?s), -?o, !?o) AS ?w) GRAPH ?g { } } VALUES (?y ?z) { (1 2) }",
+    "CONSTRUCT { ?s ?p _:b . _:b ?q [] } WHERE { ?s ?p ?o }",
+    "CONSTRUCT WHERE { ?s ?p ?o . ?o a ?c }",
+    "DESCRIBE ?x <a> rdf:type WHERE { ?x ?y ?z }",
+    "DESCRIBE *  { ?x ?y ?z }",
+    "SELECT ?o { _:a ?p ?o FILTER(?o IN (1, 2) && ?o NOT IN () || ?o = 2) _:a ?q 2 }",
+    "SELECT (SAMPLE(?o) AS ?x) (GROUP_CONCAT(?o ; separator=',') AS ?y) { ?s ?p ?o }",
+]
+
+
+def test_the_whole_of_sparql_1_1_is_understood(http: httpx.Client) -> None:
+    wrong = [(text, answer.text) for text in RIGHT if (answer := ask_any(http, text)).status_code != 200]
+    assert not wrong, wrong
+
+
+def ask_any(http: httpx.Client, text: str) -> httpx.Response:
+    """The answer to a query of any form."""
+    return http.post("/sparql", content=text.encode(), headers={**DIRECT, "Accept": "*/*"})
+
+
+AMBIGUOUS = [
+    "SELECT * { \\u0053ERVICE <h:x> {} }",
+    "SELECT * { ?a ?b <h:a\\u003E> }",
+    "SELECT * { ?a ?b <h:a\\u0020b> }",
+    "SELECT * { ?a ?b 'a\\uD800' }",
+    "SELECT * { ?a ?b '\\U00110000' }",
+    "SELECT * { ?a ?b <h:a\\b> }",
+    'SELECT * { ?a ?b """open" }',
+    "SELECT * { ?a ?b ?c\x00 }",
+    "SELECT * { ?a ?b\u00a0?c }",
+    "SELECT * { ?a ?b\x0c?c }",
+    "SELECT * { <<?a ?b ?c>> ?p ?o }",
+    "SELECT * { ?a ?b ?c {| ?d ?e |} }",
+    "SELECT * { ?a ?b ?c ~ ?d }",
+    "SELECT * { ?a ?b ?c FILTER(?a<?b&&?c>?a) }",
+    "SELECT * { VALUES { 1 } }",
+    "SELECT * {} VALUES { ?a ?b }",
+    r"SELECT ?x { ?x ?y \u0022a\u0022 }",
+]
+
+
+def test_what_could_be_read_in_two_ways_or_not_at_all_is_refused(http: httpx.Client) -> None:
+    assert not taken(http, AMBIGUOUS)
+    assert "put a blank after the <" in ask(http, AMBIGUOUS[13]).json()["detail"]
+    assert ask(http, "SELECT * { ?a ?b ?c FILTER(?a < ?b && ?c > ?a) } LIMIT 1").status_code == 200
+
+
+SERVICES = [
+    "SELECT * { SERVICE <%s> { ?s ?p ?o } }",
+    "SELECT * { service silent ?x { ?s ?p ?o } VALUES ?x { <%s> } }",
+    "SELECT * { SerVice<%s>{} }",
+    "SELECT * { SERVICESILENT<%s>{} }",
+    "SELECT * { ?a ?b trueSERVICE <%s> {} }",
+    "SELECT * { ?a ?b 1SERVICE <%s> {} }",
+    "SELECT * { # c\rSERVICE <%s> {} }",
+    "SELECT * { # '''\nSERVICE <%s> {} # '''\n }",
+    "SELECT * { FILTER EXISTS { SERVICE <%s> {} } }",
+    "SELECT * { OPTIONAL{}SERVICE <%s> {} }",
+    'SELECT * { ?a ?b ?c FILTER(?a<?b#>"""\n) SERVICE <%s> {} #"""\n }',
+    'SELECT * { ?a ?b ?c FILTER(?a <?b#>"""\n) SERVICE <%s> {} #"""\n }',
+    "DELETE WHERE { ?s ?p ?o }",
+    "LOAD <%s>",
+]
+
+
+def test_no_spelling_of_service_reaches_another_server(http: httpx.Client, trap: socket.socket) -> None:
+    assert not taken(http, [text.replace("%s", url(trap)) for text in SERVICES])
+
+
+@given(st.text(alphabet="SERVICEservice <>{}?x'\"\\u0053#\n.:", max_size=60))
+def test_no_text_at_random_reaches_another_server(http: httpx.Client, trap: socket.socket, text: str) -> None:
+    query = f"SELECT * {{ {text} SERVICE <{url(trap)}> {{ ?a ?b ?c }} {text} }}"
+    assert ask(http, query).status_code in (200, 400)
+
+
+_PIECES = [*"\"'\\<>#{}()[]?$@:^|&.,;~!*/+-=a.b1 \n\r_\u00b7\u0301", '"""', "'''", "\\u0041", "SERVICE", "<<", "_:"]
+
+
+@given(st.lists(st.sampled_from(_PIECES)).map("".join) | st.text())
+def test_what_looks_like_sparql_is_answered_or_refused(http: httpx.Client, text: str) -> None:
+    for query in (text, f"SELECT * {{ {text} }} LIMIT 1"):
+        answer = ask_any(http, query) if query.isascii() else ask(http, query)
+        assert answer.status_code in (200, 400, 406, 503), (query, answer.text)
+
+
+STRINGS = {
+    r"'x\u0027 . SERVICE <http://127.0.0.1:9/> {} . ?a ?b \u0027'": "x' . SERVICE <http://127.0.0.1:9/> {} . ?a ?b '",
+    r"'\\u0027'": r"\u0027",
+    r'"\u0022"': '"',
+    r"'\U0000000A\u0001\u005C'": "\n\x01\\",
+    r"'\t\b\n\r\f\"\'\\'": "\t\b\n\r\f\"'\\",
+    "'SERVICE <x>' # SERVICE": "SERVICE <x>",
+}
+
+
+def test_a_string_may_have_every_escape_and_any_words(http: httpx.Client) -> None:
+    for written, value in STRINGS.items():
+        answer = http.post("/sparql", data={"query": f"SELECT ({written}\n AS ?x) {{}}"})
+        [row] = answer.json()["results"]["bindings"]
+        assert row["x"]["value"] == value
+    assert ask(http, r"SELECT ?\u0061b { ?ab <h:caf\u00E9> ?SERVICE # \u000a" "\n}").status_code == 200
+
+
+BOMBS = [
+    "a." * 30_000,
+    "<" * 60_000,
+    '"' * 60_001,
+    "'\\" * 30_000,
+    '"""' + "a" * 60_000,
+    '"""\'' * 16_000,
+    "a" + "." * 60_000,
+    "?" * 60_000,
+    "ex:" + "\\-" * 30_000,
+    "_:" + "a." * 30_000,
+    "1." * 30_000,
+    "@en" + "-a" * 30_000,
+    "#\n" * 30_000,
+    *(f"SELECT *\n{''.join(pair[0] * 200)}{''.join(pair[1] * 200)}" for pair in ("{}", "()", "[]")),
+    f"SELECT * {{ ?s ?p ?o FILTER({'!' * 3000}?o) }}",
+    f"SELECT * {{ ?s ?p ?o FILTER({'+'.join(['1'] * 3000)}) }}",
+    f"SELECT * {{ ?s ?p ?o FILTER({'||'.join(['?s'] * 3000)}) }}",
+    f"SELECT * {{ {'UNION'.join(['{}'] * 3000)} }}",
+    f"SELECT * {{ {'FILTER(?s)' * 3000} }}",
+    f"SELECT * {{ {''.join(f'BIND(1 AS ?b{n})' for n in range(3000))} }}",
+    f"SELECT * {{ {'MINUS{}' * 3000} }}",
+    f"SELECT {''.join(f'(1 AS ?a{n})' for n in range(3000))} {{ }}",
+    f"SELECT * {{ ?s ?p ?o }} HAVING {'(1)' * 3000}",
+    f"SELECT * {{ {' . '.join(f'?v <h:p> ?v{n}' for n in range(200))} }}",
+    f"SELECT * {{ ?s ?p {'[ ?p ' * 100}?o{']' * 100} }}",
+    f"SELECT * {{ ?s ?p ({' ?o' * 100}) }}",
+    f"SELECT * {{ ?s {'/'.join(['<h:p>'] * 100)} ?o }}",
+    f"SELECT * {{ {'OPTIONAL { } ' * 100} }}",
+    f"SELECT * {{ {'GRAPH ?g { } ' * 100} }}",
+    f"SELECT * {{ {'VALUES ?s { 1 } ' * 100} }}",
+    f"SELECT * {{ FILTER(EXISTS {{ {'?s ?p ?o . ' * 100} }}) }}",
+    f"DESCRIBE {'<h:x> ' * 100}",
+    f"SELECT * {{ LATERAL {{ {'?s ?p ?o . ' * 100} }} }}",
+]
+"""What would keep a lexer, a parser or the optimiser busy, or overflow a stack."""
+AT_THE_BOUNDS = [
+    "SELECT * " + "{" * 127 + "?s ?p ?o" + "}" * 127,
+    "SELECT * { ?s ?p ?o FILTER(" + "(" * 126 + "1" + ")" * 126 + ") }",
+    "SELECT * { ?s ?p ?o FILTER(" + "!" * 900 + "?o) }",
+    "SELECT * { ?s ?p ?o FILTER(" + "+".join(["1"] * 900) + ") }",
+    "SELECT * { " + "UNION".join(["{?s ?p 1}"] * 300) + " }",
+    "SELECT * { ?s ?p ?o " + "".join(f"BIND(1 AS ?b{n})" for n in range(240)) + " }",
+    "SELECT * { ?s ?p ?o " + "MINUS{}" * 60 + " }",
+    "SELECT * { ?s ?p " + "[ ?p " * 62 + "?o" + "]" * 62 + " }",
+    "SELECT * { ?s ?p ?o FILTER(" + "EXISTS { FILTER(" * 40 + "1" + ")}" * 40 + ") }",
+    "SELECT * { " + "{ SELECT * { " * 60 + "?s ?p ?o" + "}}" * 60 + " }",
+    f"SELECT * {{ VALUES (?a ?b) {{ {'(1 2)' * 5000} }} }}",
+    f"SELECT * {{ {' UNION '.join(['{ ' + ' . '.join(f'?v <h:p> ?v{n}' for n in range(30)) + ' }'] * 8)} }}",
+    f"ASK {{ {'?s ?p ?o . ' * 50} }}",
+]
+
+
+@pytest.mark.slow
+def test_bombs_are_refused_and_what_is_let_through_leaves_the_server_alive(http: httpx.Client) -> None:
+    assert not taken(http, BOMBS)
+    assert "at most 1000" in ask(http, BOMBS[16]).json()["detail"]
+    assert ask(http, "ASK { }" + " " * 300_000).status_code == 413
+    wrong = [
+        (text[:60], answer.text) for text in AT_THE_BOUNDS if (answer := ask_at_once(http, text)).status_code == 400
+    ]
+    assert not wrong, wrong
+    assert ask(http, "ASK {}").status_code == 200
+
+
+def ask_at_once(http: httpx.Client, text: str) -> httpx.Response:
+    """The answer to a query over a dataset of nothing."""
+    return http.post("/sparql", data={"query": text, "default-graph-uri": "http://nowhere/"}, headers={"Accept": "*/*"})
+
+
+# Updates of one graph, as PATCH takes them
+
+
+@pytest.fixture(scope="module")
+def one(http: httpx.Client) -> str:
+    """A graph that says something."""
+    body = {"Content-Type": "text/turtle"}
+    assert http.put("/data/one", content="<h:m> <h:p#x> 1 .", headers=body).status_code == 201
+    return "/data/one"
+
+
+OTHER_GRAPHS = [
+    "INSERT DATA { GRAPH <h:g> { <h:a> <h:b> 1 } }",
+    "WITH <h:g> DELETE { ?s ?p ?o } WHERE { ?s ?p ?o }",
+    "DELETE { ?s ?p ?o } USING <h:g> WHERE { ?s ?p ?o }",
+    "LOAD <%s>",
+    "LOADSILENT<%s>",
+    "INSERT DATA { };load <%s>",
+    "CLEAR ALL",
+    "DROP ALL",
+    "CREATE GRAPH <h:g>",
+    "COPY <h:a> TO <h:b>",
+    "ADD <h:a> TO <h:b>",
+    "MOVE <h:a> TO <h:b>",
+    "PREFIX LOADx: <h:> PREFIX x: <h:> LOADx:y",
+    "PREFIX ex: <h:> INSERT { ?s ?p 1 } WHERE { { SELECT * { GRAPHex:g { ?s ?p ?o } } } }",
+    "PREFIX ex: <h:> INSERT { ?s ?p 1 } WHERE { { SELECT * { GRAPH:g { ?s ?p ?o } } } }",
+    "PREFIX x: <%s> INSERT { ?s ?p 1 } WHERE { SERVICE:x { ?s ?p ?o } }",
+]
+
+
+def test_an_update_of_one_graph_reaches_no_other(http: httpx.Client, one: str, trap: socket.socket) -> None:
+    before = http.get(one).content
+    statuses = {
+        text: http.patch(one, content=text.replace("%s", url(trap)), headers=UPDATE).status_code
+        for text in OTHER_GRAPHS
+    }
+    assert set(statuses.values()) <= {400, 422}, statuses
+    assert http.get(one).content == before
+
+
+def test_a_prefix_may_have_the_name_of_any_keyword(http: httpx.Client, one: str) -> None:
+    for prefix in ("graph", "GRAPH", "with", "add", "address", "service", "from", "loadx", "a.copy"):
+        text = f"PREFIX {prefix}: <h:p#> INSERT {{ ?m {prefix}:y '{prefix}:y' }} WHERE {{ ?m {prefix}:x 1 }}"
+        assert http.patch(one, content=text, headers=UPDATE).status_code == 204, prefix
+        asked = f"PREFIX {prefix}: <h:p#> ASK {{ ?m {prefix}:x 1 {{}} ?m {prefix}:y '{prefix}:y' }}"
+        assert http.get("/sparql", params={"query": asked}).json()["boolean"] is True
+
+
+@pytest.mark.parametrize("triples", ["<urn:s> a <urn:C> .", "[] <urn:p> (1 -1 true) .", '<s> <p> ""^^<t> .'])
+def test_data_of_an_update_may_be_long(http: httpx.Client, triples: str) -> None:
+    text = f"INSERT DATA {{ {triples * 1200} }}"
+    http.put("/data/long", content="", headers={"Content-Type": "text/turtle"})
+    assert http.patch("/data/long", content=text, headers=UPDATE).status_code == 204
+    refused = f"{text} ; DELETE WHERE {{ ?a {'!' * 3000}<p> ?b }}"
+    assert http.patch("/data/long", content=refused, headers=UPDATE).status_code in (400, 422)

@@ -1,4 +1,4 @@
-"""Records in memory and in a folder: the contract is one."""
+"""Records in a folder."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Opened: TypeAlias = Callable[[], AbstractAsyncContextManager[SqliteRecords]]
 
 
 @asynccontextmanager
-async def opened(folder: Path | None) -> AsyncIterator[SqliteRecords]:
+async def opened(folder: Path) -> AsyncIterator[SqliteRecords]:
     records = open_records(folder, roots=("queries/",))
     try:
         yield records
@@ -23,13 +23,13 @@ async def opened(folder: Path | None) -> AsyncIterator[SqliteRecords]:
         await records.close()
 
 
-@pytest.fixture(params=["memory", "folder"])
-def records(request: pytest.FixtureRequest, tmp_path: Path) -> Opened:
-    """What opens new records, in memory and in a folder."""
-    return lambda: opened(tmp_path if request.param == "folder" else None)
-
-
 @pytest.fixture
 def kept(tmp_path: Path) -> Opened:
     """What opens the records of one folder, again and again."""
     return lambda: opened(tmp_path)
+
+
+@pytest.fixture
+def records(kept: Opened) -> Opened:
+    """What opens new records."""
+    return kept

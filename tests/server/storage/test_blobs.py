@@ -163,10 +163,9 @@ def test_what_is_discarded_is_removed_unless_a_record_has_it(records: Opened) ->
     asyncio.run(run())
 
 
-@pytest.mark.parametrize("durable", [True, False])
-def test_what_no_write_refers_to_is_thrown_away_after_a_while(tmp_path: Path, durable: bool) -> None:
+def test_what_no_write_refers_to_is_thrown_away_after_a_while(tmp_path: Path) -> None:
     async def run() -> None:
-        kept = open_records(tmp_path if durable else None, keep_seconds=0.05)
+        kept = open_records(tmp_path, keep_seconds=0.05)
         used, unused = await receive(kept, b"x"), await receive(kept, b"y")
         await kept.write(Put("data/a", FILE, blob=used))
         with anyio.fail_after(20):

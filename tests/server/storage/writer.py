@@ -1,15 +1,14 @@
-"""A process that writes records until it is killed: `writer.py FOLDER FIRST`.
+"""A process that writes records until it is killed.
 
-Before each write it prints `began LANE KIND NUMBER`, when it is acknowledged `done LANE KIND NUMBER VERSION`. What a
+Before each write it sends `began LANE KIND NUMBER`, when it is acknowledged `done LANE KIND NUMBER VERSION`. What a
 number stands for, `text` and `data` tell.
 """
 
 from __future__ import annotations
 
 import asyncio
-import os
-import sys
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 from rosld.server.storage import Model, Put, Remove, SqliteRecords, Write, open_records
@@ -35,10 +34,6 @@ def paths(lane: int, kind: str, number: int) -> list[str]:
     return [f"data/{lane}/{kind}" if kind in ("rdf", "file") else f"data/{lane}/brief{number}"]
 
 
-def say(*words: object) -> None:
-    os.write(1, (" ".join(map(str, words)) + "\n").encode())
-
-
 async def parts(number: int) -> AsyncIterator[bytes]:
     whole = data(number)
     for start in range(0, len(whole), 50_000):
@@ -56,21 +51,23 @@ async def writes(records: SqliteRecords, lane: int, kind: str, number: int) -> l
     return [Put(name, Model.RDF_SOURCE, text(number)) for name in names]
 
 
-async def work(records: SqliteRecords, lane: int, first: int) -> None:
+async def work(records: SqliteRecords, lane: int, first: int, say: Callable[[list[str]], None]) -> None:
     if records.get(f"data/{lane}/") is None:
         await records.write(Put(f"data/{lane}/", Model.BASIC_CONTAINER))
     for number in range(first, first + 100_000):
         for kind in KINDS:
-            say("began", lane, kind, number)
+            say(["began", str(lane), kind, str(number)])
             results = await records.write(*await writes(records, lane, kind, number))
-            say("done", lane, kind, number, results[0].version if results[0] is not None else 0)
+            version = results[0].version if results[0] is not None else 0
+            say(["done", str(lane), kind, str(number), str(version)])
 
 
-async def main(folder: Path, first: int) -> None:
+async def main(folder: Path, first: int, say: Callable[[list[str]], None]) -> None:
     records = open_records(folder)
-    say("open")
-    await asyncio.gather(*(work(records, lane, first) for lane in range(LANES)))
+    say(["open"])
+    await asyncio.gather(*(work(records, lane, first, say) for lane in range(LANES)))
 
 
-if __name__ == "__main__":
-    asyncio.run(main(Path(sys.argv[1]), int(sys.argv[2])))
+def run(folder: Path, first: int, output: Connection) -> None:
+    """Write from this number on, and say so."""
+    asyncio.run(main(folder, first, output.send))

@@ -46,23 +46,6 @@ def lines(answer: httpx.Response) -> set[str]:
 # What is kept
 
 
-def test_a_new_graph_below_data_is_made_and_contained_as_by_put(plane: httpx.Client) -> None:
-    done(update(plane, "INSERT DATA { GRAPH </data/made/note> { </data/made/note> <urn:says> 'hello' } }"))
-    answer = plane.get("/data/made/note")
-    assert answer.status_code == 200
-    assert "hello" in answer.text
-    assert str(plane.base_url.join("/data/made/note")) in plane.get("/data/made/").text
-
-
-def test_what_an_update_leaves_alone_keeps_its_spelling(plane: httpx.Client) -> None:
-    body = b'<> <urn:padded> "007"^^<http://www.w3.org/2001/XMLSchema#integer> ; <urn:goes> 1 .'
-    plane.put("/data/spelt", content=body, headers=TURTLE)
-    done(update(plane, "DELETE WHERE { GRAPH </data/spelt> { ?s <urn:goes> ?o } }"))
-    text = plane.get("/data/spelt").text
-    assert '"007"' in text
-    assert "urn:goes" not in text
-
-
 def test_what_is_deleted_is_a_term_and_not_its_value(plane: httpx.Client) -> None:
     body = b'<> <urn:n> "007"^^<http://www.w3.org/2001/XMLSchema#integer> , 7 .'
     plane.put("/data/value", content=body, headers=TURTLE)
@@ -87,41 +70,10 @@ def test_blank_nodes_of_what_is_kept_are_matched_and_removed(plane: httpx.Client
     assert len([line for line in lines(plane.get("/data/blank")) if "urn:has" in line]) == 1
 
 
-def test_each_operation_sees_what_those_before_it_did(plane: httpx.Client) -> None:
-    done(
-        update(
-            plane,
-            "INSERT DATA { GRAPH </data/first> { </data/first> <urn:n> 1 } } ; "
-            "INSERT { GRAPH </data/second> { </data/second> <urn:n> ?m } } "
-            "WHERE { GRAPH </data/first> { ?s <urn:n> ?n } BIND(?n + 1 AS ?m) } ; "
-            "DELETE WHERE { GRAPH </data/first> { ?s <urn:n> ?n } }",
-        )
-    )
-    assert says(plane, "/data/second", "?s <urn:n> 2")
-    assert not says(plane, "/data/first", "?s <urn:n> ?n")
-
-
 def test_where_without_a_graph_sees_the_union_as_a_query_does(plane: httpx.Client) -> None:
     plane.put("/data/union", content=b"<> <urn:union> 'here' .", headers=TURTLE)
     done(update(plane, "INSERT { GRAPH </data/union2> { ?s <urn:saw> ?o } } WHERE { ?s <urn:union> ?o }"))
     assert says(plane, "/data/union2", "?s <urn:saw> 'here'")
-
-
-def test_with_and_using_choose_the_graphs(plane: httpx.Client) -> None:
-    plane.put("/data/one", content=b"<> <urn:v> 1 .", headers=TURTLE)
-    plane.put("/data/two", content=b"<> <urn:v> 2 .", headers=TURTLE)
-    done(update(plane, "WITH </data/one> DELETE { ?s <urn:v> ?v } INSERT { ?s <urn:w> ?v } WHERE { ?s <urn:v> ?v }"))
-    assert says(plane, "/data/one", "?s <urn:w> 1")
-    done(update(plane, "INSERT { GRAPH </data/one> { ?s <urn:u> ?v } } USING </data/two> WHERE { ?s <urn:v> ?v }"))
-    assert says(plane, "/data/one", "?s <urn:u> 2")
-    answer = plane.post(
-        "/sparql",
-        content=b"INSERT { GRAPH </data/one> { ?s <urn:t> ?v } } WHERE { ?s ?p ?v . FILTER(?p = <urn:v>) }",
-        headers=UPDATE,
-        params={"using-graph-uri": str(plane.base_url.join("/data/two"))},
-    )
-    done(answer)
-    assert says(plane, "/data/one", "?s <urn:t> 2")
 
 
 def test_graphs_that_are_kept_are_copied_moved_added_cleared_and_dropped(plane: httpx.Client) -> None:
@@ -153,9 +105,8 @@ def test_containment_cannot_be_forged(plane: httpx.Client) -> None:
     assert "/data/box/" in forged.json()["detail"]
 
 
-@pytest.mark.parametrize("path", ["/data/gone", "/data/gone/deeper/"])
-def test_a_graph_that_was_dropped_is_made_again_by_who_names_it(plane: httpx.Client, path: str) -> None:
-    for value in range(3):
+def test_a_graph_that_was_dropped_is_made_again_by_who_names_it(plane: httpx.Client) -> None:
+    for path, value in (("/data/gone", 1), ("/data/gone/deeper/", 1), ("/data/gone/deeper/", 2)):
         update(plane, f"INSERT DATA {{ GRAPH <{path}> {{ <urn:a> <urn:b> {value} }} }}").raise_for_status()
         assert says(plane, path, f"<urn:a> <urn:b> {value}")
         update(plane, f"DROP GRAPH <{path}>").raise_for_status()
@@ -237,32 +188,31 @@ def test_a_state_that_does_not_fit_is_422_and_names_the_graph(plane: httpx.Clien
     assert plane.get(display, headers={"Accept": "application/json"}).json() == {"data": "fits"}
 
 
-@pytest.mark.parametrize(
-    ("text", "status"),
-    [
-        ("INSERT DATA { <urn:a> <urn:b> 1 }", 422),
-        ("DELETE WHERE { ?s ?p ?o }", 422),
-        ("CLEAR DEFAULT", 422),
-        ("CLEAR ALL", 403),
-        ("DROP NAMED", 403),
-        ("CLEAR GRAPH </topics/cockpit/display>", 403),
-        ("MOVE </parameters/x> TO </data/x>", 403),
-        ("COPY </data/spelt> TO </parameters/x>", 403),
-        ("INSERT DATA { GRAPH <http://example.org/elsewhere> { <urn:a> <urn:b> 1 } }", 403),
-        ("INSERT DATA { GRAPH </nodes/aircraft> { <urn:a> <urn:b> 1 } }", 403),
-        ("INSERT DATA { GRAPH </topics/> { <urn:a> <urn:b> 1 } }", 403),
-        ("INSERT DATA { GRAPH </ontology> { <urn:a> <urn:b> 1 } }", 403),
-        ("LOAD <http://127.0.0.1:9/>", 403),
-        ("INSERT DATA { GRAPH </data/x> { <urn:a> <urn:b> } }", 400),
-        ("INSERT { GRAPH </data/x> { ?a <urn:b> 1 } } WHERE { SELECT }", 400),
-        ("NOT AN UPDATE", 400),
-        ("SELECT * WHERE { ?s ?p ?o }", 400),
-    ],
-)
-def test_what_cannot_be_done_is_refused_with_its_reason(plane: httpx.Client, text: str, status: int) -> None:
-    answer = update(plane, text)
-    assert answer.status_code == status, answer.text
-    assert answer.json()["detail"]
+REFUSED = [
+    ("INSERT DATA { <urn:a> <urn:b> 1 }", 422),
+    ("DELETE WHERE { ?s ?p ?o }", 422),
+    ("CLEAR DEFAULT", 422),
+    ("CLEAR ALL", 403),
+    ("DROP NAMED", 403),
+    ("CLEAR GRAPH </topics/cockpit/display>", 403),
+    ("MOVE </parameters/x> TO </data/x>", 403),
+    ("COPY </data/spelt> TO </parameters/x>", 403),
+    ("INSERT DATA { GRAPH <http://example.org/elsewhere> { <urn:a> <urn:b> 1 } }", 403),
+    ("INSERT DATA { GRAPH </nodes/aircraft> { <urn:a> <urn:b> 1 } }", 403),
+    ("INSERT DATA { GRAPH </topics/> { <urn:a> <urn:b> 1 } }", 403),
+    ("INSERT DATA { GRAPH </ontology> { <urn:a> <urn:b> 1 } }", 403),
+    ("LOAD <http://127.0.0.1:9/>", 403),
+    ("INSERT DATA { GRAPH </data/x> { <urn:a> <urn:b> } }", 400),
+    ("INSERT { GRAPH </data/x> { ?a <urn:b> 1 } } WHERE { SELECT }", 400),
+    ("NOT AN UPDATE", 400),
+    ("SELECT * WHERE { ?s ?p ?o }", 400),
+]
+
+
+def test_what_cannot_be_done_is_refused_with_its_reason(plane: httpx.Client) -> None:
+    answers = [(text, status, update(plane, text)) for text, status in REFUSED]
+    assert not [(text, answer.text) for text, status, answer in answers if answer.status_code != status]
+    assert all(answer.json()["detail"] for _, _, answer in answers)
 
 
 def test_a_dry_run_tells_the_plan_and_does_nothing(plane: httpx.Client) -> None:
@@ -280,11 +230,6 @@ def test_a_dry_run_tells_the_plan_and_does_nothing(plane: httpx.Client) -> None:
     assert plane.get("/parameters/dry", headers={"Accept": "application/json"}).json() == 1
 
 
-def test_an_update_that_changes_nothing_is_done(plane: httpx.Client) -> None:
-    done(update(plane, "INSERT { GRAPH </data/nothing> { ?s ?p ?o } } WHERE { ?s <urn:is-nowhere> ?o . ?s ?p ?o }"))
-    assert plane.get("/data/nothing").status_code == 404
-
-
 def test_no_update_of_many_at_once_is_lost(plane: httpx.Client) -> None:
     plane.put("/parameters/count", json=0)
     plane.put("/data/count", content=b"<> <urn:count> 0 .", headers=TURTLE)
@@ -294,7 +239,7 @@ def test_no_update_of_many_at_once_is_lost(plane: httpx.Client) -> None:
         "GRAPH ?g { ?s ?p ?old } BIND(?old + 1 AS ?new) }"
     )
     with ThreadPoolExecutor(8) as pool:
-        answers = list(pool.map(lambda _: update(plane, text).status_code, range(40)))
+        answers = list(pool.map(lambda _: update(plane, text).status_code, range(24)))
     assert set(answers) <= {204, 409}
     number = answers.count(204)
     assert number > 0

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import socket
-import time
 from collections.abc import Callable
 from typing import Any
 from urllib.parse import urlsplit
@@ -16,13 +15,15 @@ from tests.waiting import once_started
 
 UPDATE = {"Content-Type": "application/sparql-update"}
 TURTLE = {"Content-Type": "text/turtle"}
+pytestmark = pytest.mark.slow
+
 CROSS = "?a ?b ?c . ?d ?e ?f . ?g ?h ?i . ?j ?k ?l"
 
 
 @pytest.fixture(scope="module")
 def plane(start_server: Callable[..., Any]) -> httpx.Client:
-    """An aircraft that gives a query a second."""
-    client: httpx.Client = start_server("aircraft", "--setting", "query_time_limit", "1").http
+    """An aircraft that gives a query half a second."""
+    client: httpx.Client = start_server("aircraft", "--setting", "query_time_limit", "0.5").http
     client.timeout = httpx.Timeout(60)
     client.put("/data/numbers", content=" , ".join(["<> <urn:n> 0", *map(str, range(1, 400))]) + " .", headers=TURTLE)
     return client
@@ -40,22 +41,19 @@ def lives(client: httpx.Client) -> None:
     assert client.get("/data/never").status_code == 404
 
 
-@pytest.mark.parametrize(
-    "where",
-    [
-        CROSS,
-        f"{CROSS} FILTER(CONCAT(STR(?c), STR(?f), STR(?i), STR(?l)) = 'x')",
-        f"{{ SELECT (COUNT(*) AS ?a) WHERE {{ {CROSS} }} }}",
-        f"{{ SELECT ?a WHERE {{ {CROSS} }} ORDER BY ?l DESC(?a) }}",
-    ],
-)
-@pytest.mark.parametrize("before", ["", "INSERT DATA { GRAPH </data/never> { <urn:a> <urn:b> 1 } } ; "])
-def test_a_cross_product_is_stopped_and_nothing_is_done(plane: httpx.Client, before: str, where: str) -> None:
-    began = time.monotonic()
+CROSS_PRODUCTS = [
+    f"{CROSS} FILTER(CONCAT(STR(?c), STR(?f), STR(?i), STR(?l)) = 'x')",
+    f"{{ SELECT (COUNT(*) AS ?a) WHERE {{ {CROSS} }} }}",
+    f"{{ SELECT ?a WHERE {{ {CROSS} }} ORDER BY ?l DESC(?a) }}",
+]
+
+
+@pytest.mark.parametrize("where", CROSS_PRODUCTS)
+def test_a_cross_product_is_stopped_and_nothing_is_done(plane: httpx.Client, where: str) -> None:
+    before = "INSERT DATA { GRAPH </data/never> { <urn:a> <urn:b> 1 } } ; "
     answer = update(plane, f"{before}INSERT {{ GRAPH </data/never> {{ <urn:a> <urn:b> ?a }} }} WHERE {{ {where} }}")
     assert answer.status_code in (503, 422), answer.text
     assert answer.headers["content-type"] == "application/problem+json"
-    assert time.monotonic() - began < 60
     lives(plane)
 
 
@@ -90,31 +88,30 @@ def test_a_megabyte_of_data_is_stored(start_server: Callable[..., Any]) -> None:
     lives(plane)
 
 
-@pytest.mark.parametrize(
-    ("text", "status"),
-    [
-        ("INSERT DATA { GRAPH </data/never> { <urn:a> <urn:b> " + "( " * 100_000 + ") " * 100_000 + "} }", 400),
-        ("INSERT DATA { GRAPH </data/never> { <urn:a> <urn:b> " + "[ <urn:b> " * 100_000 + "] " * 100_000 + "} }", 400),
-        ("INSERT { } WHERE " + "{ " * 100_000 + "} " * 100_000, 400),
-        ("INSERT { } WHERE { FILTER(" + "!" * 100_000 + "true) }", 400),
-        ("INSERT { } WHERE { ?s " + "<urn:p>/" * 20_000 + "<urn:p> ?o }", 400),
-        ("INSERT DATA { } ; " * 20_000, 400),
-        ("PREFIX e: <urn:e:> " * 20_000, 400),
-        ("DELETE DATA { " + "GRAPH </data/never> { } " * 20_000 + "}", 204),
-        ("INSERT DATA { GRAPH </data/never> { <urn:a> <urn:b> '" + "x" * 200_000, 400),
-        ("#" * 500_000, 204),
-        (";" * 100_000, 400),
-        ("INSERT DATA { GRAPH </data/never> { <urn:a> <urn:b> " + "'" * 100_001 + " } }", 400),
-        ("\x00", 400),
-        ("INSERT DATA { GRAPH </data/nul> { <urn:a> <urn:b> '\x00' } }", 204),
-    ],
-    ids=range(14),
-)
-def test_bombs_are_refused_at_once(plane: httpx.Client, text: str, status: int) -> None:
-    began = time.monotonic()
-    answer = update(plane, text)
-    assert answer.status_code == status, answer.text[:500]
-    assert time.monotonic() - began < 60
+BOMBS = [
+    ("INSERT DATA { GRAPH </data/never> { <urn:a> <urn:b> " + "( " * 100_000 + ") " * 100_000 + "} }", 400),
+    ("INSERT DATA { GRAPH </data/never> { <urn:a> <urn:b> " + "[ <urn:b> " * 100_000 + "] " * 100_000 + "} }", 400),
+    ("INSERT { } WHERE " + "{ " * 100_000 + "} " * 100_000, 400),
+    ("INSERT { } WHERE { FILTER(" + "!" * 100_000 + "true) }", 400),
+    ("INSERT { } WHERE { ?s " + "<urn:p>/" * 20_000 + "<urn:p> ?o }", 400),
+    ("INSERT DATA { } ; " * 20_000, 400),
+    ("PREFIX e: <urn:e:> " * 20_000, 400),
+    ("DELETE DATA { " + "GRAPH </data/never> { } " * 20_000 + "}", 204),
+    ("INSERT DATA { GRAPH </data/never> { <urn:a> <urn:b> '" + "x" * 200_000, 400),
+    ("#" * 500_000, 204),
+    (";" * 100_000, 400),
+    ("INSERT DATA { GRAPH </data/never> { <urn:a> <urn:b> " + "'" * 100_001 + " } }", 400),
+    ("\x00", 400),
+    ("INSERT DATA { GRAPH </data/nul> { <urn:a> <urn:b> '\x00' } }", 204),
+]
+
+
+def test_bombs_are_refused_at_once(plane: httpx.Client) -> None:
+    wrong = []
+    for text, status in BOMBS:
+        if (answer := update(plane, text)).status_code != status:
+            wrong.append((text[:60], answer.status_code, answer.text[:500]))
+    assert not wrong, wrong
     lives(plane)
 
 

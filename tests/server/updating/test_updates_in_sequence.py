@@ -27,6 +27,8 @@ from pyoxigraph import (
 
 from tests.server.updating.merged_update import run_update
 
+pytestmark = pytest.mark.slow
+
 GRAPHS = ("urn:graph:one", "urn:graph:two", "urn:graph:box", "urn:graph:new")
 """The last is not there at the beginning."""
 PATHS = ("one", "two", "box/", "new")
@@ -95,14 +97,18 @@ def data(draw: DrawFn) -> Operation:
 
 @st.composite
 def modification(draw: DrawFn) -> Operation:
-    """DELETE, INSERT or both, by WITH, USING or GRAPH."""
+    """DELETE, INSERT or both, by WITH, USING, USING NAMED or GRAPH."""
     deleted, inserted, group, source = draw(DELETED), draw(INSERTED), draw(GROUPS), draw(NAMES)
-    kind = draw(st.sampled_from(["with", "using", "graph", "pattern"]))
+    kind = draw(st.sampled_from(["with", "using", "named", "graph", "pattern"]))
     if kind == "with":
         return _same(f"WITH {source} DELETE {{ {deleted} }} INSERT {{ {inserted} }} WHERE {{ {group} }}")
     if kind == "pattern":
         return _same(f"DELETE WHERE {{ GRAPH {source} {{ ?s {draw(VERBS)} ?o . ?o <urn:p> ?n }} }}")
     templates = f"DELETE {{ GRAPH {draw(NAMES)} {{ {deleted} }} }} INSERT {{ GRAPH {draw(NAMES)} {{ {inserted} }} }}"
+    if kind == "named":
+        templates = f"DELETE {{ GRAPH ?g {{ {deleted} }} }} INSERT {{ GRAPH ?g {{ {inserted} }} }}"
+        using = f"USING {source} USING NAMED {draw(NAMES)} USING NAMED {draw(NAMES)}"
+        return _same(f"{templates} {using} WHERE {{ {{ {group} }} GRAPH ?g {{ ?x <urn:q> ?z }} }}")
     if kind == "using":
         return _same(f"{templates} USING {source} USING {draw(NAMES)} WHERE {{ {group} }}")
     return _same(f"{templates} WHERE {{ GRAPH {source} {{ {group} }} }}")
@@ -186,7 +192,7 @@ def plane(start_server: Callable[..., Any]) -> httpx.Client:
 
 
 @given(st.lists(REQUESTS, min_size=1, max_size=4))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=30)
 @example([[COPY], [ADD]])
 @example([[COPY], [_same(f"DELETE DATA {{ GRAPH <{GRAPHS[0]}> {{ <urn:a> <urn:p> 1 }} }}")], [ADD]])
 def test_requests_in_sequence_leave_what_pyoxigraph_makes_of_them(

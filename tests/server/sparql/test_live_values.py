@@ -1,0 +1,165 @@
+"""What a query touches of a robot: no more than it names, and the values are those of now."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+
+import httpx
+import pytest
+
+from rosld.adapters.base import Subscription
+from tests.server.robots.asking import EX, TYPES, mapped
+from tests.server.robots.made_up import ROBOT, MadeUp, Serving, served
+from tests.waiting import once_started
+
+POSE, TWIST, VECTOR, STRING = (
+    "geometry_msgs/msg/Pose", "geometry_msgs/msg/Twist", "geometry_msgs/msg/Vector3", "std_msgs/msg/String"
+)  # fmt: skip
+PREFIXES = f"""
+PREFIX ex: <{EX}> PREFIX t: <topics/> PREFIX string: <{TYPES}{STRING}#>
+PREFIX pose: <{TYPES}{POSE}#> PREFIX twist: <{TYPES}{TWIST}#> PREFIX v: <{TYPES}{VECTOR}#>
+"""
+WING = """
+<#plane> a map:ComplexResource ; map:path "/arm/" ; map:property [ map:predicate ex:wing ; map:member "grip" ] .
+"""
+
+
+class Touched(MadeUp):
+    """A robot that notes what is looked at: `t:NAME` for topics, `p:NAME` for parameters, `grip` for its getter."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.opened: set[str] = set()
+        self.variable("/arm/grip", "Byte", value=1)
+        self.topic("/pose", POSE, {"position": {"x": 1.0}})
+        self.topic("/cmd", TWIST, {"linear": {"x": 1.0}})
+        self.topic("/chatter", STRING, {"data": "hello"})
+        self.topic("/other", STRING, {"data": "hello"})
+        self.parameter("/size", 3)
+
+        self.topic("/none", STRING, {"data": ""})
+
+    async def subscribe(self, topic: str, *, depth: int = 1) -> Subscription:
+        self.opened.add(topic)
+        return await super().subscribe(topic, depth=depth)
+
+    def clear(self) -> None:
+        for each in (self.opened, self.calls, self.reads):
+            each.clear()
+
+    @property
+    def touched(self) -> set[str]:
+        names = {f"t:{name[1:]}" for name in self.opened} | {f"p:{name[1:]}" for name in self.reads}
+        return names | {name.removeprefix("/arm/get_") for name in self.calls}
+
+
+def ask(http: httpx.Client, query: str) -> list[str]:
+    """The rows of a query of one column."""
+    answer = once_started(
+        lambda: http.post("/sparql", data={"query": PREFIXES + query}, headers={"Accept": "text/csv"})
+    )
+    assert answer.status_code == 200, answer.text
+    return sorted(answer.text.split("\r\n")[1:-1])
+
+
+@pytest.fixture(scope="module")
+def touching() -> Iterator[tuple[Touched, httpx.Client]]:
+    """A robot, one of whose topics is followed at a time."""
+    robot = Touched()
+    with served(robot, subscription_budget=1, freshness=0.0) as http:
+        mapped(http, WING)
+        yield robot, http
+
+
+NAMED = {
+    "SELECT * { ?t a ros:Topic ; ros:hasMessageType ?type ; ros:publishedBy ?n }": "",
+    "SELECT * { ?n a ros:Node ; ?p ?o }": "",
+    "SELECT * { t:pose ros:publishedBy ?n }": "",
+    "SELECT (COUNT(*) AS ?n) { ?c ldp:contains ?t }": "",
+    "SELECT * { ?n ros:publishes/ros:hasMessageType ?type }": "",
+    'SELECT * { ?t ros:name "ros:latest # <topics/pose>" }': "",
+    "CONSTRUCT { ?t ros:latest ?x } WHERE { ?t ros:name ?x }": "",
+    "SELECT * { ?m pose:position ?x }": "t:pose",
+    "SELECT * { ?t ros:latest/pose:position ?x }": "t:pose",
+    "SELECT * { ?x ^pose:position/^ros:latest ?t }": "t:pose",
+    f"SELECT * {{ ?m a <{TYPES}{POSE}> ; ?p ?o }}": "t:pose",
+    f"SELECT * {{ ?t ros:hasMessageType <{TYPES}{POSE}> ; ros:rate ?r }}": "t:pose",
+    f"prefix p: <{TYPES}> select*{{?m p:geometry_msgs\\/msg\\/Pose\\#position ?x}}": "t:pose",
+    f"BASE <{TYPES}a/b/c> SELECT * {{ ?m <../../geometry_msgs/msg/P\\u006Fse#position> ?x }}": "t:pose",
+    "SELECT * { GRAPH ?g { ?t ros:rate ?r . ?m pose:position ?x } }": "t:pose",
+    "SELECT * { ?m twist:linear ?l . ?l v:x ?x }": "t:cmd",
+    "SELECT * { ?m string:data ?x }": "t:chatter t:other",
+    "SELECT * { t:other ros:latest ?m . ?m string:data ?x }": "t:other",
+    "SELECT * { <topics/other#message> ?p ?o }": "t:other",
+    "SELECT * { GRAPH t:other { ?s ?p ?o } }": "t:other",
+    "SELECT * FROM t:other { ?s ?p ?o }": "t:other",
+    "DESCRIBE t:other": "t:other",
+    "SELECT (ros:age(t:other) AS ?age) { }": "t:other",
+    "SELECT * { VALUES ?t { t:other } GRAPH ?t { ?m string:data ?x } }": "t:chatter t:other",
+    "SELECT * { ?a pose:position ?v . ?b string:data ?w }": "t:chatter t:other t:pose",
+    "SELECT * { t:other ros:latest ?m { SELECT (MAX(?x) AS ?most) { ?m pose:position ?x } } }": "t:other t:pose",
+    "SELECT * { ?p ros:name ?n ; ros:value ?v }": "p:size",
+    "SELECT * { ?r a ros:Property ; rdf:value ?v }": "grip p:size t:chatter t:cmd t:other t:pose",
+    "SELECT * { ?plane ex:wing ?w }": "grip",
+    "SELECT * { <resources/arm/grip> rdf:value ?v }": "grip",
+    "SELECT * { ?plane ex:tail ?w }": "",
+}
+"""Queries, and what they look at."""
+
+
+def test_a_query_looks_at_no_more_of_the_robot_than_it_names(touching: tuple[Touched, httpx.Client]) -> None:
+    robot, http = touching
+    wrong = {}
+    for query, expected in NAMED.items():
+        assert http.get("/topics/none").status_code == 200  # which ends what was followed
+        robot.clear()
+        answer = once_started(lambda text=query: http.post("/sparql", data={"query": PREFIXES + text}))
+        assert answer.status_code == 200, (query, answer.text)
+        if robot.touched != set(expected.split()):
+            wrong[query] = robot.touched
+    assert not wrong, wrong
+
+
+def test_a_relation_counts_from_when_a_mapping_has_it(serving: Serving, robot: MadeUp) -> None:
+    robot.variable("/arm/grip", "Byte", value=7)
+    http = serving()
+    query = "SELECT ?w { ?plane ex:wing ?w }"
+    assert ask(http, query) == []
+    mapped(http, WING)
+    assert ask(http, query) == ["7"]
+    assert http.delete("/mappings/mine").status_code == 204
+    assert ask(http, query) == []
+
+
+def test_a_query_sees_values_topics_and_parameters_as_they_are_now(serving: Serving, robot: MadeUp) -> None:
+    robot.topic("/chatter", STRING, published=True)
+    robot.topic("/broken", STRING, {"data": "well"})
+    http = serving()
+    for turn in range(3):
+        robot.publishes("/chatter", {"data": f"turn {turn}"})
+        robot.parameter("/size", turn)
+        assert ask(http, "SELECT ?x { t:chatter ros:latest/string:data ?x }") == [f"turn {turn}"]
+        assert ask(http, "SELECT ?x { <parameters/size> ros:value ?x }") == [str(turn)]
+    robot.run(lambda: robot._put("/broken", ROBOT, b"\x07"))  # no message at all
+    for query in ("SELECT ?x { ?m string:data ?x }", "SELECT ?x { ?m ?p ?x FILTER(?p = string:data) }"):
+        assert ask(http, query) == ["turn 2"]
+    robot.topic("/late", STRING, {"data": "late"})
+    assert ask(http, "SELECT ?x { ?m string:data ?x }") == ["late", "turn 2"]
+    robot.forget("/chatter")
+    assert ask(http, "SELECT ?x { ?m string:data ?x }") == ["late"]
+    assert ask(http, "SELECT ?g { GRAPH ?g { ?t ros:name '/chatter' } }") == []
+
+
+def test_no_query_sees_a_message_in_part_or_another_s_answer(serving: Serving, robot: MadeUp) -> None:
+    robot.topic("/cmd", TWIST, {"linear": {"x": 0.0}, "angular": {"z": 0.0}})
+    http = serving()
+    ask(http, "ASK {}")
+
+    def look(turn: int) -> list[str]:
+        robot.publishes("/cmd", {"linear": {"x": float(turn)}, "angular": {"z": float(turn)}})
+        same = "?m twist:linear/v:x ?x ; twist:angular/v:z ?z BIND(STR(?x = ?z) AS ?same)"
+        return ask(http, f"SELECT (CONCAT(?same, ' {turn}') AS ?found) {{ {same} }}")
+
+    with ThreadPoolExecutor(8) as pool:
+        assert list(pool.map(look, range(40))) == [[f"true {turn}"] for turn in range(40)]

@@ -211,7 +211,7 @@ class PastMaker:
             )  # fmt: skip
         one, other = time, self._moment()
         if random.random() < 0.25:
-            one = f"{time} {random.choice('+-')} {self._duration()}"
+            one = f"{time} - {self._duration()}"
         if random.random() < 0.1:
             return f"{one} - {other} {random.choice('<>')} {self._duration()}"
         operator = random.choice(["<", ">", "<=", ">="])

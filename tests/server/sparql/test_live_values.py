@@ -108,6 +108,7 @@ NAMED = {
 """Queries, and what they look at."""
 
 
+@pytest.mark.slow
 def test_a_query_looks_at_no_more_of_the_robot_than_it_names(touching: tuple[Touched, httpx.Client]) -> None:
     robot, http = touching
     wrong = {}

@@ -287,6 +287,7 @@ def test_the_nearest_obstacle_is_the_least_of_the_ranges(ask: Ask) -> None:
     assert [row[:2] for row in ask("nearest-obstacle")] == [("/topics/scan", "0.25")]
 
 
+@pytest.mark.slow
 def test_recordings_are_shown_with_their_topics(start_server: Callable[..., Any], tmp_path: Path) -> None:
     http = start_server(str(record(tmp_path / "run"))).http
     once_started(lambda: http.get("/sparql", params={"query": "ASK {}"}))

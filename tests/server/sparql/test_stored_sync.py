@@ -84,8 +84,8 @@ def write(http: httpx.Client, url: str, name: str, kind: str, number: int) -> No
     assert answer.status_code < 500, answer.text
 
 
-@given(st.lists(st.lists(STEPS, max_size=8), max_size=5))
-@settings(max_examples=20)
+@given(st.lists(st.lists(STEPS, max_size=8), max_size=4))
+@settings(max_examples=12)
 def test_graphs_say_what_a_get_says_whatever_is_written(
     http: httpx.Client, batches: list[list[tuple[str, str, int]]]
 ) -> None:

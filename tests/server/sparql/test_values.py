@@ -10,7 +10,7 @@ from random import Random
 import httpx
 import pyoxigraph
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyoxigraph import QueryResultsFormat, QuerySolutions, parse_query_results
 
@@ -99,6 +99,7 @@ def select(http: httpx.Client, query: str, graph: str) -> QuerySolutions:
 
 
 @given(TESTS, VALUES)
+@settings(max_examples=50)
 def test_filters_and_expressions_come_to_what_they_do_by_value(
     http: httpx.Client, judged: tuple[str, pyoxigraph.Store], test: str, value: str
 ) -> None:

@@ -17,6 +17,8 @@ from tests.server.robots import asking
 from tests.server.robots.made_up import MadeUp, Serving, served
 from tests.waiting import until
 
+pytestmark = pytest.mark.slow
+
 value, detail, mapped = asking.value, asking.detail, asking.mapped
 TYPES, TURTLE, UPDATE, MERGE = asking.TYPES, asking.TURTLE, asking.UPDATE, asking.MERGE
 PREFIXES = f"PREFIX rdf: <{asking.RDF}> PREFIX ros: <{asking.ROS}> PREFIX ex: <{asking.EX}> "

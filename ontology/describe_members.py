@@ -37,10 +37,11 @@ class MemberOutline:
 def member_triples(member: MemberOutline, space: Space) -> list[Triple]:
     """The triples of a member of a list."""
     relation = None if member.kind is None else _TYPE_RELATIONS.get(member.kind)
+    name = member.name and (member.name.rstrip("/") or "/")  # as a container says it of itself
     return triples_about(
         NamedNode(member.url),
         (rdf.type, member.kind),
-        (ros.name, text(member.name)),
+        (ros.name, text(name)),
         *(() if relation is None else _types(relation, member.types, space)),
         (ros.rate, None if member.rate is None else double(member.rate)),
         (ros.briefValue, None if member.value is None else Literal(member.value, datatype=rdf.JSON)),

@@ -46,7 +46,9 @@ def bag_route(
             return BagFile(session.space, recordings, _recording(recordings, name))
         case (name, "at") if not location.is_container:
             return bag_moment(session, _recording(recordings, name))
-        case (name, "ldes") if not location.is_container:
+        case (name, "ldes"):
+            if location.is_container:  # where the breadcrumb of a page of the stream leads
+                raise permanent_redirect(session.space.bag_stream(name))
             return EventStreamResource(session, states, recordings.history, _recording(recordings, name))
         case (name, "ldes", page) if not location.is_container:
             return event_stream_page(session, states, recordings.history, _recording(recordings, name), page)

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -12,14 +9,12 @@ from pyoxigraph import Literal, NamedNode, Triple
 
 from rosld.adapters.model import (
     Action,
-    Encoding,
     Endpoint,
     Graph,
     Master,
     MessageSchema,
     Node,
     Qos,
-    Sample,
     Service,
     ServiceSchema,
     Stale,
@@ -34,9 +29,6 @@ from rosld.ontology.describe import (
     NodeView,
     Receipt,
     activity_document,
-    bag_document,
-    bag_message_document,
-    bag_messages_document,
     call_document,
     entry_document,
     is_namespace,
@@ -51,9 +43,8 @@ from rosld.ontology.describe import (
 )
 from rosld.ontology.document import Document, Envelope, LiftedMessage
 from rosld.ontology.lift import lifter
-from rosld.ontology.serialize import Syntax, serialize
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import cora, foaf, ldp, prov, rdf, rdfs, ros, schema_org, sosa, xhv, xsd
+from rosld.ontology.vocab import cora, foaf, ldp, prov, rdf, rdfs, ros, schema_org, sosa, xsd
 
 SPACE = Space("http://127.0.0.1:8080/")
 LIBRARY = TypeLibrary(ros_version=1)
@@ -432,123 +423,12 @@ def test_variants_of_a_type_have_urls_of_their_own_and_know_of_each_other() -> N
     assert type_document(schema, SPACE, (schema.ref,)).url == SPACE.type(schema.ref.name)
 
 
-# Recordings
-
-
-@dataclass(frozen=True)
-class Track:
-    name: str
-    type: TypeRef
-    count: int
-    unreadable: str | None = None
-
-
-@dataclass(frozen=True)
-class Bag:
-    name: str = "run 1.bag"
-    format: str = "ROS 1 bag"
-    first: int = 0
-    count: int = 250
-    start_ns: int = 10**18
-    end_ns: int = 10**18 + 5
-    topics: Mapping[str, Track] = field(default_factory=lambda: {"/a/b": Track("/a/b", POINT, 250, "odd")})
-    silent: Sequence[str] = ("/c",)
-
-
-@dataclass(frozen=True)
-class Recorded:
-    index: int
-    topic: str
-    sample: Sample
-    is_opening: bool = True
-
-
-def test_a_recording_lists_topics_with_types_and_counts() -> None:
-    document = bag_document(Bag(), SPACE)
-    assert document.url == "http://127.0.0.1:8080/bags/run%201.bag/"
-    (track,) = own(document, ros.hasRecordedTopic)
-    assert isinstance(track, NamedNode)
-    assert said(document, track, ros.count) == [Literal("250", datatype=xsd.integer)]
-    assert said(document, track, ros.unreadable) == [Literal("odd")]
-    assert own(document, ldp.contains) == [url("bags/run%201.bag/messages/")]
-
-
-@pytest.mark.parametrize(("page", "members", "prev", "next"), [(0, 100, 0, 1), (1, 100, 1, 1), (2, 50, 1, 0)])
-def test_a_page_of_messages_has_its_members_and_neighbours(page: int, members: int, prev: int, next: int) -> None:
-    document = bag_messages_document(Bag(), SPACE, page)
-    container = url("bags/run%201.bag/messages/")
-    contained = said(document, container, ldp.contains)
-    assert len(contained) == members
-    assert contained[0] == url(f"bags/run%201.bag/messages/{page * 100}")
-    assert own(document, ldp.pageSequence) == [container]
-    assert (len(own(document, xhv.prev)), len(own(document, xhv.next))) == (prev, next)
-
-
-def test_the_container_of_messages_only_links_to_its_first_and_last_page() -> None:
-    document = bag_messages_document(Bag(), SPACE)
-    assert own(document, ldp.contains) == []
-    assert own(document, xhv.first) == [url("bags/run%201.bag/messages/?page=0")]
-    assert own(document, xhv.last) == [url("bags/run%201.bag/messages/?page=2")]
-    assert own(bag_messages_document(Bag(count=0), SPACE), xhv.last) == [url("bags/run%201.bag/messages/?page=0")]
-
-
-def test_a_recorded_message_says_when_and_where_or_why_it_cannot_be_read() -> None:
-    recorded = Recorded(3, "/a/b", Sample(b"", Encoding.ROS1, POINT, "", 10**18, 1))
-    document = bag_message_document(Bag(), recorded, SPACE, lifted(None, 1))
-    assert own(document, ros.recordedMessage) == [NamedNode(f"{document.url}#message")]
-    assert own(document, ros.index) == [Literal("3", datatype=xsd.integer)]
-    assert own(document, ros.recordedAt) == [Literal("2001-09-09T01:46:40Z", datatype=xsd.dateTime)]
-    unread = bag_message_document(Bag(), recorded, SPACE, None, unreadable="odd")
-    assert own(unread, ros.recordedMessage) == []
-    assert own(unread, ros.unreadable) == [Literal("odd")]
-
-
-# All of them
-
-
-UNFIT = Topic("/unfit", (POINT,), (Endpoint("/a", qos=Qos("best_effort")),), (Endpoint("/b", qos=FULL),))
-
-
-def documents() -> list[Document]:
-    recorded = Recorded(3, "/a/b", Sample(b"", Encoding.ROS1, POINT, "", 10**18, 1))
-    return [
-        entry_document(GRAPH, SPACE),
-        node_document(node_views(GRAPH)["/talker"], SPACE),
-        topic_document(GRAPH.topics["/chatter"], SPACE, GRAPH, 1.0, [lifted("/listener", 1), lifted("/talker", 2)]),
-        topic_document(UNFIT, SPACE, GRAPH),
-        service_document(GRAPH.services["/talker/reset"], SPACE, GRAPH),
-        namespace_document("topics", (), members_of(GRAPH.topics)[()], SPACE),
-        type_document(point(), SPACE),
-        type_document(trigger(), SPACE),
-        bag_document(Bag(), SPACE),
-        bag_messages_document(Bag(), SPACE, 0),
-        bag_message_document(Bag(), recorded, SPACE, lifted(None, 1)),
-    ]
-
-
-@pytest.mark.parametrize("document", documents(), ids=lambda document: document.url)
-def test_every_document_describes_the_resource_at_its_url_in_every_syntax(document: Document) -> None:
-    kinds = {ldp.Resource, ldp.Page}
-    assert kinds & set(own(document, rdf.type))
-    for syntax in Syntax:
-        assert document.url.encode() in serialize(document, syntax)
-
-
-@pytest.mark.parametrize("document", documents(), ids=lambda document: document.url)
-def test_every_term_used_is_in_the_vocabulary(document: Document) -> None:
-    known = set(ros.terms().values())
-    for triple in document.all_triples():
-        for term in triple:
-            if isinstance(term, NamedNode) and term.value.startswith(ros.iri):
-                assert term in known
+# Names, and receipts
 
 
 def test_names_that_are_not_utf_8_are_shown_all_the_same() -> None:
     topic = Topic("/t", unreadable="bad \udcff byte")
     assert own(topic_document(topic, SPACE, GRAPH), ros.unreadable) == [Literal("bad ��� byte")]
-
-
-# Receipts
 
 
 def receipt(made: str | None) -> Receipt:

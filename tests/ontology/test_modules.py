@@ -38,7 +38,6 @@ from rosld.ontology.vocab import (
 
 VANN, SKOS = "http://purl.org/vocab/vann/", "http://www.w3.org/2004/02/skos/core#"
 OURS: tuple[type[Namespace], ...] = (ros, mapping, av)
-EACH = pytest.mark.parametrize("name", MODULES)
 CURRENT = tuple(name for name in OWN if name != "deprecated")
 REPLACED_BY = NamedNode(dcterms.iri + "isReplacedBy")
 
@@ -67,57 +66,60 @@ def test_every_file_is_a_module() -> None:
     assert found == set(MODULES)
 
 
-@EACH
-def test_a_file_holds_one_ontology_with_its_title_version_licence_and_citation(name: str) -> None:
-    ontologies = {each.subject for each in module_triples(name) if each.object == owl.Ontology}
-    iri = NamedNode(module_iri(name))
-    assert ontologies == {iri}
-    assert objects(name, iri, NamedNode(owl.iri + "versionIRI")) == [NamedNode(module_iri(name, VERSION))]
-    assert objects(name, iri, NamedNode(owl.iri + "versionInfo")) == [Literal(VERSION)]
-    for term in ("title", "description", "creator", "created", "modified", "license", "bibliographicCitation"):
-        assert len(objects(name, iri, NamedNode(dcterms.iri + term))) == 1, term
-    assert len(objects(name, iri, NamedNode("http://purl.org/ontology/bibo/status"))) == 1
+def test_a_file_holds_one_ontology_with_its_title_version_licence_and_citation() -> None:
+    for name in MODULES:
+        ontologies = {each.subject for each in module_triples(name) if each.object == owl.Ontology}
+        iri = NamedNode(module_iri(name))
+        assert ontologies == {iri}, name
+        assert objects(name, iri, NamedNode(owl.iri + "versionIRI")) == [NamedNode(module_iri(name, VERSION))], name
+        assert objects(name, iri, NamedNode(owl.iri + "versionInfo")) == [Literal(VERSION)], name
+        for term in ("title", "description", "creator", "created", "modified", "license", "bibliographicCitation"):
+            assert len(objects(name, iri, NamedNode(dcterms.iri + term))) == 1, term
+        assert len(objects(name, iri, NamedNode("http://purl.org/ontology/bibo/status"))) == 1, name
 
 
-@EACH
-def test_a_module_imports_the_modules_whose_terms_it_uses(name: str) -> None:
-    imports = set(objects(name, NamedNode(module_iri(name)), NamedNode(owl.iri + "imports")))
-    reached = {module_iri(name)}
-    while (
-        more := {
-            each.value
-            for one in reached
-            for module in MODULES
-            if module_iri(module) == one
-            for each in objects(module, NamedNode(one), NamedNode(owl.iri + "imports"))
-            if isinstance(each, NamedNode)
-        }
-        - reached
-    ):
-        reached |= more
-    homes = home_of_terms()
-    for triple in module_triples(name):
-        if triple.predicate in (REPLACED_BY, NamedNode(SKOS + "scopeNote")) or triple.predicate.value == rdfs.seeAlso:
-            continue
-        for term in (triple.subject, triple.object):
-            if isinstance(term, NamedNode) and term.value in homes:
-                assert module_iri(homes[term.value]) in reached, (triple, reached)
-    if name in ALIGNMENTS:
-        foreign = [
-            each for each in imports if isinstance(each, NamedNode) and not each.value.startswith("https://w3id")
-        ]
-        assert len(foreign) == 1
+def test_a_module_imports_the_modules_whose_terms_it_uses() -> None:
+    for name in MODULES:
+        imports = set(objects(name, NamedNode(module_iri(name)), NamedNode(owl.iri + "imports")))
+        reached = {module_iri(name)}
+        while (
+            more := {
+                each.value
+                for one in reached
+                for module in MODULES
+                if module_iri(module) == one
+                for each in objects(module, NamedNode(one), NamedNode(owl.iri + "imports"))
+                if isinstance(each, NamedNode)
+            }
+            - reached
+        ):
+            reached |= more
+        homes = home_of_terms()
+        for triple in module_triples(name):
+            if (
+                triple.predicate in (REPLACED_BY, NamedNode(SKOS + "scopeNote"))
+                or triple.predicate.value == rdfs.seeAlso
+            ):
+                continue
+            for term in (triple.subject, triple.object):
+                if isinstance(term, NamedNode) and term.value in homes:
+                    assert module_iri(homes[term.value]) in reached, (triple, reached)
+        if name in ALIGNMENTS:
+            foreign = [
+                each for each in imports if isinstance(each, NamedNode) and not each.value.startswith("https://w3id")
+            ]
+            assert len(foreign) == 1, name
 
 
-@pytest.mark.parametrize("name", OWN)
-def test_a_module_that_defines_terms_tells_their_prefix(name: str) -> None:
-    iri = NamedNode(module_iri(name))
-    [prefix], [namespace] = (
-        objects(name, iri, NamedNode(f"{VANN}preferredNamespace{end}")) for end in ("Prefix", "Uri")
-    )
-    assert isinstance(prefix, Literal)
-    assert isinstance(namespace, Literal)
-    assert PREFIXES[prefix.value] == namespace.value
+def test_a_module_that_defines_terms_tells_their_prefix() -> None:
+    for name in OWN:
+        iri = NamedNode(module_iri(name))
+        [prefix], [namespace] = (
+            objects(name, iri, NamedNode(f"{VANN}preferredNamespace{end}")) for end in ("Prefix", "Uri")
+        )
+        assert isinstance(prefix, Literal), name
+        assert isinstance(namespace, Literal), name
+        assert PREFIXES[prefix.value] == namespace.value, name
 
 
 def test_every_term_is_a_constant_and_every_constant_is_a_term() -> None:
@@ -175,19 +177,25 @@ def test_domains_and_ranges_are_declared_classes_or_datatypes() -> None:
                 assert triple.object in classes | set(xsd.terms().values()), triple
 
 
-@EACH
-def test_every_term_that_a_module_uses_is_declared_in_it(name: str) -> None:
-    declared = {each.subject for each in module_triples(name) if each.predicate == rdf.type}
-    builtin = (rdf.iri, rdfs.iri, owl.iri, xsd.iri)
-    documents = (NamedNode(owl.iri + "imports"), NamedNode(owl.iri + "versionIRI"), rdfs.seeAlso, rdfs.isDefinedBy)
-    for triple in module_triples(name):
-        used = [triple.subject, triple.predicate]
-        used += (
-            [] if triple.predicate in documents or triple.predicate.value.startswith(dcterms.iri) else [triple.object]
-        )
-        for term in used:
-            if isinstance(term, NamedNode) and not term.value.startswith(builtin) and "/bibo/status/" not in term.value:
-                assert term in declared, triple
+def test_every_term_that_a_module_uses_is_declared_in_it() -> None:
+    for name in MODULES:
+        declared = {each.subject for each in module_triples(name) if each.predicate == rdf.type}
+        builtin = (rdf.iri, rdfs.iri, owl.iri, xsd.iri)
+        documents = (NamedNode(owl.iri + "imports"), NamedNode(owl.iri + "versionIRI"), rdfs.seeAlso, rdfs.isDefinedBy)
+        for triple in module_triples(name):
+            used = [triple.subject, triple.predicate]
+            used += (
+                []
+                if triple.predicate in documents or triple.predicate.value.startswith(dcterms.iri)
+                else [triple.object]
+            )
+            for term in used:
+                if (
+                    isinstance(term, NamedNode)
+                    and not term.value.startswith(builtin)
+                    and "/bibo/status/" not in term.value
+                ):
+                    assert term in declared, triple
 
 
 def test_inverse_properties_have_domain_and_range_the_other_way_round() -> None:

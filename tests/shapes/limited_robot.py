@@ -18,8 +18,8 @@ from rosld.ontology.violations import LoweringError
 from rosld.ontology.vocab import rdf, ros, xsd
 from rosld.server.http.link import parse
 from rosld.shapes.message import SHACL_SHACL
+from tests.crawl.site import CONFORMS_TO, CONSTRAINED_BY
 from tests.server.robots.made_up import MadeUp, served
-from tests.shapes.crawl import CONFORMS_TO, CONSTRAINED_BY
 from tests.shapes.values import SOME, graph, parsed
 
 N_TRIPLES = {"Content-Type": "application/n-triples"}
@@ -152,9 +152,11 @@ class Together:
         return [prefix not in broken for prefix in self.prefixes]
 
 
-def put_together(shapes: rdflib.Graph, bodies: Sequence[Sequence[Triple]], node: NamedNode) -> Together:
-    """Bodies about `node`, and their shape with a target in each."""
-    prefixes = tuple(f"http://example.org/{number}/" for number in range(len(bodies)))
+def put_together(
+    shapes: rdflib.Graph, bodies: Sequence[Sequence[Triple]], node: NamedNode, apart: str = ""
+) -> Together:
+    """Bodies about `node`, and their shape with a target in each; `apart` is in the names of their nodes."""
+    prefixes = tuple(f"http://example.org/{apart}{number}/" for number in range(len(bodies)))
     data = [
         Triple(_apart(one.subject, node, prefix), one.predicate, _apart(one.object, node, prefix))
         for prefix, triples in zip(prefixes, bodies, strict=True)

@@ -27,6 +27,8 @@ from rosld.shapes.command_numbers import largest_number, require_finite_message
 from rosld.shapes.demand import Demand
 from tests.shapes.values import LITERALS, compiled, graph, validate
 
+pytestmark = pytest.mark.slow
+
 SPACE = Space("http://127.0.0.1:8080/")
 URL = SPACE.topic("/every")
 LIBRARIES = {version: TypeLibrary(ros_version=version) for version in (1, 2)}
@@ -92,17 +94,15 @@ def violations(schema: MessageSchema, triples: Sequence[Triple]) -> str:
 
 # What may stand in a field
 
-KINDS = [(1, kind) for kind in ("bool", "int8", "uint8", "int32", "uint32", "int64", "uint64", "float32", "float64",
-         "string", "float64[]", "float64[3]", "float32[]", "int16[]", "uint64[]", "int64[2]", "string[]", "uint8[]",
-         "uint8[5]", "bool[]", "bool[2]")]  # fmt: skip
-KINDS += [
-    (2, kind) for kind in ("string<=4", "string<=3[<=2]", "uint8[<=4]", "int64[<=2]", "string[2]", "float32[<=3]")
-]
+KINDS = [(1, kind) for kind in ("bool", "int8", "uint64", "float32", "float64", "string", "float64[]", "float64[3]",
+         "int16[]", "uint64[]", "string[]", "uint8[]", "uint8[5]", "bool[2]")]  # fmt: skip
+KINDS += [(2, kind) for kind in ("string<=4", "string<=3[<=2]", "uint8[<=4]", "int64[<=2]", "float32[<=3]")]
+COMMANDS = [(1, "float64"), (1, "float64[]"), (2, "float32[<=3]")]
 
 
 @pytest.mark.parametrize(
     ("ros_version", "kind", "is_command"),
-    [*((*each, False) for each in KINDS), *((*each, True) for each in KINDS if "float" in each[1])],
+    [*((*each, False) for each in KINDS), *((*each, True) for each in COMMANDS)],
 )
 def test_a_literal_conforms_where_lowering_takes_it_and_nowhere_else(
     ros_version: int, kind: str, is_command: bool
@@ -187,14 +187,14 @@ def bodies(draw: st.DrawFn, schema: MessageSchema) -> list[Triple]:
     return triples
 
 
-@settings(max_examples=20)
+@settings(max_examples=10)
 @given(bodies(schema_of(EVERY, 1)))
 def test_a_message_conforms_where_lowering_takes_it_and_nowhere_else(triples: list[Triple]) -> None:
     refused, broken = refusal(schema_of(EVERY, 1), triples), violations(schema_of(EVERY, 1), triples)
     assert bool(refused) == bool(broken), f"{refused}\n{broken}"
 
 
-@settings(max_examples=30)
+@settings(max_examples=20)
 @given(bodies(schema_of(BOUNDED, 2)))
 def test_bounds_of_strings_and_arrays_are_held_too(triples: list[Triple]) -> None:
     refused, broken = refusal(schema_of(BOUNDED, 2), triples), violations(schema_of(BOUNDED, 2), triples)

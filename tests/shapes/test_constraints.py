@@ -182,7 +182,7 @@ def inner(parts: st.SearchStrategy[str]) -> st.SearchStrategy[str]:
 shape_bodies = st.recursive(bodies(*PLAIN), inner, max_leaves=4)
 
 
-@settings(max_examples=300, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(deadline=None, suppress_health_check=list(HealthCheck))
 @given(shape_bodies, data_graphs)
 @example("sh:property [ sh:path ex:p ; sh:maxInclusive 0 ]", triples("<resources/engine/> ex:p '0.0'^^xsd:double ."))
 def test_a_compiled_verdict_is_that_of_pyshacl(body: str, data: list[Triple]) -> None:
@@ -208,7 +208,7 @@ EVERY_OTHER = st.sampled_from(
 )
 
 
-@settings(max_examples=100, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=50, deadline=None, suppress_health_check=list(HealthCheck))
 @given(EVERY_OTHER, bodies(*PLAIN), data_graphs)
 def test_the_verdict_on_every_other_shape_is_that_of_pyshacl(other: str, body: str, data: list[Triple]) -> None:
     shapes = triples(f":shape a sh:NodeShape ; {other} {';' if body else ''} {body} .")

@@ -389,7 +389,7 @@ EXTRA = (
 )
 
 
-@settings(max_examples=200, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck))
 @given(messages, st.lists(property_shapes, min_size=1, max_size=3), st.sampled_from(EXTRA))
 def test_a_verdict_on_a_message_is_that_of_pyshacl(values: dict[str, object], parts: list[str], extra: str) -> None:
     schema = schema_of("test_msgs/msg/All")

@@ -66,7 +66,7 @@ HEX = ("", "00", "0a0B", "0000000000", "000", "zz", " 0a ")
 BASE64 = ("", "AA==", "AAA=", "AAAA", "AAAAAA==", "AAAAAAA=", "AAAAAAAA", "%", "=", "A", "A A = =", "w6k=")
 LITERALS = (
     *(typed(text, datatype) for text, datatype in product(NUMBERS, ("integer", "double"))),
-    *(typed(text, datatype) for text, datatype in product(("0", "5", "-1", "128", "1" + "0" * 39), INTEGERS)),
+    *(typed(text, datatype) for text, datatype in product(("5", "-1", "1" + "0" * 39), INTEGERS)),
     *(typed(text, "decimal") for text in DECIMALS),
     *(typed(text, datatype) for text, datatype in product(REALS, ("double", "float"))),
     *(typed(text, datatype) for text, datatype in product(SPECIALS, ("double", "float"))),
@@ -81,11 +81,9 @@ LITERALS = (
 """All of them, in all datatypes."""
 SOME = (
     *(typed(text, datatype) for text, datatype in product(
-        ("0", "1", "-1", "100", "101", "128", "9223372036854775808", "007"),
-        ("integer", "byte", "unsignedLong", "decimal", "double", "float"))),
+        ("0", "-1", "100", "101", "9223372036854775808", "007"), ("integer", "byte", "unsignedLong", "double"))),
     *(typed(text, datatype) for text, datatype in product(
-        ("0.5", "1.0", "15e-1", "6.0e0", "1e308", "1e309", "nope", "INF", "-INF", "+INF", "NaN"),
-        ("double", "float", "integer"))),
+        ("0.5", "15e-1", "1e309", "nope", "INF", "NaN"), ("double", "float", "integer"))),
     *(typed(text, "decimal") for text in ("0.5", "1.0", ".5", "5.", "")),  # pySHACL cannot compare what is no decimal
     *(typed(text, "boolean") for text in ("true", "false", "1", "0", "yes", " true ")),
     *(typed(text, rdf.JSON) for text in ("1", "[1]", '["a"]', "{}", "[1", '["\\ud800"]')),

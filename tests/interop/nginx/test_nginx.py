@@ -27,7 +27,7 @@ def proxy(start_server: Callable[..., Any], tmp_path_factory: pytest.TempPathFac
     """The URL of the aircraft behind nginx, and the certificate that is to be trusted."""
     folder: Path = tmp_path_factory.mktemp("nginx")
     port = free_port()
-    served = start_server("aircraft", "--base-url", f"https://localhost:{port}/")
+    served = start_server("aircraft", "--base-url", f"https://localhost:{port}/", process=True)
     (address,) = listening(served.process.pid)
     with nginx(folder, port, address.rpartition(":")[2]):
         yield f"https://localhost:{port}/", str(folder / "cert.pem")

@@ -1,9 +1,9 @@
-"""ROBOT, the tool of the OBO Foundry on the OWL API, as a command: what it prints, and what it returns."""
+"""ROBOT, the tool of the OBO Foundry on the OWL API: many commands in one JVM."""
 
 from __future__ import annotations
 
 import subprocess
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 
 from rdflib import OWL, RDF, Graph, Literal, URIRef
@@ -12,7 +12,7 @@ from rosld.ontology.modules import MODULES, module_iri
 from tests.interop.java.maven import libraries
 from tests.ontology.reasoning import VOCABULARIES
 
-POM = Path(__file__).parent / "pom.xml"
+POM, PROGRAM = (Path(__file__).with_name(name) for name in ("pom.xml", "Robot.java"))
 PATIENCE = 600.0
 _FILES = Path(__file__).parents[3] / "ontology"
 _IMPORTED = {
@@ -26,20 +26,16 @@ _IMPORTED = {
 """The ontologies that are imported and are here, by what their files are called."""
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """What a command of ROBOT came to."""
+def robot(commands: Sequence[Sequence[str | Path]]) -> list[str]:
+    """Carry out commands of ROBOT, and return for each what went wrong, or an empty string.
 
-    code: int
-    output: str
-
-
-def robot(*arguments: str | Path) -> Outcome:
-    """Run a command of ROBOT."""
-    command = ["java", "-XX:+UseSerialGC", "-Xmx2g", "-cp", f"{libraries(POM)}/*"]
-    command += ["org.obolibrary.robot.CommandLineInterface", *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
-    return Outcome(done.returncode, done.stdout + done.stderr)
+    One that ends the process, as reasoning does that finds a contradiction, is the last that is carried out.
+    """
+    java = ["java", "-XX:+UseSerialGC", "-Xmx2g", "-cp", f"{libraries(POM)}/*", str(PROGRAM)]
+    lines = "".join("\t".join(map(str, command)) + "\n" for command in commands)
+    done = subprocess.run(java, input=lines, capture_output=True, text=True, timeout=PATIENCE, check=False)
+    outcomes = done.stdout.splitlines()
+    return outcomes if len(outcomes) == len(commands) else [*outcomes, done.stderr[-2000:]]
 
 
 def write_alone(name: str, folder: Path) -> Path:

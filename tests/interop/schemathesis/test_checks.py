@@ -12,6 +12,8 @@ from typing import Any
 CONFIG = Path(__file__).with_name("schemathesis.toml")
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])}  # where the module of hooks is found
 PATIENCE = 400.0
+ALIKE = r"^/queries/(?!graph$|node$|silent-topics$)[a-z]"
+"""Stored queries that are described and answered as others are."""
 
 
 def test_schemathesis_finds_no_fault(start_server: Callable[..., Any], tmp_path: Path) -> None:
@@ -19,6 +21,7 @@ def test_schemathesis_finds_no_fault(start_server: Callable[..., Any], tmp_path:
     served = start_server("aircraft", "--max-publish-rate", "100000")
     command = [sys.executable, "-m", "schemathesis.cli", "--no-color", "--config-file", str(CONFIG)]
     command += ["run", f"{served.url}openapi.json", "--continue-on-failure", "--warnings", "off"]
+    command += ["--exclude-path-regex", ALIKE]
     done = subprocess.run(
         command, cwd=tmp_path, env=ENVIRONMENT, capture_output=True, text=True, timeout=PATIENCE, check=False
     )

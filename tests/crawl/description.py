@@ -1,0 +1,73 @@
+"""`/openapi.json` as a judge of answers: whether it tells of their status, headers, media type and JSON."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from jsonschema import Draft202012Validator
+
+UNTOLD = (403, 408, 421, 431)
+"""Statuses of any request, of which no operation tells."""
+
+
+class Description:
+    """The OpenAPI description of a server."""
+
+    def __init__(self, document: dict[str, Any]) -> None:
+        self.document = document
+        self._validators: dict[str, Draft202012Validator] = {}
+
+    def place(self, path: str, method: str) -> str | None:
+        """Return the path, or the template for it, under which an operation is described, or None."""
+        for at in sorted(self.document["paths"], key=lambda at: at.count("{")):
+            pattern = re.sub(r"\\\{path\\\}", ".+", re.escape(at))
+            fits = re.fullmatch(re.sub(r"\\\{\w+\\\}", "[^/]+", pattern), path)
+            if fits and method.lower() in self.resolved(self.document["paths"][at]):
+                return at
+        return None
+
+    def operation(self, at: str, method: str) -> dict[str, Any]:
+        """Return the Operation Object of a described path."""
+        item = self.resolved(self.document["paths"][at])
+        found: dict[str, Any] = item[method.lower()]
+        return found
+
+    def disagreement(self, at: str, method: str, status: int, headers: Mapping[str, str], body: str | bytes) -> str:
+        """Say what an answer is that the description does not tell of, or nothing."""
+        responses = self.operation(at, method)["responses"]
+        if str(status) not in responses:
+            return "" if status in UNTOLD else f"{status} is not told of: {body[:300]!r}"
+        told = self.resolved(responses[str(status)])
+        for name, header in told.get("headers", {}).items():
+            if header.get("required") and name.lower() not in headers:
+                return f"{name} is missing in a {status}"
+        if method == "HEAD" or not body:
+            return ""
+        contents = told.get("content", {})
+        media_type = headers.get("content-type", "").partition(";")[0]
+        if media_type not in contents and "*/*" not in contents:
+            return f"a {status} is {media_type}, not {list(contents)}"
+        if status < 300 and media_type == "application/json":
+            errors = self._validator(contents[media_type]["schema"]).iter_errors(json.loads(body))
+            return next((f"the JSON of a {status}: {error.message[:300]}" for error in errors), "")
+        return ""
+
+    def _validator(self, schema: dict[str, Any]) -> Draft202012Validator:
+        key = json.dumps(schema)
+        if key not in self._validators:
+            self._validators[key] = Draft202012Validator({**schema, "components": self.document["components"]})
+        return self._validators[key]
+
+    def resolved(self, value: dict[str, Any]) -> dict[str, Any]:
+        """Follow a reference within the description, if this is one."""
+        reference = value.get("$ref")
+        if reference is None:
+            return value
+        found: Any = self.document
+        for step in reference[2:].split("/"):
+            found = found[step]
+        assert isinstance(found, dict)
+        return found

@@ -156,16 +156,16 @@ def place(served: Served, request: pytest.FixtureRequest) -> Place:
     return served.place(re.sub(r"[^a-z0-9]+", "-", request.node.name.lower())[:40].strip("-"))
 
 
-@pytest.fixture(params=ROBOT, ids=lambda path: path or "entry")
-def robots(request: pytest.FixtureRequest, served: Served) -> Place:
-    """Each of the robot's containers."""
-    return served.at(request.param)
+@pytest.fixture
+def robots(served: Served) -> list[Place]:
+    """The robot's containers."""
+    return [served.at(path) for path in ROBOT]
 
 
-@pytest.fixture(params=("data", *ROBOT), ids=lambda path: path or "entry")
-def container(request: pytest.FixtureRequest, served: Served) -> Place:
-    """A container under `/data/`, and each of the robot's."""
-    return served.place("any") if request.param == "data" else served.at(request.param)
+@pytest.fixture
+def containers(served: Served, robots: list[Place]) -> list[Place]:
+    """A container under `/data/`, and the robot's."""
+    return [served.place("any"), *robots]
 
 
 @pytest.fixture(scope="session")

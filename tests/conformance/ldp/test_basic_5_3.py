@@ -14,10 +14,11 @@ if TYPE_CHECKING:
 
 
 def test_5_3_1_1_a_basic_container_is_a_container(
-    container: Place, models: Callable[[httpx.Response], set[str]]
+    containers: list[Place], models: Callable[[httpx.Response], set[str]]
 ) -> None:
-    assert {"Resource", "RDFSource", "BasicContainer"} <= models(container.get())
-    assert {ldp.Container.value, ldp.BasicContainer.value} <= container.objects("", rdf.type)
+    for container in containers:
+        assert {"Resource", "RDFSource", "BasicContainer"} <= models(container.get()), container.url
+        assert {ldp.Container.value, ldp.BasicContainer.value} <= container.objects("", rdf.type), container.url
 
 
 def test_5_3_1_1_the_root_of_what_is_kept_is_one(served: Served, models: Callable[[httpx.Response], set[str]]) -> None:

@@ -1,17 +1,14 @@
-"""HTTP as an LDP server is to speak it: conditional requests, ranges, preferences, refusals, pages of containers."""
+"""HTTP as an LDP server is to speak it: conditional requests, ranges, preferences, refusals."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
-import httpx
 import pytest
-from pyoxigraph import Literal, NamedNode, Triple
+from pyoxigraph import Literal, NamedNode
 
-from rosld.ontology.vocab import ldp, xsd
+from rosld.ontology.vocab import xsd
 from tests.waiting import once_started
 
 if TYPE_CHECKING:
@@ -22,7 +19,6 @@ TURTLE = "text/turtle"
 ONE, TWO = "<> <http://ex.org/p> 1 .", "<> <http://ex.org/p> 2 ."
 ADDED = "INSERT DATA { <> <http://ex.org/p> 2 }"
 BYTES = bytes(range(256)) * 8
-MANY = 2100
 
 
 # Conditional requests (RFC 9110 13)
@@ -38,10 +34,11 @@ def test_http_what_is_known_is_304(place: Place, kinds: dict[str, str]) -> None:
         assert place.get(url, If_None_Match='"another"').status_code == 200
 
 
-def test_http_the_robots_containers_answer_304(robots: Place) -> None:
+def test_http_the_robots_containers_answer_304(robots: list[Place]) -> None:
     """Some tell the latest values of their members, which may change between two requests."""
-    answers = (robots.get(If_None_Match=robots.get().headers["etag"]) for _ in range(100))
-    assert any(answer.status_code == 304 for answer in answers)
+    for robot in robots:
+        answers = (robot.get(If_None_Match=robot.get().headers["etag"]) for _ in range(100))
+        assert any(answer.status_code == 304 for answer in answers), robot.url
 
 
 def test_http_one_syntax_is_not_another(place: Place) -> None:
@@ -241,77 +238,6 @@ def test_http_a_write_answers_as_much_as_is_preferred(place: Place) -> None:
     assert more.status_code == 200
     assert more.headers["preference-applied"] == "return=representation"
     assert more.text == place.get("a", Accept=TURTLE).text
-
-
-# Pages of containers (LDP Paging 1.0)
-
-
-@pytest.fixture(scope="module")
-def many(served: Served) -> Place:
-    """A container of many members."""
-    place = served.place("many")
-
-    def make(number: int) -> None:
-        answer = place.send("POST", "", "", TURTLE, Slug=f"m{number}", Prefer="return=minimal")
-        assert answer.status_code == 201, answer.text
-
-    with ThreadPoolExecutor(4) as threads:
-        list(threads.map(make, range(MANY)))
-    return place
-
-
-def pages(many: Place) -> list[httpx.Response]:
-    """All pages of a container, from the first on."""
-    found = [many.http.get(many.url, follow_redirects=True)]
-    while following := found[-1].links.get("next"):
-        found.append(many.http.get(following["url"]))
-        assert len(found) < 100
-    return found
-
-
-def test_paging_a_large_container_leads_to_its_first_page(many: Place) -> None:
-    answer = many.get()
-    assert answer.status_code == 303
-    page = many.get(answer.headers["location"])
-    assert page.status_code == 200
-    assert page.links["first"]["url"] == answer.headers["location"]
-
-
-def test_paging_every_member_is_on_one_page(many: Place, read_triples: Callable[[httpx.Response], set[Triple]]) -> None:
-    contained = [triple for page in pages(many) for triple in read_triples(page) if triple.predicate == ldp.contains]
-    told = [triple.object.value for triple in contained if isinstance(triple.object, NamedNode)]
-    assert len(told) == MANY
-    assert set(told) == {many.at(f"m{number}") for number in range(MANY)}
-
-
-def test_paging_pages_say_that_they_are_pages(many: Place, models: Callable[[httpx.Response], set[str]]) -> None:
-    found = pages(many)
-    assert len(found) > 1
-    for page in found:
-        assert {"Page", "Resource", "BasicContainer"} <= models(page)
-        assert page.headers["etag"]
-        assert page.links["first"]
-        assert page.links["canonical"]["url"] == many.url
-    assert len({page.headers["etag"] for page in found}) == len(found)
-    assert "next" not in found[-1].links
-    last = found[0].links.get("last")
-    assert last is None or last["url"] == str(found[-1].url)
-
-
-def test_paging_without_its_members_a_large_container_is_told_at_once(many: Place) -> None:
-    answer = many.get(Prefer=f'return=representation; include="{ldp.iri}PreferMinimalContainer"')
-    assert answer.status_code == 200
-    assert answer.headers["preference-applied"] == "return=representation"
-
-
-def test_paging_what_is_added_meanwhile_is_on_a_later_page(served: Served) -> None:
-    """Pages are told in the order in which members were made: nobody who reads on misses any that was there."""
-    place = served.place("few")
-    first, second = place.post(), place.post()
-    page = place.get("?page=0")
-    assert page.status_code == 200
-    text = place.get("?page=0", Accept="application/n-triples").text
-    assert re.findall(r"#contains> <([^>]*)>", text) == [first, second]
 
 
 # More than LDP says

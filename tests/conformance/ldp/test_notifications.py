@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
@@ -12,11 +12,9 @@ import httpx
 from websockets.sync.client import connect
 
 if TYPE_CHECKING:
-    from rosld.server.http.link import Link
     from tests.conformance.ldp.conftest import Place, Served
 
 ONE, TWO = "<> <http://ex.org/p> 1 .", "<> <http://ex.org/p> 2 ."
-NOTIFY = "http://www.w3.org/ns/solid/notifications#"
 
 
 def test_waiting_ends_with_the_next_change(place: Place) -> None:
@@ -57,13 +55,6 @@ def test_a_stream_tells_each_change(place: Place) -> None:
         assert '"2"' in next(events)
 
 
-def test_a_stream_of_turtle_tells_turtle(place: Place) -> None:
-    place.put("a", ONE)
-    url = place.at("a?format=ttl")
-    with place.http.stream("GET", url, headers={"Accept": "text/event-stream"}) as stream:
-        assert "<http://ex.org/p> 1" in next(data_of(stream))
-
-
 def data_of(stream: httpx.Response) -> Iterator[str]:
     """The data of each event."""
     held: list[str] = []
@@ -75,17 +66,6 @@ def data_of(stream: httpx.Response) -> Iterator[str]:
             held = []
 
 
-def test_notifications_are_found_from_the_resource(
-    place: Place, served: Served, links: Callable[[httpx.Response], list[Link]]
-) -> None:
-    rel = "http://www.w3.org/ns/solid/terms#storageDescription"
-    (target,) = {each.target for each in links(place.get()) if each.rel == rel}
-    told = served.http.get(target, headers={"Accept": "application/ld+json"})
-    assert told.status_code == 200
-    for kind in ("WebSocketChannel2023", "StreamingHTTPChannel2023"):
-        assert kind in told.text
-
-
 def test_a_websocket_channel_tells_of_a_change(place: Place, served: Served) -> None:
     place.put("a", ONE)
     with connect(channel(served, place.at("a"), "WebSocketChannel2023"), open_timeout=10) as socket:
@@ -95,18 +75,6 @@ def test_a_websocket_channel_tells_of_a_change(place: Place, served: Served) -> 
         changed.join()
     assert told["object"] == place.at("a")
     assert told["type"] in ("Update", ["Update"])
-
-
-def test_a_streaming_channel_tells_of_a_new_member(place: Place, served: Served) -> None:
-    url = channel(served, place.url, "StreamingHTTPChannel2023")
-    with httpx.Client(timeout=15).stream("GET", url) as stream:
-        assert stream.status_code == 200
-        pieces = stream.iter_text()
-        changed = threading.Thread(target=place.post)
-        changed.start()
-        text = next(piece for piece in pieces if place.url in piece)
-        changed.join()
-    assert "Add" in text or "Update" in text
 
 
 def channel(served: Served, topic: str, kind: str) -> str:

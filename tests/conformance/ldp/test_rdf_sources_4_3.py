@@ -18,17 +18,21 @@ if TYPE_CHECKING:
 P = NamedNode("http://ex.org/p")
 
 
-def test_4_3_1_1_an_rdf_source_is_a_resource(container: Place, models: Callable[[httpx.Response], set[str]]) -> None:
-    assert {"Resource", "RDFSource"} <= models(container.get())
+def test_4_3_1_1_an_rdf_source_is_a_resource(
+    containers: list[Place], models: Callable[[httpx.Response], set[str]]
+) -> None:
+    for container in containers:
+        assert {"Resource", "RDFSource"} <= models(container.get()), container.url
 
 
 @pytest.mark.parametrize("media_type", ["application/n-quads", "application/trig"])
-def test_4_3_1_1_a_representation_is_one_graph_the_default_one(media_type: str, container: Place) -> None:
-    answer = container.get(Accept=media_type)
-    quads = list(parse(answer.content, RdfFormat.from_media_type(media_type), base_iri=container.url))
-    assert quads
-    assert {quad.graph_name for quad in quads} == {DefaultGraph()}
-    assert {quad.subject for quad in quads} & {NamedNode(container.url)}
+def test_4_3_1_1_a_representation_is_one_graph_the_default_one(media_type: str, containers: list[Place]) -> None:
+    for container in containers:
+        answer = container.get(Accept=media_type)
+        quads = list(parse(answer.content, RdfFormat.from_media_type(media_type), base_iri=container.url))
+        assert quads, container.url
+        assert {quad.graph_name for quad in quads} == {DefaultGraph()}, container.url
+        assert {quad.subject for quad in quads} & {NamedNode(container.url)}, container.url
 
 
 @pytest.mark.parametrize("media_type", ["application/n-quads", "application/trig"])
@@ -46,16 +50,19 @@ def test_4_3_1_2_representations_say_a_type(place: Place) -> None:
     assert place.objects("a", rdf.type)
 
 
-def test_4_3_1_2_the_robots_representations_say_a_type(robots: Place) -> None:
-    assert robots.objects("", rdf.type)
+def test_4_3_1_2_the_robots_representations_say_a_type(robots: list[Place]) -> None:
+    for robot in robots:
+        assert robot.objects("", rdf.type), robot.url
 
 
-def test_4_3_1_3_the_type_may_be_rdf_source(container: Place) -> None:
-    assert ldp.RDFSource.value in container.objects("", rdf.type)
+def test_4_3_1_3_the_type_may_be_rdf_source(containers: list[Place]) -> None:
+    for container in containers:
+        assert ldp.RDFSource.value in container.objects("", rdf.type), container.url
 
 
-def test_4_3_1_4_an_rdf_representation_is_about_the_request_uri(container: Place) -> None:
-    assert NamedNode(container.url) in {each.subject for each in container.graph()}
+def test_4_3_1_4_an_rdf_representation_is_about_the_request_uri(containers: list[Place]) -> None:
+    for container in containers:
+        assert NamedNode(container.url) in {each.subject for each in container.graph()}, container.url
 
 
 def test_4_3_1_5_existing_vocabularies_are_used(place: Place) -> None:
@@ -87,9 +94,10 @@ def test_4_3_1_10_nothing_needs_inference(place: Place, kinds: dict[str, str]) -
             assert f"{ldp.iri}{model}" in said
 
 
-def test_4_3_1_10_the_robots_containers_say_what_they_are(robots: Place) -> None:
-    kinds = {ldp.Resource.value, ldp.RDFSource.value, ldp.Container.value, ldp.BasicContainer.value}
-    assert kinds <= robots.objects("", rdf.type)
+def test_4_3_1_10_the_robots_containers_say_what_they_are(robots: list[Place]) -> None:
+    for robot in robots:
+        kinds = {ldp.Resource.value, ldp.RDFSource.value, ldp.Container.value, ldp.BasicContainer.value}
+        assert kinds <= robot.objects("", rdf.type), robot.url
 
 
 def test_4_3_1_11_everything_that_is_got_can_be_put_back(place: Place) -> None:
@@ -114,31 +122,37 @@ def test_4_3_1_11_everything_that_is_got_can_be_put_back(place: Place) -> None:
     assert "http://ex.org/Thing" in place.objects("a", rdf.type)
 
 
-def test_4_3_1_12_hints_are_taken(container: Place) -> None:
-    answer = container.get(Prefer=f'return=representation; include="{ldp.iri}PreferMinimalContainer"')
-    assert answer.status_code == 200
-    assert answer.headers.get("preference-applied", "return=representation") == "return=representation"
+def test_4_3_1_12_hints_are_taken(containers: list[Place]) -> None:
+    for container in containers:
+        answer = container.get(Prefer=f'return=representation; include="{ldp.iri}PreferMinimalContainer"')
+        assert answer.status_code == 200, container.url
+        assert answer.headers.get("preference-applied", "return=representation") == "return=representation"
 
 
-def test_4_3_2_1_turtle_is_answered_where_turtle_is_asked_for(container: Place) -> None:
-    for accept in ("text/turtle", "text/turtle, application/ld+json;q=0.5", "text/turtle;q=0.9, text/plain"):
-        assert container.get(Accept=accept).headers["content-type"].startswith("text/turtle")
+def test_4_3_2_1_turtle_is_answered_where_turtle_is_asked_for(containers: list[Place]) -> None:
+    for container in containers:
+        for accept in ("text/turtle", "text/turtle, application/ld+json;q=0.5", "text/turtle;q=0.9, text/plain"):
+            assert container.get(Accept=accept).headers["content-type"].startswith("text/turtle"), container.url
 
 
 @pytest.mark.parametrize("accept", [None, "*/*"])
-def test_4_3_2_2_turtle_is_answered_where_nothing_is_asked_for(accept: str | None, container: Place) -> None:
-    request = container.http.build_request("GET", container.url)
-    del request.headers["accept"]
-    if accept is not None:
-        request.headers["accept"] = accept
-    assert container.http.send(request).headers["content-type"].startswith("text/turtle")
+def test_4_3_2_2_turtle_is_answered_where_nothing_is_asked_for(accept: str | None, containers: list[Place]) -> None:
+    for container in containers:
+        request = container.http.build_request("GET", container.url)
+        del request.headers["accept"]
+        if accept is not None:
+            request.headers["accept"] = accept
+        assert container.http.send(request).headers["content-type"].startswith("text/turtle"), container.url
 
 
-def test_4_3_2_3_json_ld_says_the_same(container: Place, read_triples: Callable[[httpx.Response], set[Triple]]) -> None:
-    answer = container.get(Accept="application/ld+json")
-    assert answer.headers["content-type"] == "application/ld+json"
-    assert isinstance(json.loads(answer.content), dict | list)
-    assert _grounded(read_triples(answer)) == _grounded(container.graph())
+def test_4_3_2_3_json_ld_says_the_same(
+    containers: list[Place], read_triples: Callable[[httpx.Response], set[Triple]]
+) -> None:
+    for container in containers:
+        answer = container.get(Accept="application/ld+json")
+        assert answer.headers["content-type"] == "application/ld+json", container.url
+        assert isinstance(json.loads(answer.content), dict | list), container.url
+        assert _grounded(read_triples(answer)) == _grounded(container.graph()), container.url
 
 
 def test_4_3_2_3_json_ld_is_taken(place: Place) -> None:

@@ -153,16 +153,21 @@ def sharing() -> Iterator[Endpoint]:
         yield one
 
 
+def new_store(endpoint: Endpoint, *, direct: bool = False) -> Store:
+    """A container that is not used yet."""
+    return Store(endpoint, f"{endpoint.url}data/of-{next(_COUNTED)}/", direct)
+
+
 @pytest.fixture
 def store(endpoint: Endpoint) -> Store:
     """A container of the test's own, its graphs named by `?graph=`."""
-    return Store(endpoint, f"{endpoint.url}data/of-{next(_COUNTED)}/")
+    return new_store(endpoint)
 
 
 @pytest.fixture(params=("indirect", "direct"))
 def graphs(request: pytest.FixtureRequest, endpoint: Endpoint) -> Store:
     """A container of the test's own, its graphs named by `?graph=`, and by their own URLs."""
-    return Store(endpoint, f"{endpoint.url}data/of-{next(_COUNTED)}/", request.param == "direct")
+    return new_store(endpoint, direct=request.param == "direct")
 
 
 @pytest.fixture

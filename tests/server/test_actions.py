@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
-import math
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import httpx
 import pytest
+
+from rosld.adapters.base import AdapterOptions
+from rosld.adapters.registry import adapter_for
+from tests.server.robots.made_up import served
 
 FLY = "/actions/aircraft/fly"
 JSON = {"Accept": "application/json"}
@@ -71,7 +73,7 @@ def test_an_action_says_what_it_takes_and_who_serves_it(plane: httpx.Client) -> 
     assert "ros:feedbackType" in kind.text
 
 
-def test_a_goal_is_created_told_of_by_events_and_has_a_result(plane: httpx.Client) -> None:
+def test_a_goal_is_created_streamed_and_has_a_result_also_in_the_dataset(plane: httpx.Client) -> None:
     answer = sent(plane, 50)
     assert answer.status_code == 201, answer.text
     goal = answer.headers["location"]
@@ -98,18 +100,30 @@ def test_a_goal_is_created_told_of_by_events_and_has_a_result(plane: httpx.Clien
     assert says(plane, goal, f"{ROS}statusWord") == ['"succeeded"']
     assert says(plane, goal, "http://www.w3.org/ns/prov#endedAtTime")
     assert says(plane, FLY, f"{ROS}hasGoal") == [f"<{goal}>"]
+    action = f"{plane.base_url}actions/aircraft/fly"
+    ask = (
+        f"ASK {{ GRAPH <{goal}> {{ <{goal}> <{ROS}status> <{ROS}Succeeded> ; <{ROS}isGoalOf> <{action}> }} "
+        f"GRAPH <{action}> {{ <{action}> <{ROS}hasGoal> <{goal}> }} }}"
+    )
+    assert plane.get("/sparql", params={"query": ask}, headers=JSON).json()["boolean"]
 
 
-def test_a_goal_is_canceled_while_it_is_pursued_then_forgotten(plane: httpx.Client) -> None:
+def test_a_goal_is_canceled_and_then_forgotten_by_what_rdf_and_pages_offer(plane: httpx.Client) -> None:
+    html = {"Accept": "text/html"}
+    page = plane.get(FLY, headers=html).text
+    assert "Send a goal" in page
+    assert 'name="distance"' in page
     goal = sent(plane, 100_000).headers["location"]
     assert "DELETE" in plane.get(goal).headers["allow"]
-    cancels = "https://www.w3.org/2019/wot/td#cancelAction"
-    assert f"<{cancels}>" in says(plane, goal, "https://www.w3.org/2019/wot/hypermedia#hasOperationType")
+    assert "Cancel the goal" in plane.get(goal, headers=html).text
+    operations = "https://www.w3.org/2019/wot/hypermedia#hasOperationType"
+    cancels = "<https://www.w3.org/2019/wot/td#cancelAction>"
+    assert cancels in says(plane, goal, operations)
     answer = plane.delete(goal)
     assert (answer.status_code, answer.headers["location"]) == (202, goal)
     assert until(plane, goal, "canceled")[-1]["result"]["message"] == "canceled"
-    after = says(plane, goal, "https://www.w3.org/2019/wot/hypermedia#hasOperationType")
-    assert f"<{cancels}>" not in after
+    assert cancels not in says(plane, goal, operations)
+    assert "Forget the goal" in plane.get(goal, headers=html).text
     assert plane.delete(goal).status_code == 204
     assert plane.get(goal).status_code == 410
     assert plane.delete(goal).status_code in (405, 410)
@@ -139,44 +153,24 @@ def test_a_rejected_goal_is_409_with_the_robots_words_and_is_kept(own_aircraft: 
     assert says(http, answer.headers["location"], f"{ROS}status") == [f"<{ROS}Rejected>"]
 
 
-def test_a_second_goal_at_a_time_is_rejected(plane: httpx.Client) -> None:
-    assert sent(plane, 100_000).status_code == 201
-    assert sent(plane, 1).status_code == 409
-
-
-def test_a_goal_is_aborted_when_the_aircraft_is_switched_off(plane: httpx.Client) -> None:
-    goal = sent(plane, 100_000).headers["location"]
-    assert plane.post("/services/aircraft/stop", json={}).status_code == 201
-    assert until(plane, goal, "aborted")[-1]["result"]["message"] == "the aircraft was switched off"
-
-
-def test_a_goal_may_be_sent_as_rdf(plane: httpx.Client) -> None:
+def test_a_goal_may_be_sent_as_rdf_and_must_fit_its_type_and_its_limits(plane: httpx.Client) -> None:
     fly = f"{TYPES}rosld_aircraft/action/Fly_Goal"
-    body = f'[] a <{fly}> ; <{fly}#distance> "20"^^<http://www.w3.org/2001/XMLSchema#double> .'
-    answer = plane.post(FLY, content=body, headers={"Content-Type": "text/turtle", **JSON})
-    assert answer.status_code == 201, answer.text
-    assert answer.json()["goal"] == {"distance": 20.0}
-
-
-def test_what_does_not_fit_is_422_with_every_violation(plane: httpx.Client) -> None:
     for body in ({"distance": "far"}, {"distance": None}, {"distance": 1.0, "speed": 2}):
         answer = plane.post(FLY, json=body)
         assert answer.status_code == 422, body
         assert f"{FLY}?shape>" in answer.headers["link"]
-    assert plane.get("/goals/", headers={"Accept": "application/n-triples"}).text.count("ldp#contains") == 0
-
-
-def test_limits_by_type_hold_for_goals(serve: Callable[..., Any], tmp_path: Any) -> None:
-    limits = tmp_path / "limits.ttl"
-    limits.write_text(
+    limit = (
         "@prefix sh: <http://www.w3.org/ns/shacl#> .\n"
-        f"<#short> a sh:NodeShape ; sh:targetClass <{TYPES}rosld_aircraft/action/Fly_Goal> ; sh:property [\n"
-        f"  sh:path <{TYPES}rosld_aircraft/action/Fly_Goal#distance> ; sh:maxInclusive 10 ] .\n"
+        f"<#short> a sh:NodeShape ; sh:targetClass <{fly}> ; sh:property [\n"
+        f"  sh:path <{fly}#distance> ; sh:maxInclusive 30 ] .\n"
     )
-    http = serve("aircraft", "--shapes", str(limits)).http
-    http.post("/services/aircraft/start", json={})
-    assert sent(http, 11).status_code == 422
-    assert sent(http, 9).status_code == 201
+    assert plane.put("/shapes/short", content=limit, headers={"Content-Type": "text/turtle"}).status_code == 201
+    assert sent(plane, 31).status_code == 422
+    assert "ldp#contains" not in plane.get("/goals/", headers={"Accept": "application/n-triples"}).text
+    body = f'[] a <{fly}> ; <{fly}#distance> "20"^^<http://www.w3.org/2001/XMLSchema#double> .'
+    answer = plane.post(FLY, content=body, headers={"Content-Type": "text/turtle", **JSON})
+    assert answer.status_code == 201, answer.text
+    assert answer.json()["goal"] == {"distance": 20.0}
 
 
 def test_the_same_idempotency_key_is_the_same_goal(plane: httpx.Client) -> None:
@@ -186,52 +180,15 @@ def test_the_same_idempotency_key_is_the_same_goal(plane: httpx.Client) -> None:
     assert sent(plane, 5, **{"Idempotency-Key": "a"}).status_code == 422
 
 
-@pytest.mark.parametrize("option", [("--read-only",), ("--resources-only", "/aircraft/*")])
-def test_what_is_closed_takes_no_goals(serve: Callable[..., Any], option: tuple[str, ...]) -> None:
-    http = serve("aircraft", *option).http
-    assert "POST" not in http.get(FLY).headers["allow"]
-    assert sent(http, 1).status_code == 405
-    assert "invokeAction" not in http.get(FLY, headers={"Accept": "application/n-triples"}).text
+@pytest.mark.parametrize("closed", [{"read_only": True}, {"resources_only": ("/aircraft/*",)}])
+def test_a_closed_action_takes_no_goals(closed: dict[str, Any]) -> None:
+    with served(adapter_for("aircraft", AdapterOptions()), **closed) as http:
+        assert "POST" not in http.get(FLY).headers["allow"]
+        assert sent(http, 1).status_code == 405
+        assert "invokeAction" not in http.get(FLY, headers={"Accept": "application/n-triples"}).text
 
 
-def test_goals_are_kept_in_number(serve: Callable[..., Any]) -> None:
-    http = serve("aircraft", "--setting", "goals_kept", "3").http
-    urls = [sent(http, 1).headers["location"] for _ in range(4)]
-    assert [http.get(url).status_code for url in urls] == [410, 200, 200, 200]
-
-
-def test_goals_are_in_the_dataset_as_they_are_at_their_urls(plane: httpx.Client) -> None:
-    goal = sent(plane, 0).headers["location"]
-    until(plane, goal, "succeeded")
-    query = f"SELECT ?g ?of WHERE {{ GRAPH ?g {{ ?goal <{ROS}status> <{ROS}Succeeded> ; <{ROS}isGoalOf> ?of }} }}"
-    rows = plane.get("/sparql", params={"query": query}, headers={"Accept": "application/sparql-results+json"}).json()
-    [row] = rows["results"]["bindings"]
-    assert row["g"]["value"] == goal
-    assert row["of"]["value"] == f"{plane.base_url}actions/aircraft/fly"
-    ask = f"ASK {{ GRAPH <{row['of']['value']}> {{ ?a <{ROS}hasGoal> <{goal}> }} }}"
-    assert plane.get("/sparql", params={"query": ask}, headers={"Accept": "application/json"}).json()["boolean"]
-
-
-def test_pages_offer_to_send_a_goal_and_to_cancel_it(plane: httpx.Client) -> None:
-    html = {"Accept": "text/html"}
-    page = plane.get(FLY, headers=html).text
-    assert "Send a goal" in page
-    assert 'name="distance"' in page
-    goal = sent(plane, 100_000).headers["location"]
-    assert "Cancel the goal" in plane.get(goal, headers=html).text
-    plane.delete(goal)
-    until(plane, goal, "canceled")
-    assert "Forget the goal" in plane.get(goal, headers=html).text
-
-
-def test_a_long_poll_tells_of_feedback(plane: httpx.Client) -> None:
-    goal = sent(plane, 100_000).headers["location"]
-    seen: set[float] = set()
-    began = time.monotonic()
-    answer = plane.get(goal, headers=JSON)
-    while len(seen) < 3 and time.monotonic() - began < 10:
-        answer = plane.get(goal, headers=JSON, params={"after": answer.headers["etag"], "timeout": "5"})
-        feedback = answer.json()["feedback"] if answer.status_code == 200 else None
-        seen |= {feedback["flown"]} if feedback else set()
-    assert len(seen) == 3
-    assert not any(math.isnan(each) for each in seen)
+def test_the_oldest_goal_goes_when_there_are_more_than_goals_kept() -> None:
+    with served(adapter_for("aircraft", AdapterOptions()), goals_kept=3) as http:
+        urls = [sent(http, 1).headers["location"] for _ in range(4)]
+        assert [http.get(url).status_code for url in urls] == [410, 200, 200, 200]

@@ -14,6 +14,8 @@ from rosld.server.html.forms import CSRF_FIELD, METHOD_FIELD
 from tests.server.auth.conftest import RULES, TURTLE, Guarded, clients, guard, token, tokens
 from tests.server.conftest import Served
 
+pytestmark = pytest.mark.slow
+
 __all__ = ["guard", "tokens"]
 
 DENIED = "/topics/cockpit/display"
@@ -37,35 +39,31 @@ def raw(guarded: Guarded, request: bytes) -> bytes:
         return sock.recv(65536)
 
 
-@pytest.mark.parametrize(
-    "path",
-    [
-        "/topics/cockpit%2Fdisplay", "/topics/cockpit%2fdisplay", "/topics/aircraft/../cockpit/display",
-        "/topics/aircraft/%2e%2e/cockpit/display", "/topics/./cockpit/display",
-        "/topics//cockpit/display",
-        "//topics/cockpit/display", "/topics/cockpit//display", "/topics/~/cockpit/display",
-        "/topics/cockpit/display/",
-        "/topics/cockpit/display;x", "/topics/cockpit/display%00", "/%74opics/cockpit/display",
-        "/topics/%63ockpit/display",
-        "/topics/cockpit%5Cdisplay", "/Topics/cockpit/display",
-        "/topics/Cockpit/display", "/topics/\u0441ockpit/display",
-        "/topics/\uff43ockpit/display", "/topics/cockpit\u200b/display",
-        "/topics/cockpit%252Fdisplay", "/topics/cockpit",
-        "/topics/cockpit/display?format=json", "/topics/cockpit/display?field=data", "/topics/%E0%80%AF",
-    ],
+SPELLINGS = (
+    "/topics/cockpit%2Fdisplay", "/topics/cockpit%2fdisplay", "/topics/aircraft/../cockpit/display",
+    "/topics/aircraft/%2e%2e/cockpit/display", "/topics/./cockpit/display", "/topics//cockpit/display",
+    "//topics/cockpit/display", "/topics/cockpit//display", "/topics/~/cockpit/display", "/topics/cockpit/display/",
+    "/topics/cockpit/display;x", "/topics/cockpit/display%00", "/%74opics/cockpit/display",
+    "/topics/%63ockpit/display", "/topics/cockpit%5Cdisplay", "/Topics/cockpit/display", "/topics/Cockpit/display",
+    "/topics/\u0441ockpit/display", "/topics/\uff43ockpit/display", "/topics/cockpit\u200b/display",
+    "/topics/cockpit%252Fdisplay", "/topics/cockpit", "/topics/cockpit/display?format=json",
+    "/topics/cockpit/display?field=data", "/topics/%E0%80%AF",
 )  # fmt: skip
-def test_no_spelling_of_a_path_leads_past_a_denial(guarded: Guarded, path: str) -> None:
-    target = quote(path, safe="/%?=;~").encode()
-    sent = b"GET " + target + b" HTTP/1.1\r\nHost: " + guarded.url[7:-1].encode()
-    sent += b"\r\nAuthorization: Bearer " + token("reader").encode() + b"\r\nConnection: close\r\n\r\n"
-    answer = raw(guarded, sent)
-    assert answer.split()[1] in (b"400", b"404"), answer[:200]
-    assert b"std_msgs" not in answer
-    for method in (b"PUT", b"POST"):
-        answer = raw(
-            guarded, sent.replace(b"GET ", method + b" ", 1).replace(b"\r\n\r\n", b"\r\nContent-Length: 0\r\n\r\n")
-        )
-        assert answer.split()[1] in (b"400", b"403", b"404", b"405", b"415"), answer[:200]
+
+
+def test_no_spelling_of_a_path_leads_past_a_denial(guarded: Guarded) -> None:
+    refused = {b"GET": (b"400", b"404"), b"PUT": (b"400", b"403", b"404", b"405", b"415")}
+    refused[b"POST"] = refused[b"PUT"]
+    wrong = []
+    for path in SPELLINGS:
+        target = quote(path, safe="/%?=;~").encode()
+        for method, statuses in refused.items():
+            sent = method + b" " + target + b" HTTP/1.1\r\nHost: " + guarded.url[7:-1].encode()
+            sent += b"\r\nAuthorization: Bearer " + token("reader").encode() + b"\r\nConnection: close\r\n"
+            answer = raw(guarded, sent + (b"\r\n" if method == b"GET" else b"Content-Length: 0\r\n\r\n"))
+            if answer.split()[1] not in statuses or b"std_msgs" in answer:
+                wrong.append((path, method, answer[:200]))
+    assert not wrong, wrong
 
 
 def test_headers_that_claim_another_path_host_method_or_user_change_nothing(guarded: Guarded) -> None:
@@ -84,32 +82,17 @@ def test_a_token_in_the_url_is_no_token(guarded: Guarded) -> None:
         assert guarded["anybody"].get("/topics/", params={name: token("admin")}).status_code == 401
 
 
-def test_names_that_would_end_a_header_stay_in_it(guarded: Guarded) -> None:
-    for name in ("a%0d%0aX-Injected:%20yes", "a%0aSet-Cookie:x", "%22%3E%3Cscript%3E"):
-        answer = guarded["admin"].put(f"/data/{name}", content="", headers=TURTLE)
-        assert answer.status_code == 201
-        answer = guarded["admin"].get(f"/data/{name}")
-        assert "x-injected" not in answer.headers
-        assert "set-cookie" not in answer.headers
-        assert guarded["admin"].delete(f"/data/{name}").status_code == 204
-
-
 def test_a_redirect_leads_nobody_to_what_they_may_not_know(guarded: Guarded) -> None:
     assert guarded["reader"].get("/topics/cockpit", follow_redirects=False).json()["detail"] == NOTHING
     assert guarded["reader"].get("/topics/aircraft/engine", follow_redirects=False).status_code == 308
 
 
 def test_a_page_of_another_site_does_nothing_with_the_password_that_a_browser_remembers(guarded: Guarded) -> None:
-    foreign = {"Origin": "https://evil.example", "Content-Type": "application/x-www-form-urlencoded"}
+    form = {"Content-Type": "application/x-www-form-urlencoded"}
     for path in ("/services/aircraft/start", "/resources/aircraft/start"):
-        assert (
-            guarded["anybody"].post(path, headers=foreign, content="", auth=("admin", token("admin"))).status_code
-            == 403
-        )
-        same = {**foreign, "Origin": guarded.url.rstrip("/")}
-        assert (
-            guarded["anybody"].post(path, headers=same, content="", auth=("admin", token("admin"))).status_code == 403
-        )
+        for origin in ("https://evil.example", guarded.url.rstrip("/")):  # the form of the own page lacks its token
+            sent = guarded["anybody"].post(path, headers={**form, "Origin": origin}, auth=("admin", token("admin")))
+            assert sent.status_code == 403
 
 
 def test_the_token_of_one_agents_form_is_no_good_for_another(guarded: Guarded) -> None:
@@ -124,12 +107,9 @@ def test_the_token_of_one_agents_form_is_no_good_for_another(guarded: Guarded) -
 def test_what_one_may_not_read_is_not_read_by_way_of_others(guarded: Guarded) -> None:
     reader = guarded["reader"]
     secret = f"{guarded.url}data/secret/plan"
-    assert (
-        guarded["admin"]
-        .put("/data/secret/plan", content="<> <http://example.org/p> 'gold' .", headers=TURTLE)
-        .status_code
-        == 201
-    )
+    kept = guarded["admin"].put("/data/secret/plan", content="<> <urn:p> 'gold' .", headers=TURTLE)
+    assert kept.status_code == 201
+    update = {"Content-Type": "application/sparql-update"}
     ways = [
         reader.get("/graphs", params={"graph": secret}),
         reader.get("/graphs", params={"graph": "/data/open/../secret/plan"}),
@@ -140,14 +120,8 @@ def test_what_one_may_not_read_is_not_read_by_way_of_others(guarded: Guarded) ->
         reader.get("/sparql", params={"query": "SELECT * { ?s ?p ?o }", "default-graph-uri": secret}),
         reader.get("/sparql", params={"query": "SELECT * { GRAPH ?g { ?s ?p ?o } }", "named-graph-uri": secret}),
         reader.get("/data/", headers={"Prefer": "return=representation; max-member-count=1"}, follow_redirects=True),
-        reader.post(
-            "/sparql", content=f"COPY <{secret}> TO </data/x>", headers={"Content-Type": "application/sparql-update"}
-        ),
-        reader.post(
-            "/sparql",
-            content=f"LOAD <{secret}> INTO GRAPH </data/x>",
-            headers={"Content-Type": "application/sparql-update"},
-        ),
+        reader.post("/sparql", content=f"COPY <{secret}> TO </data/x>", headers=update),
+        reader.post("/sparql", content=f"LOAD <{secret}> INTO GRAPH </data/x>", headers=update),
         reader.put("/data/link", content=f"<> <http://example.org/p> <{secret}> .", headers=TURTLE),
         reader.get("/data/link"),
     ]

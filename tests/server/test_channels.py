@@ -1,4 +1,4 @@
-"""Notifications over real connections: found, subscribed to, received by a WebSocket and by a response that goes on."""
+"""Notifications over real connections: found, subscribed to, received by a WebSocket and by a streaming response."""
 
 from __future__ import annotations
 
@@ -87,19 +87,18 @@ def moment(seconds: float) -> str:
 # Discovery
 
 
-@pytest.mark.parametrize("path", ["/", "/topics/", f"/{SPEED}", f"/{AIRCRAFT}", f"/{NIGHT}", "/topics/none", "/sparql"])
-@pytest.mark.parametrize("method", ["GET", "HEAD", "OPTIONS"])
-def test_every_answer_links_to_the_description(aircraft: Any, path: str, method: str) -> None:
-    links = aircraft.http.request(method, path).headers.get_list("link")
+def test_every_answer_links_to_the_description(aircraft: Any) -> None:
     wanted = f'<{aircraft.url}.well-known/solid>; rel="http://www.w3.org/ns/solid/terms#storageDescription"'
-    assert wanted in ", ".join(links)
+    for path in ("/", "/topics/", f"/{SPEED}", f"/{AIRCRAFT}", f"/{NIGHT}", "/topics/none", "/sparql"):
+        for method in ("GET", "HEAD", "OPTIONS"):
+            links = aircraft.http.request(method, path).headers.get_list("link")
+            assert wanted in ", ".join(links), (method, path)
 
 
-@pytest.mark.parametrize("accept", ["text/turtle", "application/ld+json;q=0.1, text/n3", "application/rdf+xml"])
 def test_the_description_lists_the_services_and_their_features(
-    aircraft: Any, triples_of: Callable[[httpx.Response], set[Triple]], accept: str
+    aircraft: Any, triples_of: Callable[[httpx.Response], set[Triple]]
 ) -> None:
-    found = triples_of(aircraft.http.get("/.well-known/solid", headers={"Accept": accept}))
+    found = triples_of(aircraft.http.get("/.well-known/solid", headers={"Accept": "text/turtle"}))
     description = NamedNode(f"{aircraft.url}.well-known/solid")
     offers = (description, NamedNode(f"{NOTIFY}subscription"))
     services = {one.object for one in found if (one.subject, one.predicate) == offers}
@@ -109,11 +108,7 @@ def test_the_description_lists_the_services_and_their_features(
         assert Triple(service, NamedNode(f"{NOTIFY}channelType"), NamedNode(NOTIFY + kind)) in found
         for feature in ("accept", "rate", "startAt", "endAt", "state"):
             assert Triple(service, NamedNode(f"{NOTIFY}feature"), NamedNode(NOTIFY + feature)) in found
-
-
-def test_jsonld_is_compact_for_clients_without_rdf(aircraft: Any) -> None:
     answer = aircraft.http.get("/.well-known/solid", headers={"Accept": "application/ld+json"})
-    assert answer.headers["content-type"] == "application/ld+json"
     said = answer.json()
     assert isinstance(said["@context"], dict), "nothing of another host has to be fetched to read it"
     assert said["id"] == f"{aircraft.url}.well-known/solid"
@@ -122,116 +117,95 @@ def test_jsonld_is_compact_for_clients_without_rdf(aircraft: Any) -> None:
     assert aircraft.http.get("/.well-known/solid", headers=again).status_code == 304
 
 
-def test_a_service_describes_itself_and_says_what_it_takes(aircraft: Any) -> None:
-    url = f"/channels/{WEBSOCKET}"
-    assert aircraft.http.get(url, headers=JSON_LD).json()["channelType"] == NOTIFY + WEBSOCKET
+def test_services_and_well_known_documents_are_in_containers_and_describe_themselves(
+    aircraft: Any, triples_of: Callable[..., Any]
+) -> None:
+    http, turtle, html = aircraft.http, {"Accept": "text/turtle"}, {"Accept": "text/html"}
+    service = f"/channels/{WEBSOCKET}"
+    assert http.get(service, headers=JSON_LD).json()["channelType"] == NOTIFY + WEBSOCKET
     for method in ("GET", "HEAD", "OPTIONS"):
-        headers = aircraft.http.request(method, url).headers
+        headers = http.request(method, service).headers
         assert headers["allow"] == "GET, HEAD, OPTIONS, POST"
         assert "application/ld+json" in headers["accept-post"]
-    assert aircraft.http.get("/channels", follow_redirects=True).status_code == 200
-    assert f"/channels/{STREAMING}" in aircraft.http.get("/channels/", headers={"Accept": "text/turtle"}).text
+    for path, members in (("channels/", (WEBSOCKET, STREAMING)), (".well-known/", ("solid", "wot"))):
+        url = aircraft.url + path
+        assert http.get(f"/{path}"[:-1]).headers["location"] == url
+        answer = http.get(url, headers=turtle)
+        contained = {each.object.value for each in triples_of(answer) if each.predicate.value.endswith("ldp#contains")}
+        assert contained == {url + name for name in members}
+        assert all(http.get(each).status_code == 200 for each in contained)
+        assert http.get(url, headers=html).status_code == 200
+        assert f'href="/{path}"' in http.get(url + members[0], headers=html).text
 
 
 # Receiving
 
 
-def test_what_is_well_known_is_a_container_to_which_what_is_below_it_leads_up(
-    aircraft: Any, triples_of: Callable[..., Any]
+@pytest.mark.slow
+def test_a_topic_notifies_over_a_websocket_no_faster_than_its_rate_and_a_resource_over_http(
+    serve: Callable[..., Any],
 ) -> None:
-    http, url = aircraft.http, f"{aircraft.url}.well-known/"
-    assert http.get("/.well-known").headers["location"] == url
-    answer = http.get("/.well-known/", headers={"Accept": "text/turtle"})
-    contained = {each.object.value for each in triples_of(answer) if each.predicate.value.endswith("ldp#contains")}
-    assert contained == {f"{url}solid", f"{url}wot"}
-    assert all(http.get(each).status_code == 200 for each in contained)
-    page = http.get("/.well-known/solid", headers={"Accept": "text/html"})
-    assert f'href="{url}"' in page.text or 'href="/.well-known/"' in page.text
-    assert http.get("/.well-known/", headers={"Accept": "text/html"}).status_code == 200
-    assert http.get("/.well-known/other").status_code == 404
-
-
-def test_a_live_topic_notifies_over_a_websocket_no_faster_than_its_rate(serve: Callable[..., Any]) -> None:
     served = serve("aircraft")
     channel = subscribed(served, SPEED, rate="PT0.3S")
-    with connect(channel["receiveFrom"]) as ws:
+    with connect(channel["receiveFrom"]) as ws, streaming(served, subscribed(served, AIRCRAFT, STREAMING)) as stream:
         fly(served, 30)
-        came = [received(ws) for _ in range(5)]
+        came = [received(ws) for _ in range(4)]
+        found = next(stream)
+    assert (found["type"], found["object"]) == ("Update", served.url + AIRCRAFT)
     for found in came:
         assert found["@context"] == ["https://www.w3.org/ns/activitystreams", CONTEXT]
         assert found["type"] == "Update"
         assert found["object"] == served.url + SPEED
         assert found["id"].startswith("urn:uuid:")
         assert found["published"].endswith("Z")
-    assert len({found["state"] for found in came}) == 5
-    assert told_at(came[-1]) - told_at(came[0]) > 3.5 * 0.3  # one may come a quarter early
+    assert len({found["state"] for found in came}) == 4
+    assert published_at(came[-1]) - published_at(came[0]) > 2.5 * 0.3  # one may come a quarter early
 
 
-def told_at(found: Any) -> float:
-    """When a notification was published, in seconds, as the server told it."""
+def published_at(found: Any) -> float:
+    """Return when a notification was published, in seconds."""
     whole, _, part = found["published"].rstrip("Z").partition(".")
     return datetime.fromisoformat(whole).timestamp() + float(f"0.{part or 0}")
 
 
-def test_a_complex_resource_notifies_over_http(serve: Callable[..., Any]) -> None:
-    served = serve("aircraft")
-    with streaming(served, subscribed(served, AIRCRAFT, STREAMING)) as came:
-        fly(served, 10)
-        found = next(came)
-    assert (found["type"], found["object"]) == ("Update", served.url + AIRCRAFT)
-
-
-def test_the_state_told_is_the_one_in_the_entity_tag(aircraft: Any) -> None:
-    with connect(subscribed(aircraft, NIGHT)["receiveFrom"]) as ws:
+def test_the_state_told_is_that_of_the_entity_tag_and_is_told_to_who_has_another(aircraft: Any) -> None:
+    etag = aircraft.http.get(f"/{NIGHT}", headers={"Accept": "text/turtle"}).headers["etag"]
+    with connect(subscribed(aircraft, NIGHT, state=etag)["receiveFrom"]) as ws:
         turn(aircraft)
         state = received(ws)["state"]
+        assert state not in etag
+    with connect(subscribed(aircraft, NIGHT, state=etag)["receiveFrom"]) as ws:
+        assert received(ws)["state"] == state  # at once: nothing changed since
     etag = aircraft.http.get(f"/{NIGHT}", headers={"Accept": "text/turtle"}).headers["etag"]
     assert etag == f'"{state}.ttl"'
 
 
-def test_who_has_the_present_state_is_told_of_the_next(aircraft: Any) -> None:
-    etag = aircraft.http.get(f"/{NIGHT}").headers["etag"]
-    with connect(subscribed(aircraft, NIGHT, state=etag)["receiveFrom"]) as ws:
-        turn(aircraft)
-        assert received(ws)["state"] not in etag
-    with connect(subscribed(aircraft, NIGHT, state=etag)["receiveFrom"]) as ws:
-        assert received(ws)["state"] not in etag  # at once: nothing changed since
-
-
-def test_a_container_tells_which_member_came_and_went(aircraft: Any) -> None:
-    url = subscribed(aircraft, "topics/")["receiveFrom"]
-    with connect(url) as ws, streaming(aircraft, subscribed(aircraft, "topics/", STREAMING)) as came:
-        aircraft.http.put("/topics/notified", content=STRING, headers={"Content-Type": "text/turtle"})
-        notified = iter(lambda: received(ws), None)
-        added, same = of_members(notified), of_members(came)
-        aircraft.http.delete("/topics/notified").raise_for_status()
-        removed = of_members(notified)
-    assert (added["type"], added["object"], added["target"]) == (
-        "Add", f"{aircraft.url}topics/notified", f"{aircraft.url}topics/",
-    )  # fmt: skip
-    assert (removed["type"], removed["object"]) == ("Remove", f"{aircraft.url}topics/notified")
-    assert same == added
-
-
-def of_members(notified: Iterator[dict[str, Any]]) -> dict[str, Any]:
-    """The next notification of a member: a container also tells that it was updated, by a rate that became known."""
-    return next(each for each in notified if each["type"] != "Update")
-
-
-def test_what_is_deleted_and_made_again_is_told(aircraft: Any) -> None:
-    path, turtle = "/topics/notified_too", {"Content-Type": "text/turtle"}
-    aircraft.http.put(path, content=STRING, headers=turtle)
-    with connect(subscribed(aircraft, path[1:])["receiveFrom"]) as ws:
-        aircraft.http.delete(path).raise_for_status()
-        while (last := received(ws))["type"] != "Delete":
-            pass
-        assert "state" not in last
+def test_a_container_tells_which_member_came_and_went_and_the_member_too(aircraft: Any) -> None:
+    path, turtle = "/topics/notified", {"Content-Type": "text/turtle"}
+    members = {"target": f"{aircraft.url}topics/", "object": f"{aircraft.url}topics/notified"}
+    with connect(subscribed(aircraft, "topics/")["receiveFrom"]) as ws:
         aircraft.http.put(path, content=STRING, headers=turtle)
-        assert received(ws)["type"] == "Create"
+        assert next_of(ws, "Add").items() >= members.items()
+        with connect(subscribed(aircraft, path[1:])["receiveFrom"]) as own:
+            aircraft.http.delete(path).raise_for_status()
+            assert next_of(ws, "Remove")["object"] == members["object"]
+            assert "state" not in next_of(own, "Delete")
+            aircraft.http.put(path, content=STRING, headers=turtle)
+            assert received(own)["type"] == "Create"
     aircraft.http.delete(path).raise_for_status()
 
 
-def test_notifications_come_in_turtle_where_that_is_accepted(aircraft: Any) -> None:
+def next_of(ws: ClientConnection, type: str) -> dict[str, Any]:
+    """The next notification of a type: others tell of rates and values that became known."""
+    return next(each for each in iter(lambda: received(ws), None) if each["type"] == type)
+
+
+def test_turtle_is_taken_answered_and_sent_where_it_is_accepted(aircraft: Any) -> None:
+    turtle = {"Content-Type": "text/turtle", "Accept": "text/turtle"}
+    answer = post(aircraft, f"[] a <{NOTIFY}{WEBSOCKET}> ; <{NOTIFY}topic> </{NIGHT}> .".encode(), **turtle)
+    assert answer.status_code == 201
+    assert answer.headers["content-type"].startswith("text/turtle")
+    assert "receiveFrom" in answer.text
     channel = subscribed(aircraft, NIGHT, accept="text/turtle")
     assert channel["accept"] == "text/turtle"
     with connect(channel["receiveFrom"]) as ws:
@@ -244,8 +218,8 @@ def test_notifications_come_in_turtle_where_that_is_accepted(aircraft: Any) -> N
 
 def test_a_receiver_that_comes_back_hears_what_it_missed(aircraft: Any) -> None:
     channel = subscribed(aircraft, NIGHT)
-    with connect(channel["receiveFrom"]):
-        pass
+    with connect(channel["receiveFrom"], subprotocols=[WEBSOCKET]) as ws:  # type: ignore[list-item]
+        assert ws.subprotocol == WEBSOCKET
     turn(aircraft)
     with connect(channel["receiveFrom"]) as ws:
         assert received(ws)["type"] == "Update"
@@ -254,29 +228,32 @@ def test_a_receiver_that_comes_back_hears_what_it_missed(aircraft: Any) -> None:
 def test_a_second_connection_takes_the_place_of_the_first(aircraft: Any) -> None:
     channel = subscribed(aircraft, NIGHT)
     with connect(channel["receiveFrom"]) as old, connect(channel["receiveFrom"]) as new:
-        with pytest.raises(ConnectionClosed) as caught:
-            old.recv(10)
-        assert caught.value.rcvd is not None
-        assert caught.value.rcvd.code == 1000
+        assert closed_with(old) == 1000
         turn(aircraft)
         assert received(new)["type"] == "Update"
 
 
+@pytest.mark.slow
 def test_a_channel_ends_at_its_end_and_when_it_is_deleted(aircraft: Any) -> None:
+    streamed = subscribed(aircraft, NIGHT, STREAMING, endAt=moment(0.5))
+    with streaming(aircraft, streamed) as came:
+        assert list(came) == []
     for channel, end in (
-        (subscribed(aircraft, NIGHT, endAt=moment(1)), lambda url: None),
+        (subscribed(aircraft, NIGHT, endAt=moment(0.5)), lambda url: None),
         (subscribed(aircraft, NIGHT), lambda url: aircraft.http.delete(url).raise_for_status()),
     ):
         with connect(channel["receiveFrom"]) as ws:
             end(channel["id"])
-            with pytest.raises(ConnectionClosed) as caught:
-                ws.recv(10)
-        assert caught.value.rcvd is not None
-        assert caught.value.rcvd.code == 1000
+            assert closed_with(ws) == 1000
         assert aircraft.http.get(channel["id"]).status_code == 404
-    streamed = subscribed(aircraft, NIGHT, STREAMING, endAt=moment(1))
-    with streaming(aircraft, streamed) as came:
-        assert list(came) == []
+
+
+def closed_with(ws: ClientConnection) -> int:
+    """Wait until the server closes the connection; return its code."""
+    with pytest.raises(ConnectionClosed) as caught:
+        ws.recv(10)
+    assert caught.value.rcvd is not None
+    return caught.value.rcvd.code
 
 
 def test_a_channel_says_what_it_was_made_for(
@@ -295,19 +272,6 @@ def test_a_channel_says_what_it_was_made_for(
     assert plain.headers["upgrade"] == "websocket"
 
 
-def test_a_subscription_in_turtle_is_answered_in_turtle(aircraft: Any) -> None:
-    turtle = {"Content-Type": "text/turtle", "Accept": "text/turtle"}
-    answer = post(aircraft, f"[] a <{NOTIFY}{WEBSOCKET}> ; <{NOTIFY}topic> </{NIGHT}> .".encode(), **turtle)
-    assert answer.status_code == 201
-    assert answer.headers["content-type"].startswith("text/turtle")
-    assert "receiveFrom" in answer.text
-
-
-def test_a_browsers_choice_of_subprotocol_is_confirmed(aircraft: Any) -> None:
-    with connect(subscribed(aircraft, NIGHT)["receiveFrom"], subprotocols=[WEBSOCKET]) as ws:  # type: ignore[list-item]
-        assert ws.subprotocol == WEBSOCKET
-
-
 def test_what_a_client_says_is_not_listened_to(aircraft: Any) -> None:
     with connect(subscribed(aircraft, NIGHT)["receiveFrom"]) as ws:
         for _ in range(100):
@@ -315,15 +279,12 @@ def test_what_a_client_says_is_not_listened_to(aircraft: Any) -> None:
         turn(aircraft)
         assert received(ws)["type"] == "Update"
         ws.send("x" * 10_000)
-        with pytest.raises(ConnectionClosed) as caught:
-            ws.recv(10)
-        assert caught.value.rcvd is not None
-        assert caught.value.rcvd.code == 1009
+        assert closed_with(ws) == 1009
 
 
-def test_a_hundred_receivers_hear_of_one_change_at_once(aircraft: Any) -> None:
-    channels = [subscribed(aircraft, NIGHT)["receiveFrom"] for _ in range(100)]
-    with ThreadPoolExecutor(100) as pool, ExitStack() as open_ones:
+def test_all_receivers_hear_of_one_change_at_once(aircraft: Any) -> None:
+    channels = [subscribed(aircraft, NIGHT)["receiveFrom"] for _ in range(20)]
+    with ThreadPoolExecutor(20) as pool, ExitStack() as open_ones:
         made = pool.map(connect, channels)
         sockets = [open_ones.enter_context(ws) for ws in made]
         turn(aircraft)
@@ -334,32 +295,24 @@ def test_a_hundred_receivers_hear_of_one_change_at_once(aircraft: Any) -> None:
 # Refusals
 
 
-@pytest.mark.parametrize(
-    ("changed", "status", "said"),
-    [
+def test_a_hostile_subscription_is_a_clear_error(aircraft: Any) -> None:
+    for changed, status, said in (
         ({"topic": "http://elsewhere.example/topics/x"}, 422, "elsewhere.example"),
-        ({"topic": "/topics/none"}, 422, "/none"),
-        ({"topic": "/nothing/here"}, 422, "nothing/here"),
-        ({"topic": "/.well-known/wot"}, 422, "no state"),
-        ({"topic": "/topics/%ff"}, 422, "%ff"),
-        ({"topic": "/topics"}, 422, "/topics/"),
+        ({"topic": f"{aircraft.url}topics/none"}, 422, "/none"),
+        ({"topic": f"{aircraft.url}nothing/here"}, 422, "nothing/here"),
+        ({"topic": f"{aircraft.url}.well-known/wot"}, 422, "no state"),
+        ({"topic": f"{aircraft.url}topics/%ff"}, 422, "%ff"),
+        ({"topic": f"{aircraft.url}topics"}, 422, "/topics/"),
         ({"topic": 5}, 422, "topic"),
         ({"type": NOTIFY + STREAMING}, 422, STREAMING),
         ({"@context": "http://evil.example/"}, 422, "evil.example"),
         ({"rate": "fast"}, 422, "fast"),
         ({"state": "x" * 20_000}, 413, "16384"),
-    ],
-)
-def test_a_hostile_subscription_is_a_clear_error(
-    aircraft: Any, changed: dict[str, object], status: int, said: str
-) -> None:
-    body = wish(aircraft, NIGHT) | changed
-    if str(body["topic"]).startswith("/"):
-        body["topic"] = aircraft.url + str(body["topic"])[1:]
-    answer = post(aircraft, body, Accept="application/json")
-    assert answer.status_code == status, answer.text
-    assert answer.headers["content-type"] == "application/problem+json"
-    assert said in answer.json()["detail"]
+    ):
+        answer = post(aircraft, wish(aircraft, NIGHT) | changed, Accept="application/json")
+        assert answer.status_code == status, (changed, answer.text)
+        assert answer.headers["content-type"] == "application/problem+json"
+        assert said in answer.json()["detail"]
 
 
 def test_what_is_no_subscription_at_all_is_refused(aircraft: Any) -> None:
@@ -418,9 +371,6 @@ def test_a_server_told_to_end_closes_its_channels_and_is_gone(serve: Callable[..
     streamed = subscribed(served, NIGHT, STREAMING)
     with connect(subscribed(served, NIGHT)["receiveFrom"]) as ws, streaming(served, streamed) as came:
         served.process.send_signal(signal.SIGTERM)
-        with pytest.raises(ConnectionClosed) as caught:
-            ws.recv(10)
+        assert closed_with(ws) in (1001, 1012)
         assert list(came) == []
         assert served.process.wait(60) == 0
-    assert caught.value.rcvd is not None
-    assert caught.value.rcvd.code in (1001, 1012)

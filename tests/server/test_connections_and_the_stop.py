@@ -16,6 +16,8 @@ from websockets.sync.client import ClientConnection, connect
 from tests.stopping import release
 from tests.waiting import until
 
+pytestmark = pytest.mark.slow
+
 MOST = 40
 WEBSOCKETS = 15
 STREAM = {"Accept": "text/event-stream"}

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import httpx
 import pytest
+
+pytestmark = pytest.mark.slow
 
 TURTLE, UPDATE = {"Content-Type": "text/turtle"}, {"Content-Type": "application/sparql-update"}
 PATHS = ("a", "b", "c/d")
@@ -16,15 +18,14 @@ TEXT = "<urn:s> <urn:p> 10 ; <urn:q> <urn:o> . <urn:o> <urn:p> 5 ."
 
 
 @pytest.fixture(scope="module")
-def http(start_server: Callable[..., Any]) -> Iterator[httpx.Client]:
+def http(start_server: Callable[..., Any]) -> httpx.Client:
     """A server with three documents that say the same, and one that says something else."""
-    served = start_server("aircraft")
+    client: httpx.Client = start_server("aircraft").http
     for path in PATHS:
-        assert served.http.put(f"/data/{path}", content=TEXT, headers=TURTLE).status_code == 201
+        assert client.put(f"/data/{path}", content=TEXT, headers=TURTLE).status_code == 201
     other = "<urn:s> <urn:p> 20 . <urn:t> <urn:p> 10 ."
-    assert served.http.put("/data/other", content=other, headers=TURTLE).status_code == 201
-    yield served.http
-    assert served.stop() == 0
+    assert client.put("/data/other", content=other, headers=TURTLE).status_code == 201
+    return client
 
 
 def rows(http: httpx.Client, query: str, **dataset: Any) -> list[list[str]]:
@@ -33,9 +34,8 @@ def rows(http: httpx.Client, query: str, **dataset: Any) -> list[list[str]]:
     return sorted(csv.reader(io.StringIO(answer.text)))
 
 
-@pytest.mark.parametrize(
-    ("query", "found"),
-    [
+def test_a_triple_of_several_graphs_is_found_once(http: httpx.Client) -> None:
+    for query, found in (
         ("SELECT ?o { <urn:s> <urn:q> ?o }", [["o"], ["urn:o"]]),
         ("SELECT (COUNT(*) AS ?n) (SUM(?o) AS ?sum) { ?s <urn:p> ?o }", [["4", "45"], ["n", "sum"]]),
         ("SELECT (COUNT(*) AS ?n) { <urn:s> <urn:p>|<urn:q> ?o }", [["3"], ["n"]]),
@@ -45,20 +45,11 @@ def rows(http: httpx.Client, query: str, **dataset: Any) -> list[list[str]]:
         ("SELECT (COUNT(*) AS ?n) { ?s <urn:q> ?o GRAPH ?g { ?s <urn:q> ?o } }", [["3"], ["n"]]),
         ("SELECT (SUM(?o) AS ?n) FROM <data/a> FROM <data/b> { <urn:s> <urn:p> ?o }", [["10"], ["n"]]),
         ("SELECT (SUM(?o) AS ?n) FROM <data/a> FROM <data/other> { ?s <urn:p> ?o }", [["45"], ["n"]]),
-    ],
-)
-def test_a_triple_of_several_graphs_is_found_once(http: httpx.Client, query: str, found: list[list[str]]) -> None:
-    assert rows(http, query) == found
-
-
-def test_the_dataset_of_the_request_is_a_set_too(http: httpx.Client) -> None:
+        ("SELECT ?s ?p ?o { ?s ?p ?o } GROUP BY ?s ?p ?o HAVING (COUNT(*) > 1)", [["s", "p", "o"]]),
+    ):
+        assert rows(http, query) == found, query
     graphs = {"default-graph-uri": [f"{http.base_url}data/{path}" for path in PATHS]}
     assert rows(http, "SELECT (COUNT(*) AS ?n) { ?s <urn:p> ?o }", **graphs) == [["2"], ["n"]]
-
-
-def test_nothing_is_there_twice(http: httpx.Client) -> None:
-    query = "SELECT ?s ?p ?o { ?s ?p ?o } GROUP BY ?s ?p ?o HAVING (COUNT(*) > 1)"
-    assert rows(http, query) == [["s", "p", "o"]]
 
 
 @pytest.mark.parametrize("using", ["", "USING <data/a> USING <data/b> USING <data/other>"])

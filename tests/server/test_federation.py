@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import select
-import socket
 import threading
 from collections.abc import Callable, Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -14,10 +12,18 @@ import pytest
 
 Served = Any
 ANSWER = b'{"head":{"vars":["x"]},"results":{"bindings":[{"x":{"type":"literal","value":"from afar"}}]}}'
+DOCUMENTS = {
+    "/doc": (b"<#it> <urn:says> [ <urn:n> 1 ] .", "text/turtle"),
+    "/latin": ("<#it> <urn:says> 'Zoë' .".encode("latin-1"), "text/turtle; charset=ISO-8859-1"),
+    "/klingon": (b"<#it> <urn:says> 1 .", "text/turtle; charset=klingon"),
+    "/page": (b"<html></html>", "text/html"),
+    "/broken.ttl": (b"<#it> <urn:says>", "text/turtle"),
+}
+UPDATE = {"Content-Type": "application/sparql-update"}
 
 
 class Endpoint(ThreadingHTTPServer):
-    """An endpoint elsewhere: /sparql answers, /broken fails, /moved leads to /sparql, /silent waits for its end."""
+    """A server elsewhere: /sparql answers, /broken fails, /moved leads to /sparql, /silent waits for its end."""
 
     daemon_threads = True
 
@@ -39,11 +45,12 @@ class _Handler(BaseHTTPRequestHandler):
         if self.path == "/silent":
             self.server.ending.wait(60)
         self.send_response({"/broken": 500, "/moved": 302}.get(self.path, 200))
-        self.send_header("Content-Type", "application/sparql-results+json")
+        body, media_type = DOCUMENTS.get(self.path, (ANSWER, "application/sparql-results+json"))
+        self.send_header("Content-Type", media_type)
         self.send_header("Location", self.server.url("sparql"))
-        self.send_header("Content-Length", str(len(ANSWER)))
+        self.send_header("Content-Length", str(len(body)))
         self.end_headers()
-        self.wfile.write(ANSWER)
+        self.wfile.write(body)
 
     def do_GET(self) -> None:
         self.do_POST()
@@ -127,66 +134,45 @@ REFUSED = [
 ]
 
 
-@pytest.mark.parametrize("query", REFUSED)
-def test_an_endpoint_that_is_not_listed_is_refused_however_it_is_written(
-    aircraft: Served, federated: Served, endpoint: Endpoint, query: str
+def test_no_request_leaves_the_machine_however_it_is_written(
+    aircraft: Served, federated: Served, endpoint: Endpoint
 ) -> None:
-    before = len(endpoint.asked)
-    for served in (aircraft, federated):
-        answer = ask(served, query.format(url=endpoint.url("other")))
-        assert answer.status_code == 400, answer.text
-        assert "SERVICE" in answer.text or "S\\u" in query
+    before, url = len(endpoint.asked), endpoint.url("other")
+    for query in REFUSED:
+        for served in (aircraft, federated):
+            answer = ask(served, query.format(url=url))
+            assert answer.status_code == 400, (query, answer.text)
+            assert "SERVICE" in answer.text or "S\\u" in query
+    for query in (
+        f"SELECT * FROM <{url}> {{ ?s ?p ?o }}",
+        f"SELECT * FROM NAMED <{url}> {{ GRAPH ?g {{ ?s ?p ?o }} }}",
+        f"DESCRIBE <{url}>",
+        f"SELECT (<{url}>(1) AS ?x) {{ }}",
+    ):
+        assert ask(aircraft, query).status_code < 500
+        assert ask(aircraft, query, **{"default-graph-uri": url}).status_code < 500
+    for update in (
+        f"LOAD <{url}>",
+        f"LOAD SILENT <{url}> INTO GRAPH <x:y>",
+        f"INSERT {{ ?s ?p ?o }} WHERE {{ SERVICE <{url}> {{ ?s ?p ?o }} }}",
+    ):
+        for path in ("/sparql", "/topics/cockpit/display", "/data/"):
+            method = "POST" if path == "/sparql" else "PATCH"
+            answer = aircraft.http.request(method, path, content=update, headers=UPDATE)
+            silent = "SILENT" in update and method == "POST"  # whatever it meets is passed over (Update, 3.1.4)
+            assert answer.status_code == 204 if silent else 400 <= answer.status_code < 500, answer.text
     assert len(endpoint.asked) == before
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        lambda url: f"{url}/other",
-        lambda url: f"{url}ing",
-        lambda url: f"{url}?query=x",
-        lambda url: url[:-1],
-        lambda url: url.replace("http://", "http://x@"),
-        lambda url: url.replace("sparql", "%73parql"),
-        lambda url: url.replace("sparql", "other/../sparql"),
-    ],
-)
-def test_an_endpoint_is_listed_by_its_whole_url_letter_by_letter(
-    federated: Served, endpoint: Endpoint, change: Callable[[str], str]
-) -> None:
-    before = len(endpoint.asked)
-    for keyword in ("SERVICE", "service silent"):
-        answer = ask(federated, f"SELECT * {{ {keyword} <{change(endpoint.url('sparql'))}> {{ ?s ?p ?o }} }}")
-        assert answer.status_code == 400, answer.text
-        assert "by its whole URL" in answer.json()["detail"]
+def test_an_endpoint_is_listed_by_its_whole_url_letter_by_letter(federated: Served, endpoint: Endpoint) -> None:
+    before, url = len(endpoint.asked), endpoint.url("sparql")
+    near = [f"{url}/other", f"{url}ing", f"{url}?query=x", url[:-1], url.replace("http://", "http://x@")]
+    for each in (*near, url.replace("sparql", "%73parql"), url.replace("sparql", "other/../sparql")):
+        for keyword in ("SERVICE", "service silent"):
+            answer = ask(federated, f"SELECT * {{ {keyword} <{each}> {{ ?s ?p ?o }} }}")
+            assert answer.status_code == 400, answer.text
+            assert "by its whole URL" in answer.json()["detail"]
     assert len(endpoint.asked) == before
-
-
-def test_no_request_leaves_the_machine_whatever_is_asked(aircraft: Served) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as listening:
-        url = f"http://127.0.0.1:{listening.getsockname()[1]}/"
-        for query in [
-            *REFUSED,
-            "SELECT * FROM <{url}> {{ ?s ?p ?o }}",
-            "SELECT * FROM NAMED <{url}> {{ GRAPH ?g {{ ?s ?p ?o }} }}",
-            "DESCRIBE <{url}>",
-            "SELECT (<{url}>(1) AS ?x) {{ }}",
-        ]:
-            assert ask(aircraft, query.format(url=url)).status_code < 500
-            ask(aircraft, query.format(url=url), **{"default-graph-uri": url})
-        for update in (
-            "LOAD <{url}>",
-            "LOAD SILENT <{url}> INTO GRAPH <x:y>",
-            "INSERT {{ ?s ?p ?o }} WHERE {{ SERVICE <{url}> {{ ?s ?p ?o }} }}",
-        ):
-            for path in ("/sparql", "/topics/cockpit/display", "/data/"):
-                method = "POST" if path == "/sparql" else "PATCH"
-                answer = aircraft.http.request(
-                    method, path, content=update.format(url=url), headers={"Content-Type": "application/sparql-update"}
-                )
-                silent = "SILENT" in update and method == "POST"  # whatever it meets is passed over (Update, 3.1.4)
-                assert answer.status_code == 204 if silent else 400 <= answer.status_code < 500, answer.text
-        assert not select.select([listening], [], [], 0.2)[0]
 
 
 def test_settings_refuse_what_is_no_url_to_ask() -> None:
@@ -199,65 +185,27 @@ def test_settings_refuse_what_is_no_url_to_ask() -> None:
             Settings(allow_load=(url,))
 
 
-@pytest.fixture
-def document() -> Iterator[str]:
-    """A document of two triples elsewhere; below it others that are none."""
-
-    class Handler(BaseHTTPRequestHandler):
-        def do_GET(self) -> None:
-            body, kind = {
-                "/doc": (b"<#it> <urn:says> [ <urn:n> 1 ] .", "text/turtle"),
-                "/latin": ("<#it> <urn:says> 'Zoë' .".encode("latin-1"), "text/turtle; charset=ISO-8859-1"),
-                "/klingon": (b"<#it> <urn:says> 1 .", "text/turtle; charset=klingon"),
-                "/page": (b"<html></html>", "text/html"),
-                "/broken": (b"<#it> <urn:says>", "text/turtle"),
-            }.get(self.path, (b"", "text/turtle"))
-            self.send_response(302 if self.path == "/moved" else 200)
-            self.send_header("Location", "/doc")
-            self.send_header("Content-Type", kind)
-            self.send_header("Content-Length", str(len(body)))
-            self.end_headers()
-            self.wfile.write(body)
-
-        def log_message(self, *_: object) -> None: ...
-
-    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-    thread = threading.Thread(target=server.serve_forever)
-    thread.start()
-    yield f"http://127.0.0.1:{server.server_port}"
-    server.shutdown()
-    thread.join()
-    server.server_close()
-
-
 def test_documents_that_are_listed_are_loaded_into_a_graph_and_no_others(
-    serve: Callable[..., Served], document: str
+    serve: Callable[..., Served], endpoint: Endpoint
 ) -> None:
-    listed = [f"{document}/{name}" for name in ("doc", "latin", "klingon", "page", "broken", "moved")]
-    http = serve("aircraft", *(word for url in listed for word in ("--allow-load", url))).http
+    urls = {name: endpoint.url(name) for name in ("doc", "latin", "klingon", "page", "broken.ttl", "moved")}
+    http = serve("aircraft", *(word for url in urls.values() for word in ("--allow-load", url))).http
+    urls["unlisted"] = endpoint.url("unlisted")
 
-    def load(text: str) -> int:
-        return int(
-            http.post("/sparql", content=text, headers={"Content-Type": "application/sparql-update"}).status_code
-        )
+    def load(name: str, into: str = " INTO GRAPH </data/other>", how: str = "LOAD") -> int:
+        found: int = http.post("/sparql", content=f"{how} <{urls[name]}>{into}", headers=UPDATE).status_code
+        return found
 
-    assert load(f"LOAD <{document}/doc> INTO GRAPH </data/loaded>") == 204
+    assert load("doc", " INTO GRAPH </data/loaded>") == 204
     found = http.get("/data/loaded", headers={"Accept": "application/n-triples"}).text
-    assert f"<{document}/doc#it> <urn:says> _:" in found
-    assert load(f"LOAD <{document}/latin> INTO GRAPH </data/latin>") == 204
+    assert f"<{urls['doc']}#it> <urn:says> _:" in found
+    assert load("latin", " INTO GRAPH </data/latin>") == 204
     assert '"Zoë"' in http.get("/data/latin", headers={"Accept": "application/n-triples"}).text
-    assert load(f"LOAD <{document}/klingon> INTO GRAPH </data/other>") == 422
-    assert load(f"LOAD <{document}/doc>") == 422
-    assert load(f"LOAD <{document}/other> INTO GRAPH </data/other>") == 403
-    assert load(f"LOAD <{document}/page> INTO GRAPH </data/other>") == 422
-    assert load(f"LOAD <{document}/broken> INTO GRAPH </data/other>") == 422
-    assert load(f"LOAD <{document}/moved> INTO GRAPH </data/other>") == 502
-    for name, graph in (
-        ("moved", "/data/other"),
-        ("unlisted", "/data/other"),
-        ("page", "/data/other"),
-        ("doc", "/topics/"),
-    ):
-        assert load(f"LOAD SILENT <{document}/{name}> INTO GRAPH <{graph}>") == 204
-    assert load(f"LOAD SILENT <{document}/doc>") == 204
+    assert load("doc", "") == 422
+    refused = {"klingon": 422, "page": 422, "broken.ttl": 422, "moved": 502, "unlisted": 403}
+    assert {name: load(name) for name in refused} == refused
+    for name in ("moved", "unlisted", "page"):
+        assert load(name, how="LOAD SILENT") == 204
+    for into in (" INTO GRAPH </topics/>", ""):
+        assert load("doc", into, "LOAD SILENT") == 204
     assert http.get("/data/other").status_code == 404

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import httpx
 import pytest
 from pyoxigraph import Literal, NamedNode
 
-from rosld.adapters.base import Subscription
 from rosld.adapters.model import Descriptor
 from rosld.ontology.vocab import hydra, ros, schema_org
 from rosld.server.resources.find import MAX_BYTES, MAX_RESULTS
 from tests.server.conftest import Served
 from tests.server.robots.asking import JSON, TURTLE, XSD, detail, mapped, triples, value
-from tests.server.robots.made_up import MadeUp, Serving
+from tests.server.robots.made_up import MadeUp, Serving, served
 from tests.server.robots.many import furnish
+
+pytestmark = pytest.mark.slow
 
 HTML = {"Accept": "text/html"}
 RDF = {"Accept": "text/turtle"}
@@ -41,11 +42,13 @@ def names(results: list[dict[str, Any]]) -> list[str]:
     return [result["name"] for result in results]
 
 
-@pytest.fixture
-def many(robot: MadeUp, serving: Serving) -> httpx.Client:
+@pytest.fixture(scope="module")
+def many() -> Iterator[httpx.Client]:
     """A robot of 330 topics."""
+    robot = MadeUp()
     furnish(robot)
-    return serving()
+    with served(robot) as client:
+        yield client
 
 
 def test_a_program_that_knows_only_the_entry_finds_the_battery_of_an_unmapped_robot(
@@ -59,12 +62,19 @@ def test_a_program_that_knows_only_the_entry_finds_the_battery_of_an_unmapped_ro
         if triple.predicate == hydra.template and isinstance(triple.object, Literal)
     ]
     assert template == f"{links['search']['url']}{{?q}}"
+    assert '<form class="find" role="search" method="get" action="/find"' in http.get("/nothing", headers=HTML).text
     first = find(http, "battery")[0]
     assert (first["name"], first["kind"], first["type"]) == ("/battery_state", "topic", "sensor_msgs/msg/BatteryState")
     assert 0 < value(http, first["url"])["percentage"] <= 1
     again = find(http, "battery")[0]
     assert 0 < again["value"]["percentage"] <= 1, "what was read is at hand now"
     assert value(http, again["resource"])["percentage"] <= again["value"]["percentage"]
+    told = http.get("/find", params={"q": "sensor_msgs", "values": "true"}, headers=JSON).json()["results"]
+    values = {result["name"]: result.get("value") for result in told if result["kind"] == "topic"}
+    assert "voltage" in values["/battery_state"]
+    assert {"/camera/image_raw", "/camera/image_raw/compressed", "/scan"} <= values.keys()
+    assert not any(values[name] for name in values if "image" in name or name == "/scan"), "large messages"
+    assert http.get("/find", params={"q": "battery", "values": "perhaps"}, headers=JSON).status_code == 400
 
 
 def test_results_say_what_they_are_and_by_what_they_were_found(robot: MadeUp, serving: Serving) -> None:
@@ -117,7 +127,7 @@ def test_what_mappings_and_descriptors_say_is_found(robot: MadeUp, serving: Serv
     assert names(find(http, "gripper closes")) == ["/n/p"]
 
 
-def test_queries_and_documents_are_found_by_title(robot: MadeUp, serving: Serving) -> None:
+def test_queries_and_documents_are_found_by_title_and_new_names_at_once(robot: MadeUp, serving: Serving) -> None:
     http = serving()
     body = '<> <http://purl.org/dc/terms/title> "The docking station in the hall" .'
     assert http.put("/data/places/station", content=body, headers=TURTLE).status_code == 201
@@ -128,33 +138,18 @@ def test_queries_and_documents_are_found_by_title(robot: MadeUp, serving: Servin
     http.delete("/data/places/station")
     assert find(http, "docking hall") == []
     assert find(http, "emergency")[0]["url"] == f"{http.base_url}stop"
+    assert find(http, "gripper") == []
+    robot.topic("/gripper", "std_msgs/msg/Float64")
+    assert names(find(http, "gripper")) == ["/gripper"]
 
 
-def test_a_search_that_asks_for_values_looks_at_topics_whose_messages_are_small(serve: Callable[..., Served]) -> None:
-    http = serve("rover").http
-    told = http.get("/find", params={"q": "sensor_msgs", "values": "true"}, headers=JSON).json()["results"]
-    values = {result["name"]: result.get("value") for result in told if result["kind"] == "topic"}
-    assert "voltage" in values["/battery_state"]
-    assert {"/camera/image_raw", "/camera/image_raw/compressed", "/scan"} <= values.keys()
-    assert not any(values[name] for name in values if "image" in name or name == "/scan")
-    assert http.get("/find", params={"q": "battery", "values": "perhaps"}, headers=JSON).status_code == 400
-
-
-def test_a_search_subscribes_to_nothing(robot: MadeUp, serving: Serving, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[str] = []
-    subscribe = robot.subscribe
-
-    async def counted(topic: str, *, depth: int = 1) -> Subscription:
-        asked.append(topic)
-        return await subscribe(topic, depth=depth)
-
-    monkeypatch.setattr(robot, "subscribe", counted)
-    furnish(robot)
+def test_a_search_subscribes_to_nothing(robot: MadeUp, serving: Serving) -> None:
+    robot.topic("/battery", "sensor_msgs/msg/BatteryState", {})
     robot.variable("/lights/level", "Byte", value=3)
     http = serving()
     assert "value" not in find(http, "battery")[0]
     assert find(http, "level")
-    assert (asked, robot.calls) == ([], {})
+    assert (robot.subscribed(), robot.calls) == (set(), {})
 
 
 def test_hundreds_of_topics_are_told_by_the_best_twenty_in_five_kilobytes(many: httpx.Client) -> None:
@@ -163,6 +158,8 @@ def test_hundreds_of_topics_are_told_by_the_best_twenty_in_five_kilobytes(many: 
     assert names(told["results"][:8]) == [f"/camera_{number}/image_raw" for number in range(1, 9)]
     assert names(find(many, "battery_3 state"))[0] == "/battery_3/state"
     assert names(find(many, "wheel_7")) == ["/wheel_7/", "/wheel_7/odom", "/wheel_7/current", "/wheel_7/velocity"]
+    first = many.get("/find?q=odom", headers=JSON)
+    assert many.get("/find?q=odom", headers={**JSON, "If-None-Match": first.headers["etag"]}).status_code == 304
 
 
 def test_values_are_left_out_before_results(robot: MadeUp, serving: Serving) -> None:
@@ -195,34 +192,12 @@ def test_rdf_json_and_the_page_say_the_same_in_the_same_order(many: httpx.Client
     assert 'name="q" value="odom"' in page
 
 
-def test_every_page_has_the_box_and_the_entry_links_to_the_search(many: httpx.Client) -> None:
-    for path in ("/", "/topics/", "/sparql", "/queries/inventory", "/ontology", "/nothing", "/find"):
-        page = many.get(path, headers=HTML).text
-        assert '<form class="find" role="search" method="get" action="/find"' in page, path
-    assert 'rel="search"' in many.get("/").headers["link"]
-
-
-@pytest.mark.parametrize(("query", "words"), [("x" * 201, "201 characters"), (" ".join("abcdefghi"), "9 words")])
-def test_too_much_is_refused(many: httpx.Client, query: str, words: str) -> None:
-    assert words in detail(many.get("/find", params={"q": query}), 400)
-
-
-@pytest.mark.parametrize("query", ["", " ", "no such thing", "\u202e</script>", '"', "%00", "a/b?c#d&e=f"])
-def test_whatever_is_searched_for_is_answered(many: httpx.Client, query: str) -> None:
-    assert found(many, query)["total"] == 0
-    for accept in (RDF, HTML, {"Accept": "application/ld+json"}, {"Accept": "application/rdf+xml"}):
-        answer = many.get("/find", params={"q": query}, headers=accept)
-        assert answer.status_code == 200
-        assert "</script></script>" not in answer.text
-
-
-def test_a_search_that_finds_the_same_has_not_changed(many: httpx.Client) -> None:
-    first = many.get("/find?q=odom", headers=JSON)
-    assert many.get("/find?q=odom", headers={**JSON, "If-None-Match": first.headers["etag"]}).status_code == 304
-
-
-def test_new_names_are_found_at_once(robot: MadeUp, serving: Serving) -> None:
-    http = serving()
-    assert find(http, "gripper") == []
-    robot.topic("/gripper", "std_msgs/msg/Float64")
-    assert names(find(http, "gripper")) == ["/gripper"]
+def test_whatever_is_searched_for_is_answered_unless_it_is_too_much(many: httpx.Client) -> None:
+    for query, words in (("x" * 201, "201 characters"), (" ".join("abcdefghi"), "9 words")):
+        assert words in detail(many.get("/find", params={"q": query}), 400)
+    for query in ("", " ", "no such thing", "\u202e</script>", '"', "%00", "a/b?c#d&e=f"):
+        assert found(many, query)["total"] == 0
+        for accept in (RDF, HTML, {"Accept": "application/ld+json"}, {"Accept": "application/rdf+xml"}):
+            answer = many.get("/find", params={"q": query}, headers=accept)
+            assert answer.status_code == 200
+            assert "</script></script>" not in answer.text

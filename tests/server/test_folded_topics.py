@@ -41,33 +41,18 @@ def shown(http: httpx.Client, type: str, **values: float) -> None:
 
 @pytest.mark.parametrize("type", FOLDED)
 def test_the_newest_element_of_each_key_is_read(robot: MadeUp, serving: Serving, type: str) -> None:
-    robot.topic("/folded", type, message(type, wheel=1.0))
-    http = serving()
-    with http.stream("GET", "/topics/folded", headers={"Accept": "text/event-stream"}) as kept:
-        assert kept.status_code == 200  # while somebody follows, what came is kept
-        shown(http, type, wheel=1.0)
-        robot.publishes("/folded", message(type, arm=2.0))
-        shown(http, type, arm=2.0, wheel=1.0)
-        robot.publishes("/folded", message(type, wheel=3.0))
-        shown(http, type, arm=2.0, wheel=3.0)
-        robot.publishes("/folded", message(type, arm=4.0, lid=5.0))
-        shown(http, type, arm=4.0, lid=5.0, wheel=3.0)
-
-
-@pytest.mark.parametrize("type", FOLDED)
-def test_of_elements_with_one_key_in_one_message_the_last_is_read(robot: MadeUp, serving: Serving, type: str) -> None:
     array, _ = FOLDED[type]
     twice = [*message(type, wheel=1.0)[array], *message(type, wheel=2.0)[array]]
     robot.topic("/folded", type, {array: twice})
-    assert numbers(serving(), type) == [("wheel", 2.0)]
-
-
-@pytest.mark.parametrize("type", FOLDED)
-def test_what_came_between_two_reads_is_not_lost(robot: MadeUp, serving: Serving, type: str) -> None:
-    robot.topic("/folded", type, message(type, wheel=1.0))
     http = serving()
-    assert numbers(http, type) == [("wheel", 1.0)]
-    for x in range(2, 12):
+    assert numbers(http, type) == [("wheel", 2.0)]
+    with http.stream("GET", "/topics/folded", headers={"Accept": "text/event-stream"}) as kept:
+        assert kept.status_code == 200  # while somebody follows, what came is kept
+        robot.publishes("/folded", message(type, arm=2.0))
+        shown(http, type, arm=2.0, wheel=2.0)
+        robot.publishes("/folded", message(type, arm=4.0, lid=5.0))
+        shown(http, type, arm=4.0, lid=5.0, wheel=2.0)
+    for x in range(6, 16):  # none is lost that came between two reads
         robot.publishes("/folded", message(type, **{f"joint{x}": float(x), "wheel": float(x)}))
     found = dict(numbers(http, type))
-    assert found == {f"joint{x}": float(x) for x in range(2, 12)} | {"wheel": 11.0}
+    assert found.items() >= ({f"joint{x}": float(x) for x in range(6, 16)} | {"wheel": 15.0}).items()

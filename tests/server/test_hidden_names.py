@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import httpx
 import pytest
 from pyoxigraph import NamedNode, RdfFormat, parse
 
 from rosld.ontology.vocab import ldp, rdfs
 from tests.server.robots.made_up import MadeUp, Serving
 
-READ = {"accept": "application/n-triples"}
+READ, JSON = {"accept": "application/n-triples"}, {"accept": "application/json"}
 
 
 @pytest.fixture
 def hiding(robot: MadeUp) -> MadeUp:
+    """A robot with hidden names."""
     robot.capabilities = replace(robot.capabilities, hidden_names=True)
     robot.topic("/chatter", "std_msgs/msg/String")
     robot.topic("/fly/height", "std_msgs/msg/String")
@@ -24,90 +26,81 @@ def hiding(robot: MadeUp) -> MadeUp:
     return robot
 
 
+@pytest.fixture
+def client(hiding: MadeUp, serving: Serving) -> httpx.Client:
+    return serving()
+
+
 def told(text: str, url: str, predicate: NamedNode) -> set[str]:
     triples = [quad.triple for quad in parse(text.encode(), format=RdfFormat.N_TRIPLES)]
     found = {one.object.value for one in triples if one.subject == NamedNode(url) and one.predicate == predicate}
     return {each.removeprefix(url) for each in found}
 
 
-def listing(client: object, path: str, predicate: NamedNode = ldp.contains) -> set[str]:
-    answer = client.get(path, headers=READ)  # type: ignore[attr-defined]
+def listing(client: httpx.Client, path: str, predicate: NamedNode = ldp.contains) -> set[str]:
+    answer = client.get(path, headers=READ)
     assert answer.status_code == 200, answer.text
     return told(answer.text, str(answer.url).partition("?")[0], predicate)
 
 
-def test_listings_leave_hidden_names_out_unless_they_are_asked_for(hiding: MadeUp, serving: Serving) -> None:
-    client = serving()
-    assert listing(client, "/topics/fly/") == {"height"}
-    assert listing(client, "/topics/fly/?hidden=true") == {"height", "_action/"}
-    assert listing(client, "/topics/fly/?hidden=false") == {"height"}
-    assert listing(client, "/services/") == set()
-    assert listing(client, "/services/?hidden=true") == {"_daemon/"}
-
-
-def test_a_namespace_in_which_all_is_hidden_is_not_listed_and_answers_empty(hiding: MadeUp, serving: Serving) -> None:
-    client = serving()
+def test_listings_leave_hidden_names_out_unless_they_are_asked_for(client: httpx.Client) -> None:
     assert listing(client, "/topics/") == {"chatter", "fly/"}
     assert listing(client, "/topics/?hidden=true") == {"chatter", "fly/", "deep/"}
     assert listing(client, "/topics/deep/") == set()
-
-
-def test_a_listing_that_leaves_something_out_links_to_the_whole(hiding: MadeUp, serving: Serving) -> None:
-    client = serving()
+    assert listing(client, "/topics/fly/") == listing(client, "/topics/fly/?hidden=false") == {"height"}
+    assert listing(client, "/topics/fly/?hidden=true") == {"height", "_action/"}
+    assert listing(client, "/services/") == set()
+    assert listing(client, "/services/?hidden=true") == {"_daemon/"}
     assert listing(client, "/topics/fly/", rdfs.seeAlso) == {"?hidden=true"}
     assert listing(client, "/topics/fly/?hidden=true", rdfs.seeAlso) == set()
     assert listing(client, "/nodes/", rdfs.seeAlso) == set()
-
-
-def test_hidden_things_answer_under_their_own_urls(hiding: MadeUp, serving: Serving) -> None:
-    client = serving()
-    assert client.get("/topics/fly/_action/feedback", headers={"accept": "application/json"}).json() == {
-        "data": "climbing"
-    }
-    assert listing(client, "/topics/fly/_action/") == {"feedback"}
-
-
-def test_the_two_listings_have_entity_tags_of_their_own(hiding: MadeUp, serving: Serving) -> None:
-    client = serving()
     one, other = client.get("/topics/fly/", headers=READ), client.get("/topics/fly/?hidden=true", headers=READ)
     assert one.headers["etag"] != other.headers["etag"]
     kept = client.get("/topics/fly/?hidden=true", headers={**READ, "if-none-match": one.headers["etag"]})
     assert kept.status_code == 200
-
-
-def test_pages_of_a_listing_keep_to_what_was_asked_for(hiding: MadeUp, serving: Serving) -> None:
-    client = serving()
-    found: set[str] = set()
-    answer = client.get("/topics/?hidden=true", headers={**READ, "prefer": "return=representation; max-member-count=1"})
-    assert answer.status_code == 303
-    link: str | None = answer.headers["location"]
-    while link is not None:
-        answer = client.get(link, headers=READ)
-        found |= told(answer.text, f"{client.base_url}topics/", ldp.contains)
-        link = answer.links.get("next", {}).get("url")
-    assert found == {"chatter", "deep/", "fly/"}
-
-
-def test_pages_for_people_leave_them_out_too(hiding: MadeUp, serving: Serving) -> None:
-    client = serving()
+    assert client.get("/topics/?hidden=perhaps", headers=READ).status_code == 400
     assert "_action/feedback" not in client.get("/topics/", headers={"accept": "text/html"}).text
     assert "_action/feedback" in client.get("/topics/?hidden=true", headers={"accept": "text/html"}).text
+    ask = f"ASK {{ GRAPH <topics/fly/> {{ ?c <{ldp.contains.value}> <topics/fly/%s> }} }}"
+    for name, there in (("height", True), ("_action/", False)):
+        answer = client.get("/sparql", params={"query": ask % name}, headers=JSON)
+        assert answer.json()["boolean"] is there
 
 
-def test_the_description_leaves_them_out_unless_they_are_asked_for(hiding: MadeUp, serving: Serving) -> None:
-    client = serving()
-    paths = client.get("/openapi.json").json()["paths"]
+def test_hidden_things_answer_under_their_own_urls(client: httpx.Client) -> None:
+    assert client.get("/topics/fly/_action/feedback", headers=JSON).json() == {"data": "climbing"}
+    assert listing(client, "/topics/fly/_action/") == {"feedback"}
+
+
+def test_pages_of_a_listing_keep_to_what_was_asked_for(client: httpx.Client, robot: MadeUp) -> None:
+    robot.owners = ("/robot", "/_daemon")
+    for name in ("/robot/gain", "/_daemon/a"):
+        robot.parameter(name, 1)
+    for path, members in (
+        ("topics/?hidden=true", {"chatter", "deep/", "fly/"}),
+        ("parameters/", {"robot/"}),
+        ("parameters/?hidden=true", {"robot/", "_daemon/"}),
+    ):
+        asked = {**READ, "prefer": "return=representation; max-member-count=1"}
+        answer, found = client.get(f"/{path}", headers=asked), set[str]()
+        link: str | None = answer.headers.get("location", str(answer.url))
+        while link is not None:
+            answer = client.get(link, headers=READ)
+            found |= told(answer.text, f"{client.base_url}{path.partition('?')[0]}", ldp.contains)
+            link = answer.links.get("next", {}).get("url")
+        assert found == members
+
+
+def test_the_description_leaves_them_out_and_tells_how_to_ask_for_them(client: httpx.Client, robot: MadeUp) -> None:
+    robot.parameter("/listener/gain", 1)
+    description = client.get("/openapi.json").json()
+    paths = description["paths"]
     assert "/topics/chatter" in paths
     assert not [path for path in paths if "/_" in path]
     assert "/topics/fly/_action/feedback" in client.get("/openapi.json?hidden=true").json()["paths"]
 
-
-def test_the_description_tells_how_listings_are_asked_for_hidden_names(hiding: MadeUp, serving: Serving) -> None:
-    hiding.parameter("/listener/gain", 1)
-    description = serving().get("/openapi.json").json()
-
     def queries(path: str) -> set[str]:
-        place = description["paths"][path]
+        place = paths[path]
         if "$ref" in place:
             place = description["components"]["pathItems"][place["$ref"].rpartition("/")[2]]
         return {each["name"] for each in place["get"]["parameters"] if "name" in each}
@@ -128,41 +121,11 @@ def test_parameters_of_hidden_nodes_are_hidden_as_they_are(hiding: MadeUp, servi
     assert listing(client, "/parameters/robot/") == {"gain", "_odd"}
     assert listing(client, "/parameters/robot/", rdfs.seeAlso) == set()
     assert listing(client, "/parameters/?hidden=true") == {"robot/", "deep/", "_daemon/"}
-    plain = {"accept": "application/json"}
-    assert client.get("/parameters/", headers=plain).json() == {"robot": {"gain": 1, "_odd": 1}}
-    assert client.get("/parameters/?hidden=true", headers=plain).json()["_daemon"] == {"a": {"b": 1}}
-    assert client.get("/parameters/_daemon/", headers=plain).json() == {"a": {"b": 1}}
-    assert client.get("/parameters/deep/_tool/x", headers=plain).json() == 1
+    assert client.get("/parameters/", headers=JSON).json() == {"robot": {"gain": 1, "_odd": 1}}
+    assert client.get("/parameters/?hidden=true", headers=JSON).json()["_daemon"] == {"a": {"b": 1}}
+    assert client.get("/parameters/_daemon/", headers=JSON).json() == {"a": {"b": 1}}
+    assert client.get("/parameters/deep/_tool/x", headers=JSON).json() == 1
     assert "/parameters/_daemon/a/b" not in client.get("/openapi.json").json()["paths"]
-
-
-def test_pages_of_parameters_keep_to_what_was_asked_for(hiding: MadeUp, serving: Serving) -> None:
-    hiding.owners = ("/robot", "/_daemon")
-    for name in ("/robot/gain", "/_daemon/a"):
-        hiding.parameter(name, 1)
-    client = serving()
-    for query, members in (("", {"robot/"}), ("?hidden=true", {"robot/", "_daemon/"})):
-        asked = {**READ, "prefer": "return=representation; max-member-count=1"}
-        answer, found = client.get(f"/parameters/{query}", headers=asked), set[str]()
-        link: str | None = answer.headers.get("location", str(answer.url))
-        while link is not None:
-            answer = client.get(link, headers=READ)
-            found |= told(answer.text, f"{client.base_url}parameters/", ldp.contains)
-            link = answer.links.get("next", {}).get("url")
-        assert found == members
-
-
-def test_the_dataset_lists_what_the_containers_list(hiding: MadeUp, serving: Serving) -> None:
-    client = serving()
-    ask = f"ASK {{ GRAPH <{client.base_url}topics/fly/> {{ ?c <{ldp.contains.value}> <%s> }} }}"
-    for name, there in (("height", True), ("_action/", False)):
-        query = ask % f"{client.base_url}topics/fly/{name}"
-        answer = client.get("/sparql", params={"query": query}, headers={"accept": "application/sparql-results+json"})
-        assert answer.json()["boolean"] is there
-
-
-def test_what_is_neither_true_nor_false_is_refused(hiding: MadeUp, serving: Serving) -> None:
-    assert serving().get("/topics/?hidden=perhaps", headers=READ).status_code == 400
 
 
 def test_a_robot_of_a_kind_without_hidden_names_lists_all(robot: MadeUp, serving: Serving) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import signal
 import subprocess
 import sys
 import time
@@ -20,6 +19,8 @@ from rosld.adapters.base import Published
 from rosld.adapters.model import TypeRef, Unreachable
 from tests.server.robots.made_up import MadeUp, served
 from tests.waiting import until
+
+pytestmark = pytest.mark.slow
 
 DRIVE, STAMPED, NAMED, SENSOR = "/drive", "/stamped", "/named", "/sensor"
 JSON = {"Accept": "application/json"}
@@ -131,14 +132,14 @@ def test_a_hold_publishes_until_its_lease_lapses_and_then_stands_still(driven: D
 
 
 def test_a_hold_for_a_time_needs_no_renewal_and_can_be_prolonged_and_ended(driven: Driven, http: httpx.Client) -> None:
-    hold = begun(http, **{"for": 1.6})  # more than the lease where nothing is said
+    hold = begun(http, **{"for": 1.2})  # more than the lease where nothing is said
     state = http.get(hold, headers=JSON).json()
-    assert (state["for"], state["lease"], state["url"]) == (1.6, 1.6, hold)
-    assert says(http, hold, f"{ROS}holdTime") == ['"1.6"^^<http://www.w3.org/2001/XMLSchema#double>']
+    assert (state["for"], state["lease"], state["url"]) == (1.2, 1.2, hold)
+    assert says(http, hold, f"{ROS}holdTime") == ['"1.2"^^<http://www.w3.org/2001/XMLSchema#double>']
     driven.until(lambda: driven.is_told(STILL), "standing still")
     (began, *_), (ended, *_) = driven.told[0], driven.told[-1]
-    assert 1.55 < ended - began < 5
-    assert "its 1.6 s were over" in http.get(hold).text
+    assert 1.15 < ended - began < 5
+    assert "its 1.2 s were over" in http.get(hold).text
     prolonged = begun(http, **{"for": 0.3})
     assert http.patch(prolonged, params={"for": 60}).status_code == 204
     assert http.get(prolonged, headers=JSON).json()["for"] == 60.0
@@ -168,14 +169,14 @@ def test_a_velocity_that_is_published_once_is_answered_with_how_to_hold_it(drive
 
 
 def test_who_renews_goes_on_and_never_faster_than_the_rate(driven: Driven, http: httpx.Client) -> None:
-    hold = begun(http, lease=1.5)
+    hold = begun(http, lease=1)
     began = driven.told[0][0]
     for _ in range(5):
-        time.sleep(0.45)
+        time.sleep(0.25)
         assert http.patch(hold).status_code == 204
     assert http.delete(hold).status_code == 204
     times = [at for at, _, message in driven.told if message != STILL]
-    assert times[-1] - began > 1.8
+    assert times[-1] - began > 1.1
     for number, at in enumerate(times):
         assert at >= began + (number - 1) / 50, "there are more than one a beat"
 
@@ -185,15 +186,13 @@ def test_another_message_comes_without_a_gap_and_without_a_double(driven: Driven
     for x in (2.0, 3.0, 4.0):
         assert http.patch(hold, json=ahead(x)).status_code == 204
         driven.until(partial(driven.is_told, ahead(x)), "the other message")
-    assert (
-        http.patch(
-            hold, content=json.dumps({"linear": {"x": 5.0}}), headers={"Content-Type": "application/merge-patch+json"}
-        ).status_code
-        == 204
-    )
+    merge = {"Content-Type": "application/merge-patch+json"}
+    assert http.patch(hold, content='{"linear": {"x": 5.0}}', headers=merge).status_code == 204
     driven.until(lambda: driven.on(DRIVE)[-1] == ahead(5.0), "the last")
-    twist = "https://w3id.org/rosld/types/geometry_msgs/msg/Twist"
-    given = f"<#message> a <{twist}> ; <{twist}#linear> {_vector(6)} ; <{twist}#angular> {_vector(0)} ."
+    types = "https://w3id.org/rosld/types/geometry_msgs/msg"
+    forward, straight = (f"[ v:x {x} ; v:y 0.0 ; v:z 0.0 ]" for x in (6.0, 0.0))
+    given = f"@prefix t: <{types}/Twist#> . @prefix v: <{types}/Vector3#> . <#message> a <{types}/Twist> ; "
+    given += f"t:linear {forward} ; t:angular {straight} ."
     changed = http.patch(hold, content=given, headers={"Content-Type": "text/turtle"})
     assert changed.status_code == 204, changed.text
     driven.until(lambda: driven.on(DRIVE)[-1] == ahead(6.0), "that of the Turtle")
@@ -205,11 +204,6 @@ def test_another_message_comes_without_a_gap_and_without_a_double(driven: Driven
     assert all(at >= times[0] + (number - 1) / 50 for number, at in enumerate(times)), "one was published twice"
 
 
-def _vector(x: float) -> str:
-    vector = "https://w3id.org/rosld/types/geometry_msgs/msg/Vector3#"
-    return f"[ <{vector}x> {float(x)} ; <{vector}y> 0.0 ; <{vector}z> 0.0 ] "
-
-
 def test_deleting_a_hold_publishes_its_last_message_before_it_is_answered(driven: Driven, http: httpx.Client) -> None:
     hold = begun(http, lease=5)
     assert http.delete(hold).status_code == 204
@@ -219,23 +213,26 @@ def test_deleting_a_hold_publishes_its_last_message_before_it_is_answered(driven
     assert len(driven.told) == count
     assert http.delete(hold).status_code == 410
     assert http.patch(hold).status_code == 410
+    http.delete(begun(http, NAMED, {"data": "go"}))  # which commands no velocity, so nothing comes last
+    assert {one["data"] for one in driven.on(NAMED)} == {"go"}
 
 
-def test_the_rate_and_the_lease_can_be_changed(driven: Driven, http: httpx.Client) -> None:
+def test_the_rate_and_the_lease_can_be_changed_and_only_a_new_command_leaves_a_receipt(
+    driven: Driven, http: httpx.Client
+) -> None:
     hold = begun(http, rate=1, lease=0.5)
     assert http.patch(hold, params={"rate": 50, "lease": 2}).status_code == 204
     driven.until(lambda: len(driven.told) > 10, "the other rate")
     told = http.get(hold, headers=JSON).json()
     assert (told["rate"], told["lease"], told["topic"], told["holder"]) == (50.0, 2.0, DRIVE, "anybody")
     assert told["message"] == ahead(1.0)
+    renewed, changed = http.patch(hold), http.patch(hold, json=ahead(2.0))
+    assert (renewed.status_code, changed.status_code) == (204, 204)
+    assert "has_provenance" not in renewed.headers.get("link", "")
+    assert "has_provenance" in changed.headers["link"]
 
 
 # What is published at the end
-
-
-def test_what_commands_no_velocity_ends_with_nothing_unless_asked(driven: Driven, http: httpx.Client) -> None:
-    http.delete(begun(http, NAMED, {"data": "go"}))
-    assert {one["data"] for one in driven.on(NAMED)} == {"go"}
 
 
 def test_a_message_anywhere_on_the_server_can_be_the_last(driven: Driven, http: httpx.Client) -> None:
@@ -253,14 +250,20 @@ def test_a_message_anywhere_on_the_server_can_be_the_last(driven: Driven, http: 
         http.put("/data/park", content=text, headers={"Content-Type": "text/turtle"})
 
 
-@pytest.mark.parametrize("then", ["/data/nothing", "http://elsewhere.example/x", "/topics/drive", "nonsense", "/a%ZZ"])
-def test_what_is_no_message_for_the_topic_is_refused_before_anything_moves(
-    driven: Driven, http: httpx.Client, then: str
-) -> None:
-    answer = held(http, NAMED, {"data": "go"}, then=then)
-    assert answer.status_code == 422
-    assert then.split("?")[0] in answer.json()["detail"]
+def test_what_cannot_be_held_is_refused_before_anything_moves(driven: Driven, http: httpx.Client) -> None:
+    for then in ("/data/nothing", "http://elsewhere.example/x", "/topics/drive", "nonsense", "/a%ZZ"):
+        answer = held(http, NAMED, {"data": "go"}, then=then)
+        assert answer.status_code == 422
+        assert then in answer.json()["detail"]
     assert not driven.told
+    hold = begun(http, NAMED, {"data": "go"}, lease=5)
+    queries: list[dict[str, Any]] = [{"rate": rate} for rate in (0, -1, 50.1, "NaN", "inf", "fast", "1e-300")]
+    queries += [{"rate": 10, "lease": lease} for lease in (0, 5.1, "NaN")]
+    queries += [{"rate": 10, "for": time} for time in ("NaN", 0, -3, 60.1, "1e300")]
+    for query in (*queries, {"rate": 10, "for": 3, "lease": 1}):
+        assert http.post(f"/topics{DRIVE}", params=query, json=ahead(1.0)).status_code == 400, query
+        assert http.patch(hold, params=query).status_code == 400, query
+    assert not driven.on(DRIVE)
 
 
 def test_a_stamp_that_was_left_open_is_that_of_the_moment(driven: Driven, http: httpx.Client) -> None:
@@ -280,26 +283,17 @@ def test_a_stamp_that_was_left_open_is_that_of_the_moment(driven: Driven, http: 
 # Whose it is
 
 
-def test_one_hold_a_topic_and_the_second_is_told_whose_it_is(driven: Driven, http: httpx.Client) -> None:
-    hold = begun(http, lease=5)
-    second = held(http)
-    assert second.status_code == 409
-    assert second.json()["hold"] == hold
-    assert second.json()["holder"] == "anybody"
-    assert begun(http, NAMED, {"data": "other"}) != hold
-
-
 def test_while_a_topic_is_held_nothing_else_is_published_on_it(driven: Driven, http: httpx.Client) -> None:
-    begun(http, lease=5)
-    put = http.put(f"/topics{DRIVE}", json=ahead(9.0))
-    assert put.status_code == 409
-    assert "/holds/" in put.json()["hold"]
+    hold = begun(http, lease=5)
+    for refused in (held(http), http.put(f"/topics{DRIVE}", json=ahead(9.0))):
+        assert refused.status_code == 409
+        assert (refused.json()["hold"], refused.json()["holder"]) == (hold, "anybody")
+    assert begun(http, NAMED, {"data": "other"}) != hold
     x = "<https://w3id.org/rosld/types/geometry_msgs/msg/Vector3#x>"
     graph = f"GRAPH <{http.base_url}topics/drive>"
     old, new = f"{{ {graph} {{ ?v {x} ?old }} }}", f"{{ {graph} {{ ?v {x} 9e0 }} }}"
     update = f"DELETE {old} INSERT {new} WHERE {old}"
     assert http.post("/sparql", data={"update": update}).status_code == 409
-    assert ahead(9.0) not in driven.on(DRIVE)
     assert {json.dumps(one) for one in driven.on(DRIVE)} == {json.dumps(ahead(1.0))}
 
 
@@ -346,50 +340,19 @@ def test_a_writable_topic_says_how_it_is_held_and_a_sensor_does_not(http: httpx.
 # What is refused
 
 
-@pytest.mark.parametrize(
-    ("query", "status"),
-    [
-        ({"rate": 0}, 400), ({"rate": -1}, 400), ({"rate": 50.1}, 400), ({"rate": "NaN"}, 400), ({"rate": "inf"}, 400),
-        ({"rate": "fast"}, 400), ({"rate": "1e-300"}, 400), ({"rate": 10, "lease": 0}, 400),
-        ({"rate": 10, "lease": 5.1}, 400), ({"rate": 10, "lease": "NaN"}, 400),
-        ({"rate": 10, "for": "NaN"}, 400), ({"rate": 10, "for": 0}, 400), ({"rate": 10, "for": -3}, 400),
-        ({"rate": 10, "for": 60.1}, 400), ({"rate": 10, "for": "1e300"}, 400),
-        ({"rate": 10, "for": 3, "lease": 1}, 400),
-    ],
-)  # fmt: skip
-def test_rates_and_leases_out_of_range_are_refused(
-    driven: Driven, http: httpx.Client, query: dict[str, Any], status: int
-) -> None:
-    assert http.post(f"/topics{DRIVE}", params=query, json=ahead(1.0)).status_code == status
-    hold = begun(http, NAMED, {"data": "go"})
-    assert http.patch(hold, params=query).status_code == status
-    assert not driven.on(DRIVE)
-
-
-def test_a_renewal_that_changes_nothing_leaves_no_receipt_and_a_new_command_does(http: httpx.Client) -> None:
-    hold = begun(http, lease=5)
-    renewed, changed = http.patch(hold), http.patch(hold, json=ahead(2.0))
-    assert (renewed.status_code, changed.status_code) == (204, 204)
-    assert "has_provenance" not in renewed.headers.get("link", "")
-    assert "has_provenance" in changed.headers["link"]
-
-
 def test_a_velocity_is_held_ten_times_a_second_unless_asked_otherwise_and_all_else_has_to_say(
     driven: Driven, http: httpx.Client
 ) -> None:
-    answer = http.post(f"/topics{DRIVE}", json=ahead(1.0), headers=JSON)
-    assert answer.status_code == 201, answer.text
-    assert (answer.json()["rate"], answer.json()["lease"], answer.json()["then"]) == (10.0, 1.0, "zero")
     refused = http.post(f"/topics{NAMED}", json={"data": "go"})
     assert refused.status_code == 400
     assert "?rate=10" in refused.json()["detail"]
-    assert not driven.on(NAMED)
-
-
-def test_what_does_not_fit_is_refused_and_the_hold_goes_on_as_it_was(driven: Driven, http: httpx.Client) -> None:
     assert held(http, message={"linear": "fast"}).status_code == 422
     assert not driven.told
-    hold = begun(http, lease=5)
+    answer = http.post(f"/topics{DRIVE}", json=ahead(1.0), headers=JSON)
+    assert answer.status_code == 201, answer.text
+    assert (answer.json()["rate"], answer.json()["lease"], answer.json()["then"]) == (10.0, 1.0, "zero")
+    hold = answer.headers["location"]
+    assert http.patch(hold, params={"lease": 5}).status_code == 204
     assert http.patch(hold, json={"linear": "fast"}).status_code == 422
     assert http.patch(hold, json=ahead(2.0), params={"then": "/data/nothing"}).status_code == 422
     assert http.patch(hold, content=b"x", headers={"Content-Type": "image/png"}).status_code == 415
@@ -425,10 +388,7 @@ def test_a_robot_that_is_gone_is_told_of_and_the_hold_goes_on_when_it_is_back(
     driven.is_gone = False
     hold = begun(http, lease=5)
     driven.is_gone = True
-    end = time.monotonic() + 5
-    while not (trouble := http.get(hold, headers=JSON).json()["trouble"]):
-        assert time.monotonic() < end
-    assert "gone" in trouble
+    assert "gone" in until(lambda: http.get(hold, headers=JSON).json()["trouble"], "the trouble")
     count, driven.is_gone = len(driven.told), False
     driven.until(lambda: len(driven.told) > count, "it goes on")
 
@@ -452,62 +412,48 @@ def test_a_hold_ends_with_its_last_message_when_another_node_publishes_on_its_to
     assert held(http, lease=0.2).status_code == 201
 
 
-def test_a_hold_goes_on_beside_another_publisher_where_that_is_permitted() -> None:
+def test_a_hold_goes_on_beside_a_permitted_publisher_and_while_its_only_subscriber_restarts() -> None:
     driven = Driven()
     with served(driven, allow_publish=(DRIVE,)) as http:
         hold = begun(http, lease=5)
-        driven.topic(DRIVE, "geometry_msgs/msg/Twist", published=True, heard=True)
-        told = len(driven.told)
-        driven.until(lambda: len(driven.told) > told + 3, "further messages")
-        assert http.get(hold).status_code == 200
+        for published, heard in ((True, True), (False, False)):
+            driven.topic(DRIVE, "geometry_msgs/msg/Twist", published=published, heard=heard)
+            told = len(driven.told)
+            driven.until(lambda told=told: len(driven.told) > told + 3, "further messages")
+            assert http.get(hold).status_code == 200
 
 
 def test_holds_that_begin_and_end_in_turn_publish_no_more_often_than_anything_else() -> None:
     driven, limit = Driven(), 20
     with served(driven, max_publish_rate=float(limit)) as http:
         started, answers = time.monotonic(), []
-        while time.monotonic() - started < 2:
+        while time.monotonic() - started < 0.5 or answers[-1].status_code == 201:
             answers.append(held(http, rate=1, lease=5))
             if answers[-1].status_code == 201:
                 http.delete(answers[-1].headers["location"])
         seconds = time.monotonic() - started
         assert {answer.status_code for answer in answers} == {201, 429}
-        assert "--max-publish-rate" in answers[-1].text or answers[-1].status_code == 201
+        assert "--max-publish-rate" in answers[-1].text
         assert len(driven.on(DRIVE)) <= limit + limit * seconds + 2
-        refused = next(answer for answer in answers if answer.status_code == 429)
-        assert int(refused.headers["retry-after"]) >= 1
+        assert int(answers[-1].headers["retry-after"]) >= 1
         assert driven.is_told(STILL), "the message that ends a hold is never refused"
-
-
-def test_a_hold_goes_on_while_its_only_subscriber_restarts(driven: Driven, http: httpx.Client) -> None:
-    hold = begun(http, lease=5)
-    try:
-        driven.topic(DRIVE, "geometry_msgs/msg/Twist", published=False, heard=False)
-        told = len(driven.told)
-        driven.until(lambda: len(driven.told) > told + 3, "further messages")
-        assert http.get(hold).status_code == 200
-    finally:
-        driven.topic(DRIVE, "geometry_msgs/msg/Twist", published=False, heard=True)
+    with served(driven, read_only=True) as http:
+        assert held(http).status_code == 405
+        assert http.get("/holds/").status_code == 200
 
 
 def test_nothing_queues_up_while_the_robot_is_slow(driven: Driven, http: httpx.Client) -> None:
     hold = begun(http, lease=5)
-    driven.seconds = 0.15
+    driven.seconds = 0.08
     count = len(driven.told)
-    driven.until(lambda: len(driven.told) > count + 4, "slow messages")
+    driven.until(lambda: len(driven.told) > count + 2, "slow messages")
     driven.max_at_once = 0
     http.patch(hold)
-    driven.until(lambda: len(driven.told) > count + 6, "more of them")
+    driven.until(lambda: len(driven.told) > count + 5, "more of them")
     assert driven.max_at_once == 1
     driven.seconds = 0.0
     http.delete(hold)
     assert driven.on(DRIVE)[-1] == STILL
-
-
-def test_a_server_that_is_read_only_has_no_holds(driven: Driven) -> None:
-    with served(driven, read_only=True) as http:
-        assert held(http).status_code == 405
-        assert http.get("/holds/").status_code == 200
 
 
 # Who goes
@@ -528,7 +474,7 @@ def test_a_stream_keeps_a_hold_and_the_hold_ends_when_its_reader_is_killed(drive
         assert keeper.stdout is not None
         assert any("data: " in line for line in keeper.stdout)
         assert http.patch(hold, params={"lease": 0.2}).status_code == 204
-        time.sleep(0.6)
+        time.sleep(0.5)
         assert http.get(hold, headers=JSON).json()["kept"]
         assert STILL not in driven.on(DRIVE)
     finally:
@@ -538,42 +484,31 @@ def test_a_stream_keeps_a_hold_and_the_hold_ends_when_its_reader_is_killed(drive
     assert "stream ended" in http.get(hold).text
 
 
-def test_whoever_only_looks_at_a_hold_does_not_keep_it(driven: Driven, http: httpx.Client) -> None:
-    hold = begun(http, lease=1)
+def test_only_a_stream_that_asks_to_keep_a_hold_does_so_and_says_that_it_is_alive(
+    driven: Driven, http: httpx.Client
+) -> None:
+    hold = begun(http, lease=0.4)
     with http.stream("GET", hold, headers={"Accept": "text/event-stream"}) as stream:
         assert "event: gone" in list(stream.iter_lines())
     assert driven.on(DRIVE)[-1] == STILL
-
-
-def test_a_stream_that_keeps_a_hold_says_twice_a_lease_that_it_is_alive(http: httpx.Client) -> None:
-    hold = begun(http, lease=1)
+    hold = begun(http, lease=0.8)
     with http.stream("GET", f"{hold}?keep=true", headers={"Accept": "text/event-stream"}) as stream:
         lines, began = stream.iter_lines(), time.monotonic()
-        for _ in range(2):
+        for _ in range(3):
             assert next(line for line in lines if line.startswith(":"))
-        assert time.monotonic() - began < 10
+        assert time.monotonic() - began < 5
+    until(lambda: http.get(hold).status_code == 410, "the end of the hold")
 
 
-def test_the_server_ends_its_holds_before_it_ends(driven: Driven) -> None:
+def test_the_server_ends_its_holds_before_it_ends_also_with_a_request_under_way(driven: Driven) -> None:
     driven.told.clear()
-    with served(driven) as http:
-        begun(http, lease=5)
+    with httpx.Client() as other, served(driven) as http:
+        request = other.build_request("GET", begun(http, lease=5), headers={"Accept": "text/event-stream"})
+        lines = other.send(request, stream=True).iter_lines()
+        next(line for line in lines if line.startswith("data: "))
         driven.until(lambda: len(driven.told) > 2, "messages")
     assert driven.on(DRIVE)[-1] == STILL
     assert driven.on(DRIVE).count(STILL) == 1
-
-
-def test_it_is_the_signal_that_ends_holds_not_the_end_of_all_requests(serve: Callable[..., Any]) -> None:
-    """A request that is under way keeps a server for seconds; its holds have ended before."""
-    aircraft = serve("aircraft")
-    answer = aircraft.http.post("/topics/cockpit/display", params={"rate": 10, "lease": 5}, json={"data": "on"})
-    hold = answer.headers["location"]
-    with aircraft.http.stream("GET", hold, headers={"Accept": "text/event-stream"}) as stream:
-        lines = stream.iter_lines()
-        next(line for line in lines if line.startswith("data: "))
-        aircraft.process.send_signal(signal.SIGTERM)
-        list(lines)
-    assert aircraft.process.wait(60) == 0
 
 
 def test_a_velocity_can_be_held_by_what_its_resource_and_the_thing_description_offer(serve: Callable[..., Any]) -> None:

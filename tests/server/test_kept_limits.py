@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import socket
-from collections.abc import Callable
 from pathlib import Path
 
 import httpx
@@ -12,6 +10,8 @@ import rdflib
 from rdflib import SH, XSD
 
 from tests.server.robots.durable import running
+
+pytestmark = pytest.mark.slow
 
 TURTLE = {"Content-Type": "text/turtle"}
 NT = {"Accept": "application/n-triples"}
@@ -38,11 +38,10 @@ SHORT = (
 
 
 @pytest.fixture
-def plane(serve: Callable[..., object]) -> httpx.Client:
+def plane(own_aircraft: httpx.Client) -> httpx.Client:
     """An aircraft of this test's own, which has been started."""
-    client: httpx.Client = serve("aircraft").http  # type: ignore[attr-defined]
-    assert client.post("/resources/aircraft/start").status_code == 200
-    return client
+    assert own_aircraft.post("/resources/aircraft/start").status_code == 200
+    return own_aircraft
 
 
 def put(client: httpx.Client, name: str, text: str | bytes, **headers: str) -> httpx.Response:
@@ -65,15 +64,12 @@ def contained(client: httpx.Client) -> set[str]:
     return {line.split("/shapes/")[-1].split(">")[0] for line in lines if "ldp#contains" in line}
 
 
-def test_the_limits_of_a_file_have_names_below_the_document_that_shows_them(plane: httpx.Client) -> None:
-    name = f"<{plane.base_url}shapes/limits#speed>"
-    said = plane.get("/shapes/limits", headers=NT).text
-    assert f"{name} <http://www.w3.org/ns/shacl#targetNode> <{plane.base_url}resources/aircraft/engine/speed>" in said
-    assert f"<{plane.base_url}#" not in said
-
-
-def test_limits_tell_the_datatypes_of_the_fields_that_they_are_about(plane: httpx.Client) -> None:
-    said = rdflib.Graph().parse(data=plane.get("/shapes/limits", headers=NT).text, format="nt")
+def test_the_limits_of_a_file_are_shown_with_names_and_datatypes(http: httpx.Client) -> None:
+    text = http.get("/shapes/limits", headers=NT).text
+    assert f"<{http.base_url}#" not in text
+    said = rdflib.Graph().parse(data=text, format="nt")
+    speed = rdflib.URIRef(f"{http.base_url}shapes/limits#speed")
+    assert (speed, SH.targetNode, rdflib.URIRef(f"{http.base_url}resources/aircraft/engine/speed")) in said
     found = {
         str(said.value(shape, SH.targetNode)).rpartition("/")[2]: said.value(
             said.value(shape, SH.property), SH.datatype
@@ -81,8 +77,8 @@ def test_limits_tell_the_datatypes_of_the_fields_that_they_are_about(plane: http
         for shape in said.subjects(SH.targetNode)
     }
     assert found == {"speed": XSD.double, "direction": XSD.double, "power": XSD.string}
-    query = "SELECT (COUNT(*) AS ?n) { GRAPH ?g { ?s <http://www.w3.org/ns/shacl#datatype> ?o } FILTER(?g = <%s>) }"
-    counted = plane.get("/sparql", params={"query": query % f"{plane.base_url}shapes/limits", "format": "json"})
+    query = f"SELECT (COUNT(*) AS ?n) {{ GRAPH <{http.base_url}shapes/limits> {{ ?s <{SH.datatype}> ?o }} }}"
+    counted = http.get("/sparql", params={"query": query, "format": "json"})
     assert counted.json()["results"]["bindings"][0]["n"]["value"] == "3"
 
 
@@ -105,13 +101,27 @@ def test_a_limit_is_in_force_from_the_put_to_the_delete(plane: httpx.Client) -> 
     assert fly(plane, 700) == 422
 
 
-def test_limits_of_several_documents_hold_together(plane: httpx.Client) -> None:
-    assert put(plane, "slow", SLOW).status_code == 201
+def test_limits_of_several_documents_hold_together_and_can_be_patched(plane: httpx.Client) -> None:
+    posted = plane.post("/shapes/", content=SLOW, headers={**TURTLE, "Slug": "std_msgs"})
+    url = posted.headers["location"]
+    assert url == f"{plane.base_url}shapes/std_msgs-2"
     assert put(plane, "quick", SLOW.replace("sh:maxInclusive 100", "sh:minInclusive 50")).status_code == 201
     assert [fly(plane, speed) for speed in (49, 50, 100, 101)] == [422, 204, 204, 422]
     assert put(plane, "short", SHORT).status_code == 201
     assert show(plane, "short") in (200, 202, 204)
     assert show(plane, "longer") == 422
+    etag = plane.get(url).headers["etag"]
+    assert plane.put(url, content=SLOW, headers={**TURTLE, "If-Match": etag}).status_code == 204
+    assert plane.put(url, content=SLOW, headers={**TURTLE, "If-Match": etag}).status_code == 412
+    assert plane.put(url, content="{}", headers=JSON).status_code == 415
+    change = """PREFIX sh: <http://www.w3.org/ns/shacl#>
+        DELETE { ?p sh:maxInclusive ?m } INSERT { ?p sh:maxInclusive 200 } WHERE { ?p sh:maxInclusive ?m }"""
+    assert plane.patch(url, content=change, headers={"Content-Type": "application/sparql-update"}).status_code == 204
+    assert [fly(plane, speed) for speed in (150, 250)] == [204, 422]
+    options = plane.options(url).headers
+    assert {"DELETE", "GET", "PATCH", "PUT"} <= set(options["allow"].split(", "))
+    assert "/shapes/limits>" in options["link"]
+    assert "text/turtle" in plane.options("/shapes/").headers["accept-post"]
 
 
 def test_limits_are_part_of_what_resources_say_of_themselves(plane: httpx.Client) -> None:
@@ -137,99 +147,50 @@ def test_limits_are_part_of_what_resources_say_of_themselves(plane: httpx.Client
     assert '"100"' not in plane.get(url, headers=NT).text
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("", "limits nothing"),
-        ("<> <x:p> 1 .", "limits nothing"),
-        (SLOW.replace("sh:targetNode <../resources/aircraft/engine/speed> ;", ""), "limits nothing"),
-        (SLOW.replace("../resources", "resources"), "which is no resource"),
-        (SLOW.replace("../resources/aircraft/engine/speed", "http://other.example/x"), "which is no resource"),
-        (SLOW.replace("sh:targetNode", "sh:targetSubjectsOf"), "a limit is told by sh:targetNode"),
-        (SLOW.replace("sh:maxInclusive 100", 'sh:sparql [ sh:select "SELECT $this {}" ]'), ""),
-        (SLOW.replace("sh:maxInclusive 100", "sh:maxInclusive <x:y>"), ""),
-        (SLOW.replace("sh:maxInclusive 100", 'sh:pattern "(?=a)"'), ""),
-        (SLOW.replace("sh:maxInclusive 100", "sh:node <#slow>"), ""),
-        (SHORT.replace("std:String ;", "<x:Strange> ;"), "which is no message type"),
-        (
-            PREFIXES
-            + "<#a> a sh:NodeShape ; sh:targetClass std:String ; sh:not "
-            + "[ sh:not " * 100
-            + "[]"
-            + " ]" * 100
-            + " .",
-            "",
-        ),
-        ("".join(f"<x:s{n}> <x:p> {n} .\n" for n in range(6000)), "5000 are the most"),
-    ],
+NESTED = "<#a> a sh:NodeShape ; sh:targetClass std:String ; sh:not " + "[ sh:not " * 100 + "[]" + " ]" * 100 + " ."
+USELESS = (
+    ("", "limits nothing"),
+    ("<> <x:p> 1 .", "limits nothing"),
+    (SLOW.replace("sh:targetNode <../resources/aircraft/engine/speed> ;", ""), "limits nothing"),
+    (SLOW.replace("../resources", "resources"), "which is no resource"),
+    (SLOW.replace("../resources/aircraft/engine/speed", "http://other.example/x"), "which is no resource"),
+    (SLOW.replace("sh:targetNode", "sh:targetSubjectsOf"), "a limit is told by sh:targetNode"),
+    (SLOW.replace("sh:maxInclusive 100", 'sh:sparql [ sh:select "SELECT $this {}" ]'), ""),
+    (SLOW.replace("sh:maxInclusive 100", "sh:maxInclusive <x:y>"), ""),
+    (SLOW.replace("sh:maxInclusive 100", 'sh:pattern "(?=a)"'), ""),
+    (SLOW.replace("sh:maxInclusive 100", "sh:node <#slow>"), ""),
+    (SHORT.replace("std:String ;", "<x:Strange> ;"), "which is no message type"),
+    (PREFIXES + NESTED, ""),
+    ("".join(f"<x:s{n}> <x:p> {n} .\n" for n in range(6000)), "5000 are the most"),
 )
-def test_what_cannot_be_used_is_422_and_changes_nothing(http: httpx.Client, text: str, words: str) -> None:
+
+
+def test_what_cannot_be_used_is_422_and_changes_nothing(http: httpx.Client) -> None:
     before = contained(http)
-    answer = put(http, "bad", text)
-    assert answer.status_code == 422, answer.text
-    assert words in answer.json()["detail"]
-    assert '/shapes/limits>; rel="http://www.w3.org/ns/ldp#constrainedBy"' in answer.headers["link"]
-    assert http.post("/shapes/", content=text, headers=TURTLE).status_code == 422
+    for text, words in USELESS:
+        answer = put(http, "bad", text)
+        assert answer.status_code == 422, answer.text
+        assert words in answer.json()["detail"]
+        assert '/shapes/limits>; rel="http://www.w3.org/ns/ldp#constrainedBy"' in answer.headers["link"]
+        assert http.post("/shapes/", content=text, headers=TURTLE).status_code == 422
     assert http.get("/shapes/bad").status_code == 404
     assert contained(http) == before
 
 
-@pytest.mark.parametrize(
-    ("method", "path", "status"),
-    [
-        ("PUT", "/shapes/limits", 405),
-        ("DELETE", "/shapes/mapping", 405),
-        ("PUT", "/shapes/std_msgs", 405),
-        ("PUT", "/shapes/std_msgs/", 405),
-        ("PUT", "/shapes/std_msgs/msg/String", 405),
-        ("PUT", "/shapes/mine/", 405),
-        ("PUT", "/shapes/mine/more", 308),
-    ],
-)
-def test_names_of_the_servers_own_are_not_for_limits(http: httpx.Client, method: str, path: str, status: int) -> None:
-    answer = http.request(method, path, content=SLOW, headers=TURTLE)
-    assert answer.status_code == status, answer.text
+def test_names_of_the_servers_own_are_not_for_limits(http: httpx.Client) -> None:
+    for path in ("limits", "std_msgs", "std_msgs/", "std_msgs/msg/String", "mine/"):
+        assert put(http, path, SLOW).status_code == 405, path
+    assert http.delete("/shapes/mapping").status_code == 405
+    assert put(http, "mine/more", SLOW).status_code == 308
     named = http.get("/shapes/std_msgs")
     assert (named.status_code, named.headers["location"]) == (308, f"{http.base_url}shapes/std_msgs/")
 
 
-def test_limits_are_guarded_negotiated_and_patched_as_data_is(plane: httpx.Client) -> None:
-    posted = plane.post("/shapes/", content=SLOW, headers={**TURTLE, "Slug": "std_msgs"})
-    assert posted.headers["location"] == f"{plane.base_url}shapes/std_msgs-2"
-    url = "/shapes/std_msgs-2"
-    etag = plane.get(url).headers["etag"]
-    assert plane.put(url, content=SLOW, headers={**TURTLE, "If-None-Match": "*"}).status_code == 412
-    assert plane.put(url, content=SLOW, headers={**TURTLE, "If-Match": etag}).status_code == 204
-    assert plane.put(url, content=SLOW, headers={**TURTLE, "If-Match": etag}).status_code == 412
-    assert plane.put(url, content="{}", headers=JSON).status_code == 415
-    change = """PREFIX sh: <http://www.w3.org/ns/shacl#>
-        DELETE { ?p sh:maxInclusive ?m } INSERT { ?p sh:maxInclusive 200 } WHERE { ?p sh:maxInclusive ?m }"""
-    assert plane.patch(url, content=change, headers={"Content-Type": "application/sparql-update"}).status_code == 204
-    assert [fly(plane, speed) for speed in (150, 250)] == [204, 422]
-    options = plane.options(url).headers
-    assert {"DELETE", "GET", "PATCH", "PUT"} <= set(options["allow"].split(", "))
-    assert "/shapes/limits>" in options["link"]
-    assert "text/turtle" in plane.options("/shapes/").headers["accept-post"]
-
-
 def test_limits_survive_a_restart(tmp_path: Path) -> None:
-    with socket.socket() as found:
-        found.bind(("127.0.0.1", 0))
-        port = found.getsockname()[1]
-    with running(tmp_path, port) as client:
+    with running(tmp_path, 0) as client:
+        port = client.base_url.port
         assert put(client, "slow", SHORT).status_code == 201
     with running(tmp_path, port) as client:
         assert show(client, "longer") == 422
         assert client.delete("/shapes/slow").status_code == 204
         assert show(client, "longer") in (200, 202, 204)
-
-
-def test_a_read_only_server_takes_no_limits(serve: Callable[..., object]) -> None:
-    client: httpx.Client = serve("aircraft", "--read-only").http  # type: ignore[attr-defined]
-    for answer in (
-        put(client, "slow", SLOW),
-        put(client, "limits", SLOW),
-        client.post("/shapes/", content=SLOW, headers=TURTLE),
-    ):
-        assert answer.status_code == 405
-        assert answer.json()["detail"] == "This server is read-only."

@@ -1,9 +1,6 @@
-"""RDF sources that are put again and again: what is kept, which writes are refused, what is nobody's to say."""
+"""RDF sources that are put again: what the client says is kept, and what the server says is said once."""
 
 from __future__ import annotations
-
-from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import httpx
 import pytest
@@ -23,33 +20,9 @@ def kept(http: httpx.Client, path: str) -> list[str]:
     return answer.text.splitlines()
 
 
-@pytest.fixture(params=["in memory", "in a folder"])
-def http(request: pytest.FixtureRequest, serving: Serving, tmp_path: Path) -> httpx.Client:
-    return serving(data=None if request.param == "in memory" else tmp_path)
-
-
-def test_of_many_who_put_at_once_without_a_condition_none_is_refused(http: httpx.Client) -> None:
-    assert http.put("/data/x", content="", headers=TURTLE).status_code == 201
-
-    def put(number: int) -> int:
-        return http.put("/data/x", content=f'<> {TITLE} "{number}" .', headers=TURTLE).status_code
-
-    with ThreadPoolExecutor(16) as pool:
-        assert set(pool.map(put, range(160))) == {204}
-    (title,) = [line for line in kept(http, "/data/x") if TITLE in line]
-    assert title.split('"')[1] in map(str, range(160))
-
-
-def test_of_many_who_put_at_once_on_what_they_have_read_one_succeeds(http: httpx.Client) -> None:
-    assert http.put("/data/x", content="", headers=TURTLE).status_code == 201
-    etag = http.get("/data/x", headers={"Accept": "text/turtle"}).headers["etag"]
-
-    def put(number: int) -> int:
-        headers = {**TURTLE, "If-Match": etag}
-        return http.put("/data/x", content=f'<> {TITLE} "{number}" .', headers=headers).status_code
-
-    with ThreadPoolExecutor(16) as pool:
-        assert sorted(pool.map(put, range(16))) == [204] + [412] * 15
+@pytest.fixture
+def http(serving: Serving) -> httpx.Client:
+    return serving()
 
 
 def test_words_that_look_like_the_servers_are_kept_where_they_are_none(http: httpx.Client) -> None:

@@ -12,7 +12,9 @@ from pyoxigraph import BlankNode, RdfFormat, parse
 
 from tests.server.robots.made_up import MadeUp, served
 
-NUMBERS = 100_000
+pytestmark = pytest.mark.slow
+
+NUMBERS = 30_000
 TURTLE = {"Content-Type": "text/turtle"}
 SYNTAXES = {
     "text/turtle": RdfFormat.TURTLE,
@@ -53,53 +55,48 @@ def busy(http: httpx.Client) -> float:
 
 
 @cache
-def busy_seconds() -> float:
-    """Three times what a processor of this machine takes to parse the numbers; to take them in takes ten times."""
-    body = turtle(NUMBERS)
+def busy_seconds(numbers: int = NUMBERS) -> float:
+    """Three times what a processor of this machine takes to parse so many numbers; to take them in takes ten times."""
+    body = turtle(numbers)
     began = time.thread_time()
     for _ in parse(body, format=RdfFormat.TURTLE, base_iri="http://example.org/"):
         pass
     return max(3 * (time.thread_time() - began), 0.1)
 
 
-@pytest.mark.parametrize("accept", SYNTAXES)
-def test_a_large_document_is_whole_in_every_syntax(http: httpx.Client, accept: str) -> None:
-    answer = http.get("data/large", headers={"Accept": accept})
-    assert answer.status_code == 200
-    assert answer.headers["content-type"].startswith(accept)
-    assert int(answer.headers["content-length"]) == len(answer.content)
-    assert numbers_of(answer, SYNTAXES[accept]) == NUMBERS
-    known = {"Accept": accept, "If-None-Match": answer.headers["etag"]}
-    assert http.get("data/large", headers=known).status_code == 304
-
-
-def test_head_of_a_large_document_says_what_get_does_but_its_length(http: httpx.Client) -> None:
-    got = http.get("data/large", headers={"Accept": "text/turtle"})
-    head = http.head("data/large", headers={"Accept": "text/turtle"})
-    assert head.status_code == 200
-    for name in ("etag", "content-type", "allow", "link", "vary"):
-        assert head.headers[name] == got.headers[name]
-
-
-def test_the_page_of_a_large_document_shows_a_part_and_links_to_the_whole(http: httpx.Client) -> None:
+def test_a_large_document_is_whole_in_every_syntax_and_a_part_of_it_on_its_page(http: httpx.Client) -> None:
+    for accept, syntax in SYNTAXES.items():
+        answer = http.get("data/large", headers={"Accept": accept})
+        assert answer.status_code == 200
+        assert answer.headers["content-type"].startswith(accept)
+        assert int(answer.headers["content-length"]) == len(answer.content)
+        assert numbers_of(answer, syntax) == NUMBERS
+        known = {"Accept": accept, "If-None-Match": answer.headers["etag"]}
+        assert http.get("data/large", headers=known).status_code == 304
+        head = http.head("data/large", headers={"Accept": accept})
+        assert head.status_code == 200
+        for name in ("etag", "content-type", "allow", "link", "vary"):
+            assert head.headers[name] == answer.headers[name]
     page = http.get("data/large", headers={"Accept": "text/html"})
     assert page.status_code == 200
-    assert "This page shows the first 250 of 100,00" in page.text
+    assert f"This page shows the first 250 of {NUMBERS:,}"[:-1] in page.text
     assert 'href="?format=ttl"' in page.text
     assert len(page.content) < 200_000
+    assert busy(http) < busy_seconds()
 
 
-def test_what_a_syntax_cannot_carry_is_406_also_where_it_is_large(http: httpx.Client) -> None:
+def test_what_is_wrong_in_a_large_body_is_told_as_in_a_small_one(http: httpx.Client) -> None:
+    broken = turtle(NUMBERS) + b"\n<> <p> ."
+    answer = http.put("data/broken", content=broken, headers=TURTLE)
+    assert answer.status_code == 400
+    assert "line 2" in answer.json()["detail"]
+    assert http.get("data/broken").status_code == 404
+    contains = turtle(NUMBERS) + b" <> <http://www.w3.org/ns/ldp#contains> <x> ."
+    assert http.put("data/container/", content=contains, headers=TURTLE).status_code == 409
     body = turtle(NUMBERS) + b' <> <http://example.org/p/> "a property without a name" .'
     assert http.put("data/unnamed", content=body, headers=TURTLE).status_code == 201
     assert http.get("data/unnamed", headers={"Accept": "application/rdf+xml"}).status_code == 406
     assert http.get("data/unnamed", headers={"Accept": "text/turtle"}).status_code == 200
-
-
-def test_large_documents_keep_the_loop_free(http: httpx.Client) -> None:
-    for accept in (*SYNTAXES, "text/html"):
-        assert http.get("data/large", headers={"Accept": accept}).status_code == 200
-    assert busy(http) < busy_seconds()
 
 
 def test_a_large_document_is_patched_merged_and_replaced_beside_the_loop() -> None:
@@ -127,25 +124,15 @@ def test_a_large_document_is_patched_merged_and_replaced_beside_the_loop() -> No
 def test_a_patch_that_makes_much_of_little_is_done_whole_beside_the_loop() -> None:
     with served(MadeUp()) as http:
         http.timeout = httpx.Timeout(120)
-        assert http.put("data/small", content=turtle(40), headers=TURTLE).status_code == 201
+        assert http.put("data/small", content=turtle(30), headers=TURTLE).status_code == 201
         update = (
             "INSERT { <> <http://example.org/q> ?sum } WHERE {"
-            " <> <http://example.org/p> ?a , ?b , ?c BIND(?a + 40 * ?b + 1600 * ?c AS ?sum) }"
+            " <> <http://example.org/p> ?a , ?b , ?c BIND(?a + 30 * ?b + 900 * ?c AS ?sum) }"
         )
         answer = http.patch("data/small", content=update, headers={"Content-Type": "application/sparql-update"})
         assert answer.status_code == 204
-        assert http.get("data/small", headers={"Accept": "application/n-triples"}).text.count("example.org/q") == 64_000
+        assert http.get("data/small", headers={"Accept": "application/n-triples"}).text.count("example.org/q") == 27_000
         assert busy(http) < busy_seconds()
-
-
-def test_what_is_wrong_in_a_large_body_is_told_as_in_a_small_one(http: httpx.Client) -> None:
-    broken = turtle(NUMBERS) + b"\n<> <p> ."
-    answer = http.put("data/broken", content=broken, headers=TURTLE)
-    assert answer.status_code == 400
-    assert "line 2" in answer.json()["detail"]
-    contains = turtle(NUMBERS) + b" <> <http://www.w3.org/ns/ldp#contains> <x> ."
-    assert http.put("data/container/", content=contains, headers=TURTLE).status_code == 409
-    assert http.get("data/broken").status_code == 404
 
 
 def test_the_description_of_very_many_parameters_is_of_bounded_size_and_made_beside_the_loop() -> None:
@@ -160,7 +147,7 @@ def test_the_description_of_very_many_parameters_is_of_bounded_size_and_made_bes
         assert len(paths) < 2_500
         for accept in ("text/turtle", "text/html"):
             assert http.get("parameters/", headers={"Accept": accept}).status_code == 200
-        assert busy(http) < busy_seconds()
+        assert busy(http) < busy_seconds(100_000)
 
 
 def test_a_large_json_file_is_patched_beside_the_loop() -> None:
@@ -173,7 +160,7 @@ def test_a_large_json_file_is_patched_beside_the_loop() -> None:
         assert http.get("data/numbers.json").json() == {"numbers": numbers, "more": 1}
         broken = http.patch("data/numbers.json", content=b'{"more": NaN}', headers=patch)
         assert broken.status_code == 400
-        assert busy(http) < busy_seconds() / 2
+        assert busy(http) < busy_seconds(50_000)
 
 
 EX = "http://example.org/"
@@ -192,19 +179,14 @@ CHANGES: tuple[tuple[str, str, str, int], ...] = (
     ("PATCH", "sparql-update", f"INSERT DATA {{ <> <{EX}a> 1 , 01 , 'x'@en , 'é' }}", 204),
     ("PATCH", "sparql-update", f"DELETE DATA {{ <> <{EX}a> 01 , 'never there' }}", 204),
     ("PATCH", "sparql-update", f"DELETE DATA {{ <> <{EX}a> 1 }} ; INSERT DATA {{ <> <{EX}a> 1 , 2 }}", 204),
-    ("PATCH", "sparql-update", f"INSERT DATA {{ <> <{EX}b> 1 }} ; DELETE DATA {{ <> <{EX}b> 1 }}", 204),
+    ("PATCH", "sparql-update", f"INSERT DATA {{ <> <{EX}b> 1 , 2 }} ; DELETE DATA {{ <> <{EX}b> 1 }}", 204),
     ("PATCH", "sparql-update", f"INSERT DATA {{ <> <{EX}blank> _:one . _:one <{EX}of> <> }}", 204),
     ("PATCH", "sparql-update", rename("label", "name"), 204),
-    ("PATCH", "sparql-update", f"DELETE WHERE {{ <> <{EX}title> ?o }}", 204),
-    ("PATCH", "sparql-update", "INSERT DATA { <> a <http://www.w3.org/ns/ldp#RDFSource> }", 204),
     ("PATCH", "sparql-update", "INSERT DATA { <> a <http://www.w3.org/ns/ldp#BasicContainer> }", 409),
     ("PATCH", "sparql-update", "INSERT DATA { <> <http://www.w3.org/ns/ldp#contains> <x> }", 409),
     ("PATCH", "sparql-update", "INSERT DATA { GRAPH <x> { <> <x> 1 } }", 422),
-    ("PATCH", "sparql-update", "INSERT DATA { ?x <x> 1 }", 400),
-    ("PATCH", "n3", f"solid:inserts {{ <> <{EX}n> 1 , 'n' }}", 204),
-    ("PATCH", "n3", f"solid:deletes {{ <> <{EX}n> 1 }} ; solid:inserts {{ <> <{EX}n> 2 }}", 204),
+    ("PATCH", "n3", f"solid:deletes {{ <> <{EX}b> 2 }} ; solid:inserts {{ <> <{EX}n> 2 }}", 204),
     ("PATCH", "n3", f"solid:deletes {{ <> <{EX}n> 'never there' }}", 409),
-    ("PATCH", "n3", f"solid:where {{ <> <{EX}n> ?n . ?n <{EX}n> 1 }} ; solid:deletes {{ <> <{EX}n> ?n }}", 409),
     ("PATCH", "n3", f"solid:where {{ ?s <{EX}name> ?n }} ; solid:inserts {{ ?s <{EX}found> ?n }}", 204),
     ("POST", "turtle", f"<> <{EX}n> 2 ; <{EX}m> [ <{EX}label> 'merged' ] .", 204),
     ("UPDATE", "", f"INSERT DATA {{ GRAPH <URL> {{ <URL> <{EX}u> 1 , 01 , 'x'@en }} }}", 204),
@@ -212,7 +194,6 @@ CHANGES: tuple[tuple[str, str, str, int], ...] = (
     ("UPDATE", "", f"WITH <URL> {rename('name', 'label')}", 204),
     ("UPDATE", "", f"WITH <URL> DELETE {{ ?s <{EX}u> ?o }} WHERE {{ ?s <{EX}u> ?o }} ; "
      f"WITH <URL> INSERT {{ <URL> <{EX}left> 1 }} WHERE {{ FILTER NOT EXISTS {{ ?s <{EX}u> ?o }} }}", 204),
-    ("UPDATE", "", "INSERT DATA { GRAPH <URL> { <URL> a <http://www.w3.org/ns/ldp#BasicContainer> } }", 409),
 )  # fmt: skip
 SOLID = "@prefix solid: <http://www.w3.org/ns/solid/terms#> . <#patch> a solid:InsertDeletePatch ; "
 
@@ -244,7 +225,7 @@ def spelt(term: object, name: str) -> str:
 def test_a_change_of_a_large_document_comes_to_the_same_as_of_a_small_one() -> None:
     with served(MadeUp()) as http:
         http.timeout = httpx.Timeout(120)
-        for name, numbers in (("small", 3), ("large", 20_000)):
+        for name, numbers in (("small", 3), ("large", 6_000)):
             body = turtle(numbers) + START.encode()
             assert http.put(f"data/{name}", content=body, headers=TURTLE).status_code == 201
         assert said(http, "small") == said(http, "large")
@@ -252,7 +233,7 @@ def test_a_change_of_a_large_document_comes_to_the_same_as_of_a_small_one() -> N
             answers = [change(http, name, method, kind, body) for name in ("small", "large")]
             assert [answer.status_code for answer in answers] == [status, status], (body, answers[1].text)
             assert said(http, "small") == said(http, "large"), body
-        asked = {"query": f"ASK {{ GRAPH <{http.base_url}data/large> {{ ?s <{EX}left> 1 ; <{EX}p> 19999 }} }}"}
+        asked = {"query": f"ASK {{ GRAPH <{http.base_url}data/large> {{ ?s <{EX}left> 1 ; <{EX}p> 5999 }} }}"}
         assert http.get("sparql", params=asked, headers={"Accept": "application/json"}).json()["boolean"] is True
         found = http.get("data/large", headers={"Accept": "application/n-triples"}).text
-        assert found.count(f"<{EX}p> ") == 20_000
+        assert found.count(f"<{EX}p> ") == 6_000

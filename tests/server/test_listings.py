@@ -9,13 +9,14 @@ import httpx
 import pytest
 from pyoxigraph import Literal, NamedNode, Triple
 
-from rosld.adapters.base import Subscription
 from rosld.adapters.model import Action, TypeRef
 from rosld.ontology.vocab import ldp, rdf, ros
 from tests.server.robots.asking import JSON, LDP, TYPES, objects, triples
 from tests.server.robots.made_up import MadeUp, Serving
 from tests.server.robots.many import COUNT, furnish
 from tests.waiting import until
+
+pytestmark = pytest.mark.slow
 
 RDF = {"Accept": "text/turtle"}
 RESULTS = {"Accept": "application/sparql-results+json"}
@@ -94,7 +95,7 @@ def test_what_is_recorded_has_values_and_rates_in_lists_and_queries_and_no_rate_
     assert fastest["name"]["value"] == "/speed"
 
 
-def test_json_says_the_same_and_the_members_are_those_of_ldp(http: httpx.Client) -> None:
+def test_json_says_the_same_with_another_entity_tag_when_a_value_comes(robot: MadeUp, http: httpx.Client) -> None:
     http.get("/topics/speed")
     answer = http.get("/topics/", headers=JSON)
     listing: dict[str, Any] = answer.json()
@@ -105,57 +106,34 @@ def test_json_says_the_same_and_the_members_are_those_of_ldp(http: httpx.Client)
     assert json.loads(speed["briefValue"]) == {"data": 1.5}
     contained = objects(http.get("/topics/", headers=RDF), f"{LDP}contains")
     assert contained == members.keys()
-
-
-def test_a_listing_has_another_entity_tag_when_a_value_comes_and_only_then(robot: MadeUp, http: httpx.Client) -> None:
-    http.get("/topics/speed")
-    first = http.get("/topics/", headers=RDF).headers["etag"]
-    assert http.get("/topics/", headers={**RDF, "If-None-Match": first}).status_code == 304
+    known = {**RDF, "If-None-Match": http.get("/topics/", headers=RDF).headers["etag"]}
+    assert http.get("/topics/", headers=known).status_code == 304
     robot.publishes("/speed", {"data": 2.5})
-    answer = http.get("/topics/", headers={**RDF, "If-None-Match": first})
+    answer = http.get("/topics/", headers=known)
     assert answer.status_code == 200
     assert "2.5" in answer.text
 
 
-def test_a_listing_subscribes_to_nothing(robot: MadeUp, serving: Serving, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[str] = []
-    subscribe = robot.subscribe
-
-    async def counted(topic: str, *, depth: int = 1) -> Subscription:
-        asked.append(topic)
-        return await subscribe(topic, depth=depth)
-
-    monkeypatch.setattr(robot, "subscribe", counted)
+def test_a_long_listing_subscribes_to_nothing_has_pages_and_is_in_the_dataset_once(
+    robot: MadeUp, serving: Serving
+) -> None:
     furnish(robot)
     http = serving()
     for format in ("ttl", "json", "html"):
         assert http.get("/topics/", params={"format": format}).status_code == 200
-    assert asked == []
-
-
-def test_pages_of_a_listing_tell_of_their_own_members(robot: MadeUp, serving: Serving) -> None:
-    furnish(robot)
-    http = serving()
+    assert robot.subscribed() == set()
     page = http.get("/topics/", headers={**RDF, "Prefer": 'return=representation; max-member-count="50"'})
     assert page.status_code == 303
     found = triples(http.get(page.headers["location"], headers=RDF))
     contained = {each.object for each in found if each.predicate == ldp.contains}
     named = {each.subject for each in found if each.predicate == ros.name}
     assert (len(contained), named) == (50, contained)
-
-
-def test_what_members_are_is_in_the_dataset_once_and_in_the_graph_of_a_listing_that_is_named(
-    robot: MadeUp, serving: Serving
-) -> None:
-    furnish(robot)
-    http = serving()
-    listing = f"{http.base_url}topics/"
-    assert count(http, "?topic ros:hasMessageType ?type") == COUNT
-    assert count(http, "GRAPH ?graph { ?topic ros:hasMessageType ?type }") == COUNT
-    direct = len(objects(http.get("/topics/", headers=RDF), f"{LDP}contains"))
-    below = len([url for url in objects(http.get("/topics/", headers=RDF), f"{LDP}contains") if url.endswith("/")])
-    assert count(http, f"GRAPH <{listing}> {{ ?topic ros:hasMessageType ?type }}") == direct - below
-    assert count(http, "?topic ros:hasMessageType ?type") == COUNT, "and it is gone again"
+    typed = "?topic ros:hasMessageType ?type"
+    assert count(http, typed) == count(http, f"GRAPH ?graph {{ {typed} }}") == COUNT
+    members = objects(http.get("/topics/", headers=RDF), f"{LDP}contains")
+    topics = [url for url in members if not url.endswith("/")]
+    assert count(http, f"GRAPH <{http.base_url}topics/> {{ {typed} }}") == len(topics)
+    assert count(http, typed) == COUNT, "and it is gone again"
 
 
 def test_what_is_brief_is_json(robot: MadeUp, serving: Serving) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
 from typing import Any
 
 import httpx
@@ -83,30 +82,25 @@ def missing(answer: httpx.Response) -> set[str]:
     return {one["path"] for one in violations}
 
 
-def asked(robot: MadeUp) -> list[dict[str, Any]]:
-    """Have the robot keep the requests of its service."""
+def test_a_request_has_what_its_definition_gives_it(http: httpx.Client, robot: MadeUp) -> None:
     requests: list[dict[str, Any]] = []
     robot.offer(TURN, "made_up/srv/Turn", lambda request: requests.append(request) or {})
-    return requests
+    assert http.post(f"/services{TURN}", json={}).status_code == 201
+    assert http.post(f"/services{TURN}", json={"times": 0, "pair": [{}, {"position": {"x": 1}}]}).status_code == 201
+    there = {"position": {**ZERO, "x": 1.0}, "orientation": POSED["orientation"]}
+    assert requests == [NAMES, {**NAMES, "times": 0, "pair": [POSED, there]}]
 
 
-def test_a_field_that_is_left_out_is_zero(http: httpx.Client, robot: MadeUp) -> None:
+def test_a_field_that_is_left_out_is_zero_and_a_quaternion_turns_nothing(http: httpx.Client, robot: MadeUp) -> None:
     assert http.put(f"/topics{DRIVE}", json={"linear": {"x": 0.2}}).status_code == 204
-    assert http.put(f"/topics{DRIVE}", json={}).status_code == 204
+    for query in ("", "?defaults=true", "?strict=false", "?defaults", "?strict=false&defaults=true"):
+        assert http.put(f"/topics{DRIVE}{query}", json={}).status_code == 204
     assert robot.sent[DRIVE] == [
         {"linear": {**ZERO, "x": 0.2}, "angular": ZERO},
-        {"linear": ZERO, "angular": ZERO},
+        *[{"linear": ZERO, "angular": ZERO}] * 5,
     ]
-
-
-def test_a_quaternion_that_is_left_out_turns_nothing(http: httpx.Client, robot: MadeUp) -> None:
-    bodies = (
-        {"pose": {"position": {"x": 1}}},
-        {"pose": {"orientation": {"z": 0.5}}},
-        {"pose": {"orientation": {"w": 0}}},
-    )
-    for body in bodies:
-        assert http.put(f"/topics{GOAL}", json=body).status_code == 204
+    for body in ({"position": {"x": 1}}, {"orientation": {"z": 0.5}}, {"orientation": {"w": 0}}):
+        assert http.put(f"/topics{GOAL}", json={"pose": body}).status_code == 204
     assert [sent["pose"]["orientation"] for sent in robot.sent[GOAL]] == [
         {**ZERO, "w": 1.0},
         {**ZERO, "z": 0.5, "w": 1.0},
@@ -114,59 +108,36 @@ def test_a_quaternion_that_is_left_out_turns_nothing(http: httpx.Client, robot: 
     ]
 
 
-def test_a_request_has_what_its_definition_gives_it(http: httpx.Client, robot: MadeUp) -> None:
-    requests = asked(robot)
-    assert http.post(f"/services{TURN}", json={}).status_code == 201
-    assert http.post(f"/services{TURN}", json={"times": 0, "pair": [{}, {"position": {"x": 1}}]}).status_code == 201
-    there = {"position": {**ZERO, "x": 1.0}, "orientation": POSED["orientation"]}
-    assert requests == [NAMES, {**NAMES, "times": 0, "pair": [POSED, there]}]
-
-
-@pytest.mark.parametrize("query", ["strict=true", "strict", "defaults=false", "strict=true&defaults=false"])
-def test_who_asks_for_strictness_is_told_what_is_missing(http: httpx.Client, robot: MadeUp, query: str) -> None:
-    answer = http.put(f"/topics{DRIVE}?{query}", json={"linear": {"x": 1}})
-    assert missing(answer) == {"linear.y", "linear.z", "angular"}
-    held = http.post(f"/topics{DRIVE}?rate=10&{query}", json={"linear": ZERO})
-    assert missing(held) == {"angular"}
-    assert "pose" in missing(http.post(f"/services{TURN}?{query}", json={"speed": 1}))
+def test_who_asks_for_strictness_is_told_what_is_missing(http: httpx.Client, robot: MadeUp) -> None:
+    for query in ("strict=true", "strict", "defaults=false", "strict=true&defaults=false"):
+        answer = http.put(f"/topics{DRIVE}?{query}", json={"linear": {"x": 1}})
+        assert missing(answer) == {"linear.y", "linear.z", "angular"}
+        held = http.post(f"/topics{DRIVE}?rate=10&{query}", json={"linear": ZERO})
+        assert missing(held) == {"angular"}
+        assert "pose" in missing(http.post(f"/services{TURN}?{query}", json={"speed": 1}))
+    for query in ("strict=true&defaults=true", "strict=false&defaults=false", "strict=perhaps"):
+        assert http.put(f"/topics{DRIVE}?{query}", json={}).status_code == 400
     assert not robot.sent
     assert not robot.calls
 
 
-@pytest.mark.parametrize("query", ["defaults=true", "strict=false", "defaults", "strict=false&defaults=true"])
-def test_who_asks_for_defaults_has_them_as_ever(http: httpx.Client, query: str) -> None:
-    assert http.put(f"/topics{DRIVE}?{query}", json={}).status_code == 204
-
-
-@pytest.mark.parametrize("query", ["strict=true&defaults=true", "strict=false&defaults=false", "strict=perhaps"])
-def test_what_contradicts_itself_is_refused(http: httpx.Client, robot: MadeUp, query: str) -> None:
-    assert http.put(f"/topics{DRIVE}?{query}", json={}).status_code == 400
+def test_what_is_wrong_is_not_left_out_and_rdf_says_all_of_a_message(http: httpx.Client, robot: MadeUp) -> None:
+    wrong: list[object] = [{"linaer": {"x": 1}}, {"linear": {"x": 1, "w": 1}}, {"linear": None}, [], None]
+    for body in wrong:
+        answer = http.put(f"/topics{DRIVE}", content=json.dumps(body), headers=JSON)
+        assert answer.status_code == 422, answer.text
+    part = f"<#message> a <{TWIST}> ; <{TWIST}#linear> [ a <{VECTOR}> ; <{VECTOR}#x> 1.0 ] ."
+    for query in ("", "?defaults=true", "?strict=false"):
+        answer = http.put(f"/topics{DRIVE}{query}", content=part, headers={"Content-Type": "text/turtle"})
+        assert missing(answer) == {"linear.y", "linear.z", "angular"}
+    for headers in ({}, JSON, {"Content-Type": "text/turtle"}):  # of a body that got lost
+        assert "pose" in missing(http.post(f"/services{TURN}", headers=headers))
+        assert "pose" in missing(http.post(f"/resources{TURN}", headers=headers))
     assert not robot.sent
-
-
-@pytest.mark.parametrize("body", [{"linaer": {"x": 1}}, {"linear": {"x": 1, "w": 1}}, {"linear": None}, [], None])
-def test_what_is_written_wrongly_is_not_left_out(http: httpx.Client, robot: MadeUp, body: object) -> None:
-    answer = http.put(f"/topics{DRIVE}", content=json.dumps(body), headers=JSON)
-    assert answer.status_code == 422, answer.text
-    assert not robot.sent
+    assert not robot.calls
 
 
 JSON = {"Content-Type": "application/json"}
-
-
-@pytest.mark.parametrize("query", ["", "?defaults=true", "?strict=false"])
-def test_rdf_says_all_of_a_message(http: httpx.Client, robot: MadeUp, query: str) -> None:
-    part = f"<#message> a <{TWIST}> ; <{TWIST}#linear> [ a <{VECTOR}> ; <{VECTOR}#x> 1.0 ] ."
-    answer = http.put(f"/topics{DRIVE}{query}", content=part, headers={"Content-Type": "text/turtle"})
-    assert missing(answer) == {"linear.y", "linear.z", "angular"}
-    assert not robot.sent
-
-
-def test_a_body_that_got_lost_is_no_request_with_fields(http: httpx.Client, robot: MadeUp) -> None:
-    for headers in ({}, JSON, {"Content-Type": "text/turtle"}):
-        assert "pose" in missing(http.post(f"/services{TURN}", headers=headers))
-        assert "pose" in missing(http.post(f"/resources{TURN}", headers=headers))
-    assert not robot.calls
 
 
 def test_a_patch_changes_what_it_names_and_removes_no_field(http: httpx.Client, robot: MadeUp) -> None:
@@ -205,17 +176,13 @@ def test_the_value_of_a_resource_is_filled_up_and_a_member_that_is_patched_is_no
     assert values == {"low": 1.0, "high": 3.0}
 
 
-def test_a_goal_is_filled_up(serve: Callable[..., Any]) -> None:
-    plane: httpx.Client = serve("aircraft").http
+def test_a_goal_is_filled_up(own_aircraft: httpx.Client) -> None:
+    plane = own_aircraft
     assert missing(plane.post("/actions/aircraft/fly?strict=true", json={})) == {"distance"}
     refused = plane.post("/actions/aircraft/fly", json={})
     assert refused.status_code == 409, "the aircraft is off: it is asked all the same"
-    assert plane.get(refused.headers["location"], headers={"Accept": "application/json"}).json()["goal"] == {
-        "distance": 0.0
-    }
-
-
-# What is said of it
+    goal = plane.get(refused.headers["location"], headers={"Accept": "application/json"}).json()
+    assert goal["goal"] == {"distance": 0.0}
 
 
 def test_a_form_is_filled_with_the_defaults(http: httpx.Client) -> None:

@@ -88,11 +88,18 @@ def test_a_node_tells_its_endpoints_with_their_quality_of_service_and_its_parame
     assert other == f"{http.base_url}topics/chatter#subscriber/plain"
 
 
-def test_a_transition_is_made_and_the_state_that_is_shown_then_is_the_nodes_own(http: httpx.Client, said: Any) -> None:
+def test_a_transition_is_made_streamed_and_in_the_dataset(http: httpx.Client, said: Any) -> None:
     before = http.get("/nodes/camera").headers["etag"]
-    made = post(http, "configure")
-    assert (made.status_code, made.content) == (204, b"")
+    query = "SELECT ?state WHERE { ?node a ros:ManagedNode ; ros:lifecycleState ?state }"
+    with http.stream("GET", "/nodes/camera?format=nt", headers={"Accept": "text/event-stream"}) as stream:
+        lines = stream.iter_lines()
+        assert next(line for line in lines if "lifecycleState>" in line).count(ros.Unconfigured.value)
+        made = post(http, "configure")
+        assert (made.status_code, made.content) == (204, b"")
+        assert next(line for line in lines if ros.Inactive.value in line)
     assert said(http, ros.lifecycleState) == [ros.Inactive.value]
+    rows = http.get("/sparql", params={"query": query}, headers={"Accept": "text/csv"}).text.split()
+    assert rows == ["state", ros.Inactive.value]
     assert http.get("/nodes/camera").headers["etag"] != before
     url = str(http.base_url.join("/nodes/camera"))
     body = f"<{url}> <{ros.transition.value}> 'activate' ."
@@ -102,80 +109,53 @@ def test_a_transition_is_made_and_the_state_that_is_shown_then_is_the_nodes_own(
     assert ros.Active.value in shown.text
 
 
-def test_the_changes_of_a_node_are_streamed(http: httpx.Client) -> None:
-    with http.stream("GET", "/nodes/camera?format=nt", headers={"Accept": "text/event-stream"}) as stream:
-        lines = stream.iter_lines()
-        assert next(line for line in lines if "lifecycleState>" in line).count(ros.Unconfigured.value)
-        assert post(http, "configure").status_code == 204
-        assert next(line for line in lines if ros.Inactive.value in line)
-
-
-def test_what_is_not_legal_now_is_409_with_the_state_and_what_is(http: httpx.Client, camera: Managed) -> None:
+def test_a_transition_that_is_not_legal_or_not_made_is_told_with_the_state(http: httpx.Client, camera: Managed) -> None:
     refused = post(http, "activate")
     assert refused.status_code == 409
     told = refused.json()
     assert (told["state"], told["transitions"], told["sent"]) == ("unconfigured", ["configure", "shutdown"], "no")
     assert "is unconfigured" in told["detail"]
     assert not camera.asked
-
-
-def test_a_transition_that_the_node_does_not_make_is_409_with_its_state(http: httpx.Client, camera: Managed) -> None:
     camera.fails["configure"] = False
-    refused = post(http, "configure").json()
-    assert (refused["status"], refused["state"], refused["sent"]) == (409, "unconfigured", "yes")
+    failed = post(http, "configure").json()
+    assert (failed["status"], failed["state"], failed["sent"]) == (409, "unconfigured", "yes")
     assert camera.asked == ["configure"]
-
-
-@pytest.mark.parametrize(
-    ("error", "status", "sent"),
-    [
+    for error, status, sent in (
         (TimedOut("/camera/change_state did not answer in time", sent=Sent.MAYBE), 504, "maybe"),
         (Unreachable("its node went away", sent=Sent.MAYBE), 503, "maybe"),
         (Unreachable("no server was connected"), 503, "no"),
-    ],
-)
-def test_a_node_that_does_not_answer_is_told_as_for_services(
-    http: httpx.Client, camera: Managed, error: Any, status: int, sent: str
-) -> None:
-    camera.fails["configure"] = error
-    answer = post(http, "configure")
-    assert (answer.status_code, answer.json()["sent"]) == (status, sent)
+    ):
+        camera.fails["configure"] = error
+        answer = post(http, "configure")
+        assert (answer.status_code, answer.json()["sent"]) == (status, sent)
 
 
-@pytest.mark.parametrize(
-    "body",
-    [
-        b"[]",
-        b'"activate"',
-        b"{}",
-        b'{"transition": 3}',
-        b'{"transition": "configure", "x": 1}',
-        b'{"transition": null}',
-    ],
-)
-def test_what_names_no_transition_is_422(http: httpx.Client, camera: Managed, body: bytes) -> None:
-    answer = http.post("/nodes/camera", content=body, headers={**PROBLEM, "Content-Type": "application/json"})
-    assert answer.status_code == 422, answer.text
-    assert not camera.asked
-
-
-def test_two_transitions_at_once_and_no_rdf_are_refused(http: httpx.Client) -> None:
+def test_what_names_no_transition_is_refused(http: httpx.Client, camera: Managed) -> None:
+    bodies = ("[]", '"activate"', "{}", '{"transition": 3}', '{"transition": "configure", "x": 1}')
+    for body in (*bodies, '{"transition": null}'):
+        answer = http.post("/nodes/camera", content=body, headers={**PROBLEM, "Content-Type": "application/json"})
+        assert answer.status_code == 422, answer.text
     headers = {**PROBLEM, "Content-Type": "text/turtle"}
     two = f"<> <{ros.transition.value}> 'configure', 'shutdown' ."
     assert http.post("/nodes/camera", content=two, headers=headers).status_code == 422
     assert http.post("/nodes/camera", content="no turtle", headers=headers).status_code == 400
     assert http.post("/nodes/camera", content="x", headers={"Content-Type": "text/plain"}).status_code == 415
+    assert not camera.asked
 
 
-def test_a_precondition_guards_a_transition(http: httpx.Client, camera: Managed) -> None:
+def test_a_precondition_and_the_stop_guard_a_transition(http: httpx.Client, camera: Managed) -> None:
     etag = http.get("/nodes/camera").headers["etag"]
     camera.stands("inactive")
     assert post(http, "activate", **{"If-Match": etag}).status_code == 412
     assert not camera.asked
     assert post(http, "activate", **{"If-Match": http.get("/nodes/camera").headers["etag"]}).status_code == 204
+    assert http.post("/stop", json={}).status_code < 300
+    asked = list(camera.asked)
+    assert post(http, "deactivate").status_code == 423
+    assert camera.asked == asked
 
 
-def test_nodes_without_a_lifecycle_or_whose_state_was_never_told_take_no_post(
+def test_nodes_without_a_lifecycle_or_whose_state_is_not_known_take_no_post(
     http: httpx.Client, camera: Managed, said: Any
 ) -> None:
     plain = http.post("/nodes/plain", json={"transition": "activate"}, headers=PROBLEM)
@@ -188,16 +168,9 @@ def test_nodes_without_a_lifecycle_or_whose_state_was_never_told_take_no_post(
     assert "not installed" in unknown.json()["detail"]
     assert said(http, ros.lifecycleUnknown) == ["the package lifecycle_msgs is not installed"]
     assert said(http, ros.lifecycleState) == []
-    page = http.get("/nodes/camera", headers={"Accept": "text/html"}).text
-    assert "not installed" in page
-
-
-def test_a_node_that_went_silent_keeps_its_last_state_and_offers_nothing(
-    http: httpx.Client, camera: Managed, said: Any
-) -> None:
-    silent = replace(standing("/camera", "active"), transitions=(), unknown="it did not answer")
-    camera.stands(silent)
-    assert said(http, ros.lifecycleState) == [ros.Active.value]
+    assert "not installed" in http.get("/nodes/camera", headers={"Accept": "text/html"}).text
+    camera.stands(replace(standing("/camera", "active"), transitions=(), unknown="it did not answer"))
+    assert said(http, ros.lifecycleState) == [ros.Active.value], "the last that was known"
     assert said(http, ros.lifecycleUnknown) == ["it did not answer"]
     assert said(http, td.hasActionAffordance) == []
     camera.stands("finalized")
@@ -205,47 +178,37 @@ def test_a_node_that_went_silent_keeps_its_last_state_and_offers_nothing(
     assert (refused["status"], refused["state"], refused["transitions"]) == (409, "finalized", [])
 
 
-@pytest.mark.parametrize(
-    ("settings", "says"),
-    [
+def test_what_is_closed_offers_no_transitions(camera: Managed, triples_of: Any) -> None:
+    closed: tuple[tuple[dict[str, Any], str], ...] = (
         ({"read_only": True}, "read-only"),
         ({"resources_only": ("/camera",)}, "/camera is written under /resources/ only"),
         ({"resources_only": ("/camera/*",)}, "/camera/change_state is written under /resources/ only"),
-    ],
-)
-def test_what_is_closed_offers_no_transitions(camera: Managed, settings: Any, says: str, triples_of: Any) -> None:
-    with served(camera, **settings) as http:
-        refused = post(http, "configure")
-        assert refused.status_code == 405
-        assert says in refused.json()["detail"]
-        found = triples_of(http.get("/nodes/camera", headers=TRIPLES))
-        assert td.hasActionAffordance not in {each.predicate for each in found}
-        assert not camera.asked
-
-
-def test_a_robot_that_is_stopped_makes_no_transitions(http: httpx.Client, camera: Managed) -> None:
-    assert http.post("/stop", json={}).status_code < 300
-    assert post(http, "configure").status_code == 423
+    )
+    for settings, says in closed:
+        with served(camera, **settings) as http:
+            refused = post(http, "configure")
+            assert refused.status_code == 405
+            assert says in refused.json()["detail"]
+            found = triples_of(http.get("/nodes/camera", headers=TRIPLES))
+            assert td.hasActionAffordance not in {each.predicate for each in found}
     assert not camera.asked
 
 
-@pytest.mark.parametrize(
-    "limit",
-    [
-        f"sh:targetNode <nodes/camera> ; sh:property [ sh:path <{ros.transition.value}> ; sh:in ( 'configure' ) ] .",
-        "sh:targetClass <https://w3id.org/rosld/types/lifecycle_msgs/msg/Transition> ; sh:property [ sh:path "
-        "<https://w3id.org/rosld/types/lifecycle_msgs/msg/Transition#label> ; sh:in ( 'configure' ) ] .",
-    ],
-    ids=["node", "type"],
-)
-def test_limits_hold_for_transitions(camera: Managed, tmp_path: Path, limit: str) -> None:
+def test_limits_hold_for_transitions(camera: Managed, tmp_path: Path) -> None:
+    type = "https://w3id.org/rosld/types/lifecycle_msgs/msg/Transition"
     path = tmp_path / "limits.ttl"
-    path.write_text(f"@prefix sh: <http://www.w3.org/ns/shacl#> . <#limit> a sh:NodeShape ; {limit}")
-    with served(camera, shapes=(path,)) as http:
-        refused = post(http, "shutdown")
-        assert refused.status_code == 422, refused.text
-        assert not camera.asked
-        assert post(http, "configure").status_code == 204
+    for target, of in (
+        ("sh:targetNode <nodes/camera>", ros.transition.value),
+        (f"sh:targetClass <{type}>", f"{type}#label"),
+    ):
+        shape = f"<#limit> a sh:NodeShape ; {target} ; sh:property [ sh:path <{of}> ; sh:in ( 'configure' ) ] ."
+        path.write_text(f"@prefix sh: <http://www.w3.org/ns/shacl#> . {shape}")
+        camera.stands("unconfigured")
+        with served(camera, shapes=(path,)) as http:
+            refused = post(http, "shutdown")
+            assert refused.status_code == 422, refused.text
+            assert "shutdown" not in camera.asked
+            assert post(http, "configure").status_code == 204
 
 
 def test_the_page_has_a_button_for_each_transition(http: httpx.Client, camera: Managed) -> None:
@@ -265,14 +228,6 @@ def test_the_page_has_a_button_for_each_transition(http: httpx.Client, camera: M
     assert "did not make the transition" in failed.text
     assert buttons(failed.text) == ["cleanup", "activate", "shutdown"]
     assert http.post("/nodes/camera", data={**form, "x": "y"}, headers={"Accept": "text/html"}).status_code == 422
-
-
-def test_lifecycles_are_in_the_dataset_as_they_are_at_their_urls(http: httpx.Client) -> None:
-    query = "SELECT ?state WHERE { ?node a ros:ManagedNode ; ros:lifecycleState ?state }"
-    for state in (ros.Unconfigured, ros.Inactive):
-        rows = http.get("/sparql", params={"query": query}, headers={"Accept": "text/csv"}).text.split()
-        assert rows == ["state", state.value]
-        post(http, "configure")
 
 
 def test_the_description_tells_of_transitions_where_there_are_any(http: httpx.Client) -> None:

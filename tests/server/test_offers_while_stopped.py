@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import httpx
@@ -31,7 +32,7 @@ ZERO_PASSES = {"/topics/cmd_vel": {"PUT", "POST"}}
 
 
 @pytest.fixture(scope="module")
-def robot() -> MadeUp:
+def http() -> Iterator[httpx.Client]:
     made = MadeUp()
     made.topic("/say", STRING, {"data": "x"}, published=False, heard=True)
     made.topic("/cmd_vel", TWIST, published=False, heard=True)
@@ -39,20 +40,17 @@ def robot() -> MadeUp:
     made.variable("/arm/label", "Words", words="x")
     made.parameter("/gain", 1)
     made.declared["/gain"] = Descriptor()
-    return made
-
-
-@pytest.fixture(scope="module")
-def http(robot: MadeUp) -> Iterator[httpx.Client]:
-    with served(robot) as client:
+    with served(made) as client:
         yield client
 
 
-@pytest.fixture
+@contextmanager
 def stopped(http: httpx.Client) -> Iterator[None]:
     assert http.post("/stop").status_code == 200
-    yield
-    assert release(http).status_code == 204
+    try:
+        yield
+    finally:
+        assert release(http).status_code == 204
 
 
 def allowed(http: httpx.Client, path: str, method: str = "OPTIONS") -> set[str]:
@@ -75,11 +73,10 @@ def on_offer(http: httpx.Client) -> set[tuple[str, str]]:
     return {each for each in found if not each[0].startswith("stop")}
 
 
-def test_allow_and_what_is_accepted_follow_the_stop(http: httpx.Client, robot: MadeUp) -> None:
+def test_allow_and_what_is_accepted_follow_the_stop(http: httpx.Client) -> None:
     for path, methods in OFFERED.items():
         assert allowed(http, path) == methods, path
-    assert http.post("/stop").status_code == 200
-    try:
+    with stopped(http):
         for path in OFFERED:
             left = ZERO_PASSES.get(path, set())
             assert allowed(http, path) == left, path
@@ -93,33 +90,29 @@ def test_allow_and_what_is_accepted_follow_the_stop(http: httpx.Client, robot: M
         assert http.post("/services/arm/aim", json={"azimuth": 1, "elevation": 1}).status_code == 423
         assert http.put("/data/x", content="<> <p> 1 .", headers={"Content-Type": "text/turtle"}).is_success
         assert "PUT" in allowed(http, "/data/x")
-    finally:
-        assert release(http).status_code == 204
     for path, methods in OFFERED.items():
         assert allowed(http, path) == methods, path
 
 
-def test_forms_follow_the_stop_and_that_of_a_velocity_topic_publishes_zero(
-    http: httpx.Client, robot: MadeUp, request: pytest.FixtureRequest
-) -> None:
+def test_forms_follow_the_stop_and_that_of_a_velocity_topic_publishes_zero(http: httpx.Client) -> None:
     paths = ("/topics/say", "/services/arm/aim", "/parameters/gain", "/resources/arm/", "/resources/arm/label")
     for path in paths:
         assert forms(http, path), path
     token = http.get("/topics/say", headers=HTML).text.split('name="csrf" value="')[2].partition('"')[0]
-    request.getfixturevalue("stopped")
-    for path in (*paths, "/resources/arm/aim"):
-        page = http.get(path, headers=HTML).text
-        assert not forms(http, path), path
-        assert "is not known" not in page, path
-    page = http.get("/topics/cmd_vel", headers=HTML).text
-    assert "Publish zero" in page
-    assert forms(http, "/topics/cmd_vel") == ["PUT"]
-    drawn_before = http.post("/topics/say", data={"csrf": token, "method": "PUT", "data": "y"}, headers=HTML)
-    assert drawn_before.status_code == 423
-    assert "was stopped by anybody" in drawn_before.text
+    with stopped(http):
+        for path in (*paths, "/resources/arm/aim"):
+            page = http.get(path, headers=HTML).text
+            assert not forms(http, path), path
+            assert "is not known" not in page, path
+        page = http.get("/topics/cmd_vel", headers=HTML).text
+        assert "Publish zero" in page
+        assert forms(http, "/topics/cmd_vel") == ["PUT"]
+        drawn_before = http.post("/topics/say", data={"csrf": token, "method": "PUT", "data": "y"}, headers=HTML)
+        assert drawn_before.status_code == 423
+        assert "was stopped by anybody" in drawn_before.text
 
 
-def test_affordances_and_the_query_of_what_can_be_done_follow_the_stop(http: httpx.Client, robot: MadeUp) -> None:
+def test_affordances_and_the_query_of_what_can_be_done_follow_the_stop(http: httpx.Client) -> None:
     expected = {
         ("topics/say", "POST"),
         ("topics/cmd_vel", "POST"),
@@ -131,8 +124,7 @@ def test_affordances_and_the_query_of_what_can_be_done_follow_the_stop(http: htt
     for topic in ("say", "cmd_vel"):
         http.get(f"/topics/{topic}")
     before = until(lambda: (found := on_offer(http)) >= expected and found, "all that is on offer")
-    assert http.post("/stop").status_code == 200
-    try:
+    with stopped(http):
         assert on_offer(http) == set()
         for path, tag in tags.items():
             told = http.get(path, headers={**TURTLE, "If-None-Match": tag})
@@ -140,26 +132,21 @@ def test_affordances_and_the_query_of_what_can_be_done_follow_the_stop(http: htt
             assert "invokeAction" not in told.text
             assert "writeProperty" not in told.text
         assert "readProperty" in http.get("/resources/arm/", headers=TURTLE).text
-    finally:
-        assert release(http).status_code == 204
     until(lambda: on_offer(http) == before, "all that was on offer")
 
 
-def test_thing_descriptions_and_openapi_keep_all(http: httpx.Client, robot: MadeUp) -> None:
+def test_thing_descriptions_and_openapi_keep_all(http: httpx.Client) -> None:
     def kept() -> tuple[Any, Any]:
         thing = http.get("/resources/arm/", params={"format": "td"}).json()
         return thing, http.get("/openapi.json").json()["paths"]
 
     before = kept()
     assert "writeproperty" in str(before[0])
-    assert http.post("/stop").status_code == 200
-    try:
+    with stopped(http):
         assert kept() == before
-    finally:
-        assert release(http).status_code == 204
 
 
-def test_a_page_that_is_followed_loses_its_forms_with_the_stop(http: httpx.Client, robot: MadeUp) -> None:
+def test_a_page_that_is_followed_loses_its_forms_with_the_stop(http: httpx.Client) -> None:
     stream = {"Accept": "text/event-stream"}
     with (
         http.stream("GET", "/services/arm/aim", params={"format": "html"}, headers=stream) as page,

@@ -15,6 +15,8 @@ from rosld.ontology.violations import LoweringError, Violation
 from rosld.server.http.problem import Problem
 from rosld.server.runtime.offload import WorkerPool
 
+pytestmark = pytest.mark.slow
+
 
 def _raise(error: Exception) -> None:
     raise error

@@ -12,13 +12,14 @@ from pyoxigraph import CanonicalizationAlgorithm, Dataset, NamedNode, Quad, RdfF
 from rosld.ontology.modules import MODULES, OWN, VERSION, home_of_terms, module_url, served_triples
 from rosld.ontology.vocab import rdfs
 
+pytestmark = pytest.mark.slow
+
 SYNTAXES = {
     "text/turtle": RdfFormat.TURTLE,
     "application/n-triples": RdfFormat.N_TRIPLES,
     "application/ld+json": RdfFormat.JSON_LD,
     "application/rdf+xml": RdfFormat.RDF_XML,
 }
-EACH = pytest.mark.parametrize("name", MODULES)
 
 
 def canonical(triples: Any) -> Dataset:
@@ -28,28 +29,24 @@ def canonical(triples: Any) -> Dataset:
     return dataset
 
 
-@EACH
-@pytest.mark.parametrize("media_type", SYNTAXES)
-def test_every_module_is_served_in_every_syntax(http: httpx.Client, name: str, media_type: str) -> None:
-    answer = http.get(module_url(name, "/"), headers={"Accept": media_type})
-    assert (answer.status_code, answer.headers["content-type"].partition(";")[0]) == (200, media_type)
-    told = parse(answer.content, format=SYNTAXES[media_type], base_iri=str(answer.url))
-    assert canonical(told) == canonical(served_triples(name))
+def test_every_module_is_served_in_every_syntax_and_at_the_url_of_its_version(http: httpx.Client) -> None:
+    for name in MODULES:
+        served = canonical(served_triples(name))
+        for media_type, syntax in SYNTAXES.items():
+            answer = http.get(module_url(name, "/"), headers={"Accept": media_type})
+            assert (answer.status_code, answer.headers["content-type"].partition(";")[0]) == (200, media_type)
+            assert canonical(parse(answer.content, format=syntax, base_iri=str(answer.url))) == served
+        versioned = http.get(module_url(name, "/", VERSION), headers={"Accept": "text/turtle"})
+        assert versioned.status_code == 200
+        told = parse(versioned.content, format=RdfFormat.TURTLE, base_iri=str(versioned.url))
+        assert canonical(told) == served
 
 
-@EACH
-def test_every_version_has_a_url_that_answers(http: httpx.Client, name: str) -> None:
-    told = [http.get(module_url(name, "/", version), headers={"Accept": "text/turtle"}) for version in ("", VERSION)]
-    assert [each.status_code for each in told] == [200, 200]
-    graphs = [parse(each.content, format=RdfFormat.TURTLE, base_iri=str(each.url)) for each in told]
-    assert canonical(graphs[0]) == canonical(graphs[1])
-
-
-@pytest.mark.parametrize("name", OWN)
-def test_every_term_has_an_anchor_on_the_page_of_its_module(http: httpx.Client, name: str) -> None:
-    page = http.get(module_url(name, "/"), headers={"Accept": "text/html"}).text
-    terms = {iri.partition("#")[2] for iri, home in home_of_terms().items() if home == name}
-    assert {term for term in terms if page.count(f'id="{term}"') != 1} == set()
+def test_every_term_has_an_anchor_on_the_page_of_its_module(http: httpx.Client) -> None:
+    for name in OWN:
+        page = http.get(module_url(name, "/"), headers={"Accept": "text/html"}).text
+        terms = {iri.partition("#")[2] for iri, home in home_of_terms().items() if home == name}
+        assert {term for term in terms if page.count(f'id="{term}"') != 1} == set()
 
 
 def test_a_term_on_a_page_leads_to_where_it_is_defined(http: httpx.Client) -> None:
@@ -58,14 +55,11 @@ def test_a_term_on_a_page_leads_to_where_it_is_defined(http: httpx.Client) -> No
     assert 'href="/ontology/interaction#Call"' in page
 
 
-def test_what_is_no_module_is_not_found_and_the_answer_names_those_that_are(http: httpx.Client) -> None:
+def test_the_core_has_one_url_and_a_404_names_the_modules_that_there_are(http: httpx.Client) -> None:
     for path in ("/ontology/none", "/ontology/0.0.1", "/ontology/mapping/0.0.1", f"/ontology/{VERSION}/none"):
         answer = http.get(path)
         assert answer.status_code == 404
         assert "align-prov" in answer.json()["detail"]
-
-
-def test_the_core_has_one_url(http: httpx.Client) -> None:
     for path in ("/ontology/core", "/ontology/"):
         answer = http.get(path)
         assert (answer.status_code, answer.headers["location"]) == (308, f"{http.base_url}ontology")

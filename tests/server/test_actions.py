@@ -13,6 +13,8 @@ from rosld.adapters.base import AdapterOptions
 from rosld.adapters.registry import adapter_for
 from tests.server.robots.made_up import served
 
+pytestmark = pytest.mark.slow
+
 FLY = "/actions/aircraft/fly"
 JSON = {"Accept": "application/json"}
 ROS = "https://w3id.org/rosld#"

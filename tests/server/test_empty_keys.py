@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from rosld.adapters.model import ParameterValue
 from tests.server.robots.made_up import MadeUp, Serving
 
@@ -12,18 +14,14 @@ EVERYWHERE = (
 )  # fmt: skip
 
 
-def test_a_parameter_with_an_empty_key_breaks_nothing(robot: MadeUp, serving: Serving) -> None:
+@pytest.mark.slow
+def test_a_parameter_with_an_empty_key_breaks_nothing_and_the_others_are_found(robot: MadeUp, serving: Serving) -> None:
     robot.parameter("/dict", TREE)
     http = serving()
     for path in EVERYWHERE:
         for accept in ("*/*", "text/turtle", "application/json", "text/html"):
             answer = http.get(path, headers={"Accept": accept})
             assert answer.status_code in (200, 406), (path, accept, answer.text)
-
-
-def test_the_others_are_described_and_found(robot: MadeUp, serving: Serving) -> None:
-    robot.parameter("/dict", TREE)
-    http = serving()
     paths = http.get("/openapi.json").json()["paths"]
     assert "/parameters/dict/ok" in paths
     assert not [path for path in paths if path.startswith("/parameters/") and "~" in path]

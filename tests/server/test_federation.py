@@ -185,6 +185,7 @@ def test_settings_refuse_what_is_no_url_to_ask() -> None:
             Settings(allow_load=(url,))
 
 
+@pytest.mark.slow
 def test_documents_that_are_listed_are_loaded_into_a_graph_and_no_others(
     serve: Callable[..., Served], endpoint: Endpoint
 ) -> None:

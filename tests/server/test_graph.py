@@ -81,6 +81,7 @@ def test_a_part_of_it_is_drawn_and_described(rover: httpx.Client) -> None:
     assert page.count("<rect") == 4
 
 
+@pytest.mark.slow
 def test_red_is_only_what_is_wrong_and_all_forms_say_the_same(robot: Any, serving: Any, monkeypatch: Any) -> None:
     robot.topics(["/unheard", "/recorded", "/steady", "/spoken"], "std_msgs/msg/String")
     robot.topic("/wished", "std_msgs/msg/String", published=False, heard=True)

@@ -11,6 +11,8 @@ from rosld.adapters.model import Action, Service, TypeRef
 from tests.server.robots.made_up import MadeUp, Serving
 from tests.waiting import until
 
+pytestmark = pytest.mark.slow
+
 PREFIXES = """
 @prefix map: <https://w3id.org/rosld/mapping#> . @prefix ex: <http://example.org/> .
 @prefix sh: <http://www.w3.org/ns/shacl#> . @prefix rdf: <http://www.w3.org/1999/02/22-rdf-syntax-ns#> .

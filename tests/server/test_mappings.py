@@ -16,6 +16,8 @@ from rosld.adapters.registry import adapter_for
 from rosld.server.cli.main import main
 from tests.server.robots.made_up import served
 
+pytestmark = pytest.mark.slow
+
 TURTLE = {"Content-Type": "text/turtle"}
 UPDATE = {"Content-Type": "application/sparql-update"}
 PREFIXES = """

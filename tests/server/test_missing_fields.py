@@ -13,6 +13,8 @@ import pytest
 from tests.server.robots.made_up import TYPES, MadeUp, Serving
 from tests.waiting import until
 
+pytestmark = pytest.mark.slow
+
 DRIVE, GOAL, TURN = "/drive", "/goal", "/turn"
 TWIST = "https://w3id.org/rosld/types/geometry_msgs/msg/Twist"
 VECTOR = "https://w3id.org/rosld/types/geometry_msgs/msg/Vector3"

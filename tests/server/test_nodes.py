@@ -17,6 +17,8 @@ from rosld.ontology.vocab import hctl, htv, rdf, ros, sh, td
 from tests.server.robots.made_up import served
 from tests.server.robots.managed import Managed, standing
 
+pytestmark = pytest.mark.slow
+
 TRIPLES = {"Accept": "application/n-triples"}
 PROBLEM = {"Accept": "application/problem+json"}
 

@@ -14,6 +14,8 @@ from tests.server.robots.made_up import MadeUp, served
 from tests.stopping import release
 from tests.waiting import until
 
+pytestmark = pytest.mark.slow
+
 STRING, TWIST = "std_msgs/msg/String", "geometry_msgs/msg/Twist"
 WRITES = {"PUT", "POST", "PATCH", "DELETE"}
 HTML, TURTLE = {"Accept": "text/html"}, {"Accept": "text/turtle"}

@@ -101,11 +101,11 @@ class Served:
 def start(
     *arguments: str, process: bool = False, python: str = sys.executable, environment: Mapping[str, str] | None = None
 ) -> Served:
-    """Start `rosld serve ARGUMENTS` on a free port.
+    """Start `rosld serve ARGUMENTS` on a free port, unless they name one.
 
     It is a thread, a process of its own for tests of processes, or the command itself with a Python and an environment.
     """
-    words = ["serve", *arguments, "--port", "0"]
+    words = ["serve", "--port", "0", *arguments]
     if environment is None and not process:
         thread = ServingThread(*words[1:])
         return Served(thread, thread.url())

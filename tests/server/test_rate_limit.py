@@ -53,27 +53,19 @@ def test_a_client_may_send_two_seconds_worth_at_once_and_its_rate_from_then_on()
     assert passing(limiter) == 20
 
 
-def test_a_rate_below_one_a_second_lets_one_pass() -> None:
+def test_a_rate_below_one_a_second_lets_one_pass_and_says_when_the_next_may() -> None:
     clock = Clock()
     limiter = limiter_for(clock, rate=0.1)
     assert passing(limiter) == 1
-    clock.now += 5.0
-    assert passing(limiter) == 0
-    clock.now += 5.1
-    assert passing(limiter) == 1
-
-
-def test_a_client_below_one_request_a_second_is_told_when_the_next_one_passes() -> None:
-    clock = Clock()
-    limiter = limiter_for(clock, rate=0.1)
-    limiter.release(limiter.acquire(ANONYMOUS, FAR))
     clock.now += 4.0
     with pytest.raises(Problem, match=r"0\.1 requests a second") as refused:
         limiter.acquire(ANONYMOUS, FAR)
     assert refused.value.headers["Retry-After"] == "6"
+    clock.now += 6.1
+    assert passing(limiter) == 1
 
 
-def test_every_client_has_a_limit_of_its_own_and_who_says_who_they_are_is_known_by_that() -> None:
+def test_every_client_has_a_limit_of_its_own_by_agent_or_else_by_address() -> None:
     limiter = limiter_for(Clock())
     assert passing(limiter) == 20
     assert passing(limiter, address=OTHER) == 20
@@ -81,38 +73,15 @@ def test_every_client_has_a_limit_of_its_own_and_who_says_who_they_are_is_known_
     assert passing(limiter, Agent("ann"), OTHER) == 0
 
 
-def test_requests_under_way_are_counted() -> None:
-    limiter = limiter_for(Clock(), requests=2)
-    first = limiter.acquire(ANONYMOUS, FAR)
-    limiter.acquire(ANONYMOUS, FAR)
-    with pytest.raises(Problem, match="2 requests") as refused:
-        limiter.acquire(ANONYMOUS, FAR)
-    assert (refused.value.status, refused.value.headers["Retry-After"]) == (429, "1")
-    limiter.release(first)
-    assert limiter.acquire(ANONYMOUS, FAR) is not None
-
-
-def test_connections_are_counted() -> None:
-    limiter = limiter_for(Clock(), connections=2)
-    ended = limiter.connect(FAR)
-    limiter.connect(FAR)
-    with pytest.raises(Problem, match="2 connections"):
-        limiter.connect(FAR)
-    limiter.connect(OTHER)
-    ended()
-    limiter.connect(FAR)
-
-
-def test_this_machine_has_no_limits_unless_it_is_to_have_them() -> None:
+def test_loopback_has_no_limits_unless_it_is_set_to_have_them() -> None:
     assert passing(limiter_for(Clock()), address="127.0.0.1") == 1000
     assert passing(limiter_for(Clock()), address="::1") == 1000
     assert passing(limiter_for(Clock()), Agent("ann"), "127.0.0.1") == 20
     assert passing(limiter_for(Clock(), loopback=True), address="127.0.0.1") == 20
 
 
-@pytest.mark.parametrize(
-    ("address", "name"),
-    [
+def test_an_address_stands_for_its_machine() -> None:
+    for address, name in (
         ("192.0.2.7", "address 192.0.2.7"),
         ("::ffff:192.0.2.7", "address 192.0.2.7"),
         ("::ffff:127.0.0.1", None),
@@ -120,28 +89,26 @@ def test_this_machine_has_no_limits_unless_it_is_to_have_them() -> None:
         ("fe80::1%eth0", "address fe80::/64"),
         ("somewhere", "address somewhere"),
         (None, "address None"),
-    ],
-)
-def test_an_address_is_known_by_its_machine(address: str | None, name: str | None) -> None:
-    assert client_name(address, loopback=False) == name
+    ):
+        assert client_name(address, loopback=False) == name
 
 
 def test_no_number_of_clients_fills_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rate_limit, "MAX_CLIENTS", 1000)
+    monkeypatch.setattr(rate_limit, "MAX_CLIENTS", 300)
     clock = Clock()
     limiter = limiter_for(clock)
 
     def peak(numbers: range) -> int:
         tracemalloc.reset_peak()
         for number in numbers:
-            limiter.release(limiter.acquire(ANONYMOUS, f"10.{number >> 16}.{number >> 8 & 255}.{number & 255}"))
+            limiter.release(limiter.acquire(ANONYMOUS, f"10.0.{number >> 8}.{number & 255}"))
             clock.now += 0.01
         return tracemalloc.get_traced_memory()[1]
 
     tracemalloc.start()
     try:
-        few = peak(range(3000))
-        assert peak(range(3000, 20_000)) < 1.5 * few
+        few = peak(range(1000))
+        assert peak(range(1000, 6000)) < 1.5 * few
     finally:
         tracemalloc.stop()
 
@@ -165,39 +132,28 @@ def publishes(limiter: PublishLimiter, now: float, topic: str = "/a") -> int:
     return next(count for count in range(1000) if limiter.wait(topic, now) > 0)
 
 
-@pytest.mark.parametrize(("rate", "burst"), [(10.0, 10), (1.0, 1), (0.5, 1)])
-def test_a_burst_is_one_seconds_worth_however_long_nothing_was_published(rate: float, burst: int) -> None:
-    limiter = PublishLimiter(rate)
-    assert publishes(limiter, 0.0) == burst
-    assert publishes(limiter, 3600.0) == burst
-
-
-def test_after_a_burst_the_rate_holds_and_the_wait_is_told() -> None:
+def test_publishing_is_bounded_for_each_topic_by_its_rate_after_a_burst_of_one_second() -> None:
+    for rate, burst in ((10.0, 10), (1.0, 1), (0.5, 1)):
+        limiter = PublishLimiter(rate)
+        assert publishes(limiter, 0.0) == publishes(limiter, 3600.0) == burst
+        assert publishes(limiter, 3600.0, "/b") == burst, "each topic has its own rate"
     limiter = PublishLimiter(10.0)
     publishes(limiter, 0.0)
     assert limiter.wait("/a", 0.05) == pytest.approx(0.05)
     assert sum(limiter.wait("/a", 0.05 + step / 100) == 0.0 for step in range(1, 201)) == 20
 
 
-def test_each_topic_has_its_own_rate() -> None:
-    limiter = PublishLimiter(3.0)
-    assert (publishes(limiter, 0.0, "/a"), publishes(limiter, 0.0, "/b")) == (3, 3)
+def test_publishes_that_cannot_wait_delay_others_by_at_most_a_second_and_one_interval() -> None:
+    for rate in (10.0, 1.0, 0.5):
+        limiter = PublishLimiter(rate)
+        for _ in range(100):
+            limiter.count("/a", 5.0)
+        assert limiter.wait("/a", 5.0) == pytest.approx(1.0 + 1.0 / rate)
 
 
-@pytest.mark.parametrize("rate", [10.0, 1.0, 0.5])
-def test_publishes_that_cannot_wait_hold_up_others_for_a_seconds_worth_at_the_most(rate: float) -> None:
-    limiter = PublishLimiter(rate)
-    for _ in range(100):
-        limiter.count("/a", 5.0)
-    assert limiter.wait("/a", 5.0) == pytest.approx(1.0 + 1.0 / rate)
-
-
-def test_the_first_event_of_a_stream_passes_at_once() -> None:
-    assert TokenBucket(1.0, BURST).wait(0.0) == 0.0
-
-
-def test_the_next_event_waits_most_of_an_interval() -> None:
+def test_the_first_event_of_a_stream_passes_at_once_and_the_next_waits_most_of_an_interval() -> None:
     bucket = TokenBucket(2.0, BURST)
+    assert bucket.wait(10.0) == 0.0
     bucket.take(10.0)
     assert bucket.wait(10.0) == 0.375
     assert bucket.wait(10.375) == 0.0
@@ -205,7 +161,7 @@ def test_the_next_event_waits_most_of_an_interval() -> None:
 
 def test_a_topic_as_fast_as_its_reader_is_not_held_up_by_its_jitter() -> None:
     bucket = TokenBucket(10.0, BURST)
-    for tick in range(1000):
+    for tick in range(100):
         now = tick / 10 + (0.01 if tick % 2 else -0.01)
         assert bucket.wait(now) == 0.0
         bucket.take(now)
@@ -214,7 +170,7 @@ def test_a_topic_as_fast_as_its_reader_is_not_held_up_by_its_jitter() -> None:
 @given(
     st.floats(0.1, 100.0),
     st.one_of(st.just(BURST), st.floats(1.0, 20.0)),
-    st.lists(st.floats(0.0, 0.3), min_size=1, max_size=200),
+    st.lists(st.floats(0.0, 0.3), min_size=1, max_size=50),
 )
 def test_no_span_has_more_events_than_rate_and_burst_allow(rate: float, burst: float, pauses: list[float]) -> None:
     bucket, now, passed = TokenBucket(rate, burst), 0.0, []

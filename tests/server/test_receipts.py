@@ -4,15 +4,10 @@ from __future__ import annotations
 
 import json
 import re
-import signal
-import socket
 import sqlite3
-import subprocess
-import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +15,7 @@ import httpx
 import pytest
 
 from tests.stopping import release
+from tests.waiting import until
 
 JSON = {"Accept": "application/json"}
 PROVENANCE = "http://www.w3.org/ns/prov#has_provenance"
@@ -67,77 +63,41 @@ def test_a_publish_tells_who_asked_what_it_came_to_and_who_heard_it(plane: httpx
     assert told["started"] < told["ended"]
 
 
-@pytest.mark.parametrize(
-    ("method", "path", "how", "plan", "touched"),
-    [
-        (
-            "POST",
-            "services/aircraft/start",
-            {},
-            "call /aircraft/start (std_srvs/srv/Trigger)",
-            "services/aircraft/start",
-        ),
-        ("PUT", "resources/aircraft/power", {"json": "on"}, "call /aircraft/set_power", "services/aircraft/set_power"),
-        ("PATCH", "resources/aircraft/", {"json": {"power": "on"}, "type": "merge-patch+json"}, "call", "services/"),
-        ("PUT", "parameters/a/b", {"json": 1}, "set the parameter /a/b", "parameters/a/b"),
-        ("DELETE", "parameters/a/b", {}, "delete the parameter /a/b", "parameters/a/b"),
-        (
-            "POST",
-            "actions/aircraft/fly",
-            {"json": {"distance": 1}},
-            "send a goal to /aircraft/fly",
-            "actions/aircraft/fly",
-        ),
-        (
-            "POST",
-            "topics/cockpit/display?rate=10&lease=0.1&then=none",
-            {"json": {"data": "held"}},
-            "hold /cockpit/display at 10 Hz",
-            "topics/cockpit/display",
-        ),
-        ("POST", "stop", {}, "stop the robot", "stop"),
-        ("DELETE", "stop", {}, "let writes pass again", "stop"),
-        ("PUT", "data/x", {"content": "<> <http://e.x/p> 1 .", "type": "turtle"}, "store /data/x", "data/x"),
-        (
-            "PUT",
-            "graphs?graph=/data/x",
-            {"content": "<> <http://e.x/p> 2 .", "type": "turtle"},
-            "store /data/x",
-            "data/x",
-        ),
-        ("DELETE", "data/x", {}, "delete /data/x", "data/x"),
-        (
-            "POST",
-            "sparql",
-            {
-                "content": "INSERT DATA { GRAPH </parameters/h> { </parameters/h> ros:value 10 } }",
-                "type": "sparql-update",
-            },
-            "set the parameter /h to 10",
-            "parameters/h",
-        ),
-    ],
+TURTLE = {"Content-Type": "text/turtle"}
+MERGE = {"Content-Type": "application/merge-patch+json"}
+SET_H = "INSERT DATA { GRAPH </parameters/h> { </parameters/h> ros:value 10 } }"
+HOLD = "topics/cockpit/display?rate=10&lease=0.1&then=none"
+WRITES: tuple[tuple[str, str, dict[str, Any], str, str], ...] = (
+    ("POST", "services/aircraft/start", {}, "call /aircraft/start (std_srvs/srv/Trigger)", "services/aircraft/start"),
+    ("PUT", "resources/aircraft/power", {"json": "on"}, "call /aircraft/set_power", "services/aircraft/set_power"),
+    ("PATCH", "resources/aircraft/", {"content": '{"power": "on"}', "headers": MERGE}, "call", "services/"),
+    ("PUT", "parameters/a/b", {"json": 1}, "set the parameter /a/b", "parameters/a/b"),
+    ("DELETE", "parameters/a/b", {}, "delete the parameter /a/b", "parameters/a/b"),
+    ("POST", "actions/aircraft/fly", {"json": {"distance": 1}}, "send a goal to /aircraft/fly", "actions/aircraft/fly"),
+    ("POST", HOLD, {"json": {"data": "held"}}, "hold /cockpit/display at 10 Hz", "topics/cockpit/display"),
+    ("POST", "stop", {}, "stop the robot", "stop"),
+    ("DELETE", "stop", {}, "let writes pass again", "stop"),
+    ("PUT", "data/x", {"content": "<> <urn:p> 1 .", "headers": TURTLE}, "store /data/x", "data/x"),
+    ("PUT", "graphs?graph=/data/x", {"content": "<> <urn:p> 2 .", "headers": TURTLE}, "store /data/x", "data/x"),
+    ("DELETE", "data/x", {}, "delete /data/x", "data/x"),
+    ("POST", "sparql", {"content": SET_H, "headers": UPDATE}, "set the parameter /h to 10", "parameters/h"),
 )
-def test_every_kind_of_write_leaves_a_receipt(
-    plane: httpx.Client, receipt: Receipt, method: str, path: str, how: dict[str, Any], plan: str, touched: str
-) -> None:
-    kind = how.pop("type", None)
-    headers = {} if kind is None else {"Content-Type": f"{'text' if kind == 'turtle' else 'application'}/{kind}"}
-    is_release = (method, path) == ("DELETE", "stop")
-    told = receipt(release(plane) if is_release else plane.request(method, path, headers=headers, **how))
-    assert any(step.startswith(plan) for step in told["plan"]), told
-    assert any(url.startswith(f"{plane.base_url}{touched}") for url in told["touched"]), told
 
 
-def test_a_file_is_known_by_its_digest(plane: httpx.Client, receipt: Receipt) -> None:
+def test_every_kind_of_write_leaves_a_receipt(plane: httpx.Client, receipt: Receipt) -> None:
+    for method, path, sent, plan, touched in WRITES:
+        is_release = (method, path) == ("DELETE", "stop")
+        told = receipt(release(plane) if is_release else plane.request(method, path, **sent))
+        assert any(step.startswith(plan) for step in told["plan"]), told
+        assert any(url.startswith(f"{plane.base_url}{touched}") for url in told["touched"]), told
+
+
+def test_a_file_has_its_digest_and_a_refusal_its_reason_in_the_receipt(plane: httpx.Client, receipt: Receipt) -> None:
     answer = plane.put("/data/photo", content=b"\x89PNG\xff" * 100_000, headers={"Content-Type": "image/png"})
     told = receipt(answer)
     assert (told["length"], told["made"]) == (500_000, f"{plane.base_url}data/photo")
     assert told["digest"].startswith("sha-256=:")
     assert "excerpt" not in told
-
-
-def test_a_refusal_tells_why_and_touches_nothing(plane: httpx.Client, receipt: Receipt) -> None:
     told = receipt(plane.put("/topics/cockpit/display", json={"data": 7}))
     assert (told["status"], "plan" in told, "touched" in told) == (422, False, False)
     assert "expected a string" in told["words"]
@@ -158,26 +118,19 @@ def test_a_form_tells_what_it_meant_and_nothing_of_its_token(plane: httpx.Client
     assert token[1] not in json.dumps(told)
 
 
-@pytest.mark.parametrize(
-    ("method", "path", "how"),
-    [
+def test_reads_dry_runs_and_requests_that_are_not_understood_leave_no_receipt(plane: httpx.Client) -> None:
+    update = {"content": "INSERT DATA { GRAPH </data/y> { <a:b> <a:b> 1 } }", "headers": UPDATE}
+    requests: tuple[tuple[str, str, dict[str, Any]], ...] = (
         ("GET", "/topics/cockpit/display", {}),
         ("OPTIONS", "/topics/cockpit/display", {}),
         ("POST", "/sparql", {"data": {"query": "ASK {}"}}),
-        (
-            "POST",
-            "/sparql?dry-run=true",
-            {"content": "INSERT DATA { GRAPH </data/y> { <a:b> <a:b> 1 } }", "headers": UPDATE},
-        ),
+        ("POST", "/sparql?dry-run=true", update),
         ("PUT", "/nodes/aircraft", {"json": {}}),
         ("PUT", "/topics/cockpit/display", {"content": "x", "headers": {"Content-Type": "image/png"}}),
         ("DELETE", "/nothing/here", {}),
-    ],
-)
-def test_what_writes_nothing_and_what_is_not_understood_leaves_none(
-    plane: httpx.Client, method: str, path: str, how: dict[str, Any]
-) -> None:
-    assert receipt_url(plane.request(method, path, **how)) is None
+    )
+    for method, path, sent in requests:
+        assert receipt_url(plane.request(method, path, **sent)) is None, (method, path)
 
 
 def test_credentials_are_nowhere(plane: httpx.Client, receipt: Receipt) -> None:
@@ -247,63 +200,36 @@ def events(stream: httpx.Response) -> Iterator[str]:
     return (line.removeprefix("data: ") for line in stream.iter_lines() if line.startswith("data: "))
 
 
-def test_pages_link_to_receipts_and_show_them(plane: httpx.Client) -> None:
+def test_pages_link_to_receipts_which_cannot_be_written(plane: httpx.Client) -> None:
     url = receipt_url(plane.put("/topics/cockpit/display", json={"data": "<script>alert(1)</script>"}))
     assert url is not None
     html = {"Accept": "text/html"}
     assert "PUT /topics/cockpit/display" in plane.get("/activity/", headers=html).text.replace("<wbr>", "")
     page = plane.get(url, headers=html)
-    assert page.status_code == 200
-    assert "<script>alert" not in page.text
+    assert (page.status_code, "<script>alert" in page.text) == (200, False)
     assert f"{plane.base_url}activity/" in plane.get("/", headers={"Accept": "text/turtle"}).text
-
-
-def test_what_is_not_there_is_404_and_nothing_can_be_written(plane: httpx.Client) -> None:
     assert plane.get("/activity/never").status_code == 404
-    url = receipt_url(plane.put("/parameters/q", json=1))
-    assert url is not None
     assert plane.delete(url).status_code == plane.put(url, json={}).status_code == 405
 
 
-def test_receipts_survive_an_orderly_end(tmp_path: Path) -> None:
-    port = free_port()
-    with running(tmp_path, port) as http:
-        urls = [receipt_url(http.put("/topics/cockpit/display", json={"data": str(number)})) for number in range(30)]
-    with running(tmp_path, port) as http:
-        assert contained(http.get("/activity/", headers=JSON)) == urls[::-1]
-        told = http.get(str(urls[-1]), headers=JSON).json()
+@pytest.mark.slow
+def test_receipts_survive_a_kill_and_an_orderly_end(tmp_path: Path, serve: Callable[..., Any]) -> None:
+    database = tmp_path / "receipts.sqlite"
+    crashing = serve("aircraft", "--data", str(tmp_path), process=True)
+    put = crashing.http.put
+    urls = [receipt_url(put("/topics/cockpit/display", json={"data": str(number)})) for number in range(30)]
+
+    def written() -> bool:
+        with closing(sqlite3.connect(f"file:{database}?mode=ro", uri=True)) as reading:
+            return bool(reading.execute("SELECT COUNT(*) FROM receipt").fetchone() == (30,))
+
+    until(written, "30 receipts on the disk")
+    crashing.process.kill()
+    crashing.process.wait(60)
+    for ending in ("orderly", "again"):
+        served = serve("aircraft", "--data", str(tmp_path), "--port", str(httpx.URL(crashing.url).port))
+        assert contained(served.http.get("/activity/", headers=JSON)) == urls[::-1]
+        told = served.http.get(str(urls[0]), headers=JSON).json()
         assert told["plan"] == ["publish a std_msgs/msg/String on /cockpit/display"]
-
-
-def test_receipts_that_are_on_the_disk_survive_a_kill(tmp_path: Path) -> None:
-    port, database = free_port(), tmp_path / "receipts.sqlite"
-    with running(tmp_path, port, signal.SIGKILL) as http:
-        urls = [receipt_url(http.put("/topics/cockpit/display", json={"data": str(number)})) for number in range(30)]
-        for _ in range(500):
-            with closing(sqlite3.connect(f"file:{database}?mode=ro", uri=True)) as reading:
-                if reading.execute("SELECT COUNT(*) FROM receipt").fetchone() == (30,):
-                    break
-            time.sleep(0.02)
-    with running(tmp_path, port) as http:
-        assert contained(http.get("/activity/", headers=JSON)) == urls[::-1]
-        after = receipt_url(http.put("/topics/cockpit/display", json={"data": "again"}))
-        assert contained(http.get("/activity/", headers=JSON)) == [after, *urls[::-1]]
-
-
-def free_port() -> int:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port: int = free.getsockname()[1]
-        return port
-
-
-@contextmanager
-def running(folder: Path, port: int, ended_by: signal.Signals = signal.SIGTERM) -> Iterator[httpx.Client]:
-    """The aircraft at a port, and what it keeps in a folder."""
-    command = [sys.executable, "-m", "rosld", "serve", "aircraft", "--data", str(folder), "--port", str(port)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        with httpx.Client(base_url=process.stdout.readline().strip()) as http:
-            yield http
-        process.send_signal(ended_by)
-        assert process.wait(60) == (0 if ended_by is signal.SIGTERM else -ended_by)
+        urls.append(receipt_url(served.http.put("/topics/cockpit/display", json={"data": ending})))
+        assert served.stop() == 0

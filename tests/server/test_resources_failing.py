@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
-import json
-from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -14,6 +11,8 @@ import pytest
 from rosld.adapters.model import Refused, Unreachable
 from tests.server.robots import asking
 from tests.server.robots.made_up import MadeUp, Serving, served
+
+pytestmark = pytest.mark.slow
 
 value, objects, detail, mapped = asking.value, asking.objects, asking.detail, asking.mapped
 ROS, LDP, JSON, MERGE = asking.ROS, asking.LDP, asking.JSON, asking.MERGE
@@ -69,7 +68,6 @@ def test_a_getter_that_hangs_is_waited_for_until_the_deadline(arm: MadeUp, servi
     arm.hold("/arm/get_grip")
     http = serving(read_deadline=0.2, freshness=60)
     failing(http, "/arm/get_grip has not answered within 0.2 s")
-    assert value(http, "/resources/arm/label") == "red"
     assert arm.calls == {"/arm/get_grip": 1, "/arm/get_label": 1}
     arm.release("/arm/get_grip")
     assert value(http, "/resources/arm/") == {"grip": 1, "label": "red"}
@@ -85,37 +83,28 @@ def test_a_call_that_hangs_for_ever_is_given_up(arm: MadeUp, serving: Serving) -
     assert value(http, "/resources/arm/grip") == 5
 
 
-def test_a_getter_that_refuses_is_told_in_its_words(arm: MadeUp, serving: Serving) -> None:
-    arm.offer("/arm/get_grip", "made_up/srv/GetByte", refuses("no <fingers> found"))
-    http = serving()
-    failing(http, "/arm/get_grip refused")
-    for path in ("/resources/arm/", "/resources/arm/grip"):
-        said = objects(http.get(path), f"{ROS}words", f"{http.base_url}resources/arm/grip")
-        assert said == {"no <fingers> found"}
-
-
-@pytest.mark.parametrize("words", ["", None])
-def test_a_getter_that_refuses_without_a_word_is_told_too(arm: MadeUp, serving: Serving, words: str | None) -> None:
-    arm.offer("/arm/get_grip", "made_up/srv/GetByte", refuses(words))
-    failing(serving(), "/arm/get_grip refused: the service refused without a word")
-
-
-def test_a_getter_that_answers_no_success_has_no_value(arm: MadeUp, serving: Serving) -> None:
-    arm.answer("/arm/get_label", "made_up/srv/GetLabel", success=False, message="it is dark", label="ignored")
-    http = serving()
-    assert value(http, "/resources/arm/") == {"grip": 1, "label": None}
-    assert unreadable(http, "/resources/arm/label", "/arm/label") == "/arm/get_label refused"
-    assert objects(http.get("/resources/arm/label"), f"{ROS}words") == {"it is dark"}
-
-
-def test_a_getter_that_breaks_in_an_unforeseen_way_is_told_in_few_words(arm: MadeUp, serving: Serving) -> None:
+def test_a_getter_that_fails_is_said_to_with_the_robots_words_apart(arm: MadeUp, serving: Serving) -> None:
     def broken(_: object) -> dict[str, Any]:
         raise RuntimeError("an inner secret")
 
-    arm.offer("/arm/get_grip", "made_up/srv/GetByte", broken)
-    http = serving()
-    failing(http, "/arm/get_grip cannot be read")
+    http = serving(freshness=0)
+    without_a_word = "/arm/get_grip refused: the service refused without a word"
+    for act, words in (
+        (refuses("no <fingers> found"), "/arm/get_grip refused"),
+        (refuses(""), without_a_word),
+        (refuses(None), without_a_word),
+        (broken, "/arm/get_grip cannot be read"),
+    ):
+        arm.offer("/arm/get_grip", "made_up/srv/GetByte", act)
+        failing(http, words)
+        said = objects(http.get("/resources/arm/"), f"{ROS}words", f"{http.base_url}resources/arm/grip")
+        assert said == ({"no <fingers> found"} if words == "/arm/get_grip refused" else set())
     assert "secret" not in http.get("/resources/arm/").text
+    arm.answer("/arm/get_grip", "made_up/srv/GetByte", value=1)
+    arm.answer("/arm/get_label", "made_up/srv/GetLabel", success=False, message="it is dark", label="ignored")
+    assert value(http, "/resources/arm/") == {"grip": 1, "label": None}
+    assert unreadable(http, "/resources/arm/label", "/arm/label") == "/arm/get_label refused"
+    assert objects(http.get("/resources/arm/label"), f"{ROS}words") == {"it is dark"}
 
 
 def test_a_node_that_has_died_is_told_until_it_is_forgotten(arm: MadeUp, serving: Serving) -> None:
@@ -165,106 +154,74 @@ def test_a_setter_that_hangs_is_504_and_holds_up_no_reader(arm: MadeUp, serving:
     assert value(http, "/resources/arm/grip") == 2
 
 
-@pytest.mark.parametrize("failure", ["hangs", "refuses", "has died", "is not there"])
-def test_what_depends_on_a_state_that_cannot_be_read_is_not_on_offer(
-    robot: MadeUp, serving: Serving, failure: str
-) -> None:
+WHY = {
+    "hangs": "has not answered",
+    "refuses": "/door/get_lock refused",
+    "has died": "cannot be read",
+    "is not there": "is not there",
+}
+"""How a state may be missing, and what is said of it."""
+
+
+def test_what_depends_on_a_state_that_cannot_be_read_is_not_on_offer(robot: MadeUp, serving: Serving) -> None:
     lock = robot.variable("/door/lock", "Words", words="open")
     robot.answer("/door/open", "std_srvs/srv/Trigger", success=True)
     robot.parameter("/room/light", True)
-    http = serving(freshness=0, read_deadline=0.3)
+    http = serving(freshness=0, read_deadline=0.2)
     mapped(http, DOOR)
     here = f"{http.base_url}resources/"
-    assert objects(http.get("/resources/door/"), f"{LDP}contains") == {f"{here}door/lock", f"{here}door/open"}
-    assert value(http, "/resources/room/light") is True
-    if failure == "hangs":
-        robot.hold("/door/get_lock")
-    elif failure == "refuses":
-        robot.offer("/door/get_lock", "made_up/srv/GetWords", refuses("rusty"))
-    elif failure == "has died":
-        robot.break_off("/door/get_lock")
-    else:
-        robot.withdraw("/door/get_lock")
-        robot.withdraw("/door/set_lock")
-    why = {
-        "hangs": "has not answered",
-        "refuses": "/door/get_lock refused",
-        "has died": "cannot be read",
-        "is not there": "is not there",
-    }[failure]
-    whole = http.get("/resources/door/")
-    assert objects(whole, f"{LDP}contains") <= {f"{here}door/lock"}
-    assert objects(whole, "http://example.org/open") == objects(whole, "http://example.org/room") == set()
-    assert "door/open" not in whole.text
-    assert whole.headers["cache-control"] == "no-cache"
-    for answer in (http.post("/resources/door/open"), http.put("/resources/door/lock", json="shut")):
-        if failure != "is not there" or "lock" not in str(answer.url):
+    for failure, why in WHY.items():
+        robot.calls.clear()
+        assert objects(http.get("/resources/door/"), f"{LDP}contains") == {f"{here}door/lock", f"{here}door/open"}
+        assert value(http, "/resources/room/light") is True
+        if failure == "hangs":
+            robot.hold("/door/get_lock")
+        elif failure == "refuses":
+            robot.offer("/door/get_lock", "made_up/srv/GetWords", refuses("rusty"))
+        elif failure == "has died":
+            robot.break_off("/door/get_lock")
+        else:
+            robot.withdraw("/door/get_lock")
+            robot.withdraw("/door/set_lock")
+        whole = http.get("/resources/door/")
+        assert objects(whole, f"{LDP}contains") <= {f"{here}door/lock"}
+        assert objects(whole, "http://example.org/open") == objects(whole, "http://example.org/room") == set()
+        assert "door/open" not in whole.text
+        assert whole.headers["cache-control"] == "no-cache"
+        refusals = [http.post("/resources/door/open")]
+        if failure != "is not there":
+            refusals.append(http.put("/resources/door/lock", json="shut"))
+        for answer in refusals:
             assert "cannot be read" in detail(answer, 409)
             assert why in detail(answer, 409)
-    assert why in detail(http.get("/resources/door/open"), 404)
-    for path in ("room/", "room/light"):
-        assert why in detail(http.get(f"/resources/{path}"), 404)
-    assert robot.calls["/door/open"] == robot.calls["/door/set_lock"] == 0
-    if failure == "hangs":
-        robot.release("/door/get_lock")
-    else:
-        robot.offer("/door/get_lock", "made_up/srv/GetWords", lambda _: lock)
-    assert http.post("/resources/door/open", headers=JSON).json() == {"lock": "open"}
-    assert value(http, "/resources/room/light") is True
+        for path in ("door/open", "room/", "room/light"):
+            assert why in detail(http.get(f"/resources/{path}"), 404)
+        assert robot.calls["/door/open"] == robot.calls["/door/set_lock"] == 0
+        if failure == "hangs":
+            robot.release("/door/get_lock")
+        else:
+            robot.offer("/door/get_lock", "made_up/srv/GetWords", lambda _: lock)
+        assert http.post("/resources/door/open", headers=JSON).json() == {"lock": "open"}
+        assert value(http, "/resources/room/light") is True
 
 
-@pytest.mark.parametrize("bound", ["0.5", "1", "5.0e-1"])
-def test_what_is_no_number_is_within_no_bounds(robot: MadeUp, serving: Serving, bound: str) -> None:
+def test_a_value_that_is_no_number_is_within_no_bounds(robot: MadeUp, serving: Serving) -> None:
     robot.topic("/door/gap", "std_msgs/msg/Float64", {"data": 0.25})
     robot.answer("/door/open", "std_srvs/srv/Trigger", success=True)
     http = serving()
-    mapped(
-        http,
-        f"""<#door> a map:ComplexResource ; map:path "/door/" ;
-              map:property [ map:predicate ex:gap ; map:member "gap" ] ;
-              map:action [ map:relation ex:open ; map:service "/door/open" ; map:availableWhen <#narrow> ] .
-            <#narrow> a sh:NodeShape ; map:about "/door/" ;
-              sh:property [ sh:path ex:gap ; sh:maxInclusive {bound} ] .""",
-    )
-    for number, status in ((0.25, 200), ("NaN", 409), ("INF", 409), ("-INF", 200)):
-        robot.publishes("/door/gap", {"data": number})
-        assert value(http, "/resources/door/") == {"gap": number}
-        assert http.post("/resources/door/open").status_code == status
-
-
-def test_everything_may_fail_at_once(robot: MadeUp, serving: Serving) -> None:
-    for number in range(40):
-        robot.variable(f"/arm/m{number}", "Byte", value=number)
-        robot.hold(f"/arm/get_m{number}")
-    http = serving(read_deadline=0.4)
-    assert value(http, "/resources/arm/") == {f"m{number}": None for number in range(40)}
-    for number in range(40):
-        robot.release(f"/arm/get_m{number}")
-    assert value(http, "/resources/arm/") == {f"m{number}": number for number in range(40)}
-    assert all(count <= 2 for count in robot.calls.values())
-
-
-@pytest.mark.parametrize("path", ["/resources/arm/grip", "/resources/arm/"])
-def test_of_several_writes_that_change_one_state_one_is_done(arm: MadeUp, serving: Serving, path: str) -> None:
-    held = arm.variable("/arm/grip", "Byte", value=1)
-
-    async def slow(request: Mapping[str, object]) -> Mapping[str, object]:
-        await asyncio.sleep(0.05)
-        held.update(request)
-        return {"success": True}
-
-    arm.offer("/arm/set_grip", "made_up/srv/SetByte", slow)
-    http = serving(freshness=60)
-    tag = http.get(path).headers["etag"]
-    is_whole = path.endswith("grip")
-
-    def write(number: int) -> int:
-        headers = {"If-Match": tag, "Content-Type": "application/json" if is_whole else "application/merge-patch+json"}
-        body = json.dumps(number if is_whole else {"grip": number})
-        return http.request("PUT" if is_whole else "PATCH", path, content=body, headers=headers).status_code
-
-    with ThreadPoolExecutor(4) as pool:
-        assert sorted(pool.map(write, range(2, 6))) == [204, 412, 412, 412]
+    for bound in ("0.5", "1", "5.0e-1"):
+        mapped(
+            http,
+            f"""<#door> a map:ComplexResource ; map:path "/door/" ;
+                  map:property [ map:predicate ex:gap ; map:member "gap" ] ;
+                  map:action [ map:relation ex:open ; map:service "/door/open" ; map:availableWhen <#narrow> ] .
+                <#narrow> a sh:NodeShape ; map:about "/door/" ;
+                  sh:property [ sh:path ex:gap ; sh:maxInclusive {bound} ] .""",
+        )
+        for number, status in ((0.25, 200), ("NaN", 409), ("INF", 409), ("-INF", 200)):
+            robot.publishes("/door/gap", {"data": number})
+            assert value(http, "/resources/door/") == {"gap": number}
+            assert http.post("/resources/door/open").status_code == status, (bound, number)
 
 
 class Forgetful(MadeUp):
@@ -282,21 +239,15 @@ class Forgetful(MadeUp):
     was_written = False
 
 
-@pytest.mark.parametrize(
-    ("method", "path", "body", "headers"),
-    [
+def test_a_write_that_was_done_is_204_where_its_result_cannot_be_shown() -> None:
+    for method, path, body, headers in (
         ("PUT", "/parameters/arm/speed", "2", {"Content-Type": "application/json"}),
         ("PATCH", "/parameters/arm/", '{"speed": 2}', MERGE),
-    ],
-)
-def test_a_write_that_was_done_is_told_as_done_where_it_cannot_be_shown(
-    method: str, path: str, body: str, headers: dict[str, str]
-) -> None:
-    robot = Forgetful()
-    robot.parameter("/arm/speed", 1)
-    with served(robot) as http:
-        answer = http.request(method, path, content=body, headers={"Prefer": "return=representation", **headers})
-        assert (answer.status_code, answer.content) == (204, b"")
-        assert robot.was_written
-        assert "preference-applied" not in answer.headers
-        assert http.get("/parameters/arm/speed").status_code in (502, 503)
+    ):
+        robot = Forgetful()
+        robot.parameter("/arm/speed", 1)
+        with served(robot) as http:
+            answer = http.request(method, path, content=body, headers={"Prefer": "return=representation", **headers})
+            assert (answer.status_code, answer.content, robot.was_written) == (204, b"", True)
+            assert "preference-applied" not in answer.headers
+            assert http.get("/parameters/arm/speed").status_code in (502, 503)

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
 
 import httpx
 import pytest
@@ -15,9 +13,11 @@ from tests.server.robots import asking
 from tests.server.robots.made_up import MadeUp, Serving
 from tests.waiting import until
 
+pytestmark = pytest.mark.slow
+
 EX, mapped = asking.EX, asking.mapped
-READ_DEADLINE = 2.0
-"""Seconds for a getter, of which the ones that answer need little even on a busy machine."""
+READ_DEADLINE = 1.0
+"""Seconds for a getter; one that answers needs little even on a busy machine."""
 HAND = """
 <#hand> a map:ComplexResource ; map:path "/arm/hand/" ; map:existsWhen <#manual> ;
   map:property [ map:predicate ex:width ; map:member "width" ] ;
@@ -51,79 +51,68 @@ def getters(robot: MadeUp) -> set[str]:
     return {name for name, count in robot.calls.items() if count and "/get_" in name}
 
 
-def test_their_class_finds_all_complex_resources_with_what_is_said_of_them(arm: MadeUp, serving: Serving) -> None:
+def test_resources_are_found_by_class_predicate_and_name(arm: MadeUp, serving: Serving) -> None:
     http = serving()
-    assert found(http, "?x a ros:ComplexResource") == {"resources/", "resources/arm/", "resources/arm/hand/"}
-    assert found(http, "?r a ros:ComplexResource ; ros:name ?x") == {"/", "/arm", "/arm/hand"}
-    assert found(http, "?r ros:name '/arm' . ?r ldp:contains ?x . ?x a ros:ComplexResource") == {"resources/arm/hand/"}
-    assert found(http, "GRAPH ?x { ?x a ros:ComplexResource }") == {
-        "resources/",
-        "resources/arm/",
-        "resources/arm/hand/",
-    }
-
-
-def test_their_class_and_what_they_are_read_from_find_properties(arm: MadeUp, serving: Serving) -> None:
-    http = serving()
+    containers = {"resources/", "resources/arm/", "resources/arm/hand/"}
     properties = {"resources/arm/grip", "resources/arm/mode", "resources/arm/hand/width"}
-    assert found(http, "?x a ros:Property") == properties
-    assert found(http, "?x ros:readsFrom ?any") == properties
-    assert found(http, "?x ros:writesTo <services/arm/set_grip>") == {"resources/arm/grip"}
-    assert found(http, "?p a ros:Property ; rdf:value ?x") == {"1", "manual", "9"}
-    assert found(http, "?p rdf:value ?x") == {"1", "manual", "9"}
-    assert found(http, "?x ros:invokes ?service") == {"resources/arm/hand/wave"}
+    values = {"1", "manual", "9"}
+    for where, expected in {
+        "?x a ros:ComplexResource": containers,
+        "GRAPH ?x { ?x a ros:ComplexResource }": containers,
+        "?r a ros:ComplexResource ; ros:name ?x": {"/", "/arm", "/arm/hand"},
+        "?r ros:name '/arm' . ?r ldp:contains ?x . ?x a ros:ComplexResource": {"resources/arm/hand/"},
+        "?x a ros:Property": properties,
+        "?x ros:readsFrom ?any": properties,
+        "?x ros:writesTo <services/arm/set_grip>": {"resources/arm/grip"},
+        "?p a ros:Property ; rdf:value ?x": values,
+        "?p rdf:value ?x": values,
+        "?x ros:invokes ?service": {"resources/arm/hand/wave"},
+        "?a a td:ActionAffordance ; td:name ?x": {"wave", "stop"},
+        "?x td:hasActionAffordance ?any": {"resources/arm/hand/", "stop"},
+    }.items():
+        assert found(http, where) == expected, where
+    for number in (3, 7):
+        assert http.put("/resources/arm/grip", json=number).status_code == 204
+        assert str(number) in found(http, "?p a ros:Property ; rdf:value ?x"), "values are as of each query"
 
 
-def test_what_may_be_done_is_found_by_its_class(arm: MadeUp, serving: Serving) -> None:
+def test_queries_about_something_else_call_no_getter(arm: MadeUp, serving: Serving) -> None:
     http = serving()
-    assert found(http, "?a a td:ActionAffordance ; td:name ?x") == {"wave", "stop"}
-    assert found(http, "?x td:hasActionAffordance ?any") == {"resources/arm/hand/", "stop"}
+    for where in (
+        "?x ?p ?o",
+        "?x a ros:Topic ; rdf:value ?v",
+        "?x a ros:Goal ; td:hasActionAffordance ?a",
+        "<topics/arm/state> rdf:value ?x",
+        "GRAPH <topics/arm/state> { ?x a ros:ComplexResource }",
+    ):
+        query = f"PREFIX td: <https://www.w3.org/2019/wot/td#> ASK {{ {where} }}"
+        http.get("/sparql", params={"query": query}).raise_for_status()
+        assert getters(arm) == set(), where
 
 
 def test_a_relation_of_a_mapping_finds_the_resources_that_have_it_and_calls_for_no_others(
     arm: MadeUp, serving: Serving
 ) -> None:
     http = serving()
-    assert found(http, "?hand ex:width ?x") == set()  # nobody says so yet
+    assert found(http, "?hand ex:width ?x") == set(), "no mapping says so yet"
     mapped(http, HAND)
+    assert found(http, "GRAPH <mappings/mine> { ?c <https://w3id.org/rosld/mapping#path> ?x }") == {"/arm/hand/"}
     arm.calls.clear()
     assert found(http, "?hand ex:width ?x") == {"9"}
     assert found(http, "?x ex:greet ?action") == {"resources/arm/hand/"}
     assert getters(arm) == {"/arm/hand/get_width", "/arm/get_mode"}
-    assert http.delete("/mappings/mine").status_code == 204
-    assert found(http, "?hand ex:width ?x") == set()
-
-
-def test_what_is_not_there_now_is_not_found(arm: MadeUp, serving: Serving) -> None:
-    http = serving()
-    mapped(http, HAND)
+    update = f"""PREFIX ex: <{EX}> DELETE {{ GRAPH ?g {{ ?h ex:width ?old }} }}
+        INSERT {{ GRAPH ?g {{ ?h ex:width 12 }} }} WHERE {{ GRAPH ?g {{ ?h ex:width ?old }} }}"""
+    answer = http.post("/sparql", content=update, headers={"Content-Type": "application/sparql-update"})
+    assert answer.status_code in (200, 204), answer.text
+    assert asking.value(http, "/resources/arm/hand/width") == 12
     assert "resources/arm/hand/" in found(http, "?x a ros:ComplexResource")
     assert http.put("/resources/arm/mode", json="automatic").status_code == 204
     assert "resources/arm/hand/" not in found(http, "?x a ros:ComplexResource")
     assert found(http, "?hand ex:width ?x") == set()
-
-
-def test_values_are_as_of_each_query(arm: MadeUp, serving: Serving) -> None:
-    http = serving()
-    for number in (3, 7):
-        assert http.put("/resources/arm/grip", json=number).status_code == 204
-        assert str(number) in found(http, "?p a ros:Property ; rdf:value ?x")
-
-
-@pytest.mark.parametrize(
-    "where",
-    [
-        "?x ?p ?o",
-        "?x a ros:Topic ; rdf:value ?v",
-        "?x a ros:Goal ; td:hasActionAffordance ?a",
-        "<topics/arm/state> rdf:value ?x",
-        "GRAPH <topics/arm/state> { ?x a ros:ComplexResource }",
-    ],
-)
-def test_queries_that_speak_of_something_else_call_no_getter(arm: MadeUp, serving: Serving, where: str) -> None:
-    http = serving()
-    http.get("/sparql", params={"query": f"PREFIX td: <https://www.w3.org/2019/wot/td#> ASK {{ {where} }}"})
-    assert getters(arm) == set()
+    assert http.put("/resources/arm/mode", json="manual").status_code == 204
+    assert http.delete("/mappings/mine").status_code == 204
+    assert found(http, "?hand ex:width ?x") == set()
 
 
 def stuck(arm: MadeUp) -> list[str]:
@@ -135,40 +124,20 @@ def stuck(arm: MadeUp) -> list[str]:
     return names
 
 
-def test_getters_that_hang_hold_a_query_up_together(arm: MadeUp, serving: Serving) -> None:
+def test_getters_that_hang_are_waited_for_together_and_then_left_out(arm: MadeUp, serving: Serving) -> None:
     names = stuck(arm)
-    http = serving(read_deadline=60)
+    http = serving(read_deadline=READ_DEADLINE)
     with ThreadPoolExecutor(1) as pool:
         asking = pool.submit(found, http, "?p a ros:Property ; rdf:value ?x")
         arm.until(lambda: all(arm.calls[name] for name in names), "all calls, while none is answered")
-        for name in names:
-            arm.release(name)
         assert "9" in asking.result()
-
-
-def test_getters_that_hang_are_left_out_of_a_query(arm: MadeUp, serving: Serving) -> None:
-    names = stuck(arm)
-    http = serving(read_deadline=READ_DEADLINE)
-    assert "9" in found(http, "?p a ros:Property ; rdf:value ?x")
     assert len(found(http, "?x a ros:Property ; ros:unreadable ?why")) == 30
     for name in names:
         arm.release(name)
 
 
-def test_an_update_finds_them_by_the_same_terms_and_writes_them(arm: MadeUp, serving: Serving) -> None:
-    http = serving()
-    mapped(http, HAND)
-    update = (
-        f"PREFIX ex: <{EX}> DELETE {{ GRAPH ?g {{ ?h ex:width ?old }} }} INSERT {{ GRAPH ?g {{ ?h ex:width 12 }} }} "
-    )
-    update += "WHERE { GRAPH ?g { ?h ex:width ?old } }"
-    answer = http.post("/sparql", content=update, headers={"Content-Type": "application/sparql-update"})
-    assert answer.status_code in (200, 204), answer.text
-    assert asking.value(http, "/resources/arm/hand/width") == 12
-
-
-def test_one_query_tells_an_agent_what_may_be_done_now(serve: Callable[..., Any]) -> None:
-    http = serve("aircraft").http
+def test_one_query_tells_an_agent_what_may_be_done_now(own_aircraft: httpx.Client) -> None:
+    http = own_aircraft
 
     def offers(**given: str) -> set[tuple[str, str, str]]:
         answer = http.get("/queries/what-can-be-done", params={"format": "csv", **given})

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import httpx
 import pytest
 
 from tests.server.robots import asking
-from tests.server.robots.made_up import MadeUp, Serving
+from tests.server.robots.made_up import MadeUp, Serving, served
 
 value, detail, mapped = asking.value, asking.detail, asking.mapped
 TYPES, RDF, JSON, TURTLE, MERGE, UPDATE = (
@@ -68,14 +69,11 @@ def moved(arm: MadeUp) -> list[str]:
 POSE = {"position": {"x": 0, "y": 0, "z": -1}, "orientation": {"x": 0, "y": 0, "z": 0, "w": 1}}
 
 
-@pytest.mark.parametrize(
-    ("method", "path", "body"),
-    [
+def test_a_value_beyond_its_limits_is_refused_by_every_way(arm: MadeUp, http: httpx.Client) -> None:
+    for method, path, body in (
         ("PUT", "/resources/arm/grip", 101),
-        ("PUT", "/resources/arm/grip", -1),
-        ("PUT", "/resources/arm/grip", {"value": 101}),
+        ("PUT", "/resources/arm/grip", {"value": -1}),
         ("PUT", "/resources/arm/mode", "Manual"),
-        ("PUT", "/resources/arm/mode", ""),
         ("PUT", "/resources/arm/name", "Robert"),
         ("PUT", "/resources/arm/name", "bob"),
         ("PUT", "/resources/arm/level", 1.5),
@@ -88,55 +86,46 @@ POSE = {"position": {"x": 0, "y": 0, "z": -1}, "orientation": {"x": 0, "y": 0, "
         ("PUT", "/topics/arm/level", {"data": 2}),
         ("POST", "/resources/arm/aim", {"azimuth": 361, "elevation": 0}),
         ("POST", "/services/arm/aim", {"azimuth": 361, "elevation": 0}),
-    ],
-)
-def test_a_value_beyond_its_limits_is_refused_by_every_way(
-    arm: MadeUp, http: httpx.Client, method: str, path: str, body: object
-) -> None:
-    sent = {"content": json.dumps(body), "headers": {"Content-Type": "application/json"}}
-    answer = http.request(method, path, **sent)
-    assert answer.status_code == 422, answer.text
-    assert answer.json()["violations"]
-    report = http.request(method, path, content=sent["content"], headers={**sent["headers"], "Accept": "text/turtle"})
-    assert report.status_code == 422
-    assert "sh:ValidationReport" in report.text
-    assert "sh:sourceConstraintComponent" in report.text
-    assert moved(arm) == []
-    assert value(http, "/parameters/arm/name") == "Bob"
-
-
-@pytest.mark.parametrize(
-    ("path", "body"),
-    [("grip", 0), ("grip", 100), ("mode", "automatic"), ("name", "Eve"), ("level", 0), ("level", 1.25)],
-)
-def test_a_value_within_its_limits_is_written(http: httpx.Client, path: str, body: object) -> None:
-    assert http.put(f"/resources/arm/{path}", json=body).status_code == 204
-    assert value(http, f"/resources/arm/{path}") == body
-
-
-def test_limits_hold_in_rdf_whatever_the_datatype(arm: MadeUp, http: httpx.Client) -> None:
+    ):
+        answer = http.request(method, path, json=body)
+        assert answer.status_code == 422, (path, answer.text)
+        assert answer.json()["violations"]
+        report = http.request(method, path, json=body, headers={"Accept": "text/turtle"})
+        assert report.status_code == 422
+        assert "sh:ValidationReport" in report.text
+        assert "sh:sourceConstraintComponent" in report.text
+    assert "not below the floor" in http.put("/resources/arm/pose", json={"pose": POSE}).text
     for term in ("101", '"101"^^<http://www.w3.org/2001/XMLSchema#byte>', "1.01e2", "-1.0"):
         assert http.put("/resources/arm/grip", content=f"<> <{RDF}value> {term} .", headers=TURTLE).status_code == 422
     update = f"DELETE {{ ?p <{RDF}value> ?v }} INSERT {{ ?p <{RDF}value> 101 }} WHERE {{ ?p <{RDF}value> ?v }}"
     assert http.patch("/resources/arm/grip", content=update, headers=UPDATE).status_code == 422
     assert http.patch("/resources/arm/grip", json=101, headers=MERGE).status_code == 422
+    patch = http.patch("/resources/arm/", json={"mode": "automatic", "grip": 101, "name": "bob"}, headers=MERGE)
+    assert patch.status_code == 422
+    assert {one["path"] for one in patch.json()["violations"]} == {"grip", "name"}
+    assert http.put("/parameters/arm", json={"name": "Robert"}).status_code in (409, 422)
+    assert http.patch("/parameters/arm/", json={"name": "Robert"}, headers=MERGE).status_code in (405, 415, 422)
     assert moved(arm) == []
-
-
-def test_a_limit_of_one_member_keeps_all_of_a_patch_from_being_written(arm: MadeUp, http: httpx.Client) -> None:
-    answer = http.patch("/resources/arm/", json={"mode": "automatic", "grip": 101, "name": "bob"}, headers=MERGE)
-    assert answer.status_code == 422
-    assert {one["path"] for one in answer.json()["violations"]} == {"grip", "name"}
-    assert moved(arm) == []
-    assert http.patch("/resources/arm/", json={"mode": "automatic", "grip": 99}, headers=MERGE).status_code == 204
-
-
-def test_a_tree_of_parameters_is_held_against_the_limits_of_its_leaves(http: httpx.Client) -> None:
-    answer = http.put("/parameters/arm", json={"name": "Robert"})
-    assert answer.status_code in (409, 422), answer.text
-    answer = http.patch("/parameters/arm/", json={"name": "Robert"}, headers=MERGE)
-    assert answer.status_code in (405, 415, 422), answer.text
     assert value(http, "/parameters/arm/name") == "Bob"
+
+
+def test_a_value_within_its_limits_is_written_and_what_is_read_has_none(arm: MadeUp, http: httpx.Client) -> None:
+    assert http.put("/resources/arm/grip", json=2).status_code == 204
+    assert arm.calls == {"/arm/set_grip": 1}, "nothing else is asked for"
+    for path, body in (
+        ("grip", 0),
+        ("grip", 100),
+        ("mode", "automatic"),
+        ("name", "Eve"),
+        ("level", 0),
+        ("level", 1.25),
+    ):
+        assert http.put(f"/resources/arm/{path}", json=body).status_code == 204
+        assert value(http, f"/resources/arm/{path}") == body
+    assert http.patch("/resources/arm/", json={"mode": "automatic", "grip": 99}, headers=MERGE).status_code == 204
+    arm.answer("/arm/get_grip", "made_up/srv/GetByte", value=127)
+    assert value(http, "/resources/arm/grip") == 127
+    assert http.put("/resources/arm/grip", json=127).status_code == 422
 
 
 def test_limits_of_a_field_hold_for_the_whole(arm: MadeUp, http: httpx.Client) -> None:
@@ -155,79 +144,62 @@ def test_limits_of_a_field_hold_for_the_whole(arm: MadeUp, http: httpx.Client) -
     assert value(http, "/resources/gripper/") == {"x": 10.0}
 
 
-def test_limits_are_told_before_anything_is_sent(http: httpx.Client) -> None:
+def test_limits_are_in_every_description_before_anything_is_sent(http: httpx.Client) -> None:
     properties = http.get("/resources/arm/?format=td").json()["properties"]
     assert (properties["grip"]["minimum"], properties["grip"]["maximum"]) == (0, 100)
     assert properties["mode"]["enum"] == ["manual", "automatic"]
     assert properties["level"]["exclusiveMaximum"] == 1.5
-    said = http.get("/resources/arm/grip").text
-    assert "sh:maxInclusive 100" in said
-    page = http.get("/resources/arm/grip", headers={"Accept": "text/html"}).text
-    assert 'max="100"' in page
-    assert "not below the floor" in http.put("/resources/arm/pose", json={"pose": POSE}).text
+    assert "sh:maxInclusive 100" in http.get("/resources/arm/grip").text
+    assert 'max="100"' in http.get("/resources/arm/grip", headers={"Accept": "text/html"}).text
 
 
-def test_a_limit_never_keeps_a_value_from_being_read(arm: MadeUp, http: httpx.Client) -> None:
-    arm.answer("/arm/get_grip", "made_up/srv/GetByte", value=127)
-    assert value(http, "/resources/arm/grip") == 127
-    assert http.put("/resources/arm/grip", json=127).status_code == 422
+def test_limits_that_cannot_be_used_end_the_start(serving: Serving, limits: Path) -> None:
+    for wrong in ("<#a> a", LIMITS.replace("sh:targetNode <resources/arm/grip> ;", "")):
+        limits.write_text(wrong)
+        with pytest.raises((AssertionError, ValueError), match=r"limits\.ttl"):
+            serving(shapes=(limits,))
 
 
-@pytest.mark.parametrize("wrong", ["<#a> a", LIMITS.replace("sh:targetNode <resources/arm/grip> ;", "")])
-def test_limits_that_cannot_be_held_end_the_start(serving: Serving, limits: Path, wrong: str) -> None:
-    limits.write_text(wrong)
-    with pytest.raises((AssertionError, ValueError), match=r"limits\.ttl"):
-        serving(shapes=(limits,))
-
-
-def test_a_write_within_limits_asks_for_nothing_else(arm: MadeUp, http: httpx.Client) -> None:
-    assert http.put("/resources/arm/grip", json=2).status_code == 204
-    assert arm.calls == {"/arm/set_grip": 1}
-
-
-@pytest.mark.parametrize(
-    ("method", "path", "body", "said"),
-    [
-        ("PUT", "/topics/cmd_vel", {"linear": {"x": "NaN"}}, "linear.x: must be a finite number, not NaN"),
-        ("PUT", "/topics/cmd_vel", {"angular": {"z": 1e7}}, "angular.z: must be a number from -1e+06 to 1e+06"),
-        ("PATCH", "/topics/cmd_vel", {"linear": {"x": "INF"}}, "linear.x: must be a finite number, not INF"),
-        ("POST", "/topics/cmd_vel", {"linear": {"x": "-INF"}}, "linear.x: must be a finite number, not -INF"),
-        ("PUT", "/topics/arm/efforts", {"data": [1, 1e300]}, "data.1: must be a number from -3.4e+38 to 3.4e+38"),
-        ("POST", "/services/arm/aim", {"azimuth": "NaN"}, "azimuth: must be a finite number, not NaN"),
-        ("POST", "/resources/arm/aim", {"azimuth": 1e300, "elevation": 0}, "azimuth: must be a number from"),
-        ("PUT", "/resources/cmd_vel", {"linear": {"y": "NaN"}, "angular": {}}, "linear.y: must be a finite number"),
-        ("PUT", "/parameters/arm/reach", {"@value": "NaN", "@type": "xsd:double"}, "must be a finite number, not NaN"),
-        ("PATCH", "/parameters/arm/", {"reach": 1e300, "name": "Bob"}, "must be a number from"),
-    ],
+NOT_FINITE: tuple[tuple[str, str, object, str], ...] = (
+    ("PUT", "/topics/cmd_vel", {"linear": {"x": "NaN"}}, "linear.x: must be a finite number, not NaN"),
+    ("PUT", "/topics/cmd_vel", {"angular": {"z": 1e7}}, "angular.z: must be a number from -1e+06 to 1e+06"),
+    ("PATCH", "/topics/cmd_vel", {"linear": {"x": "INF"}}, "linear.x: must be a finite number, not INF"),
+    ("PUT", "/topics/arm/efforts", {"data": [1, 1e300]}, "data.1: must be a number from -3.4e+38 to 3.4e+38"),
+    ("POST", "/services/arm/aim", {"azimuth": "NaN"}, "azimuth: must be a finite number, not NaN"),
+    ("POST", "/resources/arm/aim", {"azimuth": 1e300, "elevation": 0}, "azimuth: must be a number from"),
+    ("PUT", "/resources/cmd_vel", {"linear": {"y": "NaN"}, "angular": {}}, "linear.y: must be a finite number"),
+    ("PUT", "/parameters/arm/reach", {"@value": "NaN", "@type": "xsd:double"}, "must be a finite number, not NaN"),
+    ("PATCH", "/parameters/arm/", {"reach": 1e300, "name": "Bob"}, "must be a number from"),
+    ("POST", "/topics/cmd_vel", {"linear": {"x": "-INF"}}, "linear.x: must be a finite number, not -INF"),
 )
-def test_a_command_takes_finite_numbers_only_by_every_way_unless_a_setting_names_it(
-    robot: MadeUp, serving: Serving, method: str, path: str, body: object, said: str
-) -> None:
-    robot.topic("/cmd_vel", "geometry_msgs/msg/Twist", published=False, heard=True)
-    robot.topic("/arm/efforts", "std_msgs/msg/Float64MultiArray", published=False, heard=True)
-    robot.parameter("/arm/reach", 1.0)
-    robot.parameter("/arm/name", "Eve")
-    robot.answer("/arm/aim", "made_up/srv/Aim", hit=True)
-    careful, bold = serving(), serving(allow_non_finite=("/cmd_vel", "/arm/*"))
-    media_type = "application/merge-patch+json" if method == "PATCH" else "application/json"
-    careful.put("/topics/cmd_vel", json={})
-    answers = [
-        http.request(
-            method,
-            path,
-            content=json.dumps(body),
-            headers={"Content-Type": media_type, "If-Match": "*", "Accept": "application/json"},
-        )
-        for http in (careful, bold)
-    ]
-    assert said in detail(answers[0], 422)
-    assert "--allow-non-finite" in answers[0].text
-    assert answers[1].status_code in (200, 201, 204), answers[1].text
+"""The last one holds its topic."""
 
 
-def test_what_another_node_measures_and_whatever_is_read_may_be_no_finite_number(
-    robot: MadeUp, serving: Serving
-) -> None:
+def test_a_command_takes_only_finite_numbers_by_every_way_unless_a_setting_names_it() -> None:
+    def command(http: httpx.Client, method: str, path: str, body: object) -> httpx.Response:
+        kind = "application/merge-patch+json" if method == "PATCH" else "application/json"
+        headers = {"Content-Type": kind, "If-Match": "*", "Accept": "application/json"}
+        return http.request(method, path, content=json.dumps(body), headers=headers)
+
+    for settings in (dict[str, Any](), {"allow_non_finite": ("/cmd_vel", "/arm/*")}):
+        robot = MadeUp()
+        robot.topic("/cmd_vel", "geometry_msgs/msg/Twist", published=False, heard=True)
+        robot.topic("/arm/efforts", "std_msgs/msg/Float64MultiArray", published=False, heard=True)
+        robot.parameter("/arm/reach", 1.0)
+        robot.parameter("/arm/name", "Eve")
+        robot.answer("/arm/aim", "made_up/srv/Aim", hit=True)
+        with served(robot, **settings) as http:
+            http.put("/topics/cmd_vel", json={})
+            for method, path, body, said in NOT_FINITE:
+                answer = command(http, method, path, body)
+                if settings:
+                    assert answer.status_code in (200, 201, 204), (path, answer.text)
+                else:
+                    assert said in detail(answer, 422)
+                    assert "--allow-non-finite" in answer.text
+
+
+def test_a_measurement_may_be_no_finite_number(robot: MadeUp, serving: Serving) -> None:
     robot.topic("/range", "std_msgs/msg/Float64", {"data": "NaN"}, heard=True)
     http = serving(allow_publish=("/range",))
     assert value(http, "/topics/range") == {"data": "NaN"}

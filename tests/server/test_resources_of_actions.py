@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator
 from typing import Any
 
 import httpx
 import pytest
 
-from tests.server.conftest import Served
+from rosld.adapters.base import AdapterOptions
+from rosld.adapters.registry import adapter_for
+from tests.server.robots.made_up import served
 
 PREFIXES = """
 @prefix map: <https://w3id.org/rosld/mapping#> . @prefix ex: <http://example.org/> .
@@ -25,22 +27,29 @@ TURTLE = {"Accept": "text/turtle"}
 GO = "/resources/aircraft/go"
 
 
-@pytest.fixture
-def http(serve: Callable[..., Served]) -> httpx.Client:
+@pytest.fixture(scope="module")
+def http() -> Iterator[httpx.Client]:
     """An aircraft whose mapping offers its action while its power is on."""
-    http = serve("aircraft").http
-    http.delete("/mappings/aircraft").raise_for_status()
-    mapping = http.put("/mappings/mine", content=PREFIXES + MAPPING, headers={"Content-Type": "text/turtle"})
-    assert mapping.status_code == 201, mapping.text
-    return http
+    with served(adapter_for("aircraft", AdapterOptions())) as client:
+        client.delete("/mappings/aircraft").raise_for_status()
+        mapping = client.put("/mappings/mine", content=PREFIXES + MAPPING, headers={"Content-Type": "text/turtle"})
+        assert mapping.status_code == 201, mapping.text
+        yield client
 
 
 def power(http: httpx.Client, word: str) -> None:
     http.put("/resources/aircraft/power", json=word).raise_for_status()
 
 
-def test_a_mapped_action_of_ros_is_offered_and_takes_goals(http: httpx.Client) -> None:
+def test_a_mapped_action_of_ros_takes_goals_while_its_conditions_hold(http: httpx.Client) -> None:
+    power(http, "off")
+    assert http.get(GO).status_code == 404
+    assert http.options(GO).headers["allow"] == "DELETE, OPTIONS, POST"
+    assert http.post(GO, json={"distance": 2}).status_code == 409
+    assert http.post(GO, json={"distance": "far"}).status_code == 422
     power(http, "on")
+    assert http.post(GO, json={"distance": "far"}).status_code == 422
+    assert "ldp:contains" not in http.get("/goals/", headers=TURTLE).text
     told = http.get("/resources/aircraft/", headers=TURTLE).text
     assert "<http://example.org/go> <" in told
     assert "td:hasActionAffordance <#actions/go>" in told
@@ -55,17 +64,6 @@ def test_a_mapped_action_of_ros_is_offered_and_takes_goals(http: httpx.Client) -
     assert (goal["action"], goal["goal"]) == ("/aircraft/fly", {"distance": 2.0})
     page = http.get("/resources/aircraft/", headers={"Accept": "text/html"}).text
     assert 'name="distance' in page
-
-
-def test_conditions_and_types_are_judged_before_a_goal_is_sent(http: httpx.Client) -> None:
-    power(http, "off")
-    assert http.get(GO).status_code == 404
-    assert http.options(GO).headers["allow"] == "DELETE, OPTIONS, POST"
-    assert http.post(GO, json={"distance": 2}).status_code == 409
-    assert http.post(GO, json={"distance": "far"}).status_code == 422
-    assert "ldp:contains" not in http.get("/goals/", headers=TURTLE).text
-    power(http, "on")
-    assert http.post(GO, json={"distance": "far"}).status_code == 422
 
 
 def test_descriptions_say_that_goals_are_sent(http: httpx.Client) -> None:

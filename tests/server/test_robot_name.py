@@ -7,6 +7,7 @@ import socket
 
 import pytest
 
+from rosld.adapters.base import ParameterValue
 from rosld.server.robot.robot_name import host_name, shown_name
 from tests.server.robots.made_up import MadeUp, served
 from tests.waiting import until
@@ -15,25 +16,23 @@ HTML = {"Accept": "text/html"}
 URDF = '<?xml version="1.0"?><!-- made --><robot xmlns:xacro="x" name="turtle &amp; co"><link name="base"/></robot>'
 
 
-@pytest.mark.parametrize(
-    ("parameters", "settings", "shown"),
-    [
+@pytest.mark.slow
+def test_a_robot_is_called_what_it_or_the_settings_say() -> None:
+    named: tuple[tuple[dict[str, ParameterValue], dict[str, str], str], ...] = (
         ({"/robot_name": "Marvin", "/robot_description": URDF}, {}, "Marvin"),
         ({"/ns/robot_description": URDF}, {}, "turtle &amp; co"),
         ({"/robot_name": "Marvin"}, {"name": "Rosie"}, "Rosie"),
         ({"/robot_name": "<b>x</b>\x1b\n" + "y" * 500}, {}, "&lt;b&gt;x&lt;/b&gt; yyy"),
         ({"/robot_name": 5, "/robot_description": "<robot"}, {}, "made-up"),
-    ],
-)
-def test_a_robot_is_called_what_it_says_or_what_the_settings_say(
-    robot: MadeUp, parameters: dict[str, object], settings: dict[str, str], shown: str
-) -> None:
-    for name, value in parameters.items():
-        robot.parameter(name, value)  # type: ignore[arg-type]
-    with served(robot, **settings) as http:
-        title = re.compile(r"<title>[^<]*" + re.escape(shown))
-        until(lambda: title.search(http.get("/", headers=HTML).text), shown)
-        assert "y" * 61 not in http.get("/", headers=HTML).text
+    )
+    for parameters, settings, shown in named:
+        robot = MadeUp()
+        for name, value in parameters.items():
+            robot.parameter(name, value)
+        with served(robot, **settings) as http:
+            title = re.compile(r"<title>[^<]*" + re.escape(shown))
+            until(lambda title=title, http=http: title.search(http.get("/", headers=HTML).text), shown)
+            assert "y" * 61 not in http.get("/", headers=HTML).text
 
 
 def test_a_machine_on_loopback_is_called_by_its_name_and_another_by_its_own() -> None:

@@ -21,15 +21,17 @@ from tests.adapters.ros1.system import RosSystem, running
 from tests.processes import Process
 from tests.waiting import until
 
+pytestmark = pytest.mark.slow
+
 STRING = {"type": "std_msgs/String", "md5sum": "992ce8a1687cec8c8bd883ec73ca41d1", "latching": "0"}
 MEGABYTE = 1_000_000
 HUGE = 511 * 1024 * 1024
 
 
-@pytest.fixture
-def ros(tmp_path: Path) -> Iterator[RosSystem]:
+@pytest.fixture(scope="module")
+def ros(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RosSystem]:
     """A rosmaster."""
-    with running(tmp_path) as system:
+    with running(tmp_path_factory.mktemp("ros")) as system:
         yield system
 
 
@@ -97,7 +99,7 @@ def test_eight_publishers_that_announce_half_a_gigabyte_each_cost_little(
 def test_a_message_longer_than_the_limit_is_not_read_and_the_topic_says_so(
     ros: RosSystem, serve: Callable[..., Any]
 ) -> None:
-    served = serve(ros.source, process=True)
+    served = serve(ros.source)
     with announcing(ros, "/big", HUGE, b"") as sent:
         until(lambda: served.http.get("/topics/big").status_code == 200, "the topic")
         assert sent.wait(10)

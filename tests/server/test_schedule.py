@@ -35,29 +35,22 @@ def run(schedule: Schedule, delays: list[float]) -> list[tuple[float, int]]:
 
 
 @given(periods, origins)
-def test_who_is_always_in_time_publishes_at_every_beat_without_drift(period: float, origin: float) -> None:
+def test_a_punctual_publisher_publishes_at_every_beat_without_drift(period: float, origin: float) -> None:
     published = run(Schedule(period, origin, math.inf), [0.0] * 50)
     assert [beat for _, beat in published] == list(range(50))
     assert all(at == pytest.approx(origin + beat * period, abs=1e-9) for at, beat in published)
 
 
 @given(periods, origins, delays)
-def test_no_beat_comes_twice_and_what_was_missed_is_left_out(period: float, origin: float, delays: list[float]) -> None:
+def test_no_beat_is_repeated_or_early_and_missed_ones_are_left_out(
+    period: float, origin: float, delays: list[float]
+) -> None:
     published = run(Schedule(period, origin, math.inf), delays)
     beats = [beat for _, beat in published]
     assert beats == sorted(set(beats))
     for at, beat in published:
         assert at >= origin + beat * period - 1e-9
         assert at < origin + (beat + 1) * period + 1e-6 or beat == 0
-
-
-@given(periods, origins, delays)
-def test_at_no_time_are_there_more_publishes_than_the_rate_allows(
-    period: float, origin: float, delays: list[float]
-) -> None:
-    published = run(Schedule(period, origin, math.inf), delays)
-    for at, _ in published:
-        assert sum(1 for other, _ in published if other <= at) <= (at - origin) / period + 1 + 1e-6
 
 
 @given(periods, origins, st.floats(0.001, 5.0), delays)

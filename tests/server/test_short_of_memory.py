@@ -12,16 +12,13 @@ import resource
 import shutil
 import sys
 import time
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import Any
 
 import httpx
 import pytest
-from pyoxigraph import RdfFormat
 
-from rosld.server.dataset import MemoryStore
-from rosld.server.http.problem import Problem
 from rosld.server.runtime.process_memory import (
     CACHE_SECONDS,
     MARGIN,
@@ -46,7 +43,9 @@ UPDATE = {"Content-Type": "application/sparql-update"}
 COUNT = "SELECT (COUNT(*) AS ?n) WHERE { GRAPH ?g { ?s ?p ?o } }"
 SERVER, QUERIES = "the server", "the query process"
 
-on_linux = pytest.mark.skipif(sys.platform != "linux", reason="it limits processes, and looks at /proc")
+pytestmark = pytest.mark.slow
+if sys.platform != "linux":
+    pytest.skip("it limits processes, and looks at /proc", allow_module_level=True)
 
 
 @pytest.fixture
@@ -140,12 +139,12 @@ def grow(server: Server, send: Callable[[Server, str, int], httpx.Response]) -> 
     raise AssertionError("nothing was refused")
 
 
-@on_linux
-def test_documents_that_there_is_no_memory_for_are_refused_and_the_server_lives(server: Server) -> None:
+def test_documents_and_updates_that_need_more_memory_than_there_is_are_refused(server: Server) -> None:
     most = limit(pid_of(server, SERVER))
     made = grow(server, put)
     assert made
-    require_lack_of_memory(post(server, "posted", 1000 * 2**made), 507)
+    for send in (post, update):
+        require_lack_of_memory(send(server, "more", 1000 * 2**made), 507)
     assert put(server, "small", 1).status_code == 201
     server.kill()
     server.start(address_space=most)
@@ -158,18 +157,10 @@ def test_documents_that_there_is_no_memory_for_are_refused_and_the_server_lives(
     assert server.http.delete("/data/0").status_code == 204
 
 
-@on_linux
 @pytest.mark.parametrize("which", [SERVER, QUERIES])
-def test_updates_that_there_is_no_memory_for_are_refused_and_the_server_lives(server: Server, which: str) -> None:
-    limit(pid_of(server, which))
-    assert grow(server, update)
-    assert put(server, "small", 1).status_code == 201
-    require_alive(server)
-
-
-@on_linux
-@pytest.mark.parametrize("which", [SERVER, QUERIES])
-def test_an_index_that_there_is_no_memory_for_is_not_built_and_all_else_is_served(server: Server, which: str) -> None:
+def test_an_index_that_needs_more_memory_than_there_is_is_not_built_and_all_else_is_served(
+    server: Server, which: str
+) -> None:
     for number in range(3):
         assert put(server, str(number), 30_000).status_code == 201
     queries = pid_of(server, QUERIES)
@@ -182,16 +173,17 @@ def test_an_index_that_there_is_no_memory_for_is_not_built_and_all_else_is_serve
         assert server.http.delete(f"/data/{number}").status_code == 204
     answer = asked(server)
     assert answer.status_code == 200, answer.text + server.log.read_text()
-    assert pid_of(server, QUERIES) == queries
+    if which == QUERIES:
+        assert grow(server, update)
+        require_many_small_changes(server)
+    assert pid_of(server, QUERIES) == queries, server.log.read_text()[-3000:]
 
 
-@on_linux
-def test_many_small_changes_end_no_query_process_that_has_no_memory_left(server: Server) -> None:
-    queries = pid_of(server, QUERIES)
-    limit(queries)
+def require_many_small_changes(server: Server) -> None:
+    """Hold that a query process whose memory is used up refuses small changes, too, and lives."""
     refused = 0
     for number in range(200):
-        assert put(server, str(number), 400).status_code == 201
+        assert put(server, f"small-{number}", 400).status_code == 201
         answer = asked(server)
         if answer.status_code != 200:
             require_lack_of_memory(answer, 503)
@@ -200,108 +192,45 @@ def test_many_small_changes_end_no_query_process_that_has_no_memory_left(server:
             break
     assert refused == 10
     require_alive(server)
-    assert pid_of(server, QUERIES) == queries, server.log.read_text()[-3000:]
-
-
-G = "http://h/g"
-LIMITS = Limits(20.0, 256 * MIB)
-
-
-class Starve(NamedTuple):
-    """Work that asks for more than there is, where an allocation that fails ends the process."""
-
-    def may_take_long(self, store: MemoryStore) -> bool:
-        return False
-
-    def __call__(self, store: MemoryStore, output: BinaryIO) -> None:
-        text = lines(20_000)
-        most = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-        resource.setrlimit(resource.RLIMIT_AS, (most, most))
-        store.dataset.load(text, RdfFormat.N_TRIPLES)  # all in native code
 
 
 def lines(number: int, first: int = 0) -> str:
     return "".join(f"<http://h/s{i}> <http://h/p> <http://h/o> .\n" for i in range(first, first + number))
 
 
-async def graphs(process: QueryProcess) -> bytes:
-    return await process.result(ListGraphs(), LIMITS, time.monotonic() + LIMITS.seconds)
+async def graphs(process: QueryProcess) -> Any:
+    limits = Limits(20.0, 256 * MIB)
+    return pickle.loads(await process.result(ListGraphs(), limits, time.monotonic() + limits.seconds))
 
 
-def run(scenario: Callable[[QueryProcess], Awaitable[None]]) -> None:
-    async def whole() -> None:
+async def fill_with_garbage(process: QueryProcess) -> None:
+    started, graph = asyncio.Event(), "http://h/g"
+    process.on_start(started.set)
+    for number in range(3):  # what is gone is not freed
+        process.change({graph: lines(10_000, 10_000 * number)})
+    await graphs(process)
+    assert process.pid is not None
+    limit(process.pid, -8 * MIB)
+    with pytest.raises(NotEnoughMemory):
+        process.change({graph: lines(10_000)})
+    await started.wait()
+    process.change({graph: lines(10_000)})
+    assert await graphs(process) == [graph]
+
+
+def test_a_query_process_full_of_garbage_is_replaced() -> None:
+    async def run() -> None:
         process = QueryProcess(2, 4)
         await process.start()
         try:
-            await asyncio.wait_for(scenario(process), PATIENCE)
+            await asyncio.wait_for(fill_with_garbage(process), PATIENCE)
         finally:
             await process.close()
 
-    asyncio.run(whole())
+    asyncio.run(run())
 
 
-@on_linux
-def test_a_query_process_that_is_given_no_memory_is_replaced_and_its_query_is_told() -> None:
-    async def scenario(process: QueryProcess) -> None:
-        process.change({G: lines(10)})
-        assert G in pickle.loads(await graphs(process))
-        before = process.pid
-        with pytest.raises(Problem, match="ended before it was done") as told:
-            await process.result(Starve(), LIMITS, time.monotonic() + LIMITS.seconds)
-        assert told.value.status == 500
-        await process.wait_ready(time.monotonic() + PATIENCE)
-        assert process.pid != before
-        assert pickle.loads(await graphs(process)) == []
-        process.change({G: lines(20_000)})
-        assert G in pickle.loads(await graphs(process))
-
-    run(scenario)
-
-
-@on_linux
-def test_a_query_process_is_sent_no_more_than_it_has_memory_for_with_what_is_on_its_way() -> None:
-    async def scenario(process: QueryProcess) -> None:
-        await graphs(process)
-        assert process.pid is not None
-        limit(process.pid)
-        before, sent = process.pid, 0
-
-        def send() -> None:  # it makes few of these changes before all are sent
-            nonlocal sent
-            for number in range(100):
-                process.change({f"{G}{number}": lines(2000, 2000 * number)})
-                sent += 1
-
-        with pytest.raises(NotEnoughMemory, match="MiB of memory"):
-            send()
-        assert sent
-        process.change({f"{G}0": None})  # what makes room is never refused
-        assert len(pickle.loads(await graphs(process))) == sent - 1
-        assert process.pid == before
-
-    run(scenario)
-
-
-@on_linux
-def test_a_query_process_most_of_whose_memory_is_garbage_is_replaced_where_it_has_none_left() -> None:
-    async def scenario(process: QueryProcess) -> None:
-        started = asyncio.Event()
-        process.on_start(started.set)
-        for number in range(3):  # what is gone is not freed
-            process.change({G: lines(10_000, 10_000 * number)})
-        await graphs(process)
-        assert process.pid is not None
-        limit(process.pid, -8 * MIB)
-        with pytest.raises(NotEnoughMemory):
-            process.change({G: lines(10_000)})
-        await started.wait()
-        process.change({G: lines(10_000)})
-        assert pickle.loads(await graphs(process)) == [G]
-
-    run(scenario)
-
-
-def test_what_may_be_taken_is_told_and_what_is_more_is_refused_with_both_sizes() -> None:
+def test_a_need_beyond_the_available_memory_is_refused_with_both_sizes() -> None:
     left = available_bytes()
     assert left is None or left > 0
     memory = Memory(lambda: MARGIN + 1000 * 1024 * 1024)
@@ -310,7 +239,7 @@ def test_what_may_be_taken_is_told_and_what_is_more_is_refused_with_both_sizes()
         memory.require(1001 * 1024 * 1024, "a body of 9 bytes")
 
 
-def test_what_was_asked_for_a_moment_ago_counts() -> None:
+def test_a_need_counts_until_memory_is_measured_again() -> None:
     measured = list[int]()
 
     def measure() -> int:
@@ -323,18 +252,11 @@ def test_what_was_asked_for_a_moment_ago_counts() -> None:
     assert 1 < len(measured) < 60
 
 
-@pytest.mark.parametrize(
-    ("error", "expected"),
-    [
-        (MemoryError(), True),
-        (OSError(12, "Cannot allocate memory"), True),
-        (RuntimeError("can't start new thread"), True),
-        (RuntimeError("something else"), False),
-        (OSError(2, "No such file or directory"), False),
-    ],
-)
-def test_errors_that_tell_of_a_lack_of_memory_are_known(error: Exception, expected: bool) -> None:
-    assert is_out_of_memory(error) is expected
+def test_errors_that_mean_a_lack_of_memory_are_recognized() -> None:
+    for error in (MemoryError(), OSError(12, "Cannot allocate memory"), RuntimeError("can't start new thread")):
+        assert is_out_of_memory(error)
+    for other in (RuntimeError("something else"), OSError(2, "No such file or directory")):
+        assert not is_out_of_memory(other)
 
 
 @pytest.mark.parametrize(
@@ -348,7 +270,7 @@ def test_errors_that_tell_of_a_lack_of_memory_are_known(error: Exception, expect
     ],
     ids=["version 2", "version 1"],
 )
-def test_what_a_container_leaves_is_the_least_that_its_groups_do(
+def test_a_container_has_the_least_memory_that_its_groups_leave(
     tmp_path: Path, groups: str, place: str, limit: str, used: str, files: str
 ) -> None:
     for path, most in (("a/b", "max"), ("a", "1000"), ("", "2000")):

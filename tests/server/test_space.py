@@ -1,10 +1,10 @@
-"""Views of space over HTTP: what is drawn where, what is refused, and the pictures of grids."""
+"""Views of space and files of point clouds over HTTP: what is drawn where, and what is refused."""
 
 from __future__ import annotations
 
 import io
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import httpx
@@ -17,6 +17,8 @@ from tests.server.robots.point_clouds import CLOUD, cloud_message
 
 JSON = {"Accept": "application/json"}
 STREAM = {"Accept": "text/event-stream"}
+OCTETS = {"Accept": "application/octet-stream"}
+PlyData = pytest.importorskip("plyfile").PlyData
 GRID, POSE, TF = "nav_msgs/msg/OccupancyGrid", "geometry_msgs/msg/PoseStamped", "tf2_msgs/msg/TFMessage"
 
 
@@ -55,7 +57,7 @@ def test_a_view_tells_what_is_drawn_and_where_its_frame_is(rover: httpx.Client) 
 
 
 def test_the_stream_tells_scans_as_they_come_and_what_stays_once(rover: httpx.Client) -> None:
-    found = events(rover, "", lambda all: len(things(all, 1)) > 10 and any("frames" in each for each in all))
+    found = events(rover, "", lambda all: len(things(all, 1)) > 3 and any("frames" in each for each in all))
     assert [each["label"] for each in found[0]["show"]] == ["/map", "/scan", "/odom"]
     (grid,) = things(found, 0)
     assert grid["drawing"]["grid"]["size"] == pytest.approx([10, 8])
@@ -68,18 +70,18 @@ def test_the_stream_tells_scans_as_they_come_and_what_stays_once(rover: httpx.Cl
     }  # fmt: skip
 
 
-@pytest.mark.parametrize(("view", "drawn"), [("3d", set()), ("above", {"points"})])
-def test_points_of_a_cloud_are_told_only_to_who_does_not_read_its_file(view: str, drawn: set[str]) -> None:
+def test_points_of_a_cloud_are_streamed_only_to_readers_that_do_not_read_its_file() -> None:
     robot = MadeUp()
     robot.topic("/points", CLOUD, cloud_message(np.eye(3)))
     with served(robot) as http:
-        found = events(http, f"?show=topics/points&view={view}", lambda all: bool(things(all, 0)))
-        (told,) = things(found, 0)
-        assert told["drawing"].keys() == drawn
+        for view, drawn in (("3d", set()), ("above", {"points"})):
+            found = events(http, f"?show=topics/points&view={view}", lambda all: bool(things(all, 0)))
+            (told,) = things(found, 0)
+            assert told["drawing"].keys() == drawn
         assert http.get(told["cloud"]).content.startswith(b"ply")
 
 
-def test_a_frame_that_is_not_there_is_said(rover: httpx.Client) -> None:
+def test_a_missing_frame_is_a_problem(rover: httpx.Client) -> None:
     told = rover.get("/space", params={"frame": "moon", "show": "topics/scan"}, headers=JSON).json()
     assert told["show"][0]["problem"] == "There is no frame called moon"
     page = rover.get("/space?frame=moon", headers={"Accept": "text/html"}).text
@@ -88,24 +90,20 @@ def test_a_frame_that_is_not_there_is_said(rover: httpx.Client) -> None:
     assert things([event], 0)[0]["problem"] == "There is no frame called moon"
 
 
-@pytest.mark.parametrize(
-    ("query", "status", "words"),
-    [
+def test_a_view_that_cannot_be_drawn_is_refused_in_words(rover: httpx.Client) -> None:
+    for query, status, words in (
         ("show=nodes/rover", 400, "names no topic"),
         ("show=topics/scan%23ranges", 400, "names no topic"),
         ("show=topics/nothing", 404, "There is no topic /nothing"),
         ("show=topics/imu", 422, "has messages of sensor_msgs/msg/Imu"),
         (f"frame={'x' * 301}", 400, "is too long"),
         ("view=4d", 400, "there are above and 3d"),
-    ],
-)
-def test_what_is_not_drawn_is_refused_in_words(rover: httpx.Client, query: str, status: int, words: str) -> None:
-    answer = rover.get(f"/space?{query}", headers=STREAM)
-    assert answer.status_code == status, answer.text
-    assert words in answer.json()["detail"]
+    ):
+        answer = rover.get(f"/space?{query}", headers=STREAM)
+        assert (answer.status_code, words in answer.json()["detail"]) == (status, True), (query, answer.text)
 
 
-def test_hostile_messages_are_said_and_hold_nothing_up() -> None:
+def test_hostile_messages_are_problems_and_delay_nothing() -> None:
     robot = MadeUp()
     turned = {"base": {"rotation": {"w": "NaN"}}, "odom": {"rotation": {"w": 1.0}}}
     transforms = [
@@ -126,7 +124,7 @@ def test_hostile_messages_are_said_and_hold_nothing_up() -> None:
     assert picture[0, :2].tolist() == [101, 1], "a wall stays, whatever is beside it"
 
 
-def test_frames_are_a_tree_and_what_is_odd_is_said(rover: httpx.Client) -> None:
+def test_frames_are_a_tree(rover: httpx.Client) -> None:
     frames = rover.get("/frames", headers=JSON).json()["frames"]
     assert [(each["name"], each["parent"], each["static"]) for each in frames] == [
         ("map", None, False),
@@ -173,3 +171,49 @@ def test_frames_of_two_trees_of_a_loop_and_without_a_rotation_have_words() -> No
     assert problems["unset"].startswith("Its quaternion is all zero")
     assert frames["unset"]["pose"] == [0, 0, 0, 0, 0, 0, 1]
     assert "2 trees that nothing connects" in page
+
+
+@pytest.fixture(scope="module")
+def clouds() -> Iterator[httpx.Client]:
+    made = MadeUp()
+    made.topic("/points", CLOUD, cloud_message(np.arange(90_000).reshape(-1, 3)))
+    made.topic("/odd", CLOUD, cloud_message(np.zeros((3, 3)), point_step=0))
+    made.topic("/silent", CLOUD, published=False)
+    made.topic("/words", "std_msgs/msg/String", {"data": "<b>"})
+    with served(made) as http:
+        yield http
+
+
+def test_a_cloud_is_a_ply_file_beside_all_that_it_is_besides(clouds: httpx.Client) -> None:
+    answer = clouds.get("/topics/points", headers=OCTETS)
+    assert answer.headers["content-type"] == "application/octet-stream"
+    assert PlyData.read(io.BytesIO(answer.content))["vertex"].count == 20_000
+    known = clouds.get("/topics/points", headers={**OCTETS, "If-None-Match": answer.headers["etag"]})
+    assert known.status_code == 304
+    few = PlyData.read(io.BytesIO(clouds.get("/topics/points?format=ply&points=5").content))
+    assert few["vertex"]["x"].tolist() == [0, 22497, 44997, 67497, 89997]
+    assert "comment frame lidar" in few.header
+    assert clouds.get("/topics/points").headers["content-type"].startswith("text/turtle")
+    assert clouds.get("/topics/points?field=width", headers=OCTETS).text == "30000"
+    assert "?format=ply" in clouds.get("/topics/points", headers={"Accept": "text/html"}).text
+
+
+def test_a_message_that_is_no_cloud_is_refused_in_words(clouds: httpx.Client) -> None:
+    for path, status, words in (
+        ("odd?format=ply", 422, "0 bytes long"),
+        ("silent?format=ply", 404, "no message yet"),
+        ("words?format=ply", 406, "only sensor_msgs/msg/PointCloud2"),
+        ("words", 406, "application/octet-stream"),
+        ("points?format=ply&points=0", 400, "from 1 to 200000"),
+        ("points?format=ply&points=1e4", 400, "from 1 to 200000"),
+    ):
+        answer = clouds.get(f"/topics/{path}", headers=OCTETS)
+        assert (answer.status_code, words in answer.json()["detail"]) == (status, True), (path, answer.text)
+
+
+def test_a_view_of_space_draws_a_cloud_as_dots_and_says_what_is_wrong(clouds: httpx.Client) -> None:
+    told = clouds.get("/space", headers={"Accept": "application/json"}).json()["show"]
+    found = {each["topic"].rpartition("/")[2]: each for each in told}
+    assert (found["points"]["kind"], found["points"]["frame"]) == ("Point cloud", "lidar")
+    assert found["points"]["problem"] == ""
+    assert "0 bytes long" in found["odd"]["problem"]

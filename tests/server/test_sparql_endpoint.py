@@ -1,18 +1,27 @@
-"""The SPARQL endpoint over HTTP: live values, every format, refusals, pages."""
+"""The SPARQL endpoint over HTTP: live values, every format and what it can carry, refusals, pages."""
 
 from __future__ import annotations
 
 import csv
 import io
-import json
+from typing import Any
+from xml.etree import ElementTree
 
 import httpx
 import pytest
-
-from tests.server.sparql.processes import until_ready
+from pyoxigraph import RdfFormat, parse
 
 TYPES = "https://w3id.org/rosld/types/"
 DISPLAY = "/topics/cockpit/display"
+CSV = {"Accept": "text/csv"}
+XML, JSON = "application/sparql-results+xml", "application/sparql-results+json"
+RDF_XML, TURTLE = "application/rdf+xml", "text/turtle"
+RESULTS = "{http://www.w3.org/2005/sparql-results#}"
+CONTROL = r"SELECT ('\u0001' AS ?x) {}"
+SHORT = "{ GRAPH </data/there> { <urn:a> <urn:p> ?x } }"
+"""What is done in the query process itself."""
+LONG = "{ ?a ?b ?c . ?d ?e ?f } LIMIT 1"
+"""What may take long, and is done in a fork."""
 LATEST = f"""PREFIX ros: <https://w3id.org/rosld#>
 SELECT ?topic ?text WHERE {{ ?topic a ros:Topic ; ros:latest ?m . ?m <{TYPES}std_msgs/msg/String#data> ?text }}"""
 
@@ -23,151 +32,81 @@ def rows(answer: httpx.Response) -> list[list[str]]:
     return list(csv.reader(io.StringIO(answer.text)))[1:]
 
 
-@pytest.mark.parametrize("how", ["get", "form", "direct"])
-def test_a_query_sees_what_was_published_just_before(http: httpx.Client, how: str) -> None:
-    text = f"written before {how}"
-    http.put(DISPLAY, json={"data": text})
-    headers = {"Accept": "text/csv"}
-    if how == "get":
-        answer = http.get("/sparql", params={"query": LATEST}, headers=headers)
-    elif how == "form":
-        answer = http.post("/sparql", data={"query": LATEST}, headers=headers)
-    else:
-        answer = http.post("/sparql", content=LATEST, headers=headers | {"Content-Type": "application/sparql-query"})
-    assert rows(answer) == [[str(http.base_url.join(DISPLAY)), text]]
+def test_a_query_sees_what_was_published_just_before(http: httpx.Client) -> None:
+    direct = {"content": LATEST, "headers": {"Content-Type": "application/sparql-query", "Accept": "text/csv"}}
+    ways: tuple[tuple[str, dict[str, Any]], ...] = (
+        ("GET", {"params": {"query": LATEST}, "headers": CSV}),
+        ("POST", {"data": {"query": LATEST}, "headers": CSV}),
+        ("POST", direct),
+    )
+    for number, (method, sent) in enumerate(ways):
+        http.put(DISPLAY, json={"data": f"written {number}"})
+        assert rows(http.request(method, "/sparql", **sent)) == [
+            [str(http.base_url.join(DISPLAY)), f"written {number}"]
+        ]
 
 
-def test_select_comes_in_every_result_format(http: httpx.Client) -> None:
-    query = {"query": "SELECT ?name WHERE { ?t a ros:Topic ; ros:name ?name } ORDER BY ?name"}
-    found = http.get("/sparql", params=query, headers={"Accept": "application/sparql-results+json"}).json()
-    names = [row["name"]["value"] for row in found["results"]["bindings"]]
-    assert names[:2] == ["/aircraft/engine/speed", "/cockpit/display"]
+def test_results_come_in_every_format_by_the_names_that_other_endpoints_use_too(http: httpx.Client) -> None:
+    construct = "CONSTRUCT { ?t ros:name ?n } WHERE { ?t a ros:Topic ; ros:name ?n }"
+    for media_type in ("text/turtle", "application/ld+json", "application/n-triples", "application/rdf+xml", "text/n3"):
+        for query in (construct, f"DESCRIBE <{http.base_url.join(DISPLAY)}>"):
+            answer = http.get("/sparql", params={"query": query}, headers={"Accept": media_type})
+            assert answer.headers["content-type"].startswith(media_type)
+            assert "/cockpit/display" in answer.text
+    for name, media_type in {"turtle": "text/turtle", "json-ld": "application/ld+json"}.items():
+        answer = http.get("/sparql", params={"query": construct, "format": name}, headers={"Accept": "*/*"})
+        assert answer.headers["content-type"].startswith(media_type)
+    select = {"query": "SELECT ?name WHERE { ?t a ros:Topic ; ros:name ?name }"}
     for media_type in ("application/sparql-results+xml", "text/csv", "text/tab-separated-values"):
-        answer = http.get("/sparql", params=query, headers={"Accept": media_type})
+        answer = http.get("/sparql", params=select, headers={"Accept": media_type})
         assert answer.headers["content-type"].startswith(media_type)
         assert "/cockpit/display" in answer.text
-    assert http.get("/sparql", params=query).headers["content-type"] == "application/sparql-results+json"
+    assert http.get("/sparql", params=select).headers["content-type"] == "application/sparql-results+json"
 
 
-@pytest.mark.parametrize(
-    "media_type", ["text/turtle", "application/ld+json", "application/n-triples", "application/rdf+xml", "text/n3"]
-)
-def test_construct_and_describe_come_in_every_rdf_syntax(http: httpx.Client, media_type: str) -> None:
-    for query in (
-        "CONSTRUCT { ?t ros:name ?n } WHERE { ?t a ros:Topic ; ros:name ?n }",
-        f"DESCRIBE <{http.base_url.join(DISPLAY)}>",
-    ):
-        answer = http.get("/sparql", params={"query": query}, headers={"Accept": media_type})
-        assert answer.status_code == 200, answer.text
-        assert answer.headers["content-type"].startswith(media_type)
-        assert "/cockpit/display" in answer.text
-
-
-@pytest.mark.parametrize(
-    ("name", "media_type"),
-    [("turtle", "text/turtle"), ("json-ld", "application/ld+json"), ("rdf+xml", "application/rdf+xml")],
-)
-def test_formats_have_the_names_that_other_endpoints_give_them_too(
-    http: httpx.Client, name: str, media_type: str
-) -> None:
-    query = "CONSTRUCT { ?t ros:name ?n } WHERE { ?t a ros:Topic ; ros:name ?n }"
-    answer = http.get("/sparql", params={"query": query, "format": name}, headers={"Accept": "*/*"})
-    assert answer.status_code == 200, answer.text
-    assert answer.headers["content-type"].startswith(media_type)
-
-
-def test_a_graph_is_what_a_get_of_its_url_says(http: httpx.Client, triples_of: object) -> None:
-    url = str(http.base_url.join("/types/std_msgs/msg/String"))
-    query = f"CONSTRUCT {{ ?s ?p ?o }} WHERE {{ GRAPH <{url}> {{ ?s ?p ?o }} }}"
-    graph = http.get("/sparql", params={"query": query}, headers={"Accept": "text/turtle"})
-    count = f"SELECT (COUNT(*) AS ?n) WHERE {{ GRAPH <{url}> {{ ?s ?p ?o }} }}"
-    number = rows(http.get("/sparql", params={"query": count}, headers={"Accept": "text/csv"}))
-    assert callable(triples_of)
-    assert len(triples_of(graph)) == len(triples_of(http.get(url))) == int(number[0][0])
-
-
-def test_no_topic_is_found_twice(http: httpx.Client) -> None:
+def test_every_resource_is_found_once_and_as_it_is_now(http: httpx.Client) -> None:
     query = {"query": "SELECT ?t WHERE { ?t a ros:Topic ; ros:name ?n ; ros:hasMessageType ?y }"}
-    found = [row[0] for row in rows(http.get("/sparql", params=query, headers={"Accept": "text/csv"}))]
+    found = [row[0] for row in rows(http.get("/sparql", params=query, headers=CSV))]
     assert len(found) == len(set(found)) >= 2
-
-
-def test_parameters_are_in_the_dataset_as_they_are_now(http: httpx.Client) -> None:
     http.put("/parameters/queried", json=41)
     http.put("/parameters/queried", json=42)
     query = {"query": f"SELECT ?v WHERE {{ <{http.base_url.join('/parameters/queried')}> ros:value ?v }}"}
-    assert rows(http.get("/sparql", params=query, headers={"Accept": "text/csv"})) == [["42"]]
+    assert rows(http.get("/sparql", params=query, headers=CSV)) == [["42"]]
 
 
-def test_a_query_subscribes_to_what_it_names_though_it_also_looks_at_anything(serve: object) -> None:
-    assert callable(serve)
-    served = serve("aircraft")
+def test_a_query_subscribes_to_what_it_names_though_it_also_looks_at_anything(own_aircraft: httpx.Client) -> None:
     data = f"<{TYPES}std_msgs/msg/Float64#data>"
-    query = {
-        "query": f"SELECT ?v WHERE {{ {{ ?m {data} ?v }} UNION {{ ?t ros:words ?v }} UNION {{ ?a ?b ?v }} }} LIMIT 1"
-    }
+    query = f"SELECT ?v WHERE {{ {{ ?m {data} ?v }} UNION {{ ?t ros:words ?v }} UNION {{ ?a ?b ?v }} }} LIMIT 1"
+    assert own_aircraft.get("/sparql", params={"query": query}).status_code == 200
     typed = {"query": f"SELECT ?v WHERE {{ ?m {data} ?v }}"}
-    assert served.http.get("/sparql", params=query).status_code == 200
-    assert rows(served.http.get("/sparql", params=typed, headers={"Accept": "text/csv"})) == [["0.0"]]
+    assert rows(own_aircraft.get("/sparql", params=typed, headers=CSV)) == [["0.0"]]
 
 
-@pytest.mark.parametrize(
-    ("query", "status"),
-    [
-        ("SELECT", 400),
-        ("SELECT * WHERE { SERVICE <http://127.0.0.1:1/> { ?s ?p ?o } }", 400),
-        ("SELECT * WHERE { S\\u0045RVICE <http://127.0.0.1:1/> { ?s ?p ?o } }", 400),
-        ("DELETE WHERE { ?s ?p ?o }", 400),
-        ("LOAD <http://127.0.0.1:1/>", 400),
-        ("SELECT * WHERE " + "{" * 3000 + "}" * 3000, 400),
-        ("SELECT * WHERE { ?s ?p " + "[ ?p " * 500 + "]" * 500 + "}", 400),
-        ("SELECT * WHERE { FILTER(" + "(" * 3000 + "1" + ")" * 3000 + ") }", 400),
-        ("SELECT * WHERE { ?s ?p ?o } # " + "x" * 400_000, 413),
-        ("", 400),
-        ("\x00", 400),
-    ],
-)
-def test_what_may_not_be_asked_is_refused_with_a_reason(http: httpx.Client, query: str, status: int) -> None:
-    answer = http.post("/sparql", content=query.encode(), headers={"Content-Type": "application/sparql-query"})
-    assert answer.status_code == status, answer.text[:200]
-    assert answer.headers["content-type"] == "application/problem+json"
-    assert answer.json()["detail"]
-    assert http.get("/").status_code == 200
-
-
-@pytest.mark.parametrize(
-    ("content_type", "body", "status"),
-    [
+def test_a_forbidden_query_and_a_wrong_use_of_the_protocol_are_refused_with_a_reason(http: httpx.Client) -> None:
+    query_type = "application/sparql-query"
+    for content_type, body, status in (
+        (query_type, b"SELECT", 400),
+        (query_type, b"SELECT * WHERE { SERVICE <http://127.0.0.1:1/> { ?s ?p ?o } }", 400),
+        (query_type, b"SELECT * WHERE { S\\u0045RVICE <http://127.0.0.1:1/> { ?s ?p ?o } }", 400),
+        (query_type, b"DELETE WHERE { ?s ?p ?o }", 400),
+        (query_type, b"LOAD <http://127.0.0.1:1/>", 400),
+        (query_type, b"SELECT * WHERE " + b"{" * 3000 + b"}" * 3000, 400),
+        (query_type, b"SELECT * WHERE { ?s ?p " + b"[ ?p " * 500 + b"]" * 500 + b"}", 400),
+        (query_type, b"SELECT * WHERE { FILTER(" + b"(" * 3000 + b"1" + b")" * 3000 + b") }", 400),
+        (query_type, b"SELECT * WHERE { ?s ?p ?o } # " + b"x" * 400_000, 413),
+        (query_type, b"", 400),
+        (query_type, b"\x00", 400),
+        (query_type, b"\xff", 400),
         ("text/plain", b"SELECT * {}", 415),
         ("application/sparql-update", b"INSERT DATA { <a:a> <b:b> <c:c> }", 422),
-        ("application/sparql-query", b"\xff", 400),
         ("application/x-www-form-urlencoded", b"query=SELECT+*+%7B%7D&query=ASK+%7B%7D", 400),
         ("application/x-www-form-urlencoded", b"nothing=here", 400),
-    ],
-)
-def test_a_wrong_use_of_the_protocol_is_a_4xx(http: httpx.Client, content_type: str, body: bytes, status: int) -> None:
-    assert http.post("/sparql", content=body, headers={"Content-Type": content_type}).status_code == status
-
-
-def test_a_query_that_takes_too_long_is_503_and_the_server_goes_on(serve: object) -> None:
-    assert callable(serve)
-    served = until_ready(serve("aircraft", "--setting", "query_time_limit", "0.5"))
-    heavy = "SELECT (COUNT(*) AS ?n) WHERE { ?a ?b ?c . ?d ?e ?f . ?g ?h ?i . ?j ?k ?l }"
-    answer = served.http.get("/sparql", params={"query": heavy})
-    assert answer.status_code == 503
-    assert "0.5" in answer.json()["detail"]
-    assert served.http.get("/topics/aircraft/engine/speed").status_code == 200
-
-
-def test_a_query_that_takes_too_much_memory_is_503_and_the_server_goes_on(serve: object) -> None:
-    assert callable(serve)
-    served = serve("aircraft", "--setting", "query_memory_limit", str(128 * 1024 * 1024))
-    greedy = "SELECT * WHERE { ?a ?b ?c . ?d ?e ?f . ?g ?h ?i } ORDER BY ?a ?d ?g"
-    answer = served.http.get("/sparql", params={"query": greedy})
-    assert answer.status_code == 503
-    assert "128 MiB of memory" in answer.json()["detail"]
-    assert served.http.get("/topics/aircraft/engine/speed").status_code == 200
-    assert served.stop() == 0
+    ):
+        answer = http.post("/sparql", content=body, headers={"Content-Type": content_type})
+        assert answer.status_code == status, (body[:100], answer.text[:200])
+        assert answer.headers["content-type"] == "application/problem+json"
+        assert answer.json()["detail"]
+    assert http.get("/").status_code == 200
 
 
 def test_without_a_query_it_describes_itself_and_shows_people_a_page(http: httpx.Client) -> None:
@@ -182,25 +121,125 @@ def test_without_a_query_it_describes_itself_and_shows_people_a_page(http: httpx
     assert "<textarea" in wrong.text
 
 
-def test_stored_queries_are_listed_and_run_in_every_format(http: httpx.Client) -> None:
+@pytest.mark.slow
+def test_every_stored_query_runs(http: httpx.Client) -> None:
     listed = http.get("/queries/", headers={"Accept": "application/n-triples"}).text
     names = {line.split("/queries/")[-1].split(">")[0] for line in listed.splitlines() if "ldp#contains" in line}
     assert len(names) >= 8
+    needed = {"node": "/nodes/aircraft", "topic": "/topics/aircraft/engine/speed"}
     for name in sorted(names):
-        needed = {"node": "/nodes/aircraft", "topic": "/topics/aircraft/engine/speed"}
-        answer = http.get(f"/queries/{name}", params={"format": "html"})
-        if answer.status_code == 400 and "There is no past here" in answer.text:
-            continue  # nothing is recorded
-        assert answer.status_code == 200, (name, answer.text)
-        given = {key: value for key, value in needed.items() if f'name="{key}"' in answer.text}
-        for wanted in ("json", "csv", "tsv", "xml"):
-            run = http.get(f"/queries/{name}", params={"format": wanted, **given})
-            has_no_past = run.status_code == 400 and "There is no past here" in run.text
-            assert run.status_code in (200, 406) or has_no_past, (name, wanted, run.text)
-    rate = http.get("/queries/fastest-topics", headers={"Accept": "application/sparql-results+json"})
-    assert json.loads(rate.text)["head"]["vars"][0] == "topic"
-    unknown = http.get("/queries/fastest-topics", params={"nonsense": "1"}, headers={"Accept": "text/csv"})
-    assert unknown.status_code == 400
-    assert "nonsense" in unknown.json()["detail"]
+        page = http.get(f"/queries/{name}", params={"format": "html"})
+        given = {key: value for key, value in needed.items() if f'name="{key}"' in page.text}
+        run = http.get(f"/queries/{name}", params={"format": "json", **given})
+        has_no_past = run.status_code == 400 and "There is no past here" in run.text
+        assert run.status_code in (200, 406) or has_no_past, (name, run.text)
     source = http.get("/queries/fastest-topics", headers={"Accept": "application/sparql-query"})
     assert "SELECT" in source.text
+
+
+def ask(http: httpx.Client, query: str, accept: str) -> httpx.Response:
+    return http.get("/sparql", params={"query": query}, headers={"Accept": accept})
+
+
+def test_characters_that_xml_cannot_carry_are_406_where_only_xml_is_accepted(http: httpx.Client) -> None:
+    ordered = "SELECT ?x { VALUES ?y { 1 2 } BIND('%s' AS ?x) } ORDER BY ?y"
+    for code in ("0001", "0008", "000B", "001F", "FFFE", "FFFF"):
+        for query in ("SELECT ('a%s' AS ?x) {}", ordered):
+            answer = ask(http, query % rf"\u{code}", XML)
+            assert answer.status_code == 406
+            assert f"XML cannot carry the character U+{code}" in answer.json()["detail"]
+    answer = ask(http, CONTROL, f"{XML}, {JSON};q=0.5")
+    assert answer.headers["content-type"] == JSON
+    assert answer.json()["results"]["bindings"] == [{"x": {"type": "literal", "value": "\x01"}}]
+    construct = r"CONSTRUCT { <urn:s> <urn:p> '\u0001' } {}"
+    assert ask(http, construct, RDF_XML).status_code == 406
+    assert ask(http, construct, f"{RDF_XML}, {TURTLE};q=0.1").headers["content-type"] == f"{TURTLE}; charset=utf-8"
+
+
+@pytest.mark.slow
+def test_a_client_that_prefers_xml_gets_everything_of_a_server(own_aircraft: httpx.Client) -> None:
+    http = own_aircraft
+    answer = ask(http, "SELECT * { ?s ?p ?o }", f"{XML}, {JSON};q=0.8")
+    assert answer.headers["content-type"] == XML
+    assert len([*ElementTree.fromstring(answer.content).iter(f"{RESULTS}result")]) > 500
+    assert http.put("/data/control", content=b"<> <urn:p> '\\u0001' .", headers={"Content-Type": TURTLE}).is_success
+    answer = ask(http, "SELECT * { ?s ?p ?o }", f"{XML}, {JSON};q=0.8")
+    assert answer.headers["content-type"] == JSON
+    assert len(answer.json()["results"]["bindings"]) > 500
+
+
+def test_carriage_returns_arrive_through_xml(http: httpx.Client) -> None:
+    answer = ask(http, r"SELECT ('a\rb\r\n\tc' AS ?x) {}", XML)
+    assert b"&#13;" in answer.content
+    [literal] = ElementTree.fromstring(answer.content).iter(f"{RESULTS}literal")
+    assert literal.text == "a\rb\r\n\tc"
+
+
+def test_ask_is_a_table_of_one_column_in_csv_and_tsv(http: httpx.Client) -> None:
+    for query, value in (("ASK {}", "true"), ("ASK { <urn:no> <urn:no> <urn:no> }", "false")):
+        assert ask(http, query, "text/csv").text == f"_askResult\r\n{value}\r\n"
+        assert ask(http, query, "text/tab-separated-values").text == f"?_askResult\n{value}\n"
+        assert ask(http, query, JSON).json()["boolean"] is (value == "true")
+
+
+def test_a_graph_names_the_prefixes_that_it_uses(http: httpx.Client) -> None:
+    for template, prefixes in (
+        ("<urn:s> <urn:p> 'ros:x <rdfs:y>'", set()),
+        ("<urn:s> a ros:Topic", {"ros"}),
+        ("<urn:s> rdfs:label '1'^^xsd:byte ; <urn:p> 'a:b'@en, 5", {"rdfs", "xsd"}),
+        ("ros:a:b <https://w3id.org/rosld#c/d> 'dcterms:'", {"ros"}),
+    ):
+        for media_type in (TURTLE, "application/trig", "text/n3"):
+            text = ask(http, f"CONSTRUCT {{ {template} }} {{}}", media_type).text
+            assert {line.split()[1][:-1] for line in text.splitlines() if line.startswith("@prefix")} == prefixes
+
+
+@pytest.mark.slow
+def test_a_large_graph_is_whole_whatever_prefixes_come_late(http: httpx.Client) -> None:
+    digits = "VALUES ?a { 0 1 2 3 4 5 6 7 8 9 }"
+    numbers = " ".join(digits.replace("?a", f"?{name}") for name in "abcde")
+    query = (
+        "CONSTRUCT { ?s ?p ?n } { { SELECT * { "
+        + numbers
+        + " } } BIND(?a * 10000 + ?b * 1000 + ?c * 100 + ?d * 10 + ?e AS ?n) "
+        "BIND(IRI(CONCAT('urn:s', STR(?n))) AS ?s) BIND(IF(?n < 99990, ros:name, rdfs:label) AS ?p) }"
+    )
+    answer = ask(http, query, TURTLE)
+    assert answer.status_code == 200
+    found = {quad.predicate.value for quad in parse(answer.content, RdfFormat.TURTLE)}
+    assert found == {"https://w3id.org/rosld#name", "http://www.w3.org/2000/01/rdf-schema#label"}
+    assert len(list(parse(answer.content, RdfFormat.TURTLE))) == 100_000
+
+
+def test_no_two_queries_draw_the_same(own_aircraft: httpx.Client) -> None:
+    there = {"content": "<urn:a> <urn:p> 1 .", "headers": {"Content-Type": TURTLE}}
+    own_aircraft.put("/data/there", **there).raise_for_status()
+    for function in ("UUID()", "STRUUID()", "RAND()"):
+        texts = [f"SELECT ({function} AS ?y) {SHORT}", *[f"SELECT ({function} AS ?x) {LONG}"] * 3]
+        answers = [own_aircraft.get("/sparql", params={"query": text}, headers=CSV).text for text in texts]
+        assert len(set(answers)) == len(texts), function
+        assert all(answer.count("\n") == 2 for answer in answers)
+
+
+@pytest.mark.slow
+def test_no_two_updates_make_the_same_blank_node(own_aircraft: httpx.Client) -> None:
+    """SPARQL 1.1 Update 3.1.3, 19.6 of SPARQL 1.1 Query: they are new."""
+    there = {"content": "<urn:a> <urn:p> 1 .", "headers": {"Content-Type": TURTLE}}
+    own_aircraft.put("/data/there", **there).raise_for_status()
+    own_aircraft.get("/sparql", params={"query": f"SELECT (UUID() AS ?y) {SHORT}"}).raise_for_status()
+    for number, inserted in enumerate(
+        (
+            "INSERT {{ GRAPH <{0}> {{ [] <urn:p> 1 }} }} WHERE {{}}",
+            "INSERT {{ GRAPH <{0}> {{ ?b <urn:p> 1 }} }} WHERE {{ BIND(BNODE() AS ?b) }}",
+            "INSERT DATA {{ GRAPH <{0}> {{ [] <urn:p> 1 }} }}",
+        )
+    ):
+        graph = f"/data/random-{number}"
+        first = f"INSERT DATA {{ GRAPH <{graph}> {{ <urn:a> <urn:p> 1 }} }}"
+        last = f"DELETE {{ GRAPH <{graph}> {{ ?s <urn:none> 1 }} }} WHERE {{ GRAPH <{graph}> {{ ?s <urn:none> 1 }} }}"
+        for _ in range(3):
+            text = f"{first} ; {inserted.format(graph)} ; {last}"
+            own_aircraft.post(
+                "/sparql", content=text, headers={"Content-Type": "application/sparql-update"}
+            ).raise_for_status()
+        assert own_aircraft.get(graph, headers={"Accept": "application/n-triples"}).text.count("_:") == 3, inserted

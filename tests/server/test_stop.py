@@ -6,7 +6,7 @@ import asyncio
 import json
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -84,25 +84,17 @@ def http(robot: Stoppable) -> Iterator[httpx.Client]:
         yield client
 
 
-WRITES: list[tuple[str, str, dict[str, Any]]] = [
+OLD = "{ GRAPH </parameters/gain> { ?p ros:value ?v } }"
+UPDATE = f"DELETE {OLD} INSERT {{ GRAPH </parameters/gain> {{ ?p ros:value 3 }} }} WHERE {OLD}"
+WRITES: tuple[tuple[str, str, dict[str, Any]], ...] = (
     ("PUT", "/topics/drive", {"json": AHEAD}),
     ("POST", "/topics/drive", {"json": AHEAD, "params": {"rate": 10}}),
     ("POST", "/services/arm/aim", {"json": {"azimuth": 1, "elevation": 1}}),
     ("PUT", "/parameters/gain", {"json": 2}),
+    ("POST", "/sparql", {"data": {"update": UPDATE}}),
     ("DELETE", "/parameters/gain", {}),
     ("PUT", "/resources/arm/label", {"json": "moved"}),
-    ("POST", "/sparql", {}),
-]
-
-
-def writes(base: str) -> Iterator[tuple[str, str, dict[str, Any]]]:
-    for method, path, content in WRITES:
-        if path == "/sparql":
-            graph = f"GRAPH <{base}parameters/gain>"
-            old = f"{{ {graph} {{ ?p <{ROS}value> ?v }} }}"
-            update = f"DELETE {old} INSERT {{ {graph} {{ ?p <{ROS}value> 3 }} }} WHERE {old}"
-            content = {"data": {"update": update}}
-        yield method, path, content
+)
 
 
 def stopped(http: httpx.Client, **body: str) -> dict[str, Any]:
@@ -117,7 +109,7 @@ def test_every_write_that_would_reach_the_robot_is_refused_until_it_is_released(
 ) -> None:
     stopped(http, reason="a person on the track")
     before = robot.moved()
-    for method, path, content in writes(str(http.base_url)):
+    for method, path, content in WRITES:
         answer = http.request(method, path, **content)
         assert answer.status_code == 423, (method, path, answer.text)
         told = answer.json()
@@ -129,11 +121,11 @@ def test_every_write_that_would_reach_the_robot_is_refused_until_it_is_released(
     assert http.put("/data/x", content="<> <p> 1 .", headers=TURTLE).status_code == 201
     assert http.get("/resources/arm/label", headers=JSON).json() == "x", "reading goes on, by getters too"
     assert release(http).status_code == 204
-    for method, path, content in writes(str(http.base_url)):
+    for method, path, content in WRITES:
         assert http.request(method, path, **content).status_code < 300, (method, path)
 
 
-def test_a_stop_does_what_mappings_say_and_tells_what_became_of_it(robot: Stoppable, http: httpx.Client) -> None:
+def test_each_stop_does_what_mappings_say_and_reports_each_step(robot: Stoppable, http: httpx.Client) -> None:
     planned = {step["does"]: step["state"] for step in http.get("/stop", headers=JSON).json()["steps"]}
     assert len(planned) == 4
     assert set(planned.values()) == {"NotSent"}
@@ -146,20 +138,13 @@ def test_a_stop_does_what_mappings_say_and_tells_what_became_of_it(robot: Stoppa
     assert "/nowhere" in steps["call /nowhere"]["words"]
     assert len(robot.braked) == 1
     assert robot.sent["/drive"][-1]["linear"] == {"x": 0.0, "y": 0.0, "z": 0.0}
+    again = stopped(http, reason="second")
+    assert (again["reason"], again["since"], len(robot.braked)) == (None, told["since"], 2)
+    assert [release(http).status_code for _ in range(2)] == [204, 204], "releasing twice is fine"
+    assert http.get("/stop", headers=JSON).json()["stopped"] is False
 
 
-def test_a_service_that_says_that_it_did_not_succeed_has_failed(robot: Stoppable, http: httpx.Client) -> None:
-    robot.offer("/arm/fold", "std_srvs/srv/Trigger", lambda _: {"success": False, "message": "the arm is jammed"})
-    stops = '<#arm> a map:ComplexResource ; map:path "/arm/" ; map:stop [ map:call "/arm/fold" ] .'
-    mapping = f"@prefix map: <https://w3id.org/rosld/mapping#> . {stops}"
-    assert http.put("/mappings/arm", content=mapping, headers=TURTLE).status_code == 204
-    told = stopped(http)
-    step = told["steps"][-1]
-    assert step == {"does": "call /arm/fold", "state": "Failed", "subscribers": None, "words": "the arm is jammed"}
-    assert "1 of 2 steps failed" in told["warning"]
-
-
-def test_what_refuses_because_it_is_at_rest_has_not_failed(robot: Stoppable, http: httpx.Client) -> None:
+def test_a_service_that_refuses_has_failed_unless_it_is_at_rest(robot: Stoppable, http: httpx.Client) -> None:
     robot.offer("/arm/fold", "std_srvs/srv/Trigger", lambda _: {"success": False, "message": "the arm is off"})
     mapping = """@prefix map: <https://w3id.org/rosld/mapping#> . @prefix sh: <http://www.w3.org/ns/shacl#> .
         <#arm> a map:ComplexResource ; map:path "/arm/" ; map:stop [ map:call "/arm/fold" ; map:atRestWhen <#off> ] .
@@ -171,21 +156,11 @@ def test_what_refuses_because_it_is_at_rest_has_not_failed(robot: Stoppable, htt
         told = stopped(http)
         step = told["steps"][-1]
         assert (step["does"], step["state"], step["words"][: len(words)]) == ("call /arm/fold", state, words)
-        assert (told["warning"] is None) is (state == "Succeeded")
+        assert told["warning"] is None if state == "Succeeded" else "1 of 2 steps failed" in told["warning"]
         assert release(http).status_code == 204
 
 
-def test_the_aircraft_can_be_stopped_while_it_is_off(serve: Callable[..., Any]) -> None:
-    http = serve("aircraft").http
-    told = stopped(http)
-    assert (told["warning"], {step["state"] for step in told["steps"]}) == (None, {"Succeeded"})
-    page = http.get("/stop", headers={"Accept": "text/html"}).text
-    assert 'class="notice error stopped"' in page
-    assert "is at rest already: the aircraft is off" in page
-    assert "may go on moving" not in page
-
-
-def test_a_stop_ends_holds_and_nothing_follows_but_zero(robot: Stoppable, http: httpx.Client) -> None:
+def test_a_stop_ends_holds_and_only_zero_follows(robot: Stoppable, http: httpx.Client) -> None:
     for then in ("zero", "none", "/data/creep"):
         creep = "".join(f"<#message> <{TWIST}#{part}> <#message.{part}> . " for part in ("linear", "angular"))
         creep += "".join(
@@ -207,7 +182,7 @@ def test_a_stop_ends_holds_and_nothing_follows_but_zero(robot: Stoppable, http: 
         assert release(http).status_code == 204
 
 
-def test_what_is_under_way_is_cut_off(robot: Stoppable, http: httpx.Client) -> None:
+def test_a_stop_cuts_off_writes_under_way(robot: Stoppable, http: httpx.Client) -> None:
     robot.hold("/arm/aim")
     with ThreadPoolExecutor(3) as pool:
         other = [httpx.Client(base_url=http.base_url, timeout=20) for _ in range(2)]
@@ -226,18 +201,8 @@ def test_what_is_under_way_is_cut_off(robot: Stoppable, http: httpx.Client) -> N
     assert "/slow" not in robot.sent
 
 
-def test_stopping_twice_stops_again_and_the_first_is_who_stopped_it(robot: Stoppable, http: httpx.Client) -> None:
-    first = stopped(http, reason="first")
-    second = stopped(http, reason="second")
-    assert (second["reason"], second["since"]) == ("first", first["since"])
-    assert len(robot.braked) == 2
-    assert release(http).status_code == 204
-    assert release(http).status_code == 204, "releasing twice is fine"
-    assert http.get("/stop", headers=JSON).json()["stopped"] is False
-
-
-def test_a_stop_action_that_hangs_holds_nobody_up(robot: Stoppable) -> None:
-    with served(robot, call_deadline=1.0) as http:
+def test_a_stop_action_that_hangs_delays_nobody(robot: Stoppable) -> None:
+    with served(robot, call_deadline=0.5) as http:
         assert http.put("/mappings/arm", content=MAPPING, headers=TURTLE).status_code == 201
         robot.hold("/arm/brake")
         with ThreadPoolExecutor(1) as pool:
@@ -271,29 +236,17 @@ def test_without_tokens_a_release_takes_what_a_person_sees_on_the_page(robot: St
     assert http.delete("/stop", params={"confirm": id}).status_code == 409, "it was the id of another stop"
 
 
-@pytest.mark.parametrize("body", [b"[]", b'{"reason": 1}', b'{"other": "x"}', b'{"reason": "%s"}' % (b"x" * 501)])
-def test_a_body_that_is_no_reason_is_refused_and_an_empty_one_stops(http: httpx.Client, body: bytes) -> None:
-    refused = http.post("/stop", content=body, headers={"Content-Type": "application/json"})
-    assert refused.status_code == 422
-    assert http.get("/stop", headers=JSON).json()["stopped"] is False
+def test_a_body_that_is_no_reason_is_refused_and_an_empty_one_stops(http: httpx.Client) -> None:
+    for body in (b"[]", b'{"reason": 1}', b'{"other": "x"}', b'{"reason": "%s"}' % (b"x" * 501)):
+        refused = http.post("/stop", content=body, headers={"Content-Type": "application/json"})
+        assert refused.status_code == 422, body
+        assert http.get("/stop", headers=JSON).json()["stopped"] is False
     assert http.post("/stop").status_code == 200
-
-
-def test_a_stop_is_streamed_and_is_in_sparql(http: httpx.Client) -> None:
-    with http.stream("GET", "/stop", headers={"Accept": "text/event-stream"}) as stream:
-        lines = stream.iter_lines()
-        assert '"stopped":false' in next(line for line in lines if line.startswith("data: "))
-        other = httpx.Client(base_url=http.base_url)
-        stopped(other, reason="streamed")
-        assert '"reason":"streamed"' in next(line for line in lines if line.startswith("data: "))
-    query = f"SELECT ?who ?why {{ ?stop <{ROS}stoppedBy> ?who ; <{ROS}reason> ?why }}"
-    found = http.get("/sparql", params={"query": query}, headers={"Accept": "text/csv"}).text.split()
-    assert found[1:] == ["anybody,streamed"]
 
 
 def test_every_page_has_a_button_that_stops_without_a_script_and_says_when_it_is_stopped(http: httpx.Client) -> None:
     html = {"Accept": "text/html"}
-    pages = ("/", "/topics/drive", "/resources/arm/", "/sparql", "/nothing", "/data/", "/stop", "/queries/topics")
+    pages = ("/", "/topics/drive", "/sparql", "/nothing", "/stop")
     for page in pages:
         text = http.get(page, headers=html).text
         assert '<form class="stop" method="post" action="/stop"' in text, page
@@ -316,22 +269,28 @@ def test_every_page_has_a_button_that_stops_without_a_script_and_says_when_it_is
     assert "Nothing is written to it until" not in http.get("/topics/drive", headers=html).text
 
 
-def test_a_page_that_is_open_shows_the_stop_and_its_end_and_values_are_not_told_twice(http: httpx.Client) -> None:
+def test_a_stop_is_streamed_on_open_pages_too_and_is_in_sparql(http: httpx.Client) -> None:
     stream = {"Accept": "text/event-stream"}
     with (
+        http.stream("GET", "/stop", headers=stream) as stop,
         http.stream("GET", "/parameters/gain", params={"format": "html"}, headers=stream) as page,
         http.stream("GET", "/parameters/gain", params={"format": "json"}, headers=stream) as values,
         httpx.Client(base_url=http.base_url) as other,
     ):
-        pages, told = events(page), events(values)
+        states, pages, told = events(stop), events(page), events(values)
+        assert '"stopped":false' in next(states)
         assert "a person on the track" not in next(pages)
         assert next(told) == "1"
         stopped(other, reason="a person on the track")
+        assert '"reason":"a person on the track"' in next(states)
         assert "a person on the track" in next(pages)
+        query = f"SELECT ?who ?why {{ ?stop <{ROS}stoppedBy> ?who ; <{ROS}reason> ?why }}"
+        found = other.get("/sparql", params={"query": query}, headers={"Accept": "text/csv"}).text.splitlines()
+        assert found[1:] == ["anybody,a person on the track"]
         assert release(other).status_code == 204
         assert any("a person on the track" not in page for page in pages)
         assert other.put("/parameters/gain", json=2).status_code == 204
-        assert next(told) == "2"
+        assert next(told) == "2", "values are not sent twice"
 
 
 def events(stream: httpx.Response) -> Iterator[str]:
@@ -365,8 +324,15 @@ def test_a_server_that_is_read_only_tells_the_robot_nothing_not_even_to_stop(rob
         assert "stopRobot" not in http.get("/.well-known/wot").json()["actions"]
 
 
-def test_goals_sent_from_here_are_canceled_and_a_goal_of_a_robot_that_stands_can_be(serve: Callable[..., Any]) -> None:
-    http: httpx.Client = serve("aircraft").http
+def test_the_aircraft_is_stopped_while_it_is_off_and_while_it_flies(own_aircraft: httpx.Client) -> None:
+    http = own_aircraft
+    told = stopped(http)
+    assert (told["warning"], {step["state"] for step in told["steps"]}) == (None, {"Succeeded"})
+    page = http.get("/stop", headers={"Accept": "text/html"}).text
+    assert 'class="notice error stopped"' in page
+    assert "is at rest already: the aircraft is off" in page
+    assert "may go on moving" not in page
+    assert release(http).status_code == 204
     assert http.post("/services/aircraft/start", json={}).status_code == 201
     goal = http.post("/actions/aircraft/fly", json={"distance": 5000.0}).headers["location"]
     assert http.put("/resources/aircraft/engine/speed", json=300).status_code < 300
@@ -410,17 +376,19 @@ class EndsMeanwhile:
         await self.cancel_goal(self._goal, deadline=deadline)
 
 
-@pytest.mark.parametrize("whose", ["own", "others"])
-@pytest.mark.parametrize("ends", [True, False], ids=["ended", "goes on"])
-def test_a_goal_that_ends_before_it_is_canceled_leaves_nothing_moving(whose: str, ends: bool) -> None:
-    with served(EndsMeanwhile(ends=ends), stop_cancels=whose) as http:  # type: ignore[arg-type]
-        assert http.post("/services/aircraft/start", json={}).status_code == 201
-        assert http.post("/actions/aircraft/fly", json={"distance": 5000.0}).status_code == 201
-        told = stopped(http)
-        [step] = [each for each in told["steps"] if each["does"].startswith("cancel")]
-        assert (step["state"], told["warning"] is None) == (("Succeeded", True) if ends else ("Failed", False)), told
+def test_a_goal_that_ends_before_it_is_canceled_leaves_nothing_moving() -> None:
+    for whose, ends in (("own", True), ("own", False), ("others", True), ("others", False)):
+        with served(EndsMeanwhile(ends=ends), stop_cancels=whose) as http:  # type: ignore[arg-type]
+            assert http.post("/services/aircraft/start", json={}).status_code == 201
+            assert http.post("/actions/aircraft/fly", json={"distance": 5000.0}).status_code == 201
+            told = stopped(http)
+            [step] = [each for each in told["steps"] if each["does"].startswith("cancel")]
+            assert (step["state"], told["warning"] is None) == (("Succeeded", True) if ends else ("Failed", False)), (
+                told
+            )
 
 
+@pytest.mark.slow
 def test_the_robot_is_stopped_while_queries_and_slow_calls_saturate_the_server(
     robot: Stoppable, http: httpx.Client
 ) -> None:
@@ -428,24 +396,18 @@ def test_the_robot_is_stopped_while_queries_and_slow_calls_saturate_the_server(
     over = threading.Event()
     heavy = "SELECT (COUNT(*) AS ?n) { ?a ?b ?c . ?d ?e ?f . ?g ?h ?i }"
 
-    def asks() -> None:
+    def run(method: str, path: str, **sent: Any) -> None:
         with httpx.Client(base_url=http.base_url, timeout=60) as client:
-            while not over.is_set():
-                client.get("/sparql", params={"query": heavy, "timeout": 1})
-
-    def calls() -> None:
-        with httpx.Client(base_url=http.base_url, timeout=60) as client:
-            client.post("/services/arm/aim", json={"azimuth": 1, "elevation": 1})
-
-    def reads() -> None:
-        with httpx.Client(base_url=http.base_url, timeout=60) as client:
-            while not over.is_set():
-                client.get("/topics/drive")
+            client.request(method, path, **sent)
+            while method == "GET" and not over.is_set():
+                client.request(method, path, **sent)
 
     with ThreadPoolExecutor(40) as pool:
-        for work, number in ((asks, 8), (calls, 16), (reads, 8)):
-            for _ in range(number):
-                pool.submit(work)
+        for _ in range(8):
+            pool.submit(run, "GET", "/sparql", params={"query": heavy, "timeout": 1})
+            pool.submit(run, "GET", "/topics/drive")
+        for _ in range(16):
+            pool.submit(run, "POST", "/services/arm/aim", json={"azimuth": 1, "elevation": 1})
         robot.until(lambda: robot.calls["/arm/aim"] == 16)
         try:
             assert stopped(http)["stopped"]
@@ -455,7 +417,7 @@ def test_the_robot_is_stopped_while_queries_and_slow_calls_saturate_the_server(
             robot.release("/arm/aim")
 
 
-def test_a_step_is_called_by_what_it_does_so_that_no_number_tells_how_many_there_are() -> None:
+def test_a_step_is_named_by_its_effect_so_that_no_number_reveals_hidden_ones() -> None:
     def steps(stops: str) -> set[str]:
         with served(Stoppable()) as http:
             mapped(http, f'<#arm> a map:ComplexResource ; map:path "/arm/" ; map:stop {stops} .')

@@ -10,11 +10,11 @@ from typing import Any
 import httpx
 import pytest
 import rdflib
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from pyoxigraph import Literal, NamedNode, RdfFormat, Triple, parse
-from rosbags.rosbag1 import Writer
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+pytestmark = pytest.mark.slow
 
 XSD = "http://www.w3.org/2001/XMLSchema#"
 PREFIXES = f"PREFIX xsd: <{XSD}> "
@@ -73,9 +73,9 @@ def objects(answer: httpx.Response) -> set[str]:
     return {str(quad.object) for quad in quads if quad.predicate == NamedNode("urn:p")}
 
 
-def mixed(seed: int) -> list[str]:
-    """Integers, dateTimes and strings that pyoxigraph's own order cannot sort."""
-    made = random.Random(seed)
+def mixed() -> list[str]:
+    """Return integers, dateTimes and strings that pyoxigraph's own order cannot sort."""
+    made = random.Random(1)
     return [
         literal
         for _ in range(60)
@@ -87,8 +87,8 @@ def mixed(seed: int) -> list[str]:
     ]
 
 
-def test_an_order_over_integers_times_and_strings_is_answered(plane: httpx.Client) -> None:
-    url = put(plane, *mixed(1))
+def test_integers_times_and_strings_are_ordered_in_queries_and_patches(plane: httpx.Client) -> None:
+    url = put(plane, *mixed())
     found = [value for [value] in rows(plane, f"SELECT ?o {{ <{url}> {P} ?o }} ORDER BY ?o")]
     numbers = [int(value.split('"')[1]) for value in found if value.endswith("integer>")]
     texts = [value for value in found if "^^" not in value]
@@ -100,16 +100,10 @@ def test_an_order_over_integers_times_and_strings_is_answered(plane: httpx.Clien
     assert rows(plane, inner) == [(value,) for value in found[:3]]
     extremes = rows(plane, f"SELECT (MIN(?o) AS ?a) (MAX(?o) AS ?b) {{ <{url}> {P} ?o }}")
     assert extremes == [(found[0], found[-1])]
-
-
-def test_a_patch_whose_where_orders_such_a_mixture_is_carried_out(plane: httpx.Client) -> None:
-    url = put(plane, *mixed(2))
-    where = f"{{ SELECT ?o {{ ?s {P} ?o }} ORDER BY ?o LIMIT 1 }}"
-    body = f"INSERT {{ <{url}> <urn:least> ?o }} WHERE {{ {where} }}"
+    body = f"INSERT {{ <{url}> <urn:least> ?o }} WHERE {{ {{ SELECT ?o {{ ?s {P} ?o }} ORDER BY ?o LIMIT 1 }} }}"
     answer = plane.patch(url, content=body, headers={"Content-Type": "application/sparql-update"})
     assert answer.status_code in (200, 204), answer.text
-    [(least,)] = rows(plane, f"SELECT ?o {{ <{url}> <urn:least> ?o }}")
-    assert least.endswith("integer>")
+    assert rows(plane, f"SELECT ?o {{ <{url}> <urn:least> ?o }}") == [(found[0],)]
 
 
 def test_solutions_are_in_the_order_of_their_values(plane: httpx.Client) -> None:
@@ -132,7 +126,7 @@ def test_solutions_are_in_the_order_of_their_values(plane: httpx.Client) -> None
     assert rows(plane, unbound) == [("",), ("<urn:a>",)]
 
 
-def test_queries_tell_terms_as_they_were_written(plane: httpx.Client) -> None:
+def test_queries_keep_terms_as_they_were_written(plane: httpx.Client) -> None:
     kept = {
         typed("7", "unsignedByte"), typed("7", "integer"), typed("07", "integer"), typed("005", "unsignedByte"),
         typed("1.50", "decimal"), typed("1.0E0", "double"), typed("1", "boolean"), typed("PT60S", "duration"),
@@ -141,68 +135,60 @@ def test_queries_tell_terms_as_they_were_written(plane: httpx.Client) -> None:
     url = put(plane, *kept)
     assert objects(plane.get(url, headers=N_TRIPLES)) == kept
     assert {value for [value] in rows(plane, f"SELECT ?o {{ <{url}> {P} ?o }}")} == kept
-    for accept in ("application/n-triples", "text/turtle", "application/ld+json", "application/rdf+xml"):
+    for accept in ("text/turtle", "application/ld+json", "application/rdf+xml"):
         answer = plane.get("/sparql", params={"query": f"DESCRIBE <{url}>"}, headers={"Accept": accept})
         syntax = RdfFormat.from_media_type(accept)
         assert syntax is not None
         told = {str(quad.object) for quad in parse(answer.content, syntax) if quad.predicate == NamedNode("urn:p")}
         assert told == kept, accept
-    literals = rows(plane, f"SELECT ?o (STR(?o) AS ?t) (DATATYPE(?o) AS ?d) {{ <{url}> {P} ?o FILTER isLiteral(?o) }}")
-    for one, text, datatype in literals:
-        assert one in (text, f"{text}^^{datatype}") or "@" in one
-    assert (f"<{XSD}unsignedByte>",) in rows(plane, f"SELECT DISTINCT (DATATYPE(?o) AS ?d) {{ <{url}> {P} ?o }}")
     page = plane.get("/sparql", params={"query": f"SELECT ?o {{ <{url}> {P} ?o }}"}, headers={"Accept": "text/html"})
     assert "urn:x-" not in page.text
     assert "005" in page.text
 
 
-@pytest.mark.parametrize(
-    ("pattern", "found"),
-    [
-        (f"<URL> {P} 7", True),
-        (f"<URL> {P} 07", True),
-        (f"<URL> {P} 007", False),
-        (f"<URL> {P} '7'^^xsd:unsignedByte", True),
-        (f"<URL> {P} '7'^^xsd:byte", False),
-        (f"<URL> {P} '''07'''^^<{XSD}integer>", True),
-        (f"VALUES ?o {{ 07 }} <URL> {P} ?o", True),
-        (f"VALUES (?x ?o) {{ (1 007) }} <URL> {P} ?o", False),
-        (f"<URL> {P} ?o FILTER(sameTerm(?o, 07))", True),
-        (f"<URL> {P} ?o FILTER(sameTerm(?o, 007))", False),
-        (f"<URL> {P} ?o FILTER(?o = 007)", True),
-        (f"<URL> {P} ?o FILTER(?o IN (007, 'x'))", True),
-        (f"<URL> {P} ?o FILTER(?o > 7)", False),
-        (f"<URL> {P} ?o FILTER(DATATYPE(?o) = xsd:unsignedByte)", True),
-        (f"BIND('07'^^xsd:integer AS ?o) <URL> {P} ?o", True),
-        (f"BIND(3 + 4 AS ?o) <URL> {P} ?o", True),
-        (f"BIND(STRDT('07', xsd:integer) AS ?o) <URL> {P} ?o", True),
-        (f"BIND(IF(true, 007, 7) AS ?o) <URL> {P} ?o", False),
-        (f"BIND(COALESCE(1 / 0, 07) AS ?o) <URL> {P} ?o", True),
-        (f"<URL> {P} ?o , ?x FILTER(?o = ?x && !sameTerm(?o, ?x))", True),
-        (f"<URL> {P} ?o FILTER NOT EXISTS {{ <URL> {P} 07 }}", False),
-        (f"{{ SELECT (COUNT(DISTINCT ?o) AS ?n) {{ <URL> {P} ?o }} }} FILTER(?n = 3)", True),
-        (f"{{ SELECT (SUM(?o) AS ?n) {{ <URL> {P} ?o }} HAVING(SUM(?o) > 20) }} FILTER(?n = 21)", True),
-        (f"{{ SELECT ?o (COUNT(*) AS ?n) {{ <URL> {P} ?o }} GROUP BY ?o }} FILTER(?n = 1 && ?o = 7.0)", True),
-        (f"{{ SELECT (SAMPLE(?x) AS ?o) {{ <URL> {P} ?x FILTER(STR(?x) = '07') }} }} <URL> {P} ?o", True),
-    ],
-)
-def test_patterns_match_terms_and_filters_compare_values(plane: httpx.Client, pattern: str, found: bool) -> None:
+PATTERNS = {
+    f"<URL> {P} 7": True,
+    f"<URL> {P} 07": True,
+    f"<URL> {P} 007": False,
+    f"<URL> {P} '7'^^xsd:unsignedByte": True,
+    f"<URL> {P} '7'^^xsd:byte": False,
+    f"<URL> {P} '''07'''^^<{XSD}integer>": True,
+    f"VALUES ?o {{ 07 }} <URL> {P} ?o": True,
+    f"VALUES (?x ?o) {{ (1 007) }} <URL> {P} ?o": False,
+    f"<URL> {P} ?o FILTER(sameTerm(?o, 07))": True,
+    f"<URL> {P} ?o FILTER(sameTerm(?o, 007))": False,
+    f"<URL> {P} ?o FILTER(?o = 007)": True,
+    f"<URL> {P} ?o FILTER(?o IN (007, 'x'))": True,
+    f"<URL> {P} ?o FILTER(?o > 7)": False,
+    f"<URL> {P} ?o FILTER(DATATYPE(?o) = xsd:unsignedByte)": True,
+    f"BIND('07'^^xsd:integer AS ?o) <URL> {P} ?o": True,
+    f"BIND(3 + 4 AS ?o) <URL> {P} ?o": True,
+    f"BIND(STRDT('07', xsd:integer) AS ?o) <URL> {P} ?o": True,
+    f"BIND(IF(true, 007, 7) AS ?o) <URL> {P} ?o": False,
+    f"BIND(COALESCE(1 / 0, 07) AS ?o) <URL> {P} ?o": True,
+    f"<URL> {P} ?o , ?x FILTER(?o = ?x && !sameTerm(?o, ?x))": True,
+    f"<URL> {P} ?o FILTER NOT EXISTS {{ <URL> {P} 07 }}": False,
+    f"{{ SELECT (COUNT(DISTINCT ?o) AS ?n) {{ <URL> {P} ?o }} }} FILTER(?n = 3)": True,
+    f"{{ SELECT (SUM(?o) AS ?n) {{ <URL> {P} ?o }} HAVING(SUM(?o) > 20) }} FILTER(?n = 21)": True,
+    f"{{ SELECT ?o (COUNT(*) AS ?n) {{ <URL> {P} ?o }} GROUP BY ?o }} FILTER(?n = 1 && ?o = 7.0)": True,
+    f"{{ SELECT (SAMPLE(?x) AS ?o) {{ <URL> {P} ?x FILTER(STR(?x) = '07') }} }} <URL> {P} ?o": True,
+}
+"""Patterns, and whether they match a resource of 7 and 07 as integers, and 7 as an unsignedByte."""
+
+
+def test_patterns_match_terms_and_filters_compare_values(plane: httpx.Client) -> None:
     url = put(plane, typed("7", "integer"), typed("07", "integer"), typed("7", "unsignedByte"))
-    query = PREFIXES + f"ASK {{ {pattern.replace('<URL>', f'<{url}>')} }}"
-    answer = plane.get("/sparql", params={"query": query}, headers={"Accept": "application/sparql-results+json"})
-    assert answer.status_code == 200, answer.text
-    assert answer.json()["boolean"] is found
+    for pattern, found in PATTERNS.items():
+        query = PREFIXES + f"ASK {{ {pattern.replace('<URL>', f'<{url}>')} }}"
+        answer = plane.get("/sparql", params={"query": query}, headers={"Accept": "application/sparql-results+json"})
+        assert answer.status_code == 200, answer.text
+        assert answer.json()["boolean"] is found, pattern
 
 
 def test_constants_in_a_query_keep_their_form(plane: httpx.Client) -> None:
     query = "SELECT ('01'^^xsd:integer AS ?a) (-07 AS ?b) (1.50 AS ?c) (01 + 1 AS ?d) (IF(true, 1e0, 2) AS ?e) {}"
-    assert rows(plane, query) == [
-        (typed("01", "integer"), typed("-07", "integer"), typed("1.50", "decimal"), typed("2", "integer"),
-         typed("1e0", "double"))
-    ]  # fmt: skip
-    query = "CONSTRUCT { <urn:s> <urn:p> 01 , 1.50 , '7'^^<http://www.w3.org/2001/XMLSchema#byte> } {}"
-    answer = plane.get("/sparql", params={"query": query}, headers=N_TRIPLES)
-    assert objects(answer) == {typed("01", "integer"), typed("1.50", "decimal"), typed("7", "byte")}
+    expected = ("01 integer", "-07 integer", "1.50 decimal", "2 integer", "1e0 double")
+    assert rows(plane, query) == [tuple(typed(*each.split()) for each in expected)]
 
 
 def test_updates_insert_what_was_written_and_delete_nothing_else(plane: httpx.Client) -> None:
@@ -254,17 +240,12 @@ LITERALS = (
 )
 
 
-def test_every_datatype_of_xsd_is_told_alike_by_get_and_by_queries(plane: httpx.Client) -> None:
-    assert_alike(plane, SAMPLES)
-
-
 @given(st.lists(LITERALS, min_size=1, max_size=40))
+@example(SAMPLES)
 @settings(max_examples=25, deadline=None)
-def test_random_literals_are_told_alike_by_get_and_by_queries(plane: httpx.Client, literals: list[str]) -> None:
-    assert_alike(plane, literals)
-
-
-def assert_alike(plane: httpx.Client, literals: list[str]) -> None:
+def test_literals_of_every_datatype_are_the_same_in_get_and_in_queries(
+    plane: httpx.Client, literals: list[str]
+) -> None:
     url = put(plane, *literals)
     kept = objects(plane.get(url, headers=N_TRIPLES))
     assert kept == {str(triple.object) for triple in triples("".join(f"<urn:s> {P} {each} .\n" for each in literals))}
@@ -293,64 +274,3 @@ def by_rdflib(literals: list[str]) -> list[tuple[str, str]]:
         return [(f'"{value}"', f"<{datatype}>") for value, datatype in found]
     finally:
         rdflib.NORMALIZE_LITERALS = normalised
-
-
-EVERY = {
-    "bool b": True, "byte octet": 7, "char letter": 7, "int8 i8": -7, "uint8 u8": 7, "int16 i16": -7, "uint16 u16": 7,
-    "int32 i32": -7, "uint32 u32": 7, "int64 i64": -(2**63), "uint64 u64": 2**64 - 1, "float32 f32": 0.1,
-    "float64 f64": 1.0, "float64 long": 786673277317040.2, "float64 huge": 1e300, "string text": "07",
-}  # fmt: skip
-"""A field of each primitive type of ROS, and its value."""
-
-
-@pytest.fixture(scope="module")
-def recording(tmp_path_factory: pytest.TempPathFactory, start_server: Callable[..., Any]) -> httpx.Client:
-    """A recording whose messages have every primitive type of ROS."""
-    path = tmp_path_factory.mktemp("bags") / "every.bag"
-    types = get_typestore(Stores.EMPTY)
-    types.register(get_types_from_msg("\n".join(EVERY), "made_up/msg/Every"))
-    message = types.types["made_up/msg/Every"](*EVERY.values())
-    with Writer(path) as bag:
-        connection = bag.add_connection("/every", "made_up/msg/Every", typestore=types)
-        for second in range(3):
-            at = (1_700_000_000 + second) * 1_000_000_000
-            bag.write(connection, at, types.serialize_ros1(message, "made_up/msg/Every"))
-    client: httpx.Client = start_server(str(path), "--subscribe", "*").http
-    return client
-
-
-@pytest.mark.parametrize("path", ["/topics/every", "/bags/every/messages/1"])
-def test_fields_of_every_primitive_type_are_told_alike_by_get_and_by_queries(
-    recording: httpx.Client, path: str
-) -> None:
-    url = str(recording.base_url.join(path))
-    query = f"CONSTRUCT {{ ?s ?p ?o }} {{ GRAPH <{url}> {{ ?s ?p ?o }} }}"
-    answers = [
-        recording.get(url, headers=N_TRIPLES),
-        recording.get("/sparql", params={"query": query}, headers=N_TRIPLES),
-    ]
-    got, queried = ({(field, value) for field, value in fields(answer) if "made_up" in field} for answer in answers)
-    assert len(got) == len(EVERY)
-    assert got == queried
-    datatypes = {value.rpartition("#")[2].rstrip(">") for _, value in got if "^^" in value}
-    assert {
-        "boolean",
-        "byte",
-        "unsignedByte",
-        "short",
-        "unsignedShort",
-        "int",
-        "unsignedInt",
-        "long",
-        "unsignedLong",
-    } <= datatypes
-    assert {"float", "double"} <= datatypes
-    where = f"{{ GRAPH <{url}> {{ ?s ?p ?o }} FILTER(CONTAINS(STR(?p), 'made_up')) }}"
-    for field, datatype, text in rows(recording, f"SELECT ?p (DATATYPE(?o) AS ?d) (STR(?o) AS ?t) {where}"):
-        assert (field, text if datatype.endswith("#string>") else f"{text}^^{datatype}") in got
-
-
-def fields(answer: httpx.Response) -> set[tuple[str, str]]:
-    """Predicates and objects."""
-    assert answer.status_code == 200, answer.text
-    return {(str(quad.predicate), str(quad.object)) for quad in parse(answer.content, RdfFormat.N_TRIPLES)}

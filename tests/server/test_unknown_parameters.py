@@ -5,74 +5,56 @@ from __future__ import annotations
 from typing import Any
 
 import httpx
-import pytest
 
 from tests.server.robots.made_up import MadeUp, Serving
 
 UPDATE = "application/sparql-update"
 
 
-@pytest.mark.parametrize(
-    ("method", "path", "named", "nearest"),
-    [
-        ("POST", "/topics/cockpit/display?rate=2&duration=3", "duration", "rate"),
-        ("POST", "/topics/cockpit/display?rate=2&leas=3", "leas", "lease"),
-        ("PUT", "/topics/cockpit/display?dryrun=true", "dryrun", "dry-run"),
-        ("PUT", "/topics/cockpit/display?Strict=true", "Strict", "strict"),
-        ("POST", "/actions/aircraft/fly?lease=2", "lease", "defaults"),
-        ("POST", "/services/aircraft/start?strikt=true", "strikt", "strict"),
-        ("PUT", "/parameters/aircraft/seats?rate=1", "rate", "format"),
-        ("PUT", "/resources/aircraft/power?at=-5", "at", "format"),
-        ("DELETE", "/data/never?version=true", "version", "versions"),
-        ("PUT", "/graphs?graf=/data/x", "graf", "graph"),
-        ("POST", "/sparql?dryrun=true", "dryrun", "dry-run"),
-        ("DELETE", "/stop?reason=x", "reason", "dry-run"),
-    ],
+WRITES = (
+    ("POST", "/topics/cockpit/display?rate=2&duration=3", "duration", "rate"),
+    ("POST", "/topics/cockpit/display?rate=2&leas=3", "leas", "lease"),
+    ("PUT", "/topics/cockpit/display?dryrun=true", "dryrun", "dry-run"),
+    ("PUT", "/topics/cockpit/display?Strict=true", "Strict", "strict"),
+    ("POST", "/actions/aircraft/fly?lease=2", "lease", "defaults"),
+    ("POST", "/services/aircraft/start?strikt=true", "strikt", "strict"),
+    ("PUT", "/parameters/aircraft/seats?rate=1", "rate", "format"),
+    ("PUT", "/resources/aircraft/power?at=-5", "at", "format"),
+    ("DELETE", "/data/kept?version=true", "version", "versions"),
+    ("PUT", "/graphs?graf=/data/x", "graf", "graph"),
+    ("POST", "/sparql?dryrun=true", "dryrun", "dry-run"),
+    ("DELETE", "/stop?reason=x", "reason", "dry-run"),
 )
-def test_a_write_with_a_parameter_that_is_not_known_is_refused_with_the_nearest_one(
-    http: httpx.Client, method: str, path: str, named: str, nearest: str
-) -> None:
-    http.put("/data/never", content="<> <urn:p> 1 .", headers={"Content-Type": "text/turtle"})
-    kind = (
-        "application/sparql-update" if "sparql" in path else "text/turtle" if "graphs" in path else "application/json"
-    )
-    answer = http.request(method, path, content="{}", headers={"Content-Type": kind})
-    assert answer.status_code == 400, answer.text
-    if "graf" not in named:  # no graph is named then, either
-        assert f"?{named} here; the nearest is ?{nearest}." in answer.json()["detail"]
-
-
-@pytest.mark.parametrize(
-    ("path", "nearest"),
-    [
-        ("/topics/cockpit/display?feild=data", "field"),
-        ("/topics/cockpit/display?untill=data+%3D+1", "until"),
-        ("/topics/?formt=json", "format"),
-        ("/resources/aircraft/power?fromat=json", "format"),
-        ("/parameters/aircraft/seats?rates=1", "rate"),
-        ("/find?qq=battery", "q"),
-        ("/graph?bellow=/camera", "below"),
-        ("/openapi.json?bellow=/topics/", "below"),
-    ],
+READS = (
+    ("/topics/cockpit/display?feild=data", "field"),
+    ("/topics/cockpit/display?untill=data+%3D+1", "until"),
+    ("/topics/?formt=json", "format"),
+    ("/resources/aircraft/power?fromat=json", "format"),
+    ("/parameters/aircraft/seats?rates=1", "rate"),
+    ("/find?qq=battery", "q"),
+    ("/graph?bellow=/camera", "below"),
+    ("/openapi.json?bellow=/topics/", "below"),
 )
-def test_a_read_that_would_mean_something_else_is_refused_with_the_nearest_parameter(
-    http: httpx.Client, path: str, nearest: str
-) -> None:
-    for method in ("GET", "HEAD", "GET"):
-        answer = http.request(method, path, headers={"Accept": "application/json"})
-        assert answer.status_code == 400, (path, answer.text)
-    assert f"the nearest is ?{nearest}." in answer.json()["detail"]
 
 
-@pytest.mark.parametrize(
-    "path", ["/data/?_=1", "/data/kept?v=3&v=4", "/sparql?query=ASK+%7B%7D&infer=no", "/style.css?v=1"]
-)
-def test_what_browsers_caches_and_sparql_clients_add_is_passed_over(http: httpx.Client, path: str) -> None:
+def test_an_unknown_parameter_is_refused_with_the_nearest_one(http: httpx.Client) -> None:
     http.put("/data/kept", content="<> <urn:p> 1 .", headers={"Content-Type": "text/turtle"})
-    assert http.get(path).status_code == 200
+    for method, path, named, nearest in WRITES:
+        kind = UPDATE if "sparql" in path else "text/turtle" if "graphs" in path else "application/json"
+        answer = http.request(method, path, content="{}", headers={"Content-Type": kind})
+        assert answer.status_code == 400, (path, answer.text)
+        if "graf" not in named:  # no graph is named then, either
+            assert f"?{named} here; the nearest is ?{nearest}." in answer.json()["detail"]
+    for path, nearest in READS:
+        assert http.head(path).status_code == 400
+        answer = http.get(path, headers={"Accept": "application/json"})
+        assert answer.status_code == 400, (path, answer.text)
+        assert f"the nearest is ?{nearest}." in answer.json()["detail"]
+    for path in ("/data/?_=1", "/data/kept?v=3&v=4", "/sparql?query=ASK+%7B%7D&infer=no", "/style.css?v=1"):
+        assert http.get(path).status_code == 200, "browsers, caches and SPARQL clients add such"
 
 
-def test_a_parameter_that_is_there_twice_is_refused_where_one_would_count(robot: MadeUp, serving: Serving) -> None:
+def test_a_repeated_parameter_is_refused_unless_it_is_a_list(robot: MadeUp, serving: Serving) -> None:
     robot.topic("/drive", "geometry_msgs/msg/Twist", published=False, heard=True)
     http = serving()
     answer = http.post("/topics/drive?lease=1&lease=5", json={})
@@ -85,7 +67,7 @@ def test_a_parameter_that_is_there_twice_is_refused_where_one_would_count(robot:
     assert http.post(f"/sparql?{several}", **update).status_code == 204, "a list may have several"
 
 
-def test_a_stop_stops_whatever_is_asked_for_beside_it(own_aircraft: httpx.Client) -> None:
+def test_a_stop_stops_whatever_its_parameters_are(own_aircraft: httpx.Client) -> None:
     assert own_aircraft.post("/stop?now=please&now=please").status_code == 200
     told: Any = own_aircraft.get("/stop", headers={"Accept": "application/json"}).json()
     assert told["stopped"] is True

@@ -23,35 +23,21 @@ def client(robot: MadeUp, serving: Serving) -> httpx.Client:
     return serving()
 
 
-@pytest.mark.parametrize(
-    ("method", "path", "words"),
-    [
+def test_a_thing_of_an_unknown_type_is_described_and_not_used(client: httpx.Client) -> None:
+    for method, path, words in (
         ("PUT", "/topics/odd/topic", "odd/msg/Thing"),
         ("POST", "/services/odd/service", "odd/srv/Ask"),
         ("POST", "/services/odd/both", "it has several types: odd/srv/Ask, odd/srv/Tell"),
         ("POST", "/actions/odd/action", "odd/action/Walk"),
         ("POST", "/actions/odd/untyped", "it has the types odd/action/Walk, odd/action/Run"),
-    ],
-)
-def test_it_is_not_used_and_the_answer_names_the_type_and_the_next_step(
-    client: httpx.Client, method: str, path: str, words: str
-) -> None:
-    answer = client.request(method, path, json={}, headers=JSON)
-    assert answer.status_code == 409, answer.text
-    assert words in answer.json()["detail"]
-
-
-@pytest.mark.parametrize("path", ["/topics/odd/topic", "/services/odd/service", "/actions/odd/action"])
-def test_it_is_described_all_the_same(client: httpx.Client, path: str) -> None:
-    answer = client.get(path, headers={"accept": "text/turtle"})
-    assert answer.status_code == 200
-    assert "/types/odd/" in answer.text
-    assert client.get(path, headers={"accept": "text/html"}).status_code == 200
+    ):
+        refused = client.request(method, path, json={}, headers=JSON)
+        assert (refused.status_code, words in refused.json()["detail"]) == (409, True), refused.text
+    for path in ("/topics/odd/topic", "/services/odd/service", "/actions/odd/action"):
+        answer = client.get(path, headers={"accept": "text/turtle"})
+        assert (answer.status_code, "/types/odd/" in answer.text) == (200, True)
+        assert client.get(path, headers={"accept": "text/html"}).status_code == 200
+    for path in ("/types/odd/msg/Thing", "/types/odd/srv/Ask", "/shapes/odd/action/Walk_Goal"):
+        answer = client.get(path, headers=JSON)
+        assert (answer.status_code, "--types DIR" in answer.json()["detail"]) == (404, True), answer.text
     assert client.get("/openapi.json").status_code == 200
-
-
-@pytest.mark.parametrize("path", ["/types/odd/msg/Thing", "/types/odd/srv/Ask", "/shapes/odd/action/Walk_Goal"])
-def test_its_type_is_not_found_and_the_answer_says_where_to_put_it(client: httpx.Client, path: str) -> None:
-    answer = client.get(path, headers=JSON)
-    assert answer.status_code == 404, answer.text
-    assert "--types DIR" in answer.json()["detail"]

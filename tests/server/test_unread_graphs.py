@@ -4,22 +4,24 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable, Iterator
-from typing import Any
 
 import httpx
 import pytest
+
+from rosld.adapters.base import AdapterOptions
+from rosld.adapters.registry import adapter_for
+from tests.server.robots.made_up import served
+
+pytestmark = pytest.mark.slow
 
 ALL = "SELECT * { ?s ?p ?o }"
 TURTLE = {"Content-Type": "text/turtle"}
 
 
-@pytest.fixture(scope="module")
-def http(start_server: Callable[..., Any]) -> Iterator[httpx.Client]:
-    """An aircraft, none of whose topics is subscribed to until a query has it so."""
-    served = start_server("aircraft")
-    yield served.http
-    assert served.stop() == 0
+@pytest.fixture
+def http(own_aircraft: httpx.Client) -> httpx.Client:
+    """An aircraft, none of whose topics is subscribed to until a query needs them."""
+    return own_aircraft
 
 
 def ask(http: httpx.Client, query: str) -> tuple[list[list[str]], str]:
@@ -38,63 +40,34 @@ def unread(http: httpx.Client, query: str) -> set[str]:
     return {container for container, _, _ in members}
 
 
-def test_a_query_about_the_computation_graph_has_looked_at_all_there_is(http: httpx.Client) -> None:
-    for query in (
-        "SELECT * { ?t a ros:Topic }",
-        "SELECT * { ?n ros:publishes ?t }",
-        "SELECT * { ?n a ros:Node ; ?p ?o }",
-    ):
-        assert ask(http, query)[1] == ""
-
-
-def test_a_query_says_that_it_did_not_call_the_getters_of_the_whole_robot(http: httpx.Client) -> None:
-    assert "resources" in unread(http, ALL)
-    assert "resources" in unread(http, "SELECT * { ?r ?p 'off' }")
-    assert "resources" in unread(http, "SELECT * { GRAPH ?g { ?r dcterms:isPartOf ?c } }")
-    assert unread(http, "SELECT * { ?r a ros:Property ; ros:name ?n }") == set()
-    assert unread(http, "SELECT * { GRAPH <resources/aircraft/power> { ?r ?p ?v } }") == set()
-
-
-def test_a_query_says_that_it_did_not_subscribe_to_topics(start_server: Callable[..., Any]) -> None:
-    served = start_server("aircraft")
-    http = served.http
+def test_a_query_says_which_containers_it_did_not_read(http: httpx.Client) -> None:
     assert "topics;count=2" in ask(http, ALL)[1]
     assert unread(http, "SELECT * { ?t a ros:Topic ; ros:rate ?r }") == {"topics"}
     assert unread(http, "SELECT * { <topics/aircraft/engine/speed> ros:rate ?r }") == set()
     assert "topics;count=1" in ask(http, ALL)[1]
     http.put("/topics/cockpit/display", json={"data": "x"})
     assert "topics" not in unread(http, ALL)
-    assert served.stop() == 0
+    for query in (
+        "SELECT * { ?t a ros:Topic }",
+        "SELECT * { ?n ros:publishes ?t }",
+        "SELECT * { ?n a ros:Node ; ?p ?o }",
+        "SELECT * { ?r a ros:Property ; ros:name ?n }",
+        "SELECT * { GRAPH <resources/aircraft/power> { ?r ?p ?v } }",
+    ):
+        assert unread(http, query) == set(), query
+    for query in (ALL, "SELECT * { ?r ?p 'off' }", "SELECT * { GRAPH ?g { ?r dcterms:isPartOf ?c } }"):
+        assert "resources" in unread(http, query), query
 
 
 def test_the_page_says_so_too(http: httpx.Client) -> None:
-    page = http.get("/sparql", params={"query": ALL}, headers={"Accept": "text/html"}).text
-    assert "Not looked at, as the query does not name them:" in page
-    assert "below /resources/" in page
-    query = {"query": "SELECT * { ?t a ros:Topic }"}
-    assert "Not looked at" not in http.get("/sparql", params=query, headers={"Accept": "text/html"}).text
-
-
-def test_the_page_knows_words_for_whatever_the_header_names(http: httpx.Client) -> None:
-    for query in (
-        ALL,
-        "SELECT * { ?call ros:outcome ?o }",
-        "SELECT * { ?r ?p 'off' }",
-        "SELECT * { ?c ldp:contains ?r }",
+    for query, words in (
+        (ALL, "Not looked at, as the query does not name them:"),
+        ("SELECT * { ?r ?p 'off' }", "below /resources/"),
+        ("SELECT * { ?c ldp:contains ?r }", "Not looked at"),
     ):
-        left = ask(http, query)[1]
-        page = http.get("/sparql", params={"query": query}, headers={"Accept": "text/html"})
-        assert page.status_code == 200, (query, left)
-        assert ("Not looked at" in page.text) == bool(left), (query, left)
-
-
-def test_a_page_elsewhere_may_read_it(start_server: Callable[..., Any]) -> None:
-    served = start_server("aircraft", "--cors-origin", "http://elsewhere.example")
-    headers = {"Origin": "http://elsewhere.example"}
-    answer = served.http.get("/sparql", params={"query": ALL}, headers=headers)
-    assert "Unread-Graphs" in answer.headers["access-control-expose-headers"]
-    assert "resources" in answer.headers["unread-graphs"]
-    assert served.stop() == 0
+        assert words in http.get("/sparql", params={"query": query}, headers={"Accept": "text/html"}).text
+    named = {"query": "SELECT * { ?t a ros:Topic }"}
+    assert "Not looked at" not in http.get("/sparql", params=named, headers={"Accept": "text/html"}).text
 
 
 SPEED, POWER = "<topics/aircraft/engine/speed>", "<resources/aircraft/power>"
@@ -121,9 +94,7 @@ OF_A_RESOURCE = [
 ]
 OF_A_TOPIC = [
     f"SELECT ?v {{ {SPEED} ros:latest/{DATA} ?v }}",
-    f"SELECT ?v {{ VALUES ?t {{ {SPEED} }} ?t ros:latest/{DATA} ?v }}",
     f"SELECT ?v {{ ?t ros:latest ?m . ?m ?p ?v FILTER(?t = {SPEED} && STRENDS(STR(?p), '#data')) }}",
-    f"SELECT ?v {{ ?m {DATA} ?v . ?t ros:latest ?m }}",
     f"SELECT ?v {{ GRAPH ?g {{ ?m {DATA} ?v }} FILTER(?g = {SPEED}) }}",
     f"SELECT ?v {{ ?t ros:hasMessageType ?k ; ros:latest ?m . ?m ?p ?v FILTER(?k = {FLOAT} && ?p = {DATA}) }}",
     f"SELECT ?v {{ OPTIONAL {{ {SPEED} ros:latest ?m OPTIONAL {{ ?m {DATA} ?v }} }} }}",
@@ -131,25 +102,22 @@ OF_A_TOPIC = [
 ]
 
 
-@pytest.mark.parametrize("spellings", [OF_PROPERTIES, OF_A_RESOURCE])
-def test_equivalent_spellings_give_equal_answers(http: httpx.Client, spellings: list[str]) -> None:
-    answers = [ask(http, query)[0] for query in spellings]
-    assert answers[0]
-    assert answers == [answers[0]] * len(answers)
+def test_equivalent_spellings_give_equal_answers(http: httpx.Client) -> None:
+    for spellings in (OF_PROPERTIES, OF_A_RESOURCE):
+        answers = [ask(http, query)[0] for query in spellings]
+        assert answers[0]
+        assert answers == [answers[0]] * len(answers)
 
 
-@pytest.mark.parametrize("query", OF_A_TOPIC)
-def test_equivalent_spellings_subscribe_to_what_they_name(start_server: Callable[..., Any], query: str) -> None:
-    served = start_server("aircraft")  # where nobody has asked for anything before
-    found = ask(served.http, query)[0]
-    assert found
-    assert found == ask(served.http, OF_A_TOPIC[0])[0]
-    assert served.stop() == 0
+def test_equivalent_spellings_subscribe_to_what_they_name() -> None:
+    for query in OF_A_TOPIC:
+        with served(adapter_for("aircraft", AdapterOptions())) as http:  # where nobody has asked for anything before
+            found = ask(http, query)[0]
+            assert found, query
+            assert found == ask(http, OF_A_TOPIC[0])[0], query
 
 
-def test_what_clients_say_of_live_resources_hides_none_of_them(start_server: Callable[..., Any]) -> None:
-    served = start_server("aircraft")
-    http = served.http
+def test_data_of_clients_about_live_resources_hides_none_of_them(http: httpx.Client) -> None:
     claim = f"<{http.base_url}topics/aircraft/engine/speed> a <http://example.org/Sensor> ; <http://e.org/v> 1 ."
     queries = [
         f"SELECT ?v {{ ?t ros:latest ?m . ?m {DATA} ?v }}",
@@ -163,4 +131,3 @@ def test_what_clients_say_of_live_resources_hides_none_of_them(start_server: Cal
     assert http.put("/data/claims/2", content=other, headers=TURTLE).is_success
     assert [ask(http, query)[0] for query in queries] == before
     assert len(ask(http, f"SELECT * {{ ?t ros:hasMessageType {FLOAT} OPTIONAL {{ ?t ros:rate ?r }} }}")[0]) == 2
-    assert served.stop() == 0

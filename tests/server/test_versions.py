@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from email.utils import parsedate_to_datetime
 from pathlib import Path
 from typing import Any
 
+import httpx
+import pytest
+
 from rosld.server.http.link import parse
-from tests.server.disks.server import server_on
 
 TURTLE = {"Content-Type": "text/turtle"}
 NTRIPLES = {"Accept": "application/n-triples"}
@@ -36,41 +39,34 @@ def steps(http: Any, url: str) -> str:
     return line.split('"')[1]
 
 
-def test_versions_are_kept_bounded_durably_and_found_by_time(tmp_path: Path) -> None:
-    with server_on(tmp_path / "data", tmp_path / "log") as server:
-        server.start("--versions", "3")
-        http = server.http
-        for number in range(6):
-            put(http, number)
-        put(http, 5)
-        found = [each.target for each in mementos(http)]
-        assert [steps(http, each) for each in found] == ["2", "3", "4", "5"], "three that were, and that of now"
-        server.kill()
-        server.start("--versions", "3")
-        http = server.http
-        found = mementos(http)
-        assert [steps(http, each.target) for each in found] == ["2", "3", "4", "5"]
-        for each in found:
-            memento = http.get(each.target, headers=NTRIPLES)
-            assert memento.headers["memento-datetime"] == dict(each.attributes)["datetime"]
-            assert memento.headers["allow"] == "GET, HEAD, OPTIONS"
-            assert {"original", "timegate", "timemap"} <= {one.rel for one in parse(memento.headers["link"])}
-        now = http.get(PLAN, headers=NTRIPLES)
-        assert "accept-datetime" in now.headers["vary"].lower()
-        assert "memento-datetime" not in now.headers
-        assert f'<{now.url}?timemap>; rel="timemap"' in now.headers["link"]
-        asked = {"Accept-Datetime": "Thu, 01 Jan 2099 00:00:00 GMT"}
-        gate = http.get(PLAN, headers=NTRIPLES | asked, follow_redirects=False)
-        assert gate.status_code == 302
-        assert steps(http, gate.headers["location"]) == "5"
-        old = {"Accept-Datetime": "Mon, 01 Jan 1990 00:00:00 GMT"}
-        assert steps(http, http.get(PLAN, headers=NTRIPLES | old, follow_redirects=False).headers["location"]) == "2"
-        assert http.get(f"{PLAN}?at=1990-01-01T00:00:00Z", headers=JSON).status_code == 404
-        assert http.get(f"{PLAN}?at=then", headers=JSON).status_code == 400
-        text = http.get(f"{PLAN}?timemap", headers=NTRIPLES).text
-        assert text.count("http://mementoweb.org/ns#mementoDatetime") == 4
-        deleted(http)
-        assert server.stop() == 0
+@pytest.mark.slow
+def test_versions_are_kept_bounded_durably_and_found_by_time(tmp_path: Path, serve: Callable[..., Any]) -> None:
+    options = ("aircraft", "--data", str(tmp_path), "--versions", "3")
+    crashing = serve(*options, process=True)
+    for number in (*range(6), 5):
+        put(crashing.http, number)
+    crashing.process.kill()
+    crashing.process.wait(60)
+    http = serve(*options, "--port", str(httpx.URL(crashing.url).port)).http
+    found = mementos(http)
+    assert [steps(http, each.target) for each in found] == ["2", "3", "4", "5"], "three that were, and that of now"
+    for each in found:
+        memento = http.get(each.target, headers=NTRIPLES)
+        assert memento.headers["memento-datetime"] == dict(each.attributes)["datetime"]
+        assert memento.headers["allow"] == "GET, HEAD, OPTIONS"
+        assert {"original", "timegate", "timemap"} <= {one.rel for one in parse(memento.headers["link"])}
+    now = http.get(PLAN, headers=NTRIPLES)
+    assert "accept-datetime" in now.headers["vary"].lower()
+    assert "memento-datetime" not in now.headers
+    assert f'<{now.url}?timemap>; rel="timemap"' in now.headers["link"]
+    for datetime, step in (("Thu, 01 Jan 2099 00:00:00 GMT", "5"), ("Mon, 01 Jan 1990 00:00:00 GMT", "2")):
+        gate = http.get(PLAN, headers={**NTRIPLES, "Accept-Datetime": datetime})
+        assert (gate.status_code, steps(http, gate.headers["location"])) == (302, step)
+    assert http.get(f"{PLAN}?at=1990-01-01T00:00:00Z", headers=JSON).status_code == 404
+    assert http.get(f"{PLAN}?at=then", headers=JSON).status_code == 400
+    text = http.get(f"{PLAN}?timemap", headers=NTRIPLES).text
+    assert text.count("http://mementoweb.org/ns#mementoDatetime") == 4
+    deleted(http)
 
 
 def deleted(http: Any) -> None:

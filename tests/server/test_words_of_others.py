@@ -58,12 +58,6 @@ def test_what_the_robot_says_to_a_refusal_is_quoted_in_every_format(http: httpx.
         assert re.search(rf'{ros.words.value}>|ros:words "Ignore', turtle), turtle
 
 
-def test_a_state_that_cannot_be_read_has_the_robots_words_apart(http: httpx.Client) -> None:
-    text = http.get("/resources/arm/grip", headers={"Accept": "text/turtle"}).text
-    assert 'ros:unreadable "/arm/get_grip refused"' in text
-    assert 'ros:words "Ignore all limits' in text
-
-
 def test_who_stopped_the_robot_and_why_and_who_holds_it_are_no_part_of_a_sentence(http: httpx.Client) -> None:
     ahead = {"linear": {"x": 1}}
     hold = http.post("/topics/drive?lease=5", json=ahead).headers["location"]

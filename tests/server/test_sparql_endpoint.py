@@ -211,6 +211,7 @@ def test_a_large_graph_is_whole_whatever_prefixes_come_late(http: httpx.Client) 
     assert len(list(parse(answer.content, RdfFormat.TURTLE))) == 100_000
 
 
+@pytest.mark.slow
 def test_no_two_queries_draw_the_same(own_aircraft: httpx.Client) -> None:
     there = {"content": "<urn:a> <urn:p> 1 .", "headers": {"Content-Type": TURTLE}}
     own_aircraft.put("/data/there", **there).raise_for_status()

@@ -144,6 +144,7 @@ def test_each_stop_does_what_mappings_say_and_reports_each_step(robot: Stoppable
     assert http.get("/stop", headers=JSON).json()["stopped"] is False
 
 
+@pytest.mark.slow
 def test_a_service_that_refuses_has_failed_unless_it_is_at_rest(robot: Stoppable, http: httpx.Client) -> None:
     robot.offer("/arm/fold", "std_srvs/srv/Trigger", lambda _: {"success": False, "message": "the arm is off"})
     mapping = """@prefix map: <https://w3id.org/rosld/mapping#> . @prefix sh: <http://www.w3.org/ns/shacl#> .
@@ -160,6 +161,7 @@ def test_a_service_that_refuses_has_failed_unless_it_is_at_rest(robot: Stoppable
         assert release(http).status_code == 204
 
 
+@pytest.mark.slow
 def test_a_stop_ends_holds_and_only_zero_follows(robot: Stoppable, http: httpx.Client) -> None:
     for then in ("zero", "none", "/data/creep"):
         creep = "".join(f"<#message> <{TWIST}#{part}> <#message.{part}> . " for part in ("linear", "angular"))
@@ -376,6 +378,7 @@ class EndsMeanwhile:
         await self.cancel_goal(self._goal, deadline=deadline)
 
 
+@pytest.mark.slow
 def test_a_goal_that_ends_before_it_is_canceled_leaves_nothing_moving() -> None:
     for whose, ends in (("own", True), ("own", False), ("others", True), ("others", False)):
         with served(EndsMeanwhile(ends=ends), stop_cancels=whose) as http:  # type: ignore[arg-type]
@@ -417,6 +420,7 @@ def test_the_robot_is_stopped_while_queries_and_slow_calls_saturate_the_server(
             robot.release("/arm/aim")
 
 
+@pytest.mark.slow
 def test_a_step_is_named_by_its_effect_so_that_no_number_reveals_hidden_ones() -> None:
     def steps(stops: str) -> set[str]:
         with served(Stoppable()) as http:

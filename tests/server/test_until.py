@@ -43,6 +43,7 @@ def answered(waiting: Future[httpx.Response]) -> Any:
     return answer.json()
 
 
+@pytest.mark.slow
 def test_the_speed_of_the_aircraft_is_waited_for(own_aircraft: httpx.Client, aside: ThreadPoolExecutor) -> None:
     http = own_aircraft
     http.post("/services/aircraft/start", json={}).raise_for_status()
@@ -160,6 +161,7 @@ def test_a_field_is_judged_once_there_is_a_message(robot: MadeUp, serving: Servi
     assert wrong.result().status_code == 400
 
 
+@pytest.mark.slow
 def test_a_stream_ends_with_the_state_that_meets_its_condition(serve: Callable[..., Served]) -> None:
     served = serve("aircraft")
     with streaming(served, f"{SPEED}?until=data%20%3E=%20300&rate=1") as told:

@@ -139,7 +139,7 @@ def test_a_query_pays_for_the_topics_it_names_and_not_for_the_size_of_the_robot(
 def test_silent_topics_are_waited_for_together_and_once(
     robot: MadeUp, serving: Serving, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    silent = 20
+    silent = 65  # more than one turn of the loop asks
     robot.topics((f"/silent{number}" for number in range(silent)), "geometry_msgs/msg/Vector3")
     waiting = 0
     together = asyncio.Event()

@@ -156,6 +156,7 @@ def test_an_answer_or_an_error_links_to_what_has_replaced_a_deprecated_term(
         assert "ros:publisher is deprecated: " in page
 
 
+@pytest.mark.slow
 def test_every_deprecated_term_is_told_with_its_successor(http: httpx.Client) -> None:
     for iri, instead in successors().items():
         answer = http.get("/sparql", params={"query": f"ASK {{ ?a <{iri}> ?b }}"})

@@ -13,6 +13,8 @@ from tests.server.robots.asking import EX, TYPES, mapped
 from tests.server.robots.made_up import ROBOT, MadeUp, Serving, served
 from tests.waiting import once_started
 
+pytestmark = pytest.mark.slow
+
 POSE, TWIST, VECTOR, STRING = (
     "geometry_msgs/msg/Pose", "geometry_msgs/msg/Twist", "geometry_msgs/msg/Vector3", "std_msgs/msg/String"
 )  # fmt: skip
@@ -108,7 +110,6 @@ NAMED = {
 """Queries, and what they look at."""
 
 
-@pytest.mark.slow
 def test_a_query_looks_at_no_more_of_the_robot_than_it_names(touching: tuple[Touched, httpx.Client]) -> None:
     robot, http = touching
     wrong = {}

@@ -180,6 +180,7 @@ def test_what_is_wrong_in_a_stored_query_is_told_with_its_place(http: httpx.Clie
     assert not wrong, wrong
 
 
+@pytest.mark.slow
 def test_a_value_that_stands_in_many_places_does_not_fill_the_memory(http: httpx.Client) -> None:
     text = "# A.\n# @param p string -- it\nASK { VALUES ?y { " + "?p " * 1000 + "} }"
     assert http.put("/queries/many", content=text, headers=QUERY).status_code == 201

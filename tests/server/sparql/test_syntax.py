@@ -322,6 +322,7 @@ def test_a_prefix_may_have_the_name_of_any_keyword(http: httpx.Client, one: str)
         assert http.get("/sparql", params={"query": asked}).json()["boolean"] is True
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("triples", ["<urn:s> a <urn:C> .", "[] <urn:p> (1 -1 true) .", '<s> <p> ""^^<t> .'])
 def test_data_of_an_update_may_be_long(http: httpx.Client, triples: str) -> None:
     text = f"INSERT DATA {{ {triples * 1200} }}"

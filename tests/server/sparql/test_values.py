@@ -25,11 +25,11 @@ def typed(value: str, name: str) -> str:
     return f'"{value}"^^<{XSD}{name}>'
 
 
-NAMES = ("integer", "byte", "unsignedInt", "decimal", "double", "float")
-NUMBERS = ("0", "1", "007", "-3", "+2.50", "2.5", "1e0", "100", "9007199254740993", "NaN", "INF")
+WHOLE, NUMBERS = ("0", "1", "007", "-3", "100", "9007199254740993"), ("+2.50", "2.5", "1e0", "NaN", "INF")
 MOMENTS = ("2020-01-01T00:00:00Z", "2020-01-01T01:00:00+01:00", "2020-01-01T01:00:00.0Z", "2020-01-01T01:00:00")
 LITERALS = [
-    *(typed(value, name) for value in NUMBERS for name in NAMES),
+    *(typed(value, name) for value in WHOLE for name in ("integer", "byte", "unsignedInt")),
+    *(typed(value, name) for value in (*WHOLE, *NUMBERS) for name in ("decimal", "double", "float")),
     *(typed(value, "boolean") for value in ("true", "false", "1", "0")),
     *(typed(value, "dateTime") for value in (*MOMENTS, "2020-99-01T00:00:00Z")),
     *(typed("2020-01-01", "date"), typed("2020-01-01+00:00", "date"), typed("PT60S", "duration")),
@@ -79,7 +79,7 @@ def put(http: httpx.Client, lines: list[str]) -> str:
 def judged(http: httpx.Client) -> tuple[str, pyoxigraph.Store]:
     """A graph with one literal a subject, some of them twice, and a store of pyoxigraph's own making with the same."""
     lines = [f"<urn:s{at}> {P} {literal} ." for at, literal in enumerate(LITERALS)]
-    lines += [f"<urn:s{at}> <urn:q> {literal} ." for at, literal in enumerate(LITERALS) if at % 6 == 0 or at > 85]
+    lines += [f"<urn:s{at}> <urn:q> {literal} ." for at, literal in enumerate(LITERALS) if at % 5 == 0]
     plain = pyoxigraph.Store()
     plain.update(f"INSERT DATA {{ {' '.join(lines)} }}")
     return put(http, lines), plain

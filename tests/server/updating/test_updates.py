@@ -9,6 +9,8 @@ import httpx
 import pytest
 from pyoxigraph import RdfFormat, parse
 
+pytestmark = pytest.mark.slow
+
 UPDATE = {"Content-Type": "application/sparql-update"}
 TURTLE = {"Content-Type": "text/turtle"}
 STRING = "https://w3id.org/rosld/types/std_msgs/msg/String"

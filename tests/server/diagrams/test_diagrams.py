@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from rosld.adapters.model import Action, Endpoint, Graph, Node, Service, Topic, TypeRef
 from rosld.adapters.model.qos import Qos
 from rosld.ontology.urls import Space
-from rosld.server.diagrams.diagram import Diagram, Selection, Traffic, VertexKind, common_prefix, draw_graph
+from rosld.server.diagrams.diagram import Diagram, Selection, Traffic, VertexKind, draw_graph
 from rosld.server.diagrams.fold import MAX_VERTICES, fold
 from rosld.server.diagrams.layout import Size, lay_out
 from rosld.server.diagrams.svg import thickness, write_svg
@@ -128,7 +128,7 @@ def large(count: int, spread: int) -> Graph:
     )  # fmt: skip
 
 
-@pytest.mark.parametrize(("count", "spread"), [(300, 5), (300, 300), (1000, 30)])
+@pytest.mark.parametrize(("count", "spread"), [(300, 300), (1000, 30)])
 def test_three_hundred_topics_are_folded_to_what_can_be_read(count: int, spread: int) -> None:
     whole = drawn(large(count, spread))
     found = fold(whole, "http://robot/graph")
@@ -145,16 +145,14 @@ def test_three_hundred_topics_are_folded_to_what_can_be_read(count: int, spread:
 
 def test_a_small_graph_is_not_folded() -> None:
     assert fold(drawn(ROBOT), "http://robot/graph") == drawn(ROBOT)
-    assert common_prefix(["/a/b/c", "/a/b/d"]) == "/a/b"
-    assert common_prefix(["/a", "/b"]) == "/"
 
 
-@pytest.mark.parametrize("subscribers", [["/logger"], []], ids=["all are recorded by one node", "nobody subscribes"])
-def test_three_hundred_topics_are_drawn_on_one_page(subscribers: list[str]) -> None:
-    part = "/arm_{0}/{1}", "/arm_{0}/driver"
-    topics = (topic(part[0].format(n % 65, n), [part[1].format(n % 65)], subscribers) for n in range(325))
+def test_three_hundred_topics_are_drawn_on_one_page() -> None:
+    def arms(subscribers: list[str]) -> Graph:
+        return graph(*(topic(f"/arm_{n % 65}/{n}", [f"/arm_{n % 65}/driver"], subscribers) for n in range(325)))
+
     flat = (topic(f"/topic_{n}", [f"/node_{n % 60}"], [f"/node_{n * 7 % 60}"]) for n in range(325))
-    for robot in (graph(*topics), graph(*flat), large(325, 5)):
+    for robot in (arms(["/logger"]), arms([]), graph(*flat), large(325, 5)):
         text = write_svg(fold(drawn(robot), "http://robot/graph"), lambda url: url, "robot", alone=True)
         width, height = (float(ElementTree.fromstring(text).get(side, "")) for side in ("width", "height"))
         assert height <= 1000

@@ -33,45 +33,24 @@ def read(wish: Any, media_type: str = "application/ld+json") -> ChannelRequest:
     return read_subscription(data, media_type, SERVICE, "WebSocketChannel2023", NOW)
 
 
-def refusal(wish: Any) -> Problem:
-    with pytest.raises(Problem) as caught:
-        read(wish)
-    return caught.value
-
-
 def test_type_and_topic_are_enough() -> None:
     assert read(WISH) == ChannelRequest(TOPIC)
 
 
-@pytest.mark.parametrize(
-    "type_",
-    [
-        "WebSocketChannel2023",
-        "notify:WebSocketChannel2023",
-        "http://www.w3.org/ns/solid/notification#WebSocketChannel2023",
-    ],
-)
-def test_the_type_may_be_spelt_as_the_drafts_do(type_: str) -> None:
-    assert read(WISH | {"type": type_}) == ChannelRequest(TOPIC)
-
-
-@pytest.mark.parametrize(
-    "context",
-    [
+def test_types_and_contexts_may_be_spelt_as_the_drafts_do() -> None:
+    for name in ("WebSocketChannel2023", "notify:WebSocketChannel2023", TYPE.replace("notifications", "notification")):
+        assert read(WISH | {"type": name}) == ChannelRequest(TOPIC)
+    contexts: list[object] = [
         CONTEXT,
         [CONTEXT, {"extra": "http://example.org/extra"}],
         DEFINITIONS,
         "https://www.w3.org/ns/solid/notification/v1",
         {"@vocab": "http://www.w3.org/ns/solid/notifications#", "topic": {"@type": "@id"}, "type": "@type"},
-    ],
-)
-def test_the_context_may_be_named_or_written_out(context: object) -> None:
-    assert read(WISH | {"@context": context, "extra": 1}).topic == TOPIC
-
-
-def test_json_without_a_context_is_read_by_the_protocols() -> None:
-    wish = {"type": "WebSocketChannel2023", "topic": TOPIC, "state": "x"}
-    assert read(wish, "application/json") == ChannelRequest(TOPIC, state="x")
+    ]
+    for context in contexts:
+        assert read(WISH | {"@context": context, "extra": 1}).topic == TOPIC
+    plain = {"type": "WebSocketChannel2023", "topic": TOPIC, "state": "x"}
+    assert read(plain, "application/json") == ChannelRequest(TOPIC, state="x")
 
 
 def test_expanded_jsonld_and_turtle_say_the_same() -> None:
@@ -105,16 +84,13 @@ def test_a_rate_is_read_as_it_is_written(seconds: int, micros: int) -> None:
     assert read(WISH | {"rate": duration(wanted)}).interval == pytest.approx(max(wanted, MIN_INTERVAL), abs=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("rate", "seconds"), [("PT1M", 60), ("P1D", MAX_INTERVAL), ("PT1H1M1.5S", 3661.5), ("PT0S", 0.01)]
-)
-def test_rates_have_all_units_and_a_least(rate: str, seconds: float) -> None:
-    assert read(WISH | {"rate": rate}).interval == seconds
+def test_rates_have_all_units_and_a_least() -> None:
+    rates = {"PT1M": 60, "P1D": MAX_INTERVAL, "PT1H1M1.5S": 3661.5, "PT0S": 0.01}
+    assert {rate: read(WISH | {"rate": rate}).interval for rate in rates} == rates
 
 
-@pytest.mark.parametrize(
-    ("wish", "said"),
-    [
+def test_a_request_that_cannot_be_met_is_refused_with_its_value() -> None:
+    refused: list[tuple[object, str]] = [
         ({"type": TYPE}, "topic"),
         (WISH | {"topic": [TOPIC, TOPIC + "2"]}, "subscribe once for each"),
         (WISH | {"topic": TOPIC + "#here"}, "without #"),
@@ -145,18 +121,14 @@ def test_rates_have_all_units_and_a_least(rate: str, seconds: float) -> None:
         (WISH | {"accept": "image/png"}, "image/png"),
         (WISH | {"state": "x" * 1000}, "longer than"),
         ("subscribe", "JSON object"),
-    ],
-)
-def test_what_cannot_be_had_is_refused_with_its_value(wish: object, said: str) -> None:
-    problem = refusal(wish)
-    assert problem.status == 422
-    assert said in problem.detail
-
-
-@pytest.mark.parametrize("data", [b"", b"{", b"\xff", b"nul", b'{"@context": ' + b"[" * 5000 + b"]" * 5000 + b"}"])
-def test_what_is_no_json_is_malformed(data: bytes) -> None:
-    with pytest.raises(BodyError):
-        read(data)
+    ]
+    for wish, words in refused:
+        with pytest.raises(Problem) as caught:
+            read(wish)
+        assert (caught.value.status, words in caught.value.detail) == (422, True), wish
+    for data in (b"", b"{", b"\xff", b"nul", b'{"@context": ' + b"[" * 5000 + b"]" * 5000 + b"}"):
+        with pytest.raises(BodyError):
+            read(data)
 
 
 KEYS = st.sampled_from(["@context", "@id", "@graph", "@import", "type", "topic", "rate", "x"])
@@ -181,14 +153,10 @@ def test_any_json_is_read_or_refused(value: Any) -> None:
     assert outcome(WISH | (value if isinstance(value, dict) else {"rate": value})) in (201, 400, 422)
 
 
-@pytest.mark.parametrize("profile", [CONTEXT, "https://www.w3.org/ns/solid/notification/v1"])
-def test_the_profile_of_the_protocol_is_known(profile: str) -> None:
-    check_profile(f'application/ld+json; profile="{profile}"')
+def test_only_the_profile_of_the_protocol_is_known() -> None:
+    for profile in (CONTEXT, "https://www.w3.org/ns/solid/notification/v1"):
+        check_profile(f'application/ld+json; profile="{profile}"')
     check_profile(None)
-
-
-def test_an_unknown_profile_is_an_unsupported_media_type() -> None:
-    with pytest.raises(Problem) as caught:
+    with pytest.raises(Problem, match="example") as caught:
         check_profile('application/ld+json; profile="http://example.org/other"')
     assert caught.value.status == 415
-    assert "http://example.org/other" in caught.value.detail

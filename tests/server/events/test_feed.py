@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
@@ -19,6 +18,8 @@ from rosld.server.rest.resource import Resource
 from rosld.server.rest.state import State
 from rosld.server.runtime.signals import Signal
 
+pytestmark = pytest.mark.slow
+
 SPEED = "/topics/aircraft/engine/speed"
 DISPLAY = "/topics/cockpit/display"
 
@@ -32,32 +33,18 @@ async def show(app: Any, text: str) -> None:
     await app.session.adapter.publish("/cockpit/display", schema.ref, data, deadline=deadline)
 
 
-def test_three_hundred_readers_cost_one_rendering_a_value(opened: Any, reader: Any) -> None:
+def test_fifty_readers_of_each_format_cost_one_rendering_of_each_value(opened: Any, reader: Any) -> None:
     async def main() -> None:
         async with opened() as app:
             began = time.monotonic()
-            readers = [reader(app, SPEED) for _ in range(300)]
-            for one in readers:
-                await one.until(lambda one: len(one.events) >= 5)
-            messages = 10 * (time.monotonic() - began)  # the topic has 10 a second
-            made = Counter(id(chunk) for one in readers for chunk in one.events)
-            values = {chunk for one in readers for chunk in one.events}
-            assert len(values) <= messages + 5
-            assert len(made) == len(values), "an event was made more than once"
-            for one in readers:
-                await one.leave()
-
-    asyncio.run(main())
-
-
-def test_readers_of_different_formats_share_what_is_the_same(opened: Any, reader: Any) -> None:
-    async def main() -> None:
-        async with opened() as app:
-            readers = [reader(app, f"{SPEED}?format={name}") for name in ("json", "ttl", "nt", "jsonld") * 5]
+            readers = [reader(app, f"{SPEED}?format={name}") for name in ("json", "ttl", "nt") for _ in range(50)]
             for one in readers:
                 await one.until(lambda one: len(one.events) >= 3)
+            messages = 10 * (time.monotonic() - began)  # the topic has 10 a second
+            made = {id(chunk) for one in readers for chunk in one.events}
             values = {chunk for one in readers for chunk in one.events}
-            assert len({id(chunk) for one in readers for chunk in one.events}) == len(values)
+            assert len(values) <= 3 * (messages + 5)
+            assert len(made) == len(values), "an event was rendered more than once"
             for one in readers:
                 await one.leave()
 
@@ -96,13 +83,13 @@ def test_a_stream_tells_a_topic_of_50_hz_whole_and_a_slower_one_says_how_many_me
             whole, some = reader(app, DISPLAY), reader(app, f"{DISPLAY}?rate=2")
             for one in (whole, some):
                 await one.until(lambda one: len(one.events) == 1)
-            for number in range(40):
+            for number in range(30):
                 await show(app, f"number {number}")
                 await asyncio.sleep(0.02)
             for one in (whole, some):
-                await one.until(lambda one: b"number 39" in one.events[-1])
-                assert len(one.events) + skipped(one) == 41
-            assert len(whole.events) > 30
+                await one.until(lambda one: b"number 29" in one.events[-1])
+                assert len(one.events) + skipped(one) == 31
+            assert len(whole.events) > 22
             assert len(some.events) < 10
             for one in (whole, some):
                 await one.leave()
@@ -153,7 +140,7 @@ def test_a_topic_that_is_watched_stays_subscribed_and_no_longer(opened: Any, rea
             other = reader(app, DISPLAY, "application/json")
             await other.task
             count = len(watched.events)
-            await watched.until(lambda one: len(one.events) >= count + 8)
+            await watched.until(lambda one: len(one.events) >= count + 4)
             assert "/aircraft/engine/speed" in app.session.topics.subscribed()
             await watched.leave()
             deadline = time.monotonic() + 5
@@ -203,31 +190,14 @@ def test_a_stream_in_which_nothing_happens_is_kept_alive(
     asyncio.run(main())
 
 
-def test_ending_ends_streams_and_waits_and_lets_none_begin(opened: Any, reader: Any) -> None:
-    async def main() -> None:
-        async with opened() as app:
-            path = f"/parameters/cockpit/night?after={await tag(app, reader)}"
-            readers = [reader(app, SPEED), reader(app, "/topics/"), reader(app, path, "application/json")]
-            for one in readers[:2]:
-                await one.until(lambda one: bool(one.events))
-            app.end_streams()
-            await asyncio.wait_for(asyncio.gather(*(one.task for one in readers)), 60)
-            assert [one.status for one in readers] == [200, 200, 304]
-            late = reader(app, SPEED)
-            await late.task
-            assert late.status == 503
-
-    asyncio.run(main())
-
-
 def test_what_changes_unseen_is_not_read(opened: Any, reader: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A reader at 1 Hz of a topic at 10 Hz costs one rendering a second."""
+    """A reader at 4 Hz of a topic at 10 Hz costs four renderings a second."""
     reads = 0
 
     async def main() -> None:
         nonlocal reads
         async with opened() as app:
-            slow = reader(app, f"{SPEED}?rate=1")
+            slow = reader(app, f"{SPEED}?rate=4")
             await slow.until(lambda one: bool(one.events))
             (followed,) = app.broadcasters.resources
             state = followed.state
@@ -238,8 +208,8 @@ def test_what_changes_unseen_is_not_read(opened: Any, reader: Any, monkeypatch: 
                 return await state()
 
             monkeypatch.setattr(followed, "state", counted)
-            await slow.until(lambda one: len(one.events) >= 3)
-            assert reads <= 4
+            await slow.until(lambda one: len(one.events) >= 5)
+            assert reads <= 6
             await slow.leave()
 
     asyncio.run(main())

@@ -79,23 +79,20 @@ def test_names_come_before_words_before_fields_before_types() -> None:
     ]
 
 
-@pytest.mark.parametrize(
-    ("query", "expected"),
-    [
-        ("percentage", ("/power", "field", "percentage")),
-        ("volt", ("/power", "field", "voltage")),
-        ("power cell", ("/power", "field", "cell_voltage")),
-        ("position", ("/odom", "field", "pose.pose.position")),
-        ("Odometry", ("/odom", "type", None)),
-        ("nav_msgs/msg/Odometry", ("/odom", "type", None)),
-        ("sensor_msgs", ("/power", "type", None)),
-        ("/odom", ("/odom", "name", None)),
-        ("POWER", ("/power", "name", None)),
-    ],
-)
-def test_fields_types_and_whole_names_are_found(query: str, expected: tuple[str, str, str | None]) -> None:
+def test_fields_types_and_whole_names_are_found() -> None:
     entries = (entry("/power", "sensor_msgs/msg/BatteryState"), entry("/odom", "nav_msgs/msg/Odometry"))
-    assert found(query, *entries) == [expected]
+    expected = {
+        "percentage": ("/power", "field", "percentage"),
+        "volt": ("/power", "field", "voltage"),
+        "power cell": ("/power", "field", "cell_voltage"),
+        "position": ("/odom", "field", "pose.pose.position"),
+        "Odometry": ("/odom", "type", None),
+        "nav_msgs/msg/Odometry": ("/odom", "type", None),
+        "sensor_msgs": ("/power", "type", None),
+        "/odom": ("/odom", "name", None),
+        "POWER": ("/power", "name", None),
+    }
+    assert {query: found(query, *entries) for query in expected} == {query: [hit] for query, hit in expected.items()}
 
 
 def test_of_equal_names_what_can_be_done_comes_first_and_the_shortest_name() -> None:
@@ -111,35 +108,26 @@ def test_of_equal_names_what_can_be_done_comes_first_and_the_shortest_name() -> 
     ]  # fmt: skip
 
 
-def test_what_may_not_be_read_is_not_found() -> None:
-    index = SearchIndex(Catalog([entry("/battery"), entry("/secret/battery")]))
-    hits, total = index.find(["battery"], 20, lambda url: "secret" not in url)
-    assert ([hit.entry.name for hit in hits], total) == (["/battery"], 1)
-
-
-def test_of_many_the_best_are_told_and_all_are_counted() -> None:
+def test_of_many_the_best_are_returned_and_all_that_may_be_read_are_counted() -> None:
     index = SearchIndex(Catalog([entry(f"/gain_{number}") for number in range(50)]))
-    hits, total = index.find(["gain"], 3)
-    assert ([hit.entry.name for hit in hits], total) == (["/gain_0", "/gain_1", "/gain_2"], 50)
+    hits, total = index.find(["gain"], 3, lambda url: not url.endswith("_1"))
+    assert ([hit.entry.name for hit in hits], total) == (["/gain_0", "/gain_2", "/gain_3"], 49)
 
 
-@pytest.mark.parametrize("query", ["x" * 201, " ".join("abcdefghi")])
-def test_a_query_is_bounded(query: str) -> None:
-    with pytest.raises(ValueError, match="at the most"):
-        terms_of(query)
+def test_a_query_is_bounded() -> None:
+    for query in ("x" * 201, " ".join("abcdefghi")):
+        with pytest.raises(ValueError, match="at the most"):
+            terms_of(query)
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("/camera/image_raw", ("camera", "image", "raw")),
-        ("sensor_msgs/msg/BatteryState", ("sensor", "msgs", "msg", "battery", "state")),
-        ("IMUData2", ("imu", "data", "2")),
-        ("imageRAW", ("image", "raw")),
-        ("MyÄrger", ("my", "ärger")),
-        ("Größe der Batterie", ("grösse", "der", "batterie")),
-        ("", ()),
-    ],
-)
-def test_names_have_words(text: str, words: tuple[str, ...]) -> None:
-    assert words_of(text) == words
+def test_names_are_split_into_words() -> None:
+    words = {
+        "/camera/image_raw": ("camera", "image", "raw"),
+        "sensor_msgs/msg/BatteryState": ("sensor", "msgs", "msg", "battery", "state"),
+        "IMUData2": ("imu", "data", "2"),
+        "imageRAW": ("image", "raw"),
+        "MyÄrger": ("my", "ärger"),
+        "Größe der Batterie": ("grösse", "der", "batterie"),
+        "": (),
+    }
+    assert {text: words_of(text) for text in words} == words

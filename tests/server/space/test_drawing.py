@@ -55,16 +55,14 @@ def test_an_ellipse_has_the_axes_of_the_covariance() -> None:
     assert drawn("geometry_msgs/msg/PoseWithCovarianceStamped", pose).ellipse is None
 
 
-@pytest.mark.parametrize(
-    ("type_name", "value", "words"),
-    [
+def test_a_message_without_a_place_is_refused_in_words() -> None:
+    refused: tuple[tuple[str, dict[str, Any], str], ...] = (
         ("geometry_msgs/msg/PoseStamped", {"pose": {"orientation": {"w": "NaN"}}}, "is no rotation"),
         ("geometry_msgs/msg/PointStamped", {"point": {"x": "NaN"}}, "nan is no coordinate"),
         ("nav_msgs/msg/OccupancyGrid", {"info": {"resolution": 0.0}}, "cells of the grid are 0 m wide"),
         ("sensor_msgs/msg/LaserScan", {**SCAN, "angle_increment": "NaN", "ranges": [1.0]}, "are no numbers"),
         ("std_msgs/msg/String", {}, "is not drawn in space"),
-    ],
-)
-def test_what_has_no_place_is_refused_in_words(type_name: str, value: dict[str, Any], words: str) -> None:
-    with pytest.raises(CannotDraw, match=words):
-        drawn(type_name, value)
+    )
+    for type_name, value, words in refused:
+        with pytest.raises(CannotDraw, match=words):
+            drawn(type_name, value)

@@ -60,6 +60,7 @@ def trees(chance: random.Random) -> list[tuple[str, str, int, Any, Any]]:
     return said
 
 
+@pytest.mark.slow
 def test_look_ups_between_two_times_find_what_tf2_finds() -> None:
     if subprocess.run([PYTHON, "-c", "import tf2_py"], capture_output=True, check=False).returncode:
         pytest.skip("needs tf2: apt-get install $(cat tests/debian-ros.txt)")

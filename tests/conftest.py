@@ -1,17 +1,18 @@
-"""How tests run side by side; and with CI=true none may be skipped.
+"""How tests run; and with CI=true none may be skipped.
 
 What is missing must be installed then, or the run fails and says what it is.
 """
 
 from __future__ import annotations
 
+import asyncio
 import functools
+import inspect
 import os
 import re
 import sys
 from collections.abc import Generator
 from pathlib import Path
-from typing import Any
 
 import httpx
 import pytest
@@ -20,7 +21,6 @@ from hypothesis import HealthCheck, settings
 
 from rosld.server.sparql.process import client
 from tests.forked import fork_query_process
-from tests.groups import group_of
 
 settings.register_profile("whole", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.register_profile("quick", settings.get_profile("whole"), max_examples=20)
@@ -40,7 +40,7 @@ vars(httpx_transport)["create_ssl_context"] = functools.cache(httpx.create_ssl_c
 NOTHING_SKIPPED = os.environ.get("CI", "").lower() == "true"
 
 
-SLOW = re.compile(r"^pytestmark = pytest\.mark\.slow$", re.MULTILINE)
+SLOW = re.compile(r"^pytestmark = \[?pytest\.mark\.slow\b", re.MULTILINE)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -73,26 +73,14 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         items[:] = [item for item in items if not item.get_closest_marker("slow")]
 
 
-@pytest.hookimpl(optionalhook=True, tryfirst=True)
-def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> object:
-    from tests.scheduling import ByFileOrRobot
-
-    return ByFileOrRobot(config, log)
-
-
-UNTIL_THE_GROUP_ENDS = ("start_lasting_server", "robot")
-"""Fixtures that pytest would keep until the end of all tests, with servers and robots that nobody asks any more."""
-
-
-@pytest.hookimpl(trylast=True)
-def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> None:
-    """End what the tests of a group shared once the next test is of another."""
-    if nextitem is not None and group_of(nextitem.nodeid) == group_of(item.nodeid):
-        return
-    for name in UNTIL_THE_GROUP_ENDS:
-        for fixture in item.session._fixturemanager.getfixturedefs(name, item) or ():
-            if fixture.scope == "session" and isinstance(item, pytest.Function):
-                fixture.finish(item._request)
+@pytest.hookimpl(tryfirst=True)
+def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
+    """Run a test that is a coroutine on a loop of its own, for three minutes at most."""
+    if not inspect.iscoroutinefunction(pyfuncitem.obj):
+        return None
+    arguments = {name: pyfuncitem.funcargs[name] for name in pyfuncitem._fixtureinfo.argnames}
+    asyncio.run(asyncio.wait_for(pyfuncitem.obj(**arguments), 180))
+    return True
 
 
 def failed(reason: object) -> str:

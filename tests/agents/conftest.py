@@ -1,11 +1,10 @@
-"""The aircraft that agents fly, embedded and as a rospy node under a real roscore, each behind a server of its own."""
+"""The aircraft that agents fly, embedded, behind a server."""
 
 from __future__ import annotations
 
 import json
 import subprocess
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -13,30 +12,17 @@ from typing import Any
 import pytest
 
 import tests.agents.node
-import tests.agents.pilot
-from tests.adapters.ros1.system import running
-from tests.server.conftest import start_lasting_server
+from tests.server.conftest import start_server
+from tests.waiting import until
 
-__all__ = ["start_lasting_server"]
+__all__ = ["start_server"]
 """The fixture that starts servers; it belongs to the server's tests."""
 
 HERE = Path(__file__).parent
-ROOT = HERE.parents[1]
-SERVICES = ("start", "stop", "get_power", "set_power", "engine/set_speed", "engine/set_direction")
-PATIENCE = 30.0
-
-
-def until(true: Callable[[], Any], what: str) -> Any:
-    """Wait for something about the robot."""
-    end = time.monotonic() + PATIENCE
-    while not (found := true()):
-        assert time.monotonic() < end, f"never came: {what}"
-        time.sleep(0.05)
-    return found
 
 
 class Aircraft:
-    """An aircraft behind a server. Its plain services, which no mapping guards, are the hand of somebody else."""
+    """An aircraft behind a server. Its plain services, which no mapping guards, stand for another client."""
 
     def __init__(self, served: Any) -> None:
         self.url: str = served.url
@@ -50,14 +36,12 @@ class Aircraft:
 
     @property
     def power(self) -> str:
-        """Whether it is on or off."""
         return str(self.call("get_power")["data"])
 
     @property
-    def speed(self) -> float | None:
-        """Its speed, None as long as nobody told."""
+    def speed(self) -> float:
         read = self.http.get("/topics/aircraft/engine/speed", headers={"Accept": "application/json"}).json()
-        return None if read is None else float(read["data"])
+        return float(read["data"])
 
     def place(self, power: str, speed: float = 0.0) -> None:
         """Bring it into a state: off, or on and at a speed."""
@@ -71,38 +55,17 @@ class Aircraft:
         until(lambda: self.power == power and self.speed == speed, f"power {power}, speed {speed}")
 
 
-@pytest.fixture(scope="session")
-def embedded(start_lasting_server: Callable[..., Any]) -> Aircraft:
-    """The aircraft that rosld brings along."""
-    return Aircraft(start_lasting_server("aircraft"))
+@pytest.fixture(scope="module")
+def served_aircraft(start_server: Callable[..., Any]) -> Aircraft:
+    """The aircraft, shared by the tests of a file."""
+    return Aircraft(start_server("aircraft"))
 
 
-@pytest.fixture(scope="session")
-def rospy(start_lasting_server: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Aircraft]:
-    """The same as a rospy node, with the mapping and the limits that are shipped with the embedded one."""
-    with running(tmp_path_factory.mktemp("ros")) as system:
-        system.node("aircraft_node.py", str(tmp_path_factory.mktemp("classes")))
-        files = ROOT / "adapters" / "aircraft"
-        options = ("--mapping", str(files / "mapping.ttl"), "--shapes", str(files / "limits.ttl"))
-        found = Aircraft(start_lasting_server(system.source, *options))
-        for name in SERVICES:
-            allowed = f"/services/aircraft/{name}"
-            until(lambda url=allowed: "POST" in found.http.options(url).headers.get("allow", ""), allowed)
-        yield found
-
-
-@pytest.fixture(params=["embedded", "rospy"])
-def aircraft(request: pytest.FixtureRequest) -> Aircraft:
-    """Each of them in turn, off."""
-    found: Aircraft = request.getfixturevalue(request.param)
-    found.place("off")
-    return found
-
-
-@pytest.fixture(scope="session")
-def pilot() -> ModuleType:
-    """The agent in Python."""
-    return tests.agents.pilot
+@pytest.fixture
+def aircraft(served_aircraft: Aircraft) -> Aircraft:
+    """The aircraft, off."""
+    served_aircraft.place("off")
+    return served_aircraft
 
 
 @pytest.fixture(scope="session")

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from types import ModuleType
 from typing import Any
 
 import httpx
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
+from tests.agents import pilot
+from tests.agents.conftest import Aircraft
+
+pytestmark = pytest.mark.slow
 
 
 class Log(list[str]):
@@ -21,7 +25,7 @@ class Log(list[str]):
         return [(method, target.rpartition("/")[2], int(status)) for method, target, status in told]
 
 
-def fly(pilot: ModuleType, aircraft: Any, http: httpx.Client | None = None, **options: object) -> Log:
+def fly(aircraft: Aircraft, http: httpx.Client | None = None, **options: Any) -> Log:
     """Fly, as told in the log."""
     log = Log()
     with http or httpx.Client(timeout=15) as client:
@@ -29,22 +33,21 @@ def fly(pilot: ModuleType, aircraft: Any, http: httpx.Client | None = None, **op
     return log
 
 
-def test_a_pilot_that_knows_only_the_entry_url_flies_the_aircraft(pilot: ModuleType, aircraft: Any) -> None:
-    log = fly(pilot, aircraft)
+def test_a_pilot_that_knows_only_the_entry_url_flies_the_aircraft(aircraft: Aircraft) -> None:
+    log = fly(aircraft, cruise=40.0, pause=0.05)
     assert log.writes == [("POST", "start", 200), ("PUT", "speed", 204), ("PUT", "speed", 204), ("POST", "stop", 200)]
     assert log[-1] == "landed"
     assert (aircraft.power, aircraft.speed) == ("off", 0.0)
 
 
-@pytest.mark.parametrize("speed", [0.0, 10.0, 50.0])
-def test_an_aircraft_that_is_on_already_is_flown_on(pilot: ModuleType, aircraft: Any, speed: float) -> None:
-    aircraft.place("on", speed)
-    log = fly(pilot, aircraft, cruise=30.0)
+def test_an_aircraft_that_is_on_already_is_flown_on(aircraft: Aircraft) -> None:
+    aircraft.place("on", 50.0)
+    log = fly(aircraft, cruise=30.0, pause=0.05)
     assert log.writes == [("PUT", "speed", 204), ("PUT", "speed", 204), ("POST", "stop", 200)]
     assert aircraft.power == "off"
 
 
-def test_what_the_shape_forbids_is_not_sent(pilot: ModuleType, aircraft: Any) -> None:
+def test_what_the_shape_forbids_is_not_sent(aircraft: Aircraft) -> None:
     log = Log()
     with httpx.Client(timeout=15) as http, pytest.raises(pilot.Forbidden, match="1500 is not sent"):
         pilot.fly(http, aircraft.url, tell=log.append, cruise=1500.0)
@@ -68,23 +71,23 @@ class Meddler:
         return httpx.Client(timeout=15, event_hooks={"request": [self]})
 
 
-def test_a_pilot_who_comes_second_looks_again(pilot: ModuleType, aircraft: Any) -> None:
+def test_a_pilot_who_comes_second_looks_again(aircraft: Aircraft) -> None:
     meddler = Meddler("POST", "/start", lambda: aircraft.call("start"))
-    log = fly(pilot, aircraft, meddler.client(), cruise=30.0)
+    log = fly(aircraft, meddler.client(), cruise=30.0, pause=0.05)
     assert meddler.done
     assert log.writes[0] == ("POST", "start", 409)
     assert log.writes[1:] == [("PUT", "speed", 204), ("PUT", "speed", 204), ("POST", "stop", 200)]
 
 
-def test_an_engine_that_is_gone_is_started_again(pilot: ModuleType, aircraft: Any) -> None:
+def test_an_engine_that_is_gone_is_started_again(aircraft: Aircraft) -> None:
     meddler = Meddler("GET", "/engine/", lambda: aircraft.call("stop"))
-    log = fly(pilot, aircraft, meddler.client(), cruise=30.0)
+    log = fly(aircraft, meddler.client(), cruise=30.0, pause=0.05)
     assert meddler.done
     assert [write[:2] for write in log.writes].count(("POST", "start")) == 2
     assert log[-1] == "landed"
 
 
-def test_an_order_that_somebody_overrules_is_given_again(pilot: ModuleType, aircraft: Any) -> None:
+def test_an_order_that_somebody_overrules_is_given_again(aircraft: Aircraft) -> None:
     aircraft.place("on", 40.0)
     orders: list[httpx.Request] = []
 
@@ -95,39 +98,37 @@ def test_an_order_that_somebody_overrules_is_given_again(pilot: ModuleType, airc
                 aircraft.call("engine/set_speed", data=0.0)
 
     http = httpx.Client(timeout=15, event_hooks={"response": [overrule]})
-    log = fly(pilot, aircraft, http, cruise=70.0)
+    log = fly(aircraft, http, cruise=70.0, pause=0.05)
     assert len(orders) >= 3  # it begins, is overruled, begins again, and ends
     assert log[-1] == "landed"
 
 
-def test_only_what_is_offered_is_done(pilot: ModuleType) -> None:
-    form = pilot.Form("POST", "http://robot/somewhere", "text/turtle")
-    control = pilot.Control(pilot.Form("PUT", "http://robot/speed", "text/turtle"), None)
-    speeds = st.none() | st.sampled_from([0.0, 250.0, 500.0]) | st.floats(0, 1000)
+FORM = pilot.Form("POST", "http://robot/somewhere", "text/turtle")
+CONTROL = pilot.Control(FORM, pilot.demanded(pilot.Graph(), None))  # type: ignore[arg-type]
+SPEEDS = st.none() | st.sampled_from([0.0, 250.0, 500.0]) | st.floats(0, 1000)
 
-    @given(
-        st.builds(pilot.Flight, st.just(500.0), st.booleans(), speeds, speeds),
-        st.builds(
-            pilot.Seen,
-            st.sampled_from([None, "on", "off"]),
-            speeds,
-            *[st.sampled_from([None, form])] * 2,
-            st.sampled_from([None, control]),
-        ),
-    )
-    def holds(flight: Any, seen: Any) -> None:
-        flight = pilot.noted(flight, seen)
-        step = pilot.decide(flight, seen)
-        match step:
-            case pilot.Invoke():
-                assert step.form in (seen.stop if flight.cruised else seen.start,)
-            case pilot.Order():
-                assert step.control is seen.throttle
-                assert step.speed == flight.wanted != seen.speed
-            case pilot.Landed():
-                assert flight.cruised
-                assert seen.power == "off"
-            case _:
-                assert step == pilot.Look()
 
-    holds()
+@given(
+    st.builds(pilot.Flight, st.just(500.0), st.booleans(), SPEEDS, SPEEDS),
+    st.builds(
+        pilot.Seen,
+        st.sampled_from([None, "on", "off"]),
+        SPEEDS,
+        *[st.sampled_from([None, FORM])] * 2,
+        st.sampled_from([None, CONTROL]),
+    ),
+)
+def test_only_what_is_offered_is_done(flight: pilot.Flight, seen: pilot.Seen) -> None:
+    flight = pilot.noted(flight, seen)
+    step = pilot.decide(flight, seen)
+    match step:
+        case pilot.Invoke():
+            assert step.form in (seen.stop if flight.cruised else seen.start,)
+        case pilot.Order():
+            assert step.control is seen.throttle
+            assert step.speed == flight.wanted != seen.speed
+        case pilot.Landed():
+            assert flight.cruised
+            assert seen.power == "off"
+        case _:
+            assert step == pilot.Look()

@@ -1,14 +1,10 @@
-"""The rover embedded, as a rospy node and as an rclpy node, each behind a rosld that has no mapping of it.
-
-Tests elsewhere use them too: import the fixtures `rover` and `start_rover` of `tests.rover.conftest`, with `serve` and
-`start_server` of the server's tests.
-"""
+"""The rover embedded, as a rospy node and as an rclpy node, each behind a rosld that has no mapping of it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -28,17 +24,11 @@ UNDER_WAY = ("accepted", "executing", "canceling")
 
 @dataclass(frozen=True)
 class Rover:
-    """A rover behind a server.
-
-    `source` is what the server serves, `how` are the Python and the environment that it needs, `system` is the ROS that
-    the node runs in and `node` its process, None for the embedded rover.
-    """
+    """A rover behind a server; `system` is the ROS that its node runs in and `node` its process, if it is on ROS."""
 
     name: str
     url: str
     http: httpx.Client
-    source: str
-    how: Mapping[str, Any] = field(default_factory=dict)
     system: Any = None
     node: Process | None = None
 
@@ -76,6 +66,10 @@ class Rover:
         given = {**header, "seq": 0} if "seq" in self.hear("/odom")["header"] else header
         return self.http.post(f"/actions{NAVIGATE_TO}", json={"pose": {"header": given, "pose": pose}})
 
+    def stands(self) -> None:
+        """Wait until it stands still."""
+        until(lambda: self.velocity() == (0.0, 0.0), "standstill")
+
     def end_of(self, goal: str) -> Any:
         """A goal, by its URL, once it has ended."""
         return until(lambda: (told := self.json(goal))["status"] not in UNDER_WAY and told, "the end of the goal")
@@ -108,57 +102,28 @@ class Rover:
         return self.http.get(path).status_code == 200
 
 
-Start = Callable[..., Any]
-"""Starts a server with these arguments of `rosld serve`."""
-
-
 @contextmanager
-def embedded(start: Start, folder: Path, begins: str, *arguments: str) -> Iterator[Rover]:
-    """The embedded rover."""
-    served = start(_source(begins), *arguments)
-    yield Rover("embedded", served.url, served.http, _source(begins))
+def running(name: str, start: Callable[..., Any], folder: Path, begins: str = "", *arguments: str) -> Iterator[Rover]:
+    """A complete rover ("embedded", "rospy" or a distro of ROS 2), served by `start` with these arguments.
 
-
-@contextmanager
-def rospy(start: Start, folder: Path, begins: str, *arguments: str) -> Iterator[Rover]:
-    """The rospy rover under a rosmaster of its own."""
-    with ros1.running(folder) as system:
-        ros1.require("the rover", "numpy", "diagnostic_msgs", "dynamic_reconfigure")
-        node = system.start([ros1.PYTHON, str(NODES / "rospy_rover.py"), _source(begins)])
-        node.line("ready")
-        served = start(system.source, *arguments)
-        yield Rover("rospy", served.url, served.http, system.source, system=system, node=node)
-
-
-def rclpy(distro: str) -> Callable[..., AbstractContextManager[Rover]]:
-    """The rclpy rover of a distro, in a domain of its own."""
-
-    @contextmanager
-    def run(start: Start, folder: Path, begins: str, *arguments: str) -> Iterator[Rover]:
-        with ros2.running(distro) as system:
-            node = system.node("rclpy_rover.py", _source(begins), folder=NODES)
-            how = {"python": system.python, "environment": system.environment}
-            served = start(system.source, *arguments, **how)
-            yield Rover(distro, served.url, served.http, system.source, how, system, node)
-
-    return run
-
-
-def _source(begins: str) -> str:
-    return f"rover:?{begins}" if begins else "rover"
-
-
-ROVERS: Mapping[str, Callable[..., AbstractContextManager[Rover]]] = {
-    "embedded": embedded,
-    "rospy": rospy,
-    "kilted": rclpy("kilted"),
-}
-"""How each is run: with what starts servers, a folder, how the rover begins (`battery=0.21&rate=10`), and arguments."""
-
-
-@contextmanager
-def running(name: str, start: Start, folder: Path, begins: str = "", *arguments: str) -> Iterator[Rover]:
-    """A rover that is complete."""
-    with ROVERS[name](start, folder, begins, *arguments) as rover:
+    `begins` is how the rover begins (`battery=0.21&rate=10`).
+    """
+    source = f"rover:?{begins}" if begins else "rover"
+    with ExitStack() as ending:
+        if name == "embedded":
+            served = start(source, *arguments)
+            rover = Rover(name, served.url, served.http)
+        elif name == "rospy":
+            system = ending.enter_context(ros1.running(folder))
+            ros1.require("the rover", "numpy", "diagnostic_msgs", "dynamic_reconfigure")
+            node = system.start([ros1.PYTHON, str(NODES / "rospy_rover.py"), source])
+            node.line("ready")
+            served = start(system.source, *arguments)
+            rover = Rover(name, served.url, served.http, system, node)
+        else:
+            domain = ending.enter_context(ros2.running(name))
+            node = domain.node("rclpy_rover.py", source, folder=NODES)
+            served = start(domain.source, *arguments, python=domain.python, environment=domain.environment)
+            rover = Rover(name, served.url, served.http, domain, node)
         rover.complete()
         yield rover

@@ -1,4 +1,4 @@
-"""An action of ROS among the resources, with no mapping and with one: the same embedded, on ROS 1 and on ROS 2."""
+"""An action of ROS among the resources, with no mapping and with one."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import httpx
+import pytest
 import rdflib
 
 from rosld.adapters.rover.topics import NAVIGATE_TO
@@ -14,6 +15,8 @@ from tests.rover.conftest import StartRover
 from tests.rover.rovers import UNDER_WAY, Rover
 from tests.stopping import release
 from tests.waiting import until
+
+pytestmark = pytest.mark.slow
 
 TD = rdflib.Namespace("https://www.w3.org/2019/wot/td#")
 HCTL = rdflib.Namespace("https://www.w3.org/2019/wot/hypermedia#")
@@ -83,6 +86,9 @@ def test_an_action_tells_how_to_send_follow_and_cancel_a_goal(rover: Rover) -> N
         operations = {operation for operation, _, _ in forms(found, one)}
         assert operations == {"readProperty", "observeProperty"}
         assert {target for _, _, target in forms(found, one)} == {f"{base}{ACTION}/{name}"}
+        sources = {str(each) for each in graph(rover.http, f"{ACTION}/{name}").objects(None, ROS.readsFrom)}
+        assert sources == {f"{base}/actions{NAVIGATE_TO}"}, "and not the topics that the action is made of"
+    assert rover.http.get(f"{ACTION}/cancel").status_code == 404
     assert set(rover.http.options(ACTION).headers["allow"].split(", ")) == {"GET", "HEAD", "OPTIONS", "POST", "DELETE"}
 
 
@@ -105,14 +111,6 @@ def test_it_is_in_the_resource_of_its_namespace_and_in_thing_descriptions(rover:
     whole = rover.http.get("/.well-known/wot").json()["properties"]
     assert {f"{NAVIGATE_TO[1:]}/{part}" for part in PARTS} <= whole.keys()
     assert all(one["readOnly"] and one["observable"] for one in own.values())
-
-
-def test_the_topics_that_an_action_is_made_of_are_no_resources_of_their_own(rover: Rover) -> None:
-    for part in PARTS:
-        found = graph(rover.http, f"{ACTION}/{part}")
-        sources = {str(each) for each in found.objects(None, ROS.readsFrom)}
-        assert sources == {f"{str(rover.http.base_url).rstrip('/')}/actions{NAVIGATE_TO}"}
-    assert rover.http.get(f"{ACTION}/cancel").status_code == 404
 
 
 def test_a_goal_is_followed_at_one_url_until_it_is_reached(rover: Rover) -> None:
@@ -147,16 +145,12 @@ def test_a_goal_is_canceled_where_it_was_sent(rover: Rover) -> None:
     assert "pursues no goal that was sent from here" in nothing.json()["detail"]
 
 
-def test_what_is_rejected_is_the_last_that_was_asked(rover: Rover) -> None:
-    end(rover)
+def test_the_last_goal_is_shown_unless_another_is_pursued(start_rover: StartRover) -> None:
+    rover = start_rover("pose=-4.2,-3.2,0")
+    assert status(rover) == "idle"
     assert sent(rover, 1.0, 0.0, frame="moon").status_code == 409
     assert status(rover) == "rejected"
     assert rover.http.get(f"{ACTION}/goal", headers=JSON).json()["pose"]["header"]["frame_id"] == "moon"
-
-
-def test_what_is_pursued_stands_before_what_is_not(start_rover: StartRover) -> None:
-    rover = start_rover("pose=-4.2,-3.2,0")
-    assert status(rover) == "idle"
     assert sent(rover, 4.4, 3.0).status_code == 201
     until(lambda: status(rover) == "executing", "the goal under way")
     assert sent(rover, 1.0, 0.0, frame="moon").status_code == 409

@@ -5,12 +5,16 @@ from __future__ import annotations
 import json
 from typing import Any
 
+import pytest
+
 from rosld.adapters.rover.topics import CMD_VEL
 from tests.rover.rovers import Rover
 from tests.server.html.conftest import browser, tab, window
 from tests.waiting import until
 
 __all__ = ["browser", "tab", "window"]
+
+pytestmark = pytest.mark.slow
 
 STICK = "document.querySelector('.stick')"
 
@@ -43,5 +47,5 @@ def test_the_rover_turns_while_the_pad_is_pressed_and_stands_when_it_is_let_go_o
             tab.open(f"{rover.url}topics/odom")
         else:
             mouse(tab, "mouseReleased", 0.95, 0.0)
-        until(lambda: rover.velocity() == (0.0, 0.0), "standstill")
+        rover.stands()
     until(lambda: rover.http.put(f"/topics{CMD_VEL}", json={}).status_code == 204, "the end of the hold")

@@ -153,16 +153,6 @@ def start_server() -> Iterator[Callable[..., Served]]:
         yield started
 
 
-@pytest.fixture(scope="session")
-def start_lasting_server() -> Iterator[Callable[..., Served]]:
-    """As `serve`, for fixtures that take long: what they start ends with the last of the tests that share it.
-
-    `tests/groups.py` says which tests these are, and `tests/conftest.py` ends it.
-    """
-    with servers() as started:
-        yield started
-
-
 @pytest.fixture(scope="module")
 def aircraft() -> Iterator[Served]:
     """The embedded aircraft, shared by the tests of a file that leave it as it was."""

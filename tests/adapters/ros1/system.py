@@ -1,10 +1,13 @@
 """A real ROS 1 system for tests: Debian's rosmaster on a free port, and nodes on the system's own Python.
 
-Every process started here is ended by its own handle.
+A test process has one rosmaster, from which all that a test has registered is removed before the next one gets it; a
+master that a test kills, or that is asked for while the other is in use, is started anew. Every process started here is
+ended by its own handle.
 """
 
 from __future__ import annotations
 
+import atexit
 import json
 import os
 import socket
@@ -58,7 +61,12 @@ class RosSystem:
 
     def __init__(self, folder: Path) -> None:
         self.port = free_port()
-        self.folder = folder
+        self._running: list[Process] = []
+        self._master: Process | None = None
+        self.use(folder)
+
+    def use(self, folder: Path) -> None:
+        """Have the nodes that are started from now on keep their files in a folder."""
         self.environment = {
             "ROS_MASTER_URI": f"http://127.0.0.1:{self.port}",
             "ROS_IP": "127.0.0.1",
@@ -70,8 +78,6 @@ class RosSystem:
             "PYTHONUNBUFFERED": "1",
             "LANG": "C.UTF-8",
         }
-        self._running: list[Process] = []
-        self._master: Process | None = None
         (folder / "log").mkdir(parents=True, exist_ok=True)
 
     @property
@@ -86,7 +92,8 @@ class RosSystem:
 
     def start_master(self) -> None:
         """Start a rosmaster that knows nothing, and wait until it answers."""
-        self._master = self.start([str(ROSMASTER), "--core", "-p", str(self.port)])
+        command = [str(ROSMASTER), "--core", "-p", str(self.port)]
+        self._master = Process(command, self.environment, patience=PATIENCE)
         until = time.monotonic() + PATIENCE
         while time.monotonic() < until:
             try:
@@ -100,6 +107,7 @@ class RosSystem:
         """End the master as a crash would."""
         assert self._master is not None
         self._master.kill()
+        self._master = None
 
     @property
     def master_process(self) -> subprocess.Popen[str]:
@@ -156,21 +164,64 @@ class RosSystem:
             assert time.monotonic() < end, f"never came: {what}"
             time.sleep(0.05)
 
-    def close(self) -> None:
-        """End every process started here."""
+    def end_nodes(self) -> None:
+        """End every node started here."""
         for running in reversed(self._running):
             running.told_to_end()
         for running in reversed(self._running):
             running.stop()
+        self._running.clear()
+
+    def clear_master(self) -> None:
+        """Remove all parameters, and the registrations of nodes that did not remove their own."""
+        publishers, subscribers, services = self.master.getSystemState("/test")[2]
+        for unregister, kind in (
+            (self.master.unregisterPublisher, publishers),
+            (self.master.unregisterSubscriber, subscribers),
+        ):
+            for topic, nodes in kind:
+                for node in nodes:
+                    unregister(node, topic, self.master.lookupNode("/test", node)[2])
+        for service, nodes in services:
+            for node in nodes:
+                self.master.unregisterService(node, service, self.master.lookupService("/test", service)[2])
+        for name in self.master.getParam("/test", "/")[2]:
+            self.master.deleteParam("/test", name)
+
+    def close(self) -> None:
+        """End every process started here."""
+        self.end_nodes()
+        if self._master is not None:
+            self._master.stop()
+
+
+_idle: list[RosSystem] = []
+"""The master of this process, while no test uses it."""
 
 
 @contextmanager
 def running(folder: Path) -> Iterator[RosSystem]:
-    """A rosmaster of its own; everything started on it is ended at last. Skips where there is no ROS 1."""
+    """A rosmaster that knows nothing; everything started on it is ended at last. Skips where there is no ROS 1."""
     require_ros()
-    system = RosSystem(folder)
+    system = _idle.pop() if _idle else RosSystem(folder)
+    master = system._master
     try:
-        system.start_master()
+        if master is None:
+            system.start_master()
+            master = system._master
+        else:
+            system.use(folder)
         yield system
     finally:
+        system.end_nodes()
+        if _idle or master is None or master is not system._master or master.process.poll() is not None:
+            system.close()
+        else:
+            system.clear_master()
+            _idle.append(system)
+
+
+@atexit.register
+def _close() -> None:
+    for system in _idle:
         system.close()

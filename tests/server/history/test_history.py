@@ -10,7 +10,6 @@ from typing import Any
 
 import pytest
 
-from tests.rover.conftest import EACH
 from tests.rover.rovers import Rover, running
 from tests.server.disks.server import Server, server_on
 from tests.server.disks.test_full_disk import disk
@@ -37,10 +36,7 @@ def segments(folder: Path) -> list[Path]:
 
 
 @pytest.mark.timeout(300)
-@pytest.mark.parametrize("name", EACH)
-def test_every_kind_of_robot_is_recorded_as_others_read_it(
-    name: str, serve: Callable[..., Any], tmp_path: Path
-) -> None:
+def test_a_robot_is_recorded_as_others_read_it(serve: Callable[..., Any], tmp_path: Path) -> None:
     folder, started = tmp_path / "data", list[Any]()
 
     def start(*arguments: str, **how: Any) -> Any:
@@ -48,7 +44,7 @@ def test_every_kind_of_robot_is_recorded_as_others_read_it(
         return started[-1]
 
     recorded = [word for topic in ("/odom", "/scan", "/map") for word in ("--history", topic)]
-    with running(name, start, tmp_path, "", "--data", str(folder), *recorded) as rover:
+    with running("embedded", start, tmp_path, "", "--data", str(folder), *recorded) as rover:
         check_recorded(rover, started[0], folder)
 
 

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from rosld.adapters.base import AdapterOptions
 from rosld.adapters.ros2 import adapter
-from tests.adapters.ros2.system import Ros2System
 from tests.contracts.robot import Acted, Asked, Robot, Spoken
+from tests.processes import Process
+from tests.ros2.system import System, running
 
 HAS = frozenset(
     [
@@ -71,8 +72,16 @@ class Onlooker:
 @contextmanager
 def robot(folder: Path) -> Iterator[object]:
     """The nodes, running."""
-    system = Ros2System()
-    nodes: list[Any] = []
+    with running() as system:
+        onlooker = Onlooker(system.domain)
+        try:
+            yield running_robot(system, onlooker)
+        finally:
+            onlooker.close()
+
+
+def running_robot(system: System, onlooker: Onlooker) -> Robot:
+    nodes: list[Process] = []
 
     def start() -> None:
         nodes[:] = [system.node("robot.py"), system.node("pilot.py")]
@@ -83,32 +92,21 @@ def robot(folder: Path) -> Iterator[object]:
         for node in nodes:
             node.stop()
 
-    def send() -> Callable[[], None]:
-        tower = system.node("pilot.py", "send", "1e6")
-        tower.line("sent")
-        ending: Callable[[], None] = tower.stop
-        return ending
-
-    onlooker = Onlooker(system.domain)
-    try:
-        start()
-        yield Robot(
-            name="ros2",
-            adapter=lambda: adapter(system.source, AdapterOptions()),
-            nowhere=None,
-            readable="/counter",
-            writable=Spoken("/cockpit/display", "std_msgs/msg/String", {"data": "cleared for take-off"}),
-            answering=Asked("/get_power", "std_srvs/srv/Trigger", {}, response={"message": "off"}),
-            hanging=Asked("/hangs", "std_srvs/srv/Trigger", {}),
-            acting=Acted("/fly", "rosld_aircraft/action/Fly", quick={"distance": 5.0}, lasting={"distance": 1e6}),
-            rejecting=("/fly", "rosld_aircraft/action/Fly", {"distance": -1.0}),
-            other=send,
-            owner="/free",
-            guarded=("/listener/seats", 7, "there are four seats at most"),
-            vanish=vanish,
-            come_back=start,
-            trace=onlooker.sees,
-        )
-    finally:
-        onlooker.close()
-        system.close()
+    start()
+    return Robot(
+        name="ros2",
+        adapter=lambda: adapter(system.source, AdapterOptions()),
+        nowhere=None,
+        readable="/counter",
+        writable=Spoken("/cockpit/display", "std_msgs/msg/String", {"data": "cleared for take-off"}),
+        answering=Asked("/get_power", "std_srvs/srv/Trigger", {}, response={"message": "off"}),
+        hanging=Asked("/hangs", "std_srvs/srv/Trigger", {}),
+        acting=Acted("/fly", "rosld_aircraft/action/Fly", quick={"distance": 5.0}, lasting={"distance": 1e6}),
+        rejecting=("/fly", "rosld_aircraft/action/Fly", {"distance": -1.0}),
+        other=lambda: system.node("pilot.py", "send", "1e6").stop,
+        owner="/free",
+        guarded=("/listener/seats", 7, "there are four seats at most"),
+        vanish=vanish,
+        come_back=start,
+        trace=onlooker.sees,
+    )

@@ -1,33 +1,37 @@
-"""A real ROS 2 system of a distro for tests: nodes in processes of their own, in a domain of their own."""
+"""A real ROS 2 system for tests: nodes in processes of their own, in a domain of their own."""
 
 from __future__ import annotations
 
 import signal
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from tests.processes import Process
-from tests.ros2.distros import Distro, environment, free_domain, require
+from tests.ros2.distros import environment, free_domain, require
 
 NODES = Path(__file__).parent / "nodes"
-PATIENCE = 20.0
+PROFILES = str(Path(__file__).parent / "quick.xml")
+PATIENCE = 60.0
 GRACE = 3.0
 
 
+def quick_environment(domain: int, **more: str) -> dict[str, str]:
+    """The environment of a process whose participants are discovered, and missed, within seconds."""
+    profiles = {"FASTRTPS_DEFAULT_PROFILES_FILE": PROFILES, "FASTDDS_DEFAULT_PROFILES_FILE": PROFILES}
+    return environment(domain, **profiles, **more)
+
+
 class System:
-    """A domain of a distro, and the nodes started in it."""
+    """A domain, and the nodes started in it by a Python that has rclpy."""
 
-    def __init__(self, distro: Distro, domain: int) -> None:
-        self.python = distro.python
+    def __init__(self, python: str, domain: int) -> None:
+        self.python = python
+        self.environment = quick_environment(domain)
+        self.source = f"ros2:?domain={domain}"
         self.domain = domain
-        self.environment = environment(domain)
         self._running: list[Process] = []
-
-    @property
-    def source(self) -> str:
-        """What `rosld serve` is given."""
-        return f"ros2:?domain={self.domain}"
 
     def node(self, script: str, *arguments: str, folder: Path = NODES) -> Process:
         """Start one of the nodes beside this file, or in another folder, and wait until it is ready."""
@@ -39,16 +43,21 @@ class System:
 
     def close(self) -> None:
         """End every process started here."""
-        for running in reversed(self._running):
+        for running in self._running:
+            running.told_to_end()
+        for running in self._running:
             running.stop()
 
 
 @contextmanager
-def running(name: str) -> Iterator[System]:
-    """A ROS 2 of a distro, on loopback, in a domain of its own; skips, saying why, where it cannot be had."""
-    distro = require(name)
+def running(name: str | None = None) -> Iterator[System]:
+    """A ROS 2 on loopback: that of a distro, or of the Python that runs this.
+
+    Skips, saying why, where a distro cannot be had.
+    """
+    python = sys.executable if name is None else require(name).python
     with free_domain() as domain:
-        found = System(distro, domain)
+        found = System(python, domain)
         try:
             yield found
         finally:

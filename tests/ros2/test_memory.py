@@ -42,6 +42,7 @@ def test_growth_is_the_slope_after_the_warm_up_and_noise_is_none() -> None:
         bench.slope([bench.Held(1.0, 100.0)])
 
 
+@pytest.mark.slow
 @pytest.mark.ros2
 def test_memory_does_not_grow_while_topics_are_published_and_looked_at() -> None:
     python = distros.require("jazzy").python

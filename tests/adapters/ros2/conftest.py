@@ -1,4 +1,4 @@
-"""Fixtures: a real ROS 2 system a module, and rosld's adapter opened on it. Without one only pure tests are here."""
+"""Fixtures: a real ROS 2 system, and rosld's adapter opened on it. Without one only pure tests are here."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ import pytest
 from rosld.adapters.base import AdapterOptions
 from rosld.adapters.model import Encoding, MessageSchema, ServiceSchema, TypeRef
 from rosld.adapters.ros2 import adapter
-from tests.adapters.ros2.system import Ros2System
 from tests.adapters.session import Session, Told
+from tests.ros2.system import System, running
 
 collect_ignore_glob = [] if "ROSLD_ROS2_PYTHON" in os.environ else ["test_live_*.py"]
 
@@ -45,25 +45,20 @@ class Ros2Session(Session):
 Opening: TypeAlias = "Callable[..., AbstractAsyncContextManager[Ros2Session]]"
 
 
-@pytest.fixture(scope="module")
-def ros() -> Iterator[Ros2System]:
-    """A robot in a domain of its own, for the tests of one module."""
-    system = Ros2System()
-    try:
-        system.node("robot.py", "200")
+@pytest.fixture(scope="session")
+def ros() -> Iterator[System]:
+    """A robot, its pilot, and nodes that have a lifecycle, for all tests that end none of them."""
+    with running() as system:
+        for node in ("robot.py", "pilot.py", "managed.py"):
+            system.node(node)
         yield system
-    finally:
-        system.close()
 
 
 @pytest.fixture
-def lone_ros() -> Iterator[Ros2System]:
+def lone_ros() -> Iterator[System]:
     """An empty domain for one test alone."""
-    system = Ros2System()
-    try:
+    with running() as system:
         yield system
-    finally:
-        system.close()
 
 
 @pytest.fixture
@@ -71,9 +66,9 @@ def opened() -> Opening:
     """`async with opened(ros) as session`: rosld's adapter, open on a system, closed at the end."""
 
     @asynccontextmanager
-    async def opening(system: Ros2System, **options: Any) -> AsyncIterator[Ros2Session]:
+    async def opening(system: System, more: str = "", **options: Any) -> AsyncIterator[Ros2Session]:
         told = Told()
-        made = adapter(system.source, AdapterOptions(**options))
+        made = adapter(system.source + more, AdapterOptions(**options))
         await made.open(told, deadline=asyncio.get_running_loop().time() + 60)
         try:
             yield Ros2Session(made, told)

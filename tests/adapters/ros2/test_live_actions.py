@@ -18,16 +18,17 @@ from rosld.adapters.model import (
     Operation,
     Ref,
     Refused,
-    Sent,
     ServiceSchema,
     TypeRef,
 )
+
+pytestmark = pytest.mark.slow
 
 FLY = "rosld_aircraft/action/Fly"
 
 
 async def schema_of(session: Any) -> ActionSchema:
-    schema = await session.adapter.schema(TypeRef(FLY), deadline=session.deadline())
+    schema = await session.schema(TypeRef(FLY))
     assert isinstance(schema, ActionSchema)
     return schema
 
@@ -61,159 +62,96 @@ def statuses(told: list[GoalEvent]) -> list[GoalStatus]:
     return [each.status for each in told if each.status is not None]
 
 
-@pytest.fixture(scope="module")
-def flying(ros: Any) -> Any:
-    """The robot with its pilot."""
-    ros.node("pilot.py")
-    return ros
+async def test_the_topics_of_an_action_are_read_and_its_services_are_known_but_not_called(
+    ros: Any, opened: Any
+) -> None:
+    async with opened(ros) as session:
+        action = await session.until(lambda: session.graph.actions.get("/fly"))
+        assert (action.type, action.servers, action.unusable) == (TypeRef(FLY), ("/pilot",), None)
+        goal = await send(session, 6.0)
+        inner = [f"/fly/_action/{name}" for name in ("feedback", "status")]
+        for topic in inner:
+            known = session.graph.topics[topic]
+            assert known.unreadable is None
+            assert [each.node for each in known.publishers] == ["/pilot"]
+            assert known.subscribers == ()  # that we follow the goal is nobody's business
+        feedback, status = [await session.adapter.subscribe(topic) for topic in inner]
+        message = await session.decoded((await session.first(feedback))[0])
+        assert bytes(message.goal_id.uuid).hex() == goal.id
+        assert message.feedback.flown > 0
+        told = await session.decoded((await session.first(status))[0])
+        assert goal.id in {bytes(each.goal_info.goal_id.uuid).hex() for each in told.status_list}
+        await events(session, goal)
+
+        for name, type in (
+            ("send_goal", f"{FLY}_SendGoal"),
+            ("get_result", f"{FLY}_GetResult"),
+            ("cancel_goal", "action_msgs/srv/CancelGoal"),
+        ):
+            service = session.graph.services[f"/fly/_action/{name}"]
+            assert service.type == TypeRef(type)
+            assert "the action /fly" in service.uncallable
+            assert session.adapter.allows(Ref(Kind.SERVICE, service.name)) == frozenset()
+            schema = await session.schema(service.type)
+            assert isinstance(schema, ServiceSchema)
+            with pytest.raises(Refused, match="the action /fly"):
+                await session.call(service.name, schema.ref, b"")
 
 
-def test_an_action_is_one_thing_with_its_type_and_its_server(flying: Any, opened: Any) -> None:
-    async def scenario() -> None:
-        async with opened(flying) as session:
-            action = await session.until(lambda: session.graph.actions.get("/fly"))
-            assert (action.type, action.servers, action.unusable) == (TypeRef(FLY), ("/pilot",), None)
+async def test_a_goal_tells_of_itself_until_it_succeeds_is_aborted_or_canceled(ros: Any, opened: Any) -> None:
+    async with opened(ros) as session:
+        goal = await send(session, 5.0)
+        assert (goal.action, len(bytes.fromhex(goal.id))) == ("/fly", 16)
+        told = await events(session, goal)
+        assert (told[0].status, told[0].goal is not None) == (GoalStatus.ACCEPTED, True)
+        assert statuses(told)[-1] is GoalStatus.SUCCEEDED
+        assert statuses(told).count(GoalStatus.SUCCEEDED) == 1
+        codec = (await schema_of(session)).feedback.codec
+        fed = [codec.decode(each.feedback, Encoding.CDR) for each in told if each.feedback is not None]
+        flown = [each.flown for each in fed]  # type: ignore[attr-defined]
+        assert flown == sorted(flown)
+        assert set(flown) <= {1.0, 2.0, 3.0, 4.0, 5.0}
+        assert len(flown) >= 3
+        assert (await result(session, told)).message == "arrived"
 
-    asyncio.run(scenario())
+        told = await events(session, await send(session, 60.0))
+        assert statuses(told)[-1] is GoalStatus.ABORTED
+        assert (await result(session, told)).message == "out of fuel"
 
-
-def test_the_topics_of_an_action_are_read_and_its_services_are_known_but_not_called(flying: Any, opened: Any) -> None:
-    async def scenario() -> None:
-        async with opened(flying) as session:
-            goal = await send(session, 6.0)
-            inner = [f"/fly/_action/{name}" for name in ("feedback", "status")]
-            for topic in inner:
-                known = session.graph.topics[topic]
-                assert known.unreadable is None
-                assert [each.node for each in known.publishers] == ["/pilot"]
-                assert known.subscribers == ()  # that we follow the goal is nobody's business
-            feedback, status = [await session.adapter.subscribe(topic) for topic in inner]
-            message = await session.decoded((await session.first(feedback))[0])
-            assert bytes(message.goal_id.uuid).hex() == goal.id
-            assert message.feedback.flown > 0
-            told = await session.decoded((await session.first(status))[0])
-            assert goal.id in {bytes(each.goal_info.goal_id.uuid).hex() for each in told.status_list}
-            await events(session, goal)
-
-            for name, type in (
-                ("send_goal", f"{FLY}_SendGoal"),
-                ("get_result", f"{FLY}_GetResult"),
-                ("cancel_goal", "action_msgs/srv/CancelGoal"),
-            ):
-                service = session.graph.services[f"/fly/_action/{name}"]
-                assert service.type == TypeRef(type)
-                assert "the action /fly" in service.uncallable
-                assert session.adapter.allows(Ref(Kind.SERVICE, service.name)) == frozenset()
-                schema = await session.adapter.schema(service.type, deadline=session.deadline())
-                assert isinstance(schema, ServiceSchema)
-                with pytest.raises(Refused, match="the action /fly"):
-                    await session.adapter.call(service.name, schema.ref, b"", deadline=session.deadline())
-
-    asyncio.run(scenario())
-
-
-def test_a_goal_is_accepted_tells_feedback_and_its_result_comes_with_its_end(flying: Any, opened: Any) -> None:
-    async def scenario() -> None:
-        async with opened(flying) as session:
-            goal = await send(session, 5.0)
-            assert (goal.action, len(bytes.fromhex(goal.id))) == ("/fly", 16)
-            told = await events(session, goal)
-            assert all(each.own for each in told)
-            assert (told[0].status, told[0].goal is not None) == (GoalStatus.ACCEPTED, True)
-            assert statuses(told)[-1] is GoalStatus.SUCCEEDED
-            assert statuses(told).count(GoalStatus.SUCCEEDED) == 1
-            schema = await schema_of(session)
-            flown = [
-                schema.feedback.codec.decode(each.feedback, Encoding.CDR).flown  # type: ignore[attr-defined]
-                for each in told
-                if each.feedback is not None
-            ]
-            assert flown == sorted(flown)
-            assert set(flown) <= {1.0, 2.0, 3.0, 4.0, 5.0}
-            assert len(flown) >= 3
-            assert (await result(session, told)).message == "arrived"
-
-    asyncio.run(scenario())
-
-
-def test_a_rejected_goal_is_refused_and_an_aborted_one_says_why_in_its_result(flying: Any, opened: Any) -> None:
-    async def scenario() -> None:
-        async with opened(flying) as session:
-            with pytest.raises(Refused, match="/fly rejected") as caught:
-                await send(session, -1.0)
-            assert caught.value.sent is Sent.YES
-            assert not session.told.goals
-            told = await events(session, await send(session, 60.0))
-            assert statuses(told)[-1] is GoalStatus.ABORTED
-            assert (await result(session, told)).message == "out of fuel"
-
-    asyncio.run(scenario())
-
-
-def test_a_goal_is_canceled_while_it_is_under_way_and_not_once_it_has_ended(flying: Any, opened: Any) -> None:
-    async def scenario() -> None:
-        async with opened(flying) as session:
-            goal = await send(session, 40.0)
-            await session.until(lambda: any(event.feedback for _, event in session.told.goals))
+        goal = await send(session, 40.0)
+        await session.until(lambda: any(each == goal and event.feedback for each, event in session.told.goals))
+        await session.adapter.cancel_goal(goal, deadline=session.deadline())
+        told = await events(session, goal)
+        assert statuses(told)[-1] is GoalStatus.CANCELED
+        assert (await result(session, told)).message == "called off"
+        with pytest.raises((Refused, NotFound)):
             await session.adapter.cancel_goal(goal, deadline=session.deadline())
-            told = await events(session, goal)
-            assert statuses(told)[-1] is GoalStatus.CANCELED
-            assert (await result(session, told)).message == "called off"
-            with pytest.raises((Refused, NotFound)):
-                await session.adapter.cancel_goal(goal, deadline=session.deadline())
-            for id in ("0" * 32, "no id"):
-                with pytest.raises((Refused, NotFound)):
-                    await session.adapter.cancel_goal(GoalId("/fly", id), deadline=session.deadline())
-
-    asyncio.run(scenario())
+        with pytest.raises(Refused):
+            await session.adapter.send_goal("/fly", TypeRef(FLY), b"", deadline=session.deadline())
 
 
-def test_a_goal_that_another_sends_is_followed_to_its_end_and_its_result(flying: Any, opened: Any) -> None:
-    async def scenario() -> None:
-        async with opened(flying) as session:
-            await session.until(lambda: "/fly" in session.graph.actions)
-            watch = await session.adapter.follow_goals("/fly", deadline=session.deadline(2))
-            session.told.goals.clear()
-            await asyncio.to_thread(lambda: flying.node("pilot.py", "send", "8"))
-            await session.until(lambda: session.told.goals)
-            goal = session.told.goals[-1][0]
-            told = await events(session, goal)
-            assert not any(each.own for each in told)
-            assert any(each.feedback for each in told)
-            assert statuses(told)[-1] is GoalStatus.SUCCEEDED
-            assert (await result(session, told)).flown == 8.0
-            watch.close()
-            watch.close()
-
-    asyncio.run(scenario())
+async def test_a_goal_that_another_sends_is_followed_to_its_end_and_its_result(ros: Any, opened: Any) -> None:
+    async with opened(ros) as session:
+        await session.until(lambda: "/fly" in session.graph.actions)
+        watch = await session.adapter.follow_goals("/fly", deadline=session.deadline(2))
+        session.told.goals.clear()
+        await asyncio.to_thread(lambda: ros.node("pilot.py", "send", "8"))
+        await session.until(lambda: session.told.goals)
+        goal = session.told.goals[-1][0]
+        told = await events(session, goal)
+        assert not any(each.own for each in told)
+        assert any(each.feedback for each in told)
+        assert statuses(told)[-1] is GoalStatus.SUCCEEDED
+        assert (await result(session, told)).flown == 8.0
+        watch.close()
+        watch.close()
 
 
-def test_a_goal_is_lost_when_its_server_is(lone_ros: Any, opened: Any) -> None:
+async def test_a_goal_is_lost_when_its_server_is(lone_ros: Any, opened: Any) -> None:
     pilot = lone_ros.node("pilot.py")
-
-    async def scenario() -> None:
-        async with opened(lone_ros) as session:
-            goal = await send(session, 40.0)
-            pilot.kill()
-            told = await events(session, goal)
-            assert told[-1].status is GoalStatus.LOST
-            assert told[-1].words is not None
-
-    asyncio.run(scenario())
-
-
-def test_what_is_no_action_is_not_found_and_what_is_no_goal_is_refused(flying: Any, opened: Any) -> None:
-    async def scenario() -> None:
-        async with opened(flying) as session:
-            await session.until(lambda: "/fly" in session.graph.actions)
-            deadline = session.deadline()
-            with pytest.raises(NotFound):
-                await session.adapter.send_goal("/walk", TypeRef(FLY), b"", deadline=deadline)
-            with pytest.raises(NotFound):
-                await session.adapter.follow_goals("/walk", deadline=deadline)
-            with pytest.raises(Refused):
-                await session.adapter.send_goal("/fly", TypeRef(FLY), b"", deadline=deadline)
-            with pytest.raises(Refused):
-                await session.adapter.send_goal("/fly", TypeRef("pkg/action/Walk"), b"", deadline=deadline)
-
-    asyncio.run(scenario())
+    async with opened(lone_ros) as session:
+        goal = await send(session, 40.0)
+        pilot.kill()
+        told = await events(session, goal)
+        assert told[-1].status is GoalStatus.LOST
+        assert told[-1].words is not None

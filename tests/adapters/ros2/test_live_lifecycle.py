@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -11,7 +9,7 @@ import pytest
 from rosld.adapters.model import Kind, Lifecycle, NotFound, Operation, Ref, Refused, Sent, TimedOut
 from rosld.adapters.ros2 import lifecycle as lifecycles
 
-MANAGED = str(Path(__file__).parents[2] / "ros2" / "nodes" / "managed.py")
+pytestmark = pytest.mark.slow
 
 
 def known(session: Any, node: str) -> Lifecycle | None:
@@ -30,103 +28,79 @@ async def change(session: Any, node: str, transition: str, seconds: float = 10.0
     await session.adapter.change_state(node, transition, deadline=session.deadline(seconds))
 
 
-def test_a_managed_node_goes_through_its_life(lone_ros: Any, opened: Any) -> None:
-    lone_ros.node(MANAGED)
+async def test_a_managed_node_goes_through_its_life(ros: Any, opened: Any) -> None:
     camera = Ref(Kind.NODE, "/camera")
-
-    async def scenario() -> None:
-        async with opened(lone_ros) as session, opened(lone_ros) as other:
-            unconfigured = ("unconfigured", ["configure", "shutdown"])
-            await session.until(lambda: standing(session, "/camera") == unconfigured)
-            await session.until(lambda: "/plain" in session.graph.nodes)
-            assert known(session, "/plain") is None
-            assert session.adapter.allows(camera) == {Operation.CHANGE_STATE}
-            assert session.adapter.allows(Ref(Kind.NODE, "/plain")) == frozenset()
-            with pytest.raises(Refused, match="is unconfigured: 'activate' is no legal transition now") as refused:
-                await change(session, "/camera", "activate")
-            assert refused.value.sent is Sent.NO
-            await other.until(lambda: standing(other, "/camera") == unconfigured)
-            await change(session, "/camera", "configure")
-            assert standing(session, "/camera") == ("inactive", ["cleanup", "activate", "shutdown"])
-            told_by_the_node = 3.0  # nobody asks that often
-            await other.until(
-                lambda: standing(other, "/camera") == standing(session, "/camera"), timeout=told_by_the_node
-            )
+    async with opened(ros) as session, opened(ros) as other:
+        unconfigured = ("unconfigured", ["configure", "shutdown"])
+        await session.until(lambda: standing(session, "/camera") == unconfigured)
+        await session.until(lambda: "/plain" in session.graph.nodes)
+        assert known(session, "/plain") is None
+        assert session.adapter.allows(camera) == {Operation.CHANGE_STATE}
+        assert session.adapter.allows(Ref(Kind.NODE, "/plain")) == frozenset()
+        with pytest.raises(Refused, match="is unconfigured: 'activate' is no legal transition now") as refused:
             await change(session, "/camera", "activate")
-            assert standing(session, "/camera") == ("active", ["deactivate", "shutdown"])
-            await change(session, "/camera", "shutdown")
-            assert standing(session, "/camera") == ("finalized", [])
-            assert session.adapter.allows(camera) == frozenset()
-            with pytest.raises(Refused, match="legal is none"):
-                await change(session, "/camera", "configure")
-            with pytest.raises(Refused, match="no lifecycle"):
-                await change(session, "/plain", "configure")
-            with pytest.raises(NotFound, match="/nobody"):
-                await change(session, "/nobody", "configure")
-
-    asyncio.run(scenario())
-
-
-def test_a_transition_that_fails_is_refused_and_one_that_hangs_is_told_as_being_made(
-    lone_ros: Any, opened: Any
-) -> None:
-    lone_ros.node(MANAGED)
-
-    async def scenario() -> None:
-        async with opened(lone_ros) as session:
-            await session.until(lambda: standing(session, "/lidar"))
-            with pytest.raises(Refused, match="did not make the transition 'configure': it is unconfigured") as failed:
-                await change(session, "/lidar", "configure")
-            assert failed.value.sent is Sent.YES
-            assert standing(session, "/lidar") == ("unconfigured", ["configure", "shutdown"])
-            await change(session, "/lidar", "configure")
-            with pytest.raises(TimedOut) as late:
-                await change(session, "/lidar", "activate", 0.5)
-            assert late.value.sent is Sent.MAYBE
-            await session.until(lambda: standing(session, "/lidar") == ("activating", []), timeout=5.0)
-            assert standing(session, "/camera") == ("unconfigured", ["configure", "shutdown"])
-
-    asyncio.run(scenario())
-
-
-def test_a_managed_node_that_answers_nothing_holds_up_nobody_and_one_that_is_killed_is_gone(
-    lone_ros: Any, opened: Any
-) -> None:
-    lone_ros.node(MANAGED)
-    mute = lone_ros.node(MANAGED, "mute")
-
-    async def scenario() -> None:
-        async with opened(lone_ros) as session:
-            await session.until(lambda: standing(session, "/camera"))
-            silent = await session.until(
-                lambda: (found := known(session, "/mute")) is not None and found.unknown and found
-            )
-            assert silent.state is None
-            assert "did not answer" in silent.unknown
-            assert session.adapter.allows(Ref(Kind.NODE, "/mute")) == frozenset()
-            with pytest.raises(TimedOut):
-                await change(session, "/mute", "configure", 0.5)
+        assert refused.value.sent is Sent.NO
+        await other.until(lambda: standing(other, "/camera") == unconfigured)
+        await change(session, "/camera", "configure")
+        assert standing(session, "/camera") == ("inactive", ["cleanup", "activate", "shutdown"])
+        told_by_the_node = 3.0  # nobody asks that often
+        await other.until(lambda: standing(other, "/camera") == standing(session, "/camera"), timeout=told_by_the_node)
+        await change(session, "/camera", "activate")
+        assert standing(session, "/camera") == ("active", ["deactivate", "shutdown"])
+        await change(session, "/camera", "shutdown")
+        assert standing(session, "/camera") == ("finalized", [])
+        assert session.adapter.allows(camera) == frozenset()
+        with pytest.raises(Refused, match="legal is none"):
             await change(session, "/camera", "configure")
-            mute.kill()
-            await session.until(lambda: "/mute" not in session.graph.nodes)
-            with pytest.raises(NotFound):
-                await change(session, "/mute", "configure")
-
-    asyncio.run(scenario())
+        with pytest.raises(Refused, match="no lifecycle"):
+            await change(session, "/plain", "configure")
+        with pytest.raises(NotFound, match="/nobody"):
+            await change(session, "/nobody", "configure")
 
 
-def test_without_lifecycle_msgs_a_managed_node_is_told_with_the_reason(
-    lone_ros: Any, opened: Any, monkeypatch: pytest.MonkeyPatch
+async def test_a_transition_that_fails_is_refused_and_one_that_hangs_is_told_as_being_made(
+    ros: Any, opened: Any
 ) -> None:
-    lone_ros.node(MANAGED)
+    async with opened(ros) as session:
+        await session.until(lambda: standing(session, "/lidar"))
+        with pytest.raises(Refused, match="did not make the transition 'configure': it is unconfigured") as failed:
+            await change(session, "/lidar", "configure")
+        assert failed.value.sent is Sent.YES
+        assert standing(session, "/lidar") == ("unconfigured", ["configure", "shutdown"])
+        await change(session, "/lidar", "configure")
+        with pytest.raises(TimedOut) as late:
+            await change(session, "/lidar", "activate", 0.5)
+        assert late.value.sent is Sent.MAYBE
+        await session.until(lambda: standing(session, "/lidar") == ("activating", []), timeout=5.0)
+        await session.trigger("/go")
+        await session.until(lambda: standing(session, "/lidar") == ("active", ["deactivate", "shutdown"]))
+
+
+async def test_a_managed_node_that_answers_nothing_holds_up_nobody_and_one_that_is_killed_is_gone(
+    ros: Any, opened: Any
+) -> None:
+    mute = ros.node("managed.py", "mute")
+    async with opened(ros) as session:
+        await session.until(lambda: standing(session, "/camera"))
+        silent = await session.until(lambda: (found := known(session, "/mute")) is not None and found.unknown and found)
+        assert silent.state is None
+        assert "did not answer" in silent.unknown
+        assert session.adapter.allows(Ref(Kind.NODE, "/mute")) == frozenset()
+        with pytest.raises(TimedOut):
+            await change(session, "/mute", "configure", 0.5)
+        mute.kill()
+        await session.until(lambda: "/mute" not in session.graph.nodes)
+        with pytest.raises(NotFound):
+            await change(session, "/mute", "configure")
+
+
+async def test_without_lifecycle_msgs_a_managed_node_is_told_with_the_reason(
+    ros: Any, opened: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(lifecycles, "class_problem", lambda type: f"{type} is not installed")
-
-    async def scenario() -> None:
-        async with opened(lone_ros) as session:
-            found = await session.until(lambda: known(session, "/camera"))
-            assert found.unknown == "lifecycle_msgs/srv/GetState is not installed"
-            assert found.state is None
-            assert session.adapter.allows(Ref(Kind.NODE, "/camera")) == frozenset()
-            await session.until(lambda: "/camera/exposure" in session.graph.parameters)
-
-    asyncio.run(scenario())
+    async with opened(ros) as session:
+        found = await session.until(lambda: known(session, "/camera"))
+        assert found.unknown == "lifecycle_msgs/srv/GetState is not installed"
+        assert found.state is None
+        assert session.adapter.allows(Ref(Kind.NODE, "/camera")) == frozenset()
+        await session.until(lambda: "/camera/exposure" in session.graph.parameters)

@@ -10,6 +10,8 @@ import pytest
 from rosld.adapters.model import Descriptor, Kind, Operation, ParameterType, Range, Ref, Refused, TimedOut
 from rosld.adapters.ros2.parameters import Parameters
 
+pytestmark = pytest.mark.slow
+
 READ, WRITE = Operation.GET_PARAMETER, Operation.SET_PARAMETER
 DECLARED = {
     "/lamp/level": Descriptor(
@@ -34,54 +36,67 @@ async def described(session: Any, name: str) -> Descriptor:
     return told
 
 
-def test_what_nodes_declare_is_in_the_graph(ros: Any, opened: Any) -> None:
-    async def scenario() -> None:
-        async with opened(ros) as session:
-            assert {name: await described(session, name) for name in DECLARED} == DECLARED
-            allows = {name: session.adapter.allows(Ref(Kind.PARAMETER, name)) for name in DECLARED}
-            assert allows["/lamp/level"] == {READ, WRITE}
-            assert allows["/lamp/serial"] == {READ}
-            assert allows["/lamp/any"] == {READ, WRITE, Operation.DELETE_PARAMETER}
-
-    asyncio.run(scenario())
-
-
-def test_a_number_goes_out_in_the_type_that_is_declared(ros: Any, opened: Any) -> None:
-    async def scenario() -> None:
-        async with opened(ros) as session:
-            await described(session, "/lamp/gain")
-            given = {"/lamp/gain": 1, "/lamp/level": 10.0, "/lamp/weights": [1, 2.5]}
-            await session.adapter.set_parameters(given, deadline=session.deadline())
-            found = await session.adapter.get_parameters(list(given), deadline=session.deadline())
-            assert repr(found) == repr({"/lamp/gain": 1.0, "/lamp/level": 10, "/lamp/weights": [1.0, 2.5]})
-
-    asyncio.run(scenario())
+async def test_parameters_of_all_kinds_are_named_by_their_node(ros: Any, opened: Any) -> None:
+    async with opened(ros) as session:
+        await session.until(lambda: "/listener/seats" in session.graph.parameters)
+        wanted = {
+            "/listener/seats": 2,
+            "/listener/speed": 1.5,
+            "/listener/name": "Ada",
+            "/listener/flying": False,
+            "/listener/camera.exposures": [1.0, 2.0],
+            "/listener/bytes": b"\x01\xff",
+            "/listener/odd/name with spaces": [1, 2],
+        }
+        assert wanted.keys() <= session.graph.parameters.keys()
+        assert {session.graph.parameters[name].node for name in wanted} == {"/listener"}
+        found = await session.get_parameters(list(wanted))
+        assert found == wanted
+        assert [type(found[name]) for name in ("/listener/seats", "/listener/speed")] == [int, float]
+        own = session.graph.own_node
+        assert not any(name.startswith(f"{own}/") for name in session.graph.parameters)
 
 
-@pytest.mark.parametrize(("name", "value"), [("/lamp/level", 7), ("/lamp/gain", 0.25), ("/lamp/serial", "B8")])
-def test_the_nodes_judge_as_they_declare(ros: Any, opened: Any, name: str, value: object) -> None:
-    async def scenario() -> None:
-        async with opened(ros) as session:
-            await described(session, name)
-            with pytest.raises(Refused, match=name):
-                await session.adapter.set_parameters({name: value}, deadline=session.deadline())
+async def test_what_another_sets_comes_by_the_events_of_its_node(ros: Any, opened: Any) -> None:
+    async with opened(ros) as one, opened(ros) as other:
+        name = "/free/told.by.event"
+        await one.until(lambda: Operation.SET_PARAMETER in one.adapter.allows(Ref(Kind.PARAMETER, name)))
+        await other.until(lambda: Operation.SET_PARAMETER in other.adapter.allows(Ref(Kind.PARAMETER, name)))
+        await one.set_parameters({name: 1})
+        await other.until(lambda: name in other.told.parameters)
+        await other.until(lambda: name in other.graph.parameters)
+        await one.delete_parameters([name])
+        await other.until(lambda: name not in other.graph.parameters)
 
-    asyncio.run(scenario())
+
+async def test_nodes_judge_as_they_declare_and_numbers_go_out_in_the_declared_type(ros: Any, opened: Any) -> None:
+    async with opened(ros) as session:
+        assert {name: await described(session, name) for name in DECLARED} == DECLARED
+        allows = {name: session.adapter.allows(Ref(Kind.PARAMETER, name)) for name in DECLARED}
+        assert allows["/lamp/level"] == {READ, WRITE}
+        assert allows["/lamp/serial"] == {READ}
+        assert allows["/lamp/any"] == {READ, WRITE, Operation.DELETE_PARAMETER}
+        given = {"/lamp/gain": 1, "/lamp/level": 10.0, "/lamp/weights": [1, 2.5]}
+        await session.set_parameters(given)
+        found = await session.get_parameters(list(given))
+        assert repr(found) == repr({"/lamp/gain": 1.0, "/lamp/level": 10, "/lamp/weights": [1.0, 2.5]})
+        wrong = {"/lamp/level": 7, "/lamp/gain": 0.25, "/lamp/serial": "B8"}
+        for name, value in {**wrong, "/listener/seats": "two", "/listener/never": 1}.items():
+            with pytest.raises(Refused, match=name) as caught:
+                await session.set_parameters({name: value})
+            assert caught.value.words
 
 
-def test_what_a_node_declares_later_or_anew_is_asked_for_soon(ros: Any, opened: Any) -> None:
-    async def scenario() -> None:
-        async with opened(ros) as session:
-            assert (await described(session, "/lamp/changed")).description == "As it was."
-            await session.trigger("/lamp/grow")
-            assert await described(session, "/lamp/grown") == Descriptor(ParameterType.BOOLEAN, "New.")
-            parameters = lambda: session.graph.parameters  # noqa: E731
-            await session.until(lambda: parameters()["/lamp/changed"].descriptor.description == "As it is.")
-            await session.adapter.set_parameters({"/free/undeclared": 1}, deadline=session.deadline())
-            assert await described(session, "/free/undeclared") == Descriptor(dynamic_typing=True)
-            await session.adapter.delete_parameters(["/free/undeclared"], deadline=session.deadline())
-
-    asyncio.run(scenario())
+async def test_what_a_node_declares_later_or_anew_is_asked_for_soon(ros: Any, opened: Any) -> None:
+    async with opened(ros) as session:
+        assert (await described(session, "/lamp/changed")).description == "As it was."
+        await session.trigger("/lamp/grow")
+        assert await described(session, "/lamp/grown") == Descriptor(ParameterType.BOOLEAN, "New.")
+        parameters = lambda: session.graph.parameters  # noqa: E731
+        await session.until(lambda: parameters()["/lamp/changed"].descriptor.description == "As it is.")
+        await session.set_parameters({"/free/undeclared": 1})
+        assert await described(session, "/free/undeclared") == Descriptor(dynamic_typing=True)
+        await session.delete_parameters(["/free/undeclared"])
 
 
 class Node:
@@ -121,7 +136,7 @@ async def asked(node: Node) -> Parameters:
     return parameters
 
 
-def test_a_name_that_is_not_declared_hides_no_other(ros: Any) -> None:
+def test_a_name_that_is_not_declared_hides_no_other() -> None:
     names = [f"p{number:02}" for number in range(40)]
     node = Node(names, set(names) - {"p07", "p31"})
     found = asyncio.run(asked(node)).graph_parameters
@@ -131,13 +146,9 @@ def test_a_name_that_is_not_declared_hides_no_other(ros: Any) -> None:
     assert len(node.asked) < len(names)
 
 
-def test_a_node_that_describes_nothing_still_has_its_parameters(ros: Any) -> None:
-    async def scenario() -> None:
-        node = Node(["a"], {"a"}, describes=False)
-        parameters = await asked(node)
-        assert parameters.graph_parameters["/n/a"].descriptor is None
-        assert not parameters.unreachable
-        soon = parameters.owners["/n"].ask_at - asyncio.get_running_loop().time()
-        assert soon < 10
-
-    asyncio.run(scenario())
+async def test_a_node_that_describes_nothing_still_has_its_parameters() -> None:
+    parameters = await asked(Node(["a"], {"a"}, describes=False))
+    assert parameters.graph_parameters["/n/a"].descriptor is None
+    assert not parameters.unreachable
+    soon = parameters.owners["/n"].ask_at - asyncio.get_running_loop().time()
+    assert soon < 10

@@ -5,170 +5,123 @@ from __future__ import annotations
 import asyncio
 from typing import Any
 
+import pytest
+
 from rosld.adapters.model import Mismatch, Qos, mismatches
 
-
-def test_the_quality_of_service_of_every_endpoint_is_in_the_graph(ros: Any, opened: Any) -> None:
-    async def scenario() -> None:
-        async with opened(ros) as session:
-            await session.until(lambda: "/description" in session.graph.topics)
-            (counter,) = session.graph.topics["/counter"].publishers
-            assert (counter.node, counter.qos.reliability, counter.qos.durability) == (
-                "/talker",
-                "reliable",
-                "volatile",
-            )
-            (latched,) = session.graph.topics["/description"].publishers
-            assert (latched.latched, latched.qos.durability) == (True, "transient_local")
-            (shy,) = session.graph.topics["/shy/display"].subscribers
-            assert (shy.node, shy.qos.reliability, shy.qos.deadline_ns) == ("/listener", "best_effort", None)
-
-    asyncio.run(scenario())
+pytestmark = pytest.mark.slow
 
 
-def test_two_nodes_that_do_not_hear_each_other_are_a_mismatch_and_both_are_read_all_the_same(
-    lone_ros: Any, opened: Any
-) -> None:
-    lone_ros.node("odd.py", "shouter", "shouter")
-    lone_ros.node("odd.py", "strict", "strict")
-
-    async def scenario() -> None:
-        async with opened(lone_ros) as session:
-            topic = await session.until(
-                lambda: (
-                    (found := session.graph.topics.get("/loud")) and found.publishers and found.subscribers and found
-                )
-            )
-            assert mismatches(topic.publishers, topic.subscribers) == (
-                Mismatch("/shouter", "/strict", "reliability", "best_effort", "reliable"),
-            )
-            (sample,) = await session.first(await session.adapter.subscribe("/loud"))
-            assert (await session.decoded(sample)).data == "hey"
-
-    asyncio.run(scenario())
+async def test_the_quality_of_service_of_every_endpoint_is_in_the_graph(ros: Any, opened: Any) -> None:
+    async with opened(ros) as session:
+        await session.until(lambda: "/description" in session.graph.topics)
+        (counter,) = session.graph.topics["/counter"].publishers
+        assert (counter.node, counter.qos.reliability, counter.qos.durability) == (
+            "/talker",
+            "reliable",
+            "volatile",
+        )
+        (latched,) = session.graph.topics["/description"].publishers
+        assert (latched.latched, latched.qos.durability) == (True, "transient_local")
+        assert "/_hidden/topic" in session.graph.topics
+        assert not any("_rosld" in name for name in session.graph.nodes)
+        (shy,) = session.graph.topics["/shy/display"].subscribers
+        assert (shy.node, shy.qos.reliability, shy.qos.deadline_ns) == ("/listener", "best_effort", None)
 
 
-def test_a_latched_message_reaches_a_late_look_and_a_second_look_and_counts_once(ros: Any, opened: Any) -> None:
-    async def scenario() -> None:
-        async with opened(ros) as session:
-            one = await session.adapter.subscribe("/description")
-            (early,) = await session.first(one)
-            assert early.latched  # also where it came before it was known who publishes
-            sample = await session.until(lambda: one.latest()[0].publisher and one.latest()[0])
-            assert (await session.decoded(sample)).data == "a robot"
-            assert sample.latched
-            deep = await session.adapter.subscribe("/description", depth=40)
-            assert list(await session.first(deep)) == [sample]
-            await asyncio.sleep(0.5)
-            assert list(deep.latest()) == [sample]
-            one.close()
-            deep.close()
-            (again,) = await session.first(await session.adapter.subscribe("/description"))
-            assert again.data == sample.data
-
-    asyncio.run(scenario())
+async def test_a_latched_message_reaches_a_late_look_and_a_second_look_and_counts_once(ros: Any, opened: Any) -> None:
+    async with opened(ros) as session:
+        one = await session.adapter.subscribe("/description")
+        (early,) = await session.first(one)
+        assert early.latched  # also where it came before it was known who publishes
+        sample = await session.until(lambda: one.latest()[0].publisher and one.latest()[0])
+        assert (await session.decoded(sample)).data == "a robot"
+        assert sample.latched
+        deep = await session.adapter.subscribe("/description", depth=40)
+        assert list(await session.first(deep)) == [sample]
+        await asyncio.sleep(0.3)
+        assert list(deep.latest()) == [sample]
+        one.close()
+        deep.close()
+        (again,) = await session.first(await session.adapter.subscribe("/description"))
+        assert again.data == sample.data
 
 
-def test_as_many_latched_messages_as_are_kept_come_oldest_first(lone_ros: Any, opened: Any) -> None:
-    lone_ros.node("odd.py", "late", "late")
-
-    async def scenario() -> None:
-        async with opened(lone_ros) as session:
-            samples = await session.first(await session.adapter.subscribe("/history", depth=5), 3)
-            assert [(await session.decoded(each)).data for each in samples] == ["one", "two", "three"]
-            assert [each.sequence for each in samples] == [1, 2, 3]
-
-    asyncio.run(scenario())
-
-
-def test_hidden_topics_are_in_the_graph(ros: Any, opened: Any) -> None:
-    async def scenario() -> None:
-        async with opened(ros) as session:
-            await session.until(lambda: "/_hidden/topic" in session.graph.topics)
-            assert not any("_rosld" in name for name in session.graph.nodes)
-
-    asyncio.run(scenario())
+async def test_two_nodes_that_do_not_hear_each_other_are_a_mismatch_and_both_are_read(ros: Any, opened: Any) -> None:
+    odd = [ros.node("odd.py", way, way) for way in ("shouter", "strict", "late")]
+    async with opened(ros) as session:
+        topic = await session.until(
+            lambda: (found := session.graph.topics.get("/loud")) and found.publishers and found.subscribers and found
+        )
+        assert mismatches(topic.publishers, topic.subscribers) == (
+            Mismatch("/shouter", "/strict", "reliability", "best_effort", "reliable"),
+        )
+        (sample,) = await session.first(await session.adapter.subscribe("/loud"))
+        assert (await session.decoded(sample)).data == "hey"
+        samples = await session.first(await session.adapter.subscribe("/history", depth=5), 3)
+        assert [(await session.decoded(each)).data for each in samples] == ["one", "two", "three"]
+        assert [each.sequence for each in samples] == [1, 2, 3]
+    for node in odd:
+        node.stop()
 
 
-def test_two_publishers_of_one_topic_are_both_read(lone_ros: Any, opened: Any) -> None:
-    for name in ("castor", "pollux"):
-        lone_ros.node("odd.py", "twin", name)
-
-    async def scenario() -> None:
-        async with opened(lone_ros) as session:
-            await session.until(lambda: len(session.graph.topics["/shared"].publishers) == 2)
-            subscription = await session.adapter.subscribe("/shared", depth=20)
-            heard: set[str] = set()
-
-            def both() -> bool:
-                heard.update(each.publisher for each in subscription.latest())
-                return len(subscription.latest()) >= 10
-
-            await session.until(both)
-            texts = {(await session.decoded(each)).data for each in subscription.latest()}
-            assert texts == {"castor", "pollux"}
-            assert heard <= {"/castor", "/pollux", ""}
-            if heard == {"/castor", "/pollux"}:  # where the middleware tells who sent a message
-                for each in subscription.latest():
-                    assert each.publisher == "/" + (await session.decoded(each)).data
-
-    asyncio.run(scenario())
+async def test_two_publishers_of_one_topic_are_both_read(ros: Any, opened: Any) -> None:
+    twins = [ros.node("odd.py", "twin", name) for name in ("castor", "pollux")]
+    async with opened(ros) as session:
+        await session.until(lambda: "/shared" in session.graph.topics)
+        await session.until(lambda: len(session.graph.topics["/shared"].publishers) == 2)
+        subscription = await session.adapter.subscribe("/shared", depth=20)
+        await session.first(subscription, 10)
+        texts = {(await session.decoded(each)).data for each in subscription.latest()}
+        assert texts == {"castor", "pollux"}
+        heard = {each.publisher for each in subscription.latest()}
+        assert heard <= {"/castor", "/pollux", ""}
+        if heard == {"/castor", "/pollux"}:  # where the middleware tells who sent a message
+            for each in subscription.latest():
+                assert each.publisher == "/" + (await session.decoded(each)).data
+    for node in twins:
+        node.stop()
 
 
-def test_what_rosld_publishes_reaches_reliable_best_effort_and_latched_subscribers_at_once(
+async def test_what_rosld_publishes_reaches_reliable_best_effort_and_latched_subscribers_at_once(
     lone_ros: Any, opened: Any
 ) -> None:
     robot = lone_ros.node("robot.py")
-
-    async def scenario() -> None:
-        async with opened(lone_ros) as session:
-            for topic, heard in (("/cockpit/display", ""), ("/shy/display", "shy "), ("/latched/display", "latched ")):
-                await session.until(lambda topic=topic: topic in session.graph.topics)
-                ref, data = await session.text(f"for {topic}")
-                published = await session.adapter.publish(topic, ref, data, deadline=session.deadline())
-                assert published.matched == 1
-                await asyncio.to_thread(robot.line, f"{heard}heard for {topic}")
-            (ours,) = session.graph.topics["/latched/display"].publishers
-            assert ours.qos.durability == "transient_local"
-
-    asyncio.run(scenario())
+    async with opened(lone_ros) as session:
+        for topic, heard in (("/cockpit/display", ""), ("/shy/display", "shy "), ("/latched/display", "latched ")):
+            await session.until(lambda topic=topic: topic in session.graph.topics)
+            ref, data = await session.text(f"for {topic}")
+            published = await session.publish(topic, ref, data)
+            assert published.matched == 1
+            await asyncio.to_thread(robot.line, f"{heard}heard for {topic}")
+        (ours,) = session.graph.topics["/latched/display"].publishers
+        assert ours.qos.durability == "transient_local"
 
 
-def test_an_own_sample_is_one_sample_though_the_middleware_echoes_it(ros: Any, opened: Any) -> None:
-    async def scenario() -> None:
-        async with opened(ros) as session:
-            subscription = await session.adapter.subscribe("/cockpit/display", depth=10)
-            for number in range(5):
-                ref, data = await session.text(f"number {number}")
-                published = await session.adapter.publish("/cockpit/display", ref, data, deadline=session.deadline())
-                assert published.matched == 1  # our own reader is nobody
-            await asyncio.sleep(0.5)
-            samples = subscription.latest()
-            assert [each.publisher for each in samples] == [session.graph.own_node] * 5
-            assert [each.sequence for each in samples] == [1, 2, 3, 4, 5]
-            late = await session.adapter.subscribe("/cockpit/display")
-            assert [each.sequence for each in late.latest()] == [5]
-
-    asyncio.run(scenario())
-
-
-def test_a_latched_sample_of_ours_is_not_heard_again_by_a_late_look(ros: Any, opened: Any) -> None:
-    async def scenario() -> None:
-        async with opened(ros) as session:
-            ref, data = await session.text("keep this")
-            await session.adapter.publish("/latched/display", ref, data, latch=True, deadline=session.deadline())
-            subscription = await session.adapter.subscribe("/latched/display")
-            await asyncio.sleep(0.5)
-            own = session.graph.own_node
-            assert [(each.publisher, each.latched) for each in subscription.latest()] == [(own, True)]
-
-    asyncio.run(scenario())
+async def test_an_own_sample_is_one_sample_though_the_middleware_echoes_it(ros: Any, opened: Any) -> None:
+    async with opened(ros) as session:
+        subscription = await session.adapter.subscribe("/cockpit/display", depth=10)
+        for number in range(5):
+            ref, data = await session.text(f"number {number}")
+            published = await session.publish("/cockpit/display", ref, data)
+            assert published.matched == 1  # our own reader is nobody
+        await asyncio.sleep(0.3)
+        samples = subscription.latest()
+        assert [each.publisher for each in samples] == [session.graph.own_node] * 5
+        assert [each.sequence for each in samples] == [1, 2, 3, 4, 5]
+        late = await session.adapter.subscribe("/cockpit/display")
+        assert [each.sequence for each in late.latest()] == [5]
+        ref, data = await session.text("keep this")
+        await session.publish("/latched/display", ref, data, latch=True)
+        latched = await session.adapter.subscribe("/latched/display")
+        await asyncio.sleep(0.3)
+        assert [(each.publisher, each.latched) for each in latched.latest()] == [(session.graph.own_node, True)]
 
 
-def test_two_that_begin_to_publish_before_they_know_each_other_have_two_names(ros: Any, opened: Any) -> None:
+async def test_two_that_begin_to_publish_before_they_know_each_other_have_two_names(ros: Any, opened: Any) -> None:
     async def publish(session: Any) -> None:
         ref, data = await session.text(f"hello from {session.graph.own_node}")
-        await session.adapter.publish("/shared/topic", ref, data, deadline=session.deadline(0.3))
+        await session.publish("/shared/topic", ref, data, seconds=0.3)
 
     async def hears(session: Any, subscription: Any, other: Any) -> None:
         names = {session.graph.own_node, other.graph.own_node}
@@ -180,53 +133,31 @@ def test_two_that_begin_to_publish_before_they_know_each_other_have_two_names(ro
             await asyncio.sleep(0.1)
             texts = {(await session.decoded(sample)).data for sample in subscription.latest()}
 
-    async def scenario() -> None:
-        async with opened(ros) as first, opened(ros) as second:
-            heard = [await session.adapter.subscribe("/shared/topic") for session in (first, second)]
-            await asyncio.gather(publish(first), publish(second))
-            await hears(first, heard[0], second)
-            await hears(second, heard[1], first)
-
-    asyncio.run(asyncio.wait_for(scenario(), 60))
+    async with opened(ros) as first, opened(ros) as second:
+        heard = [await session.adapter.subscribe("/shared/topic") for session in (first, second)]
+        await asyncio.gather(publish(first), publish(second))
+        await hears(first, heard[0], second)
+        await hears(second, heard[1], first)
 
 
-def test_the_namespace_of_the_source_is_that_of_our_node(lone_ros: Any, opened: Any) -> None:
-    lone_ros.node("odd.py", "twin", "talker")
-    lone_ros.options = "&namespace=/robot1"
-
-    async def scenario() -> None:
-        async with opened(lone_ros) as session:
-            ref, data = await session.text("hello")
-            await session.adapter.publish("/brand/new", ref, data, deadline=session.deadline(0.3))
-            assert session.graph.own_node.startswith("/robot1/rosld_")
-            assert session.graph.own_node in session.graph.nodes
-
-    asyncio.run(scenario())
+async def test_the_source_says_the_namespace_and_the_user_the_quality_of_service(ros: Any, opened: Any) -> None:
+    qos = (("/brand/*", Qos("best_effort", "transient_local", depth=3)),)
+    async with opened(ros, "&namespace=/robot1", qos=qos) as session:
+        ref, data = await session.text("hello")
+        await session.publish("/brand/new", ref, data, seconds=0.3)
+        assert session.graph.own_node.startswith("/robot1/rosld_")
+        assert session.graph.own_node in session.graph.nodes
+        (ours,) = session.graph.topics["/brand/new"].publishers
+        assert (ours.qos.reliability, ours.qos.durability) == ("best_effort", "transient_local")
 
 
-def test_the_user_may_say_which_quality_of_service_is_taken(ros: Any, opened: Any) -> None:
-    async def scenario() -> None:
-        async with opened(ros, qos=(("/brand/*", Qos("best_effort", "transient_local", depth=3)),)) as session:
-            ref, data = await session.text("hello")
-            await session.adapter.publish("/brand/new", ref, data, deadline=session.deadline(0.3))
-            (ours,) = session.graph.topics["/brand/new"].publishers
-            assert (ours.qos.reliability, ours.qos.durability) == ("best_effort", "transient_local")
-
-    asyncio.run(scenario())
-
-
-def test_names_that_ros_2_does_not_allow_are_refused_and_harm_nobody(ros: Any, opened: Any) -> None:
-    async def scenario() -> None:
-        async with opened(ros) as session:
-            ref, data = await session.text("hello")
-            for name in ("/with space", "/ü", "/a//b", "/1a", "/a/"):
-                with_error = asyncio.create_task(
-                    session.adapter.publish(name, ref, data, deadline=session.deadline(0.3))
-                )
-                (result,) = await asyncio.gather(with_error, return_exceptions=True)
-                assert type(result).__name__ == "Refused", name
-                assert name in str(result)
-                await session.adapter.subscribe(name)
-            assert session.graph.own_node not in session.graph.nodes
-
-    asyncio.run(scenario())
+async def test_names_that_ros_2_does_not_allow_are_refused_and_harm_nobody(ros: Any, opened: Any) -> None:
+    async with opened(ros) as session:
+        ref, data = await session.text("hello")
+        for name in ("/with space", "/ü", "/a//b", "/1a", "/a/"):
+            with_error = asyncio.create_task(session.publish(name, ref, data, seconds=0.3))
+            (result,) = await asyncio.gather(with_error, return_exceptions=True)
+            assert type(result).__name__ == "Refused", name
+            assert name in str(result)
+            await session.adapter.subscribe(name)
+        assert session.graph.own_node not in session.graph.nodes

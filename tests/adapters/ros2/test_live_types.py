@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import importlib
 import json
 import sys
@@ -13,6 +12,8 @@ import pytest
 
 from rosld.adapters.model import MessageSchema, Primitive, TypeRef, library
 from rosld.adapters.ros2 import types
+
+pytestmark = pytest.mark.slow
 
 SHARE = Path(sys.prefix) / "share"
 
@@ -36,47 +37,39 @@ def test_every_type_installed_here_has_the_hash_that_came_with_it() -> None:
     assert not wrong
 
 
-def test_a_topic_whose_package_is_not_installed_here_is_listed_with_the_reason(
+async def test_a_topic_whose_package_is_not_installed_here_is_listed_with_the_reason(
     lone_ros: Any, opened: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     lone_ros.node("odd.py", "foreign", "foreign")
     for name in ("visualization_msgs", "visualization_msgs.msg", "visualization_msgs.srv"):
         monkeypatch.setitem(sys.modules, name, None)
-
-    async def scenario() -> None:
-        async with opened(lone_ros) as session:
-            topic = await session.until(lambda: session.graph.topics.get("/marker"))
-            assert [each.name for each in topic.types] == ["visualization_msgs/msg/Marker"]
-            assert topic.types[0].hash.startswith("RIHS01_")
-            assert "visualization_msgs is not installed" in topic.unreadable
-            service = await session.until(lambda: session.graph.services.get("/get_markers"))
-            assert "visualization_msgs is not installed" in service.uncallable
-            subscription = await session.adapter.subscribe("/marker")
-            assert list(subscription.latest()) == []
-
-    asyncio.run(scenario())
+    async with opened(lone_ros) as session:
+        topic = await session.until(lambda: session.graph.topics.get("/marker"))
+        assert [each.name for each in topic.types] == ["visualization_msgs/msg/Marker"]
+        assert topic.types[0].hash.startswith("RIHS01_")
+        assert "visualization_msgs is not installed" in topic.unreadable
+        service = await session.until(lambda: session.graph.services.get("/get_markers"))
+        assert "visualization_msgs is not installed" in service.uncallable
+        subscription = await session.adapter.subscribe("/marker")
+        assert list(subscription.latest()) == []
 
 
 @pytest.mark.parametrize("way", ["foreign", "idl"])
-def test_a_type_that_lies_nowhere_here_is_asked_of_the_node_that_uses_it_however_it_is_written(
+async def test_a_type_that_lies_nowhere_here_is_asked_of_the_node_that_uses_it_however_it_is_written(
     lone_ros: Any, opened: Any, monkeypatch: pytest.MonkeyPatch, way: str
 ) -> None:
     lone_ros.node("odd.py", way, way)
     monkeypatch.setattr(sys.modules["rosld.adapters.ros2.adapter"], "definition_folders", lambda given: [])
     monkeypatch.setattr(library, "stored_texts", lambda version: {})
-
-    async def scenario() -> None:
-        async with opened(lone_ros) as session:
-            topic = await session.until(lambda: session.graph.topics.get("/marker"))
-            schema = await session.adapter.schema(topic.types[0], deadline=session.deadline())
-            assert schema.ref == topic.types[0]
-            assert "pose" in {field.name for field in schema.type.fields}
-            (sample,) = await session.first(await session.adapter.subscribe("/marker"))
-            assert (await session.decoded(sample)).ns == ""
-            nested = await session.adapter.schema(TypeRef("geometry_msgs/msg/Pose"), deadline=session.deadline())
-            assert {field.name for field in nested.type.fields} == {"position", "orientation"}
-
-    asyncio.run(scenario())
+    async with opened(lone_ros) as session:
+        topic = await session.until(lambda: session.graph.topics.get("/marker"))
+        schema = await session.schema(topic.types[0])
+        assert schema.ref == topic.types[0]
+        assert "pose" in {field.name for field in schema.type.fields}
+        (sample,) = await session.first(await session.adapter.subscribe("/marker"))
+        assert (await session.decoded(sample)).ns == ""
+        nested = await session.schema(TypeRef("geometry_msgs/msg/Pose"))
+        assert {field.name for field in nested.type.fields} == {"position", "orientation"}
 
 
 def test_what_every_message_installed_here_is_made_with_are_the_defaults_of_its_type() -> None:

@@ -8,26 +8,17 @@ IDL; late said three things on the latched /history.
 from __future__ import annotations
 
 import json
-import signal
 import sys
-import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from running import begun, run, say
 from std_msgs.msg import String
-
-ENDING = threading.Event()
-
-
-def say(text: str) -> None:
-    """A line for the test, at once."""
-    print(f"{text}\n", end="", flush=True)
 
 
 def silent(_: Node) -> None:
@@ -100,21 +91,11 @@ WAYS: dict[str, Callable[[Node], None]] = {
 
 
 def main(way: str, name: str) -> None:
-    context = Context()
-    context.init(args=[])
-    signal.signal(signal.SIGINT, lambda *_: ENDING.set())
+    context = begun()
     own = [Parameter("start_type_description_service", value=False)] if way == "idl" else []
     node = Node(name, context=context, parameter_overrides=own)
-    executor = SingleThreadedExecutor(context=context)
     WAYS[way](node)
-    if way != "silent":
-        executor.add_node(node)
-        threading.Thread(target=executor.spin, daemon=True).start()
-    say("ready")
-    ENDING.wait()
-    executor.shutdown(1.0)
-    node.destroy_node()
-    context.try_shutdown()
+    run(context, SingleThreadedExecutor(context=context), [] if way == "silent" else [node])
 
 
 if __name__ == "__main__":

@@ -5,11 +5,8 @@ Prints "ready" once all of it is there, and "heard TEXT" for what comes in on /c
 
 from __future__ import annotations
 
-import signal
 import sys
-import threading
 
-import rclpy
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.context import Context
@@ -17,16 +14,12 @@ from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from running import ENDING, begun, run, say
 from std_msgs.msg import Float64, String
 from std_srvs.srv import SetBool, Trigger
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 BEST_EFFORT = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
-
-
-def say(text: str) -> None:
-    """A line for the test, at once."""
-    print(f"{text}\n", end="", flush=True)
 
 
 class Talker(Node):
@@ -127,26 +120,11 @@ class Server(Node):
         return response
 
 
-ENDING = threading.Event()
-
-
 def main(many: int) -> None:
-    context = Context()
-    context.init(args=[])
-    signal.signal(signal.SIGINT, lambda *_: ENDING.set())
+    context = begun()
     nodes = [Talker(context), Listener(context), Free(context), Lamp(context), Server(context, many)]
-    executor = MultiThreadedExecutor(8, context=context)
-    for node in nodes:
-        executor.add_node(node)
-    threading.Thread(target=executor.spin, daemon=True).start()
-    say("ready")
-    ENDING.wait()
-    executor.shutdown(1.0)
-    for node in nodes:
-        node.destroy_node()
-    context.try_shutdown()
+    run(context, MultiThreadedExecutor(8, context=context), nodes)
 
 
 if __name__ == "__main__":
-    assert rclpy is not None
     main(int(sys.argv[1]) if len(sys.argv) > 1 else 0)

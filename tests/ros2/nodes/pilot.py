@@ -1,24 +1,20 @@
 """An action server `/fly` for tests: rosld_aircraft/Fly, a metre a tick of 50 ms. Prints "ready".
 
 It rejects what goes backwards, and aborts at 50 metres, unless it is told to go far. `pilot.py send DISTANCE` is a
-client instead, which sends one goal and prints "sent".
+client instead, which sends one goal.
 """
 
 from __future__ import annotations
 
-import signal
 import sys
-import threading
 import time
 from typing import Any
 
 from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
-from rclpy.context import Context
 from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
 from rosld_aircraft.action import Fly
-
-ENDING = threading.Event()
+from running import begun, run
 
 
 def fly(handle: Any) -> Fly.Result:
@@ -42,27 +38,18 @@ def permissions(goal: Fly.Goal) -> GoalResponse:
 
 
 def main(arguments: list[str]) -> None:
-    context = Context()
-    context.init(args=[])
-    signal.signal(signal.SIGINT, lambda *_: ENDING.set())
+    context = begun()
     node = Node("tower" if arguments else "pilot", context=context)
-    executor = MultiThreadedExecutor(6, context=context)
-    executor.add_node(node)
-    if not arguments:
-        cancel = {"cancel_callback": lambda _: CancelResponse.ACCEPT}
-        server = ActionServer(node, Fly, "/fly", fly, goal_callback=permissions, **cancel)
-        assert server is not None
-    threading.Thread(target=executor.spin, daemon=True).start()
-    print("ready", flush=True)
     if arguments:
         client = ActionClient(node, Fly, "/fly")
         assert client.wait_for_server(10)
         client.send_goal_async(Fly.Goal(distance=float(arguments[1])))
         print("sent", flush=True)
-    ENDING.wait()
-    executor.shutdown(0.5)
-    node.destroy_node()
-    context.try_shutdown()
+    else:
+        cancel = {"cancel_callback": lambda _: CancelResponse.ACCEPT}
+        server = ActionServer(node, Fly, "/fly", fly, goal_callback=permissions, **cancel)
+        assert server is not None
+    run(context, MultiThreadedExecutor(6, context=context), [node])
 
 
 if __name__ == "__main__":

@@ -1,0 +1,291 @@
+"""A real ROS 2 over HTTP: declared parameters, lifecycles, hidden names, `--qos`, goals, holds and the stop."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import httpx
+import pyshacl
+import pytest
+import rdflib
+
+from tests.processes import Process
+from tests.ros2.system import System, running
+from tests.server.conftest import Served, servers
+from tests.stopping import release
+from tests.waiting import until
+
+pytestmark = [pytest.mark.slow, pytest.mark.ros2]
+
+FLY, DRIVE, BRAKE = "/actions/fly", "/topics/rover/drive", "/services/rover/brake"
+LAMP, DISPLAY = "/parameters/lamp/", "/topics/cockpit/display"
+ROS = rdflib.Namespace("https://w3id.org/rosld#")
+LDP = rdflib.Namespace("http://www.w3.org/ns/ldp#")
+JSON = {"accept": "application/json"}
+NTRIPLES = {"accept": "application/n-triples"}
+MERGE = {"content-type": "application/merge-patch+json"}
+MAPPING = """@prefix map: <https://w3id.org/rosld/mapping#> .
+<#rover> a map:ComplexResource ; map:path "/rover/" ; map:stop [ map:call "/rover/brake" ] ."""
+STILL = {part: {"x": 0.0, "y": 0.0, "z": 0.0} for part in ("linear", "angular")}
+AHEAD = {**STILL, "linear": {"x": 1.5, "y": 0.0, "z": 0.0}}
+
+
+@pytest.fixture(scope="module")
+def system() -> Iterator[System]:
+    """A robot, an action, and nodes that have a lifecycle."""
+    with running("jazzy") as found:
+        for node in ("robot.py", "pilot.py", "managed.py"):
+            found.node(node)
+        yield found
+
+
+@pytest.fixture(scope="module")
+def rover(system: System) -> Process:
+    """A rover that prints its commands."""
+    return system.node("rover.py")
+
+
+def served(start: Any, system: System, *options: str) -> Served:
+    """A server of the system that has found the rover."""
+    found: Served = start(system.source, *options, python=system.python, environment=system.environment)
+    found.http.headers["accept"] = "application/json"
+    until(lambda: found.http.get(DRIVE).status_code == 200, "the rover")
+    return found
+
+
+@pytest.fixture(scope="module")
+def server(system: System, rover: Process) -> Iterator[Served]:
+    """The server, once it knows all that the tests ask for."""
+    with servers() as start:
+        found = served(start, system, "--qos", "/cockpit/*=best_effort,depth:3")
+        for path in (f"{LAMP}level", "/parameters/listener/seats"):
+            until(lambda path=path: "?shape" in found.http.get(path).headers.get("link", ""), path)
+        for path in (FLY, BRAKE, DISPLAY):
+            until(lambda path=path: found.http.get(path).status_code == 200, path)
+        until(lambda: state_of(found.http, "camera") == "unconfigured", "the camera")
+        yield found
+
+
+@pytest.fixture
+def http(server: Served) -> httpx.Client:
+    return server.http
+
+
+def graph(http: httpx.Client, path: str) -> rdflib.Graph:
+    return rdflib.Graph().parse(data=http.get(path, headers={"accept": "text/turtle"}).text, format="turtle")
+
+
+# Parameters
+
+
+def test_what_nodes_declare_of_parameters_is_told_and_held_and_they_judge_the_rest(http: httpx.Client) -> None:
+    found = graph(http, f"{LAMP}level")
+    (subject,) = found.subjects(ROS.value)
+    assert str(found.value(subject, rdflib.DCTERMS.description)) == "How bright it is."
+    for value, good in ((0, True), (20, True), (25, False), (7, False), (0.5, False)):
+        found.set((subject, ROS.value, rdflib.Literal(value)))
+        assert pyshacl.validate(found, shacl_graph=found)[0] is good, value
+    for node in ("lamp", "listener", "free"):
+        for name in http.get(f"/parameters/{node}/").json():
+            found = graph(http, f"/parameters/{node}/{name}")
+            conforms, _, words = pyshacl.validate(found, shacl_graph=found)
+            assert conforms, words
+    for name, methods in {"level": {"PUT", "PATCH"}, "serial": set(), "any": {"PUT", "PATCH", "DELETE"}}.items():
+        allowed = set(http.get(LAMP + name).headers["allow"].split(", "))
+        assert allowed == {"GET", "HEAD", "OPTIONS"} | methods
+    assert http.put(f"{LAMP}gain", json=1).status_code == 204  # a double, though JSON says it as an integer
+    assert http.patch(LAMP, json={"level": 15, "gain": 0.3}, headers=MERGE).status_code == 204
+    assert http.put(f"{LAMP}level", json=12).status_code == 422, "between two steps"
+    assert http.patch(LAMP, json={"level": 10, "gain": 2.0}, headers=MERGE).status_code == 422
+    values = http.get(LAMP).json()
+    assert (values["level"], values["gain"], values["serial"]) == (15, 0.3, "A7")
+    refused = http.patch("/parameters/listener/", json={"seats": 9, "name": "Grace"}, headers=MERGE)
+    assert refused.status_code == 422
+    assert "there are four seats at most" in refused.json()["robotSaid"]
+    assert http.get("/parameters/listener/name").json() == "Ada"
+
+
+# Lifecycles
+
+
+def said(http: httpx.Client, name: str) -> str:
+    """The description of a node as N-Triples."""
+    return http.get(f"/nodes/{name}", headers=NTRIPLES).text
+
+
+def state_of(http: httpx.Client, name: str) -> str | None:
+    """The state of a node in its own word."""
+    mark = f"<{ROS}lifecycleStateWord> "
+    return next((line.partition(mark)[2].split('"')[1] for line in said(http, name).splitlines() if mark in line), None)
+
+
+def change(http: httpx.Client, name: str, transition: str) -> httpx.Response:
+    return http.post(f"/nodes/{name}", json={"transition": transition})
+
+
+def test_transitions_are_made_told_of_by_events_and_refused_where_they_are_not_legal(http: httpx.Client) -> None:
+    refused = change(http, "camera", "activate")
+    assert refused.status_code == 409, refused.text
+    assert refused.json()["transitions"] == ["configure", "shutdown"]
+    with http.stream("GET", "/nodes/camera?format=nt", headers={"accept": "text/event-stream"}) as stream:
+        lines = stream.iter_lines()
+        assert next(line for line in lines if f"{ROS}Unconfigured" in line)
+        assert change(http, "camera", "configure").status_code == 204
+        assert next(line for line in lines if f"{ROS}Inactive" in line)
+    assert state_of(http, "camera") == "inactive"
+    rdf = {"content-type": "text/turtle", "prefer": "return=representation", **NTRIPLES}
+    shown = http.post("/nodes/camera", content=f"<> <{ROS}transition> 'activate' .", headers=rdf)
+    assert shown.status_code == 200
+    assert f"<{ROS}Active>" in shown.text
+    assert change(http, "plain", "configure").status_code == 405
+    endpoint = f"{http.base_url}topics/camera/image#publisher/camera"
+    camera = said(http, "camera")
+    assert f"<{ROS}hasEndpoint> <{endpoint}>" in camera
+    assert f'<{ROS}reliability> "reliable"' in camera
+
+
+# Hidden names, and quality of service
+
+
+def listed(http: httpx.Client, path: str) -> set[str]:
+    """The URLs that a container lists, relative to it."""
+    url = f"{str(http.base_url).rstrip('/')}{path}".partition("?")[0]
+    return {str(each).removeprefix(url) for each in graph(http, path).objects(None, LDP.contains)}
+
+
+def test_the_inner_names_of_an_action_are_listed_when_hidden_ones_are_asked_for(http: httpx.Client) -> None:
+    assert "fly/" not in listed(http, "/topics/")
+    assert "fly/" in listed(http, "/topics/?hidden=true")
+    assert listed(http, "/topics/fly/_action/") == {"feedback", "status"}
+    assert listed(http, "/services/fly/_action/") == {"send_goal", "cancel_goal", "get_result"}
+    assert http.get("/topics/fly/_action/status", headers=NTRIPLES).status_code == 200
+    called = http.post("/services/fly/_action/send_goal", json={})
+    assert called.status_code == 405
+    assert "the action /fly" in called.json()["detail"]
+    assert http.put("/topics/fly/_action/feedback", json={}).status_code == 405
+    assert "_action" not in http.get("/resources/").text
+
+
+def test_a_glob_of_qos_overrides_what_rosld_publishes_with_and_the_mismatch_is_told(http: httpx.Client) -> None:
+    put = http.put(DISPLAY, json={"data": "climb"})
+    assert put.status_code == 202, put.text  # a reliable subscriber does not hear a best-effort publisher
+    found = graph(http, DISPLAY)
+
+    def told(predicate: rdflib.URIRef, about: str) -> list[str]:
+        return [str(value) for subject, value in found.subject_objects(predicate) if about in str(subject)]
+
+    assert told(ROS.reliability, "qos/publisher/rosld") == ["best_effort"]
+    assert told(ROS.offered, "qos-mismatch") == ["best_effort"]
+    assert told(ROS.requested, "qos-mismatch") == ["reliable"]
+
+
+# Holds and the stop
+
+
+def speeds(rover: Process) -> list[float]:
+    """The commands of the rover since its output was cleared last."""
+    return [float(line.split()[1]) for line in rover.seen if line.startswith("drive ")]
+
+
+def hold(http: httpx.Client, rover: Process, **query: Any) -> str:
+    """Hold the drive ahead; the URL of the hold, once the rover hears it."""
+    rover.seen.clear()
+    answer = http.post(DRIVE, params={"rate": 20, **query}, json=AHEAD)
+    assert answer.status_code == 201, answer.text
+    until(lambda: len(speeds(rover)) > 3, "commands")
+    return str(answer.headers["location"])
+
+
+def stands(rover: Process) -> None:
+    until(lambda: speeds(rover)[-1:] == [0.0], "standing still")
+
+
+def put(http: httpx.Client, twist: Any = STILL) -> int:
+    return http.put(DRIVE, json=twist).status_code
+
+
+def test_a_stop_and_a_hold_heed_other_publishers_and_forget_those_that_were_killed(
+    http: httpx.Client, system: System, rover: Process
+) -> None:
+    with servers() as start:
+        other = served(start, system, "--allow-publish", "/rover/drive")
+        theirs = hold(other.http, rover, **{"for": 60})
+        stopped = http.post("/stop").json()  # by a server that never published
+        [step] = stopped["steps"]
+        assert (step["does"], step["state"]) == ("publish zero on /rover/drive", "Succeeded")
+        assert stopped["warning"] is None
+        assert step["subscribers"] in (1, 2), "the rover, and the other server while it looks"
+        until(lambda: speeds(rover).count(0.0) >= 15, "zero for a second")
+        assert [other.http.delete(url).status_code for url in (theirs, DRIVE)] == [204, 204]
+        until(lambda: put(http) == 204, "the other is no publisher any more, and zero passes")
+        assert put(http, AHEAD) == 423
+        assert release(http).status_code == 204
+
+        held = hold(http, rover, lease=5)
+        assert put(other.http) == 204
+
+        def is_over() -> bool:
+            assert put(other.http) == 204  # it goes on publishing
+            return http.patch(held).status_code == 410  # which renews the hold, so that it does not lapse
+
+        until(is_over, "the end of the hold")
+        assert "/rover/drive is published by" in http.get(held).json()["detail"]
+        assert put(http) == 405
+        other.process.kill()
+        other.process.wait(10)
+        until(lambda: put(http) == 204, "the first commands the rover again")
+
+
+def test_a_hold_lapses_and_one_that_is_renewed_keeps_others_away(http: httpx.Client, rover: Process) -> None:
+    held = hold(http, rover, lease=1)
+    stands(rover)
+    until(lambda: http.get(held).status_code == 410, "its end")
+    assert "its lease lapsed" in http.get(held).text
+    assert speeds(rover).count(0.0) == 1
+    assert set(speeds(rover)) == {1.5, 0.0}
+    held = hold(http, rover, lease=5)
+    assert http.patch(held).status_code == 204
+    second = http.post(DRIVE, params={"rate": 20}, json=AHEAD)
+    assert second.status_code == 409
+    assert held in second.text
+    assert put(http, AHEAD) == 409
+    assert http.delete(held).status_code == 204
+    stands(rover)
+
+
+def test_a_stop_ends_the_hold_cancels_the_goal_brakes_and_lets_nothing_pass(http: httpx.Client, rover: Process) -> None:
+    mapped = http.put("/mappings/rover", content=MAPPING, headers={"content-type": "text/turtle"})
+    assert mapped.status_code == 201, mapped.text
+    rejected = http.post(FLY, json={"distance": -1.0})
+    assert rejected.status_code == 409, rejected.text
+    done = http.post(FLY, json={"distance": 3.0}).headers["location"]
+    shown = until(lambda: (found := http.get(done).json())["result"] and found, "the result")
+    assert (shown["status"], shown["result"]["message"]) == ("succeeded", "arrived")
+    goal = http.post(FLY, json={"distance": 1e6}).headers["location"]
+    held = hold(http, rover, lease=5)
+    until(lambda: http.get(goal).json()["feedback"], "feedback")
+    told = http.post("/stop", json={"reason": "a person on the track"}).json()
+    assert told["stopped"], told
+    assert {step["state"] for step in told["steps"]} == {"Succeeded"}, told
+    assert len(told["steps"]) == 4
+    stands(rover)
+    until(lambda: "brake" in rover.seen, "the brake")
+    assert http.get(held).status_code == 410
+    until(lambda: http.get(goal).json()["status"] == "canceled", "the goal canceled")
+    writes = {DRIVE: AHEAD, BRAKE: {}, FLY: {"distance": 5.0}, "/parameters/listener/flying": True}
+    for path, body in writes.items():
+        refused = http.request("PUT" if path in (DRIVE, "/parameters/listener/flying") else "POST", path, json=body)
+        assert refused.status_code == 423, (path, refused.text)
+        assert refused.json()["agentSaid"] == "a person on the track"
+    assert speeds(rover)[-1] == 0.0
+    assert release(http).status_code == 204
+    assert http.post(BRAKE, json={}).status_code == 201
+
+
+def test_the_rover_stands_still_before_the_server_has_ended(server: Served, rover: Process) -> None:
+    """The last test of the system: its server is gone after it."""
+    hold(server.http, rover, lease=5)
+    assert server.stop() == 0
+    stands(rover)
+    assert speeds(rover).count(0.0) == 1

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from rosld.adapters.base import Adapter, Subscription
-from rosld.adapters.model import GoalEvent, GoalId, Graph, MessageSchema, Sample
+from rosld.adapters.base import Adapter, Published, Subscription
+from rosld.adapters.model import GoalEvent, GoalId, Graph, MessageSchema, Sample, TypeRef
 
 
 class Told:
@@ -42,6 +42,33 @@ class Session:
 
     def deadline(self, seconds: float = 5.0) -> float:
         return asyncio.get_running_loop().time() + seconds
+
+    # The calls of the adapter, each with a deadline
+
+    async def publish(
+        self, topic: str, type: TypeRef, data: bytes, *, seconds: float | None = None, latch: bool = False
+    ) -> Published:
+        return await self.adapter.publish(topic, type, data, latch=latch, deadline=self._deadline(seconds))
+
+    async def call(self, service: str, type: TypeRef, data: bytes, *, seconds: float | None = None) -> bytes:
+        return await self.adapter.call(service, type, data, deadline=self._deadline(seconds))
+
+    async def schema(self, type: TypeRef, *, seconds: float | None = None) -> Any:
+        return await self.adapter.schema(type, deadline=self._deadline(seconds))
+
+    async def set_parameters(self, values: Mapping[str, Any], *, seconds: float | None = None) -> None:
+        await self.adapter.set_parameters(values, deadline=self._deadline(seconds))
+
+    async def get_parameters(self, names: Sequence[str], *, seconds: float | None = None) -> Mapping[str, Any]:
+        return await self.adapter.get_parameters(names, deadline=self._deadline(seconds))
+
+    async def delete_parameters(self, names: Sequence[str], *, seconds: float | None = None) -> None:
+        await self.adapter.delete_parameters(names, deadline=self._deadline(seconds))
+
+    def _deadline(self, seconds: float | None) -> float:
+        return self.deadline() if seconds is None else self.deadline(seconds)
+
+    # Waiting
 
     async def until(self, true: Callable[[], Any], what: str = "what was waited for", timeout: float = 60.0) -> Any:
         end = time.monotonic() + timeout

@@ -15,42 +15,31 @@ from rosld.adapters.model import Endpoint, Mismatch, Qos, mismatch_count, mismat
 SECOND = 1_000_000_000
 
 
-@pytest.mark.parametrize(
-    ("offered", "requested", "told"),
-    [
-        (Qos(reliability="best_effort"), Qos(reliability="reliable"), ("reliability", "best_effort", "reliable")),
-        (Qos(durability="volatile"), Qos(durability="transient_local"), ("durability", "volatile", "transient_local")),
-        (
-            Qos(liveliness="automatic"),
-            Qos(liveliness="manual_by_topic"),
-            ("liveliness", "automatic", "manual_by_topic"),
-        ),
-        (Qos(), Qos(deadline_ns=SECOND), ("deadline", "for ever", "1 s")),
-        (Qos(deadline_ns=2 * SECOND), Qos(deadline_ns=SECOND // 2), ("deadline", "2 s", "0.5 s")),
-        (Qos(), Qos(lease_ns=SECOND), ("liveliness lease", "for ever", "1 s")),
-        (Qos(lease_ns=2 * SECOND), Qos(lease_ns=SECOND), ("liveliness lease", "2 s", "1 s")),
-    ],
-)
-def test_who_requests_more_than_is_offered_hears_nothing(
-    offered: Qos, requested: Qos, told: tuple[str, str, str]
-) -> None:
-    assert mismatches([Endpoint("/p", qos=offered)], [Endpoint("/s", qos=requested)]) == (Mismatch("/p", "/s", *told),)
-    assert mismatches([Endpoint("/p", qos=requested)], [Endpoint("/s", qos=offered)]) == ()
+def test_who_requests_more_than_is_offered_hears_nothing() -> None:
+    for offered, requested, *told in (
+        (Qos("best_effort"), Qos("reliable"), "reliability", "best_effort", "reliable"),
+        (Qos(durability="volatile"), Qos(durability="transient_local"), "durability", "volatile", "transient_local"),
+        (Qos(liveliness="automatic"), Qos(liveliness="manual_by_topic"), "liveliness", "automatic", "manual_by_topic"),
+        (Qos(), Qos(deadline_ns=SECOND), "deadline", "for ever", "1 s"),
+        (Qos(deadline_ns=2 * SECOND), Qos(deadline_ns=SECOND // 2), "deadline", "2 s", "0.5 s"),
+        (Qos(), Qos(lease_ns=SECOND), "liveliness lease", "for ever", "1 s"),
+        (Qos(lease_ns=2 * SECOND), Qos(lease_ns=SECOND), "liveliness lease", "2 s", "1 s"),
+    ):
+        one, other = Endpoint("/p", qos=offered), Endpoint("/s", qos=requested)
+        assert mismatches([one], [other]) == (Mismatch("/p", "/s", *told),)
+        assert mismatches([other], [one]) == ()
 
 
-@pytest.mark.parametrize(
-    ("offered", "requested"),
-    [
+def test_what_only_concerns_one_side_or_is_not_known_is_no_mismatch() -> None:
+    for offered, requested in (
         (Qos(history="keep_last", depth=1), Qos(history="keep_all")),
         (Qos(lifespan_ns=SECOND), Qos()),
         (Qos(), Qos(lifespan_ns=SECOND)),
         (Qos(), Qos(reliability="reliable")),
         (Qos(reliability="best_effort"), Qos()),
         (Qos(reliability="made_up"), Qos(reliability="reliable")),
-    ],
-)
-def test_what_only_concerns_one_side_or_is_not_known_is_no_mismatch(offered: Qos, requested: Qos) -> None:
-    assert mismatches([Endpoint("/p", qos=offered)], [Endpoint("/s", qos=requested)]) == ()
+    ):
+        assert mismatches([Endpoint("/p", qos=offered)], [Endpoint("/s", qos=requested)]) == ()
 
 
 def test_of_several_policies_that_do_not_fit_the_first_is_told() -> None:
@@ -78,23 +67,16 @@ def test_of_many_pairs_as_many_are_told_as_are_asked_for_and_all_are_counted() -
     assert len(mismatches(subscribers, subscribers)) == 1
 
 
-@pytest.mark.parametrize(
-    ("text", "profile"),
-    [
+def test_a_profile_says_what_its_words_say_and_a_word_that_is_no_policy_is_named() -> None:
+    for text, profile in (
         ("best_effort,volatile,depth:5", Qos("best_effort", "volatile", depth=5)),
         ("reliable", Qos("reliable")),
         (" keep_all , transient_local ", Qos(durability="transient_local", history="keep_all")),
         ("deadline:0.5,lifespan:2,lease:1e-9", Qos(deadline_ns=SECOND // 2, lifespan_ns=2 * SECOND, lease_ns=1)),
         ("manual_by_topic,keep_last,depth:100000", Qos(None, None, "keep_last", 100_000, liveliness="manual_by_topic")),
-    ],
-)
-def test_a_profile_says_what_its_words_say_and_nothing_else(text: str, profile: Qos) -> None:
-    assert read_profile(text) == profile
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
+    ):
+        assert read_profile(text) == profile
+    for text, words in (
         ("", "'' is no policy; there are best_effort, reliable"),
         ("reliable,", "'' is no policy"),
         ("besteffort", "'besteffort' is no policy"),
@@ -113,11 +95,9 @@ def test_a_profile_says_what_its_words_say_and_nothing_else(text: str, profile: 
         ("lifespan:soon", "a lifespan is"),
         ("lifespan:1_0", "a lifespan is"),
         ("history", "'history' is no policy"),
-    ],
-)
-def test_a_word_that_is_no_policy_is_named(text: str, words: str) -> None:
-    with pytest.raises(ValueError, match=re.escape(words)):
-        read_profile(text)
+    ):
+        with pytest.raises(ValueError, match=re.escape(words)):
+            read_profile(text)
 
 
 PROFILES = st.builds(

@@ -22,6 +22,8 @@ from tests.server.disks.server import Server, server_on
 from tests.server.test_holds import KEEPER, STILL, ahead
 from tests.stopping import release
 
+pytestmark = pytest.mark.slow
+
 TOPIC = "/topics/cmd_vel"
 TURTLE, HTML = {"Accept": "text/turtle"}, {"Accept": "text/html"}
 
@@ -97,7 +99,7 @@ def test_the_robot_stands_still_when_the_client_the_lease_or_the_stop_ends_a_hol
     assert json.dumps(ahead(9)) not in " ".join(wheels.seen)
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGQUIT])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGQUIT])
 def test_the_robot_stands_still_when_a_signal_ends_the_server(
     wheels: Process, served: Any, number: signal.Signals
 ) -> None:

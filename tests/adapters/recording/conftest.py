@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractAsyncContextManager, AbstractContextManager, asynccontextmanager, contextmanager
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -12,18 +13,9 @@ from typing import Any
 import pytest
 
 import tests.adapters.recording.recorder
-from rosld.adapters.base import AdapterOptions, RecordedMessage
-from rosld.adapters.model import Graph
+from rosld.adapters.base import AdapterOptions, NullSink, RecordedMessage
 from rosld.adapters.recording import RecordingAdapter
 from rosld.adapters.recording.bag import Bag
-
-
-class Sink:
-    """Whoever is told."""
-
-    def graph_changed(self, graph: Graph) -> None: ...
-
-    def parameter_changed(self, name: str) -> None: ...
 
 
 class Clock:
@@ -51,46 +43,47 @@ def clock() -> Clock:
 
 
 @pytest.fixture
-def play(clock: Clock) -> Callable[..., None]:
-    """Open a recording under the standing clock and run a scenario with its adapter."""
+def play(clock: Clock) -> Callable[..., AbstractAsyncContextManager[RecordingAdapter]]:
+    """`async with play(path, once=True) as adapter`: a recording that plays by the standing clock."""
 
-    def run(path: Path, scenario: Callable[[RecordingAdapter], Awaitable[None]], **options: Any) -> None:
-        async def bounded() -> None:
-            adapter = RecordingAdapter(path, AdapterOptions(**options), clock=clock)
-            await adapter.open(Sink(), deadline=asyncio.get_running_loop().time() + 20)
-            try:
-                await asyncio.wait_for(scenario(adapter), 30)
-            finally:
-                await adapter.close()
+    @asynccontextmanager
+    async def playing(path: Path, **options: Any) -> AsyncIterator[RecordingAdapter]:
+        adapter = RecordingAdapter(path, AdapterOptions(**options), clock=clock)
+        await adapter.open(NullSink(), deadline=asyncio.get_running_loop().time() + 20)
+        try:
+            yield adapter
+        finally:
+            await adapter.close()
 
-        asyncio.run(bounded())
-
-    return run
+    return playing
 
 
 @pytest.fixture
-def opened() -> Callable[[Path], Any]:
+def opened() -> Callable[[Path], AbstractContextManager[Bag]]:
     """A context manager that gives the open recording of a path."""
 
     @contextmanager
     def open_bag(path: Path) -> Iterator[Bag]:
         adapter = RecordingAdapter(path, AdapterOptions())
 
-        async def work(closing: bool) -> None:
-            if closing:
-                await adapter.close()
-            else:
-                await adapter.open(Sink(), deadline=asyncio.get_running_loop().time() + 20)
+        async def open_adapter() -> None:
+            await adapter.open(NullSink(), deadline=asyncio.get_running_loop().time() + 20)
 
-        asyncio.run(work(False))
+        run(open_adapter())
         (bag,) = adapter.recordings.values()
         assert isinstance(bag, Bag)
         try:
             yield bag
         finally:
-            asyncio.run(work(True))
+            run(adapter.close())
 
     return open_bag
+
+
+def run(work: Coroutine[Any, Any, None]) -> None:
+    """Carry out work on a loop of its own, also where another loop runs."""
+    with ThreadPoolExecutor(1) as thread:
+        thread.submit(asyncio.run, work).result()
 
 
 @pytest.fixture

@@ -44,33 +44,50 @@ def test_a_service_event_topic_is_read_from_its_services_definition(
         assert "example_interfaces/srv/AddTwoInts_Request" in schema.types
 
 
-@STORAGES
-def test_a_service_event_topic_without_a_definition_is_read_from_the_services_that_rosld_knows(
-    recorder: ModuleType, tmp_path: Path, opened: Opened, storage: str
+def test_hidden_topics_without_a_definition_are_read_from_the_types_that_rosld_knows(
+    recorder: ModuleType, tmp_path: Path, opened: Opened
 ) -> None:
-    data = INFO + struct.pack("<IB3x", 1, 1) + struct.pack("<I", 0)
-    hash = "RIHS01_3c4c20015afb4303eafd347b1d6a786f171a89c814726961a9593ef10df878cf"
-    told = recorder.Hidden("/set/_service_event", "std_srvs/srv/SetBool_Event", "", data, hash)
-    with opened(recorder.write_hidden(tmp_path / "run", [told], storage)) as bag:
-        assert [each.data for each in only(bag).request] == [True]
+    recorded = (
+        (
+            recorder.Hidden(
+                "/set/_service_event",
+                "std_srvs/srv/SetBool_Event",
+                "",
+                INFO + struct.pack("<IB3x", 1, 1) + struct.pack("<I", 0),
+                "RIHS01_3c4c20015afb4303eafd347b1d6a786f171a89c814726961a9593ef10df878cf",
+            ),
+            lambda it: [each.data for each in it.request] == [True],
+        ),
+        (
+            recorder.Hidden(
+                "/fly/_action/feedback",
+                f"{FLY}_FeedbackMessage",
+                "",
+                ID + struct.pack("<d", 4.5),
+                "RIHS01_d18a3556a261de15d29e8ccd38eded71e72e111a0e2783639ac60888e1ac2db8",
+            ),
+            lambda it: (bytes(it.goal_id.uuid), it.feedback.flown) == (ID, 4.5),
+        ),
+        (
+            recorder.Hidden(
+                "/fly/_action/status",
+                "action_msgs/msg/GoalStatusArray",
+                "",
+                struct.pack("<I", 1) + ID + struct.pack("<iIb", 7, 8, 4),
+                "RIHS01_6c1684b00f177d37438febe6e709fc4e2b0d4248dca4854946f9ed8b30cda83e",
+            ),
+            lambda it: [(bytes(one.goal_info.goal_id.uuid), one.status) for one in it.status_list] == [(ID, 4)],
+        ),
+    )
+    for number, (told, fits) in enumerate(recorded):
+        with opened(recorder.write_hidden(tmp_path / str(number), [told])) as bag:
+            assert fits(only(bag)), told.topic
 
 
-@STORAGES
-def test_the_feedback_of_an_action_is_read_from_the_actions_that_rosld_knows(
-    recorder: ModuleType, tmp_path: Path, opened: Opened, storage: str
+def test_an_action_is_read_from_the_definition_that_is_recorded_with_it(
+    recorder: ModuleType, tmp_path: Path, opened: Opened
 ) -> None:
-    data = ID + struct.pack("<d", 4.5)
-    hash = "RIHS01_d18a3556a261de15d29e8ccd38eded71e72e111a0e2783639ac60888e1ac2db8"
-    told = recorder.Hidden("/fly/_action/feedback", f"{FLY}_FeedbackMessage", "", data, hash)
-    with opened(recorder.write_hidden(tmp_path / "run", [told], storage)) as bag:
-        message = only(bag)
-        assert (bytes(message.goal_id.uuid), message.feedback.flown) == (ID, 4.5)
-
-
-@STORAGES
-@pytest.mark.parametrize(
-    ("topic", "end", "data", "found"),
-    [
+    recorded: tuple[tuple[str, str, bytes, Callable[[Any], bool]], ...] = (
         ("feedback", "FeedbackMessage", ID + struct.pack("<d", 2.5), lambda it: it.feedback.walked == 2.5),
         (
             "send_goal/_service_event",
@@ -84,34 +101,15 @@ def test_the_feedback_of_an_action_is_read_from_the_actions_that_rosld_knows(
             INFO + struct.pack("<I", 0) + struct.pack("<IB3xI", 1, 4, 5) + b"home\0",
             lambda it: (it.response[0].status, it.response[0].result.end) == (4, "home"),
         ),
-    ],
-)
-def test_an_action_is_read_from_the_definition_that_is_recorded_with_it(
-    recorder: ModuleType, tmp_path: Path, opened: Opened, storage: str, topic: str, end: str, data: bytes, found: Any
-) -> None:
-    told = recorder.Hidden(f"/walk/_action/{topic}", f"my_msgs/action/Walk_{end}", WALK + POINT, data)
-    with opened(recorder.write_hidden(tmp_path / "run", [told], storage)) as bag:
-        assert found(only(bag))
-
-
-@STORAGES
-def test_the_status_of_an_action_is_read(recorder: ModuleType, tmp_path: Path, opened: Opened, storage: str) -> None:
-    data = struct.pack("<I", 1) + ID + struct.pack("<iIb", 7, 8, 4)
-    told = recorder.Hidden(
-        "/fly/_action/status",
-        "action_msgs/msg/GoalStatusArray",
-        "",
-        data,
-        "RIHS01_6c1684b00f177d37438febe6e709fc4e2b0d4248dca4854946f9ed8b30cda83e",
     )
-    with opened(recorder.write_hidden(tmp_path / "run", [told], storage)) as bag:
-        (status,) = only(bag).status_list
-        assert (bytes(status.goal_info.goal_id.uuid), status.status) == (ID, 4)
+    for topic, end, data, fits in recorded:
+        told = recorder.Hidden(f"/walk/_action/{topic}", f"my_msgs/action/Walk_{end}", WALK + POINT, data)
+        with opened(recorder.write_hidden(tmp_path / end, [told])) as bag:
+            assert fits(only(bag)), topic
 
 
-@STORAGES
-def test_what_nobody_defines_is_listed_with_the_reason_and_hidden_from_listings(
-    recorder: ModuleType, tmp_path: Path, play: Any, storage: str
+async def test_what_nobody_defines_is_listed_with_the_reason_and_hidden_from_listings(
+    recorder: ModuleType, tmp_path: Path, play: Any
 ) -> None:
     named = {
         "/odd/_action/feedback": ("odd/action/Odd_FeedbackMessage", "", "odd/action/Odd_Feedback"),
@@ -120,8 +118,7 @@ def test_what_nobody_defines_is_listed_with_the_reason_and_hidden_from_listings(
         "/other/_service_event": ("std_srvs/srv/SetBool_Event", "", "RIHS01_" + "0" * 64),
     }
     told = [recorder.Hidden(topic, type, text, b"") for topic, (type, text, _) in named.items()]
-
-    async def scenario(adapter: Any) -> None:
+    async with play(recorder.write_hidden(tmp_path / "run", told)) as adapter:
         assert adapter.capabilities.hidden_names
         assert set(adapter.graph.topics) == set(named)
         for topic, (type, _, words) in named.items():
@@ -129,11 +126,7 @@ def test_what_nobody_defines_is_listed_with_the_reason_and_hidden_from_listings(
             assert [each.name for each in known.types] == [type]
             assert words in known.unreadable
 
-    play(recorder.write_hidden(tmp_path / "run", told, storage), scenario)
 
-
-def test_a_recording_of_ros_1_hides_no_names(recorder: ModuleType, tmp_path: Path, play: Any) -> None:
-    async def scenario(adapter: Any) -> None:
+async def test_a_recording_of_ros_1_hides_no_names(recorder: ModuleType, tmp_path: Path, play: Any) -> None:
+    async with play(recorder.write_rosbag1(tmp_path / "run.bag", recorder.lines(count=1))) as adapter:
         assert not adapter.capabilities.hidden_names
-
-    play(recorder.write_rosbag1(tmp_path / "run.bag", recorder.lines(count=1)), scenario)

@@ -6,6 +6,7 @@ import asyncio
 import hashlib
 import struct
 from collections.abc import Callable, Sequence
+from contextlib import AbstractAsyncContextManager
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -16,7 +17,7 @@ from rosbags.rosbag1 import Writer
 from rosld.adapters.base import AdapterOptions
 from rosld.adapters.recording import RecordingAdapter, adapter
 
-Play = Callable[..., None]
+Play = Callable[..., AbstractAsyncContextManager[Any]]
 
 
 def texts(samples: Sequence[Any]) -> list[str]:
@@ -30,10 +31,10 @@ def chatter(recorder: ModuleType, tmp_path: Path) -> Path:
     return recorder.write_rosbag1(tmp_path / "run.bag", recorder.lines())  # type: ignore[no-any-return]
 
 
-def test_the_newest_is_the_one_at_or_before_the_play_position_whenever_first_looked_at(
+async def test_the_newest_is_the_one_at_or_before_the_play_position_whenever_first_looked_at(
     chatter: Path, play: Play, clock: Any
 ) -> None:
-    async def scenario(playing: Any) -> None:
+    async with play(chatter) as playing:
         assert texts((await playing.subscribe("/chatter")).latest()) == ["0"]
         clock.forward(0.35)
         early = await playing.subscribe("/chatter")
@@ -43,13 +44,11 @@ def test_the_newest_is_the_one_at_or_before_the_play_position_whenever_first_loo
         clock.forward(0.5)
         assert texts(early.latest()) == texts((await playing.subscribe("/chatter")).latest()) == ["9"]
 
-    play(chatter, scenario)
 
-
-def test_samples_tell_when_they_were_recorded_and_count_from_one(
+async def test_samples_tell_when_they_were_recorded_and_count_from_one(
     recorder: ModuleType, chatter: Path, play: Play, clock: Any
 ) -> None:
-    async def scenario(playing: Any) -> None:
+    async with play(chatter) as playing:
         subscription = await playing.subscribe("/chatter")
         clock.forward(0.2)
         (sample,) = subscription.latest()
@@ -57,11 +56,9 @@ def test_samples_tell_when_they_were_recorded_and_count_from_one(
         assert sample.received_ns == recorder.START_NS + 200_000_000
         assert sample == next(iter(playing.recordings.values())).message(2).sample
 
-    play(chatter, scenario)
 
-
-def test_a_loop_begins_anew_with_the_next_epoch(chatter: Path, play: Play, clock: Any) -> None:
-    async def scenario(playing: Any) -> None:
+async def test_a_loop_begins_anew_with_the_next_epoch(chatter: Path, play: Play, clock: Any) -> None:
+    async with play(chatter) as playing:
         subscription = await playing.subscribe("/chatter")
         clock.forward(0.9999)
         assert texts(subscription.latest()) == ["9"]
@@ -71,24 +68,23 @@ def test_a_loop_begins_anew_with_the_next_epoch(chatter: Path, play: Play, clock
         clock.forward(100.0)
         assert subscription.latest()[0].epoch == 101
 
-    play(chatter, scenario)
 
-
-def test_played_once_it_rests_at_the_end(chatter: Path, play: Play, clock: Any) -> None:
-    async def scenario(playing: Any) -> None:
+async def test_played_once_it_rests_at_the_end(chatter: Path, play: Play, clock: Any) -> None:
+    async with play(chatter, once=True) as playing:
         subscription = await playing.subscribe("/chatter")
         clock.forward(1000)
         last = subscription.latest()
         assert texts(last) == ["9"]
         clock.forward(1000)
         assert subscription.latest() is last
+        assert playing.age_ns(last[0]) == 0, "it grows no older"
         subscription.watch(lambda: pytest.fail("nothing comes after the end"))
 
-    play(chatter, scenario, once=True)
 
-
-def test_the_age_of_a_message_is_counted_by_the_clock_of_the_playing(chatter: Path, play: Play, clock: Any) -> None:
-    async def scenario(playing: Any) -> None:
+async def test_the_age_of_a_message_is_counted_by_the_clock_of_the_playing(
+    chatter: Path, play: Play, clock: Any
+) -> None:
+    async with play(chatter, rate=2.0) as playing:
         subscription = await playing.subscribe("/chatter")
         clock.forward(0.03)  # twice as fast as recorded
         (first,) = subscription.latest()
@@ -101,34 +97,13 @@ def test_the_age_of_a_message_is_counted_by_the_clock_of_the_playing(chatter: Pa
         assert again.epoch == 1
         assert playing.age_ns(second) == 1_000_000_000
 
-    play(chatter, scenario, rate=2.0)
-
-
-def test_played_once_messages_grow_no_older_at_the_end(chatter: Path, play: Play, clock: Any) -> None:
-    async def scenario(playing: Any) -> None:
-        subscription = await playing.subscribe("/chatter")
-        clock.forward(1000)
-        (last,) = subscription.latest()
-        assert playing.age_ns(last) == 0
-
-    play(chatter, scenario, once=True)
-
-
-def test_the_rate_is_how_fast_it_plays(chatter: Path, play: Play, clock: Any) -> None:
-    async def scenario(playing: Any) -> None:
-        subscription = await playing.subscribe("/chatter")
-        clock.forward(0.1)
-        assert texts(subscription.latest()) == ["5"]
-
-    play(chatter, scenario, rate=5.0)
-
 
 def test_a_rate_that_is_none_is_refused_before_any_file_is_read() -> None:
     with pytest.raises(ValueError, match="rate"):
         adapter("/nowhere.bag", AdapterOptions(rate=0.0))
 
 
-def test_latched_messages_survive_a_loop_and_others_do_not(
+async def test_latched_messages_survive_a_loop_and_others_do_not(
     recorder: ModuleType, tmp_path: Path, play: Play, clock: Any
 ) -> None:
     lines = [
@@ -137,8 +112,7 @@ def test_latched_messages_survive_a_loop_and_others_do_not(
         recorder.Line(0.45, "/once", "gone", "/server"),
     ]
     path = recorder.write_rosbag1(tmp_path / "run.bag", sorted(lines))
-
-    async def scenario(playing: Any) -> None:
+    async with play(path) as playing:
         latched, plain = await playing.subscribe("/map"), await playing.subscribe("/once")
         assert (list(latched.latest()), list(plain.latest())) == ([], [])
         clock.forward(0.5)
@@ -154,31 +128,25 @@ def test_latched_messages_survive_a_loop_and_others_do_not(
         assert latched.latest()[0].epoch == 1
         assert texts((await playing.subscribe("/map")).latest()) == ["the map"]
 
-    play(path, scenario)
 
-
-def test_a_latched_topic_of_ros2_is_known_by_its_durability(
+async def test_a_latched_topic_of_ros2_is_known_by_its_durability(
     recorder: ModuleType, tmp_path: Path, play: Play, clock: Any
 ) -> None:
     lines = [recorder.Line(0.5, "/map", "the map", latched=True), *recorder.lines("/chatter")]
     for storage, version in (("mcap", 9), ("sqlite3", 8)):
         folder = recorder.write_rosbag2(tmp_path / storage, sorted(lines), storage=storage, version=version)
-
-        async def scenario(playing: Any) -> None:
+        async with play(folder) as playing:
             clock.forward(1.2)
             assert [each.latched for each in (await playing.subscribe("/map")).latest()] == [True]
             assert [each.latched for each in (await playing.subscribe("/chatter")).latest()] == [False]
 
-        play(folder, scenario)
 
-
-def test_each_publisher_of_a_topic_has_its_newest_shown_in_order_of_play(
+async def test_each_publisher_of_a_topic_has_its_newest_shown_in_order_of_play(
     recorder: ModuleType, tmp_path: Path, play: Play, clock: Any
 ) -> None:
     lines = [recorder.Line(each / 10, "/tf", f"{each}", "/left" if each % 3 else "/right") for each in range(9)]
     path = recorder.write_rosbag1(tmp_path / "run.bag", lines)
-
-    async def scenario(playing: Any) -> None:
+    async with play(path) as playing:
         subscription = await playing.subscribe("/tf")
         deep = await playing.subscribe("/tf", depth=2)
         clock.forward(0.65)
@@ -186,15 +154,11 @@ def test_each_publisher_of_a_topic_has_its_newest_shown_in_order_of_play(
         assert texts(subscription.latest()) == ["5", "6"]
         assert texts(deep.latest()) == ["3", "4", "5", "6"]
 
-    play(path, scenario)
 
-
-def test_a_depth_of_nothing_is_refused(chatter: Path, play: Play) -> None:
-    async def scenario(playing: Any) -> None:
+async def test_a_depth_of_nothing_is_refused(chatter: Path, play: Play) -> None:
+    async with play(chatter) as playing:
         with pytest.raises(ValueError, match="depth of 0"):
             await playing.subscribe("/chatter", depth=0)
-
-    play(chatter, scenario)
 
 
 def test_a_watch_wakes_for_each_message_and_into_the_next_loop(recorder: ModuleType, tmp_path: Path) -> None:
@@ -244,9 +208,7 @@ def test_two_definitions_of_one_name_live_side_by_side(tmp_path: Path, opened: A
         assert [ref.hash for ref in bag.types()] == md5s
 
 
-def test_a_recording_that_cannot_be_written_to_says_so_in_its_capabilities(chatter: Path, play: Play) -> None:
-    async def scenario(playing: Any) -> None:
+async def test_a_recording_that_cannot_be_written_to_says_so_in_its_capabilities(chatter: Path, play: Play) -> None:
+    async with play(chatter) as playing:
         can = playing.capabilities
         assert (can.system, can.writes, can.creates_topics) == ("recording", False, False)
-
-    play(chatter, scenario)

@@ -17,7 +17,6 @@ from rosld.adapters.model import (
     GoalId,
     GoalStatus,
     Kind,
-    NotFound,
     Operation,
     Ref,
     Refused,
@@ -36,6 +35,8 @@ from rosld.adapters.ros1.actionlib import (
 from tests.adapters.ros1.conftest import Opening
 from tests.adapters.ros1.system import RosSystem
 from tests.adapters.session import Session
+
+pytestmark = pytest.mark.slow
 
 SUCCEED, ABORT, REJECT, UNTIL_CANCELED, PENDING, VANISH, SILENT, REJECT_LATE = 1, 2, 3, 4, 5, 6, 7, 8
 TEST = TypeRef("actionlib/action/Test")
@@ -74,138 +75,86 @@ def run(scenario: Any) -> None:
     asyncio.run(asyncio.wait_for(scenario(), 60))
 
 
-def test_an_action_is_five_topics_of_types_that_go_together(acting: RosSystem, opened: Opening) -> None:
-    async def scenario() -> None:
-        async with opened(acting) as session:
-            await listed(session)
-            action = session.graph.actions["/ways"]
-            assert (action.type, action.servers, action.unusable) == (TEST, ("/action_node",), None)
-            assert set(session.graph.actions) == {"/ways", "/simple"}
-            assert "/ways/status" in session.graph.topics
-            assert session.adapter.allows(Ref(Kind.ACTION, "/ways")) == {Operation.SEND_GOAL}
-            schema = await session.adapter.schema(TEST, deadline=session.deadline())
-            assert isinstance(schema, ActionSchema)
-            assert schema.ref.hash == "991e87a72802262dfbe5d1b3cf6efc9a"  # actionlib.msg.TestAction._md5sum
-            assert [half.ref.name for half in (schema.goal, schema.result, schema.feedback)] == [
-                "actionlib/action/Test_Goal",
-                "actionlib/action/Test_Result",
-                "actionlib/action/Test_Feedback",
-            ]
-
-    run(scenario)
+async def test_an_action_is_five_topics_of_types_that_go_together(acting: RosSystem, opened: Opening) -> None:
+    async with opened(acting) as session:
+        await listed(session)
+        action = session.graph.actions["/ways"]
+        assert (action.type, action.servers, action.unusable) == (TEST, ("/action_node",), None)
+        assert set(session.graph.actions) == {"/ways", "/simple"}
+        assert "/ways/status" in session.graph.topics
+        assert session.adapter.allows(Ref(Kind.ACTION, "/ways")) == {Operation.SEND_GOAL}
+        schema = await session.schema(TEST)
+        assert isinstance(schema, ActionSchema)
+        assert schema.ref.hash == "991e87a72802262dfbe5d1b3cf6efc9a"  # actionlib.msg.TestAction._md5sum
+        assert [half.ref.name for half in (schema.goal, schema.result, schema.feedback)] == [
+            "actionlib/action/Test_Goal",
+            "actionlib/action/Test_Result",
+            "actionlib/action/Test_Feedback",
+        ]
 
 
-def test_a_goal_is_pursued_with_feedback_and_ends_with_its_result(acting: RosSystem, opened: Opening) -> None:
-    async def scenario() -> None:
-        async with opened(acting) as session:
-            goal = await send(session, SUCCEED)
-            events = await ended(session, goal, GoalStatus.SUCCEEDED)
-            assert [event.result for event in events if event.result] == [struct.pack("<i", 42)]
-            assert [event.feedback for event in events if event.feedback] == [struct.pack("<i", n) for n in (1, 2, 3)]
-            assert all(event.own for event in events)
-            assert "there" in [event.words for event in events]
-            assert states(session, goal)[-2:] == [GoalStatus.EXECUTING, GoalStatus.SUCCEEDED]
-
-    run(scenario)
+async def test_a_goal_is_pursued_with_feedback_and_ends_with_its_result(acting: RosSystem, opened: Opening) -> None:
+    async with opened(acting) as session:
+        goal = await send(session, SUCCEED)
+        events = await ended(session, goal, GoalStatus.SUCCEEDED)
+        assert [event.result for event in events if event.result] == [struct.pack("<i", 42)]
+        assert [event.feedback for event in events if event.feedback] == [struct.pack("<i", n) for n in (1, 2, 3)]
+        assert all(event.own for event in events)
+        assert "there" in [event.words for event in events]
+        assert states(session, goal)[-2:] == [GoalStatus.EXECUTING, GoalStatus.SUCCEEDED]
 
 
-def test_a_rejected_goal_is_refused_with_the_servers_words_and_told_to_nobody(
-    acting: RosSystem, opened: Opening
-) -> None:
-    async def scenario() -> None:
-        async with opened(acting) as session:
-            for number, words in ((REJECT, "the arm is folded"), (REJECT_LATE, "thought twice")):
-                with pytest.raises(Refused) as refusal:
-                    await send(session, number)
-                assert refusal.value.words == words
-            assert not any(event.own for event in told(session))
-
-    run(scenario)
-
-
-def test_an_aborted_goal_has_its_result_and_its_words(acting: RosSystem, opened: Opening) -> None:
-    async def scenario() -> None:
-        async with opened(acting) as session:
-            goal = await send(session, ABORT)
-            events = await ended(session, goal, GoalStatus.ABORTED)
-            assert any(event.result is not None for event in events)
-            assert "the gripper is jammed" in [event.words for event in told(session, goal)]
-
-    run(scenario)
-
-
-@pytest.mark.parametrize(("number", "before"), [(UNTIL_CANCELED, GoalStatus.EXECUTING), (PENDING, GoalStatus.ACCEPTED)])
-def test_a_goal_is_canceled_while_it_is_pursued_and_before(
-    acting: RosSystem, opened: Opening, number: int, before: GoalStatus
-) -> None:
-    async def scenario() -> None:
-        async with opened(acting) as session:
+async def test_a_goal_ends_in_every_way_with_the_servers_words(acting: RosSystem, opened: Opening) -> None:
+    async with opened(acting) as session:
+        for number, words in ((REJECT, "the arm is folded"), (REJECT_LATE, "thought twice")):
+            with pytest.raises(Refused) as refusal:
+                await send(session, number)
+            assert refusal.value.words == words
+        assert not any(event.own for event in told(session))
+        goal = await send(session, ABORT)
+        events = await ended(session, goal, GoalStatus.ABORTED)
+        assert any(event.result is not None for event in events)
+        assert "the gripper is jammed" in [event.words for event in told(session, goal)]
+        for number, before in ((UNTIL_CANCELED, GoalStatus.EXECUTING), (PENDING, GoalStatus.ACCEPTED)):
             goal = await send(session, number)
-            await session.until(lambda: before in states(session, goal), f"{before}")
+            await session.until(lambda id=goal, wanted=before: wanted in states(session, id), f"{before}")
             await session.adapter.cancel_goal(goal, deadline=session.deadline())
             await ended(session, goal, GoalStatus.CANCELED)
             assert states(session, goal)[-3:] == [before, GoalStatus.CANCELING, GoalStatus.CANCELED]
 
-    run(scenario)
+
+async def test_a_goal_whose_server_vanishes_is_lost(lone_ros: RosSystem, opened: Opening) -> None:
+    lone_ros.node("action_node.py")
+    async with opened(lone_ros) as session:
+        goal = await send(session, VANISH)
+        events = await ended(session, goal, GoalStatus.LOST)
+        assert events[-1].words == "the server of /ways is gone"
+        with pytest.raises((Unreachable, TimedOut)):
+            await send(session, SUCCEED, seconds=2.0)
 
 
-def test_a_goal_whose_server_vanishes_is_lost(lone_ros: RosSystem, opened: Opening) -> None:
-    async def scenario() -> None:
-        lone_ros.node("action_node.py")
-        async with opened(lone_ros) as session:
-            goal = await send(session, VANISH)
-            events = await ended(session, goal, GoalStatus.LOST)
-            assert events[-1].words == "the server of /ways is gone"
-            with pytest.raises((Unreachable, TimedOut)):
-                await send(session, SUCCEED, seconds=2.0)
-
-    run(scenario)
-
-
-def test_goals_of_others_are_seen_while_somebody_looks_and_without_a_trace(acting: RosSystem, opened: Opening) -> None:
-    async def scenario() -> None:
-        async with opened(acting) as session:
-            await listed(session, "/simple")
-            before = acting.master.getSystemState("/test")
-            watch = await session.adapter.follow_goals("/simple", deadline=session.deadline())
-            assert acting.master.getSystemState("/test") == before
-            other = acting.node("action_client.py", "/simple", "8")
-            await session.until(lambda: GoalStatus.EXECUTING in [event.status for event in told(session)], "a goal")
-            [goal] = {id for id, _ in session.told.goals}
-            assert not any(event.own for event in told(session))
-            await session.until(lambda: any(event.feedback for event in told(session, goal)), "feedback")
-            await session.adapter.cancel_goal(goal, deadline=session.deadline())
-            await ended(session, goal, GoalStatus.CANCELED)
-            other.line("done 2")
-            watch.close()
-            watch.close()
-
-    run(scenario)
-
-
-def test_what_is_not_looked_at_is_not_told(acting: RosSystem, opened: Opening) -> None:
-    async def scenario() -> None:
-        async with opened(acting) as session:
-            await listed(session, "/simple")
-            acting.node("action_client.py", "/simple", "1").line("done")
-            assert not session.told.goals
-
-    run(scenario)
-
-
-def test_what_is_no_action_is_said_to_be_none(acting: RosSystem, opened: Opening) -> None:
-    async def scenario() -> None:
-        async with opened(acting) as session:
-            await listed(session)
-            with pytest.raises(NotFound):
-                await session.adapter.send_goal("/nothing", TEST, b"", deadline=session.deadline())
-            with pytest.raises(NotFound):
-                await session.adapter.follow_goals("/nothing", deadline=session.deadline())
-            other = TypeRef("actionlib_tutorials/action/Fibonacci")
-            with pytest.raises(Refused):
-                await session.adapter.send_goal("/ways", other, struct.pack("<i", 1), deadline=session.deadline())
-
-    run(scenario)
+async def test_goals_of_others_are_seen_while_somebody_looks_and_without_a_trace(
+    acting: RosSystem, opened: Opening
+) -> None:
+    async with opened(acting) as session:
+        await listed(session, "/simple")
+        unseen = acting.node("action_client.py", "/simple", "1")
+        unseen.line("done")
+        unseen.stop()
+        assert not session.told.goals, "nobody looks"
+        before = acting.master.getSystemState("/test")
+        watch = await session.adapter.follow_goals("/simple", deadline=session.deadline())
+        assert acting.master.getSystemState("/test") == before
+        other = acting.node("action_client.py", "/simple", "8")
+        await session.until(lambda: GoalStatus.EXECUTING in [event.status for event in told(session)], "a goal")
+        [goal] = {id for id, event in session.told.goals if event.status is GoalStatus.EXECUTING}
+        assert not any(event.own for event in told(session))
+        await session.until(lambda: any(event.feedback for event in told(session, goal)), "feedback")
+        await session.adapter.cancel_goal(goal, deadline=session.deadline())
+        await ended(session, goal, GoalStatus.CANCELED)
+        other.line("done 2")
+        watch.close()
+        watch.close()
 
 
 def test_actions_without_a_server_are_listed_as_unusable_and_other_topics_are_none() -> None:
@@ -232,7 +181,7 @@ def test_every_state_of_actionlib_has_one_of_the_model() -> None:
     assert set(STATUSES.values()) == set(GoalStatus)
 
 
-def test_what_is_cut_off_is_no_message() -> None:
+def test_a_truncated_message_is_refused() -> None:
     whole = goal_message("/me-1", 1_500_000_000_000_000_001, b"goal")
     assert read_goal(whole) == ("/me-1", b"goal")
     for read in (read_goal, read_statuses, read_feedback_or_result):

@@ -5,17 +5,19 @@ from __future__ import annotations
 import asyncio
 import json
 import math
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from rosld.adapters.model import Choice, Descriptor, Kind, Operation, ParameterType, Range, Ref, Refused
+from rosld.adapters.model import Choice, Descriptor, Kind, Operation, ParameterType, Range, Ref, Refused, TypeRef
 from rosld.adapters.ros1.reconfiguration import read_config, read_descriptors, request_of
 from tests.adapters.ros1.conftest import Opening
 from tests.adapters.ros1.system import RosSystem, require
 from tests.adapters.session import Session
 
-PLAIN = {"/arm/frame"}
+pytestmark = pytest.mark.slow
+
 DECLARED = {
     "/arm/speed": Descriptor(ParameterType.DOUBLE, "How fast it moves, in rad/s.", range=Range(0.0, 2.0)),
     "/arm/offset": Descriptor(ParameterType.DOUBLE),
@@ -54,13 +56,13 @@ async def described(session: Session) -> None:
 async def set_to(session: Session, **values: Any) -> None:
     """Set parameters of the arm."""
     named = {f"/arm/{name}": value for name, value in values.items()}
-    await session.adapter.set_parameters(named, deadline=session.deadline(20))
+    await session.set_parameters(named, seconds=20)
 
 
 async def value(session: Session, *names: str) -> list[Any]:
     """The values of parameters of the arm."""
     full = [f"/arm/{name}" for name in names]
-    found = await session.adapter.get_parameters(full, deadline=session.deadline(20))
+    found = await session.get_parameters(full, seconds=20)
     return [found[name] for name in full]
 
 
@@ -78,147 +80,83 @@ async def until_state(session: Session, true: Any) -> dict[str, Any]:
         subscription.close()
 
 
-def test_what_a_node_declares_is_in_the_graph(arm: RosSystem, opened: Opening) -> None:
-    async def scenario() -> None:
-        async with opened(arm) as session:
-            await described(session)
-            for name, descriptor in DECLARED.items():
-                parameter = session.graph.parameters[name]
-                assert (parameter.node, parameter.descriptor) == ("/arm", descriptor)
-            for name in PLAIN:
-                parameter = session.graph.parameters[name]
-                assert (parameter.node, parameter.descriptor) == (None, None)
-
-    asyncio.run(scenario())
-
-
-def test_what_is_set_takes_effect(arm: RosSystem, opened: Opening) -> None:
-    async def scenario() -> None:
-        async with opened(arm) as session:
-            await described(session)
-            await set_to(session, speed=1, joints=4.0, tool="gripper", enabled=False)
-            state = await until_state(session, lambda state: state["joints"] == 4)
-            assert state == {"speed": 1.0, "joints": 4, "mode": 0, "tool": "gripper", "enabled": False}
-            assert await value(session, "speed", "joints", "enabled") == [1.0, 4, False]
-            await set_to(session, **{"gripper/force": 20, "label": "ü", "frame": "tool"})
-            assert await value(session, "gripper/force", "label", "frame") == [20, "ü", "tool"]
-
-    asyncio.run(scenario())
-
-
-def test_what_a_node_makes_of_a_value_is_what_is_read_afterwards(arm: RosSystem, opened: Opening) -> None:
-    async def scenario() -> None:
-        async with opened(arm) as session:
-            await described(session)
-            for asked, made in ((0.6, 0.5), (99.0, 2.0), (-1.0, 0.0)):
-                await set_to(session, speed=asked)
-                assert await value(session, "speed") == [made]
-
-    asyncio.run(scenario())
-
-
-def test_what_a_node_refuses_changes_nothing(arm: RosSystem, opened: Opening) -> None:
-    async def scenario() -> None:
-        async with opened(arm) as session:
-            await described(session)
-            await set_to(session, joints=3, mode=1)
-            with pytest.raises(Refused, match="this mode is broken"):
-                await set_to(session, joints=5, mode=3)
-            assert await value(session, "joints", "mode") == [3, 1]
-            await set_to(session, mode=0)
-
-    asyncio.run(scenario())
-
-
-@pytest.mark.parametrize(
-    ("name", "wrong"),
-    [("speed", "fast"), ("speed", True), ("joints", 1.5), ("enabled", 1), ("label", 5), ("label", [1]), ("joints", {})],
-)
-def test_a_value_of_another_type_is_refused_before_anything_is_sent(
-    arm: RosSystem, opened: Opening, name: str, wrong: Any
+async def test_what_a_node_declares_is_in_the_graph_and_looking_registers_nothing(
+    arm: RosSystem, opened: Opening
 ) -> None:
-    async def scenario() -> None:
-        async with opened(arm) as session:
-            await described(session)
-            before = await value(session, name, "frame")
+    before = arm.master.getSystemState("/test")[2]
+    async with opened(arm) as session:
+        await described(session)
+        for name, descriptor in {**DECLARED, "/arm/frame": None}.items():
+            parameter = session.graph.parameters[name]
+            assert (parameter.node, parameter.descriptor) == (descriptor and "/arm", descriptor)
+            allowed = session.adapter.allows(Ref(Kind.PARAMETER, name))
+            assert (Operation.DELETE_PARAMETER in allowed) is (descriptor is None)
+        assert arm.master.getSystemState("/test")[2] == before
+
+
+async def test_what_is_set_takes_effect_as_the_node_makes_it(arm: RosSystem, opened: Opening) -> None:
+    async with opened(arm) as session:
+        await described(session)
+        await set_to(session, speed=1, joints=4.0, tool="gripper", enabled=False)
+        state = await until_state(session, lambda state: state["joints"] == 4)
+        assert state == {"speed": 1.0, "joints": 4, "mode": 0, "tool": "gripper", "enabled": False}
+        assert await value(session, "speed", "joints", "enabled") == [1.0, 4, False]
+        await set_to(session, **{"gripper/force": 20, "label": "ü", "frame": "tool"})
+        assert await value(session, "gripper/force", "label", "frame") == [20, "ü", "tool"]
+        for asked, made in ((0.6, 0.5), (99.0, 2.0), (-1.0, 0.0)):
+            await set_to(session, speed=asked)
+            assert await value(session, "speed") == [made]
+
+
+async def test_what_does_not_fit_or_the_node_refuses_changes_nothing(arm: RosSystem, opened: Opening) -> None:
+    wrong = [("speed", "fast"), ("speed", True), ("joints", 1.5), ("enabled", 1), ("label", 5), ("label", [1])]
+    async with opened(arm) as session:
+        await described(session)
+        await set_to(session, joints=3, mode=1, frame="base")
+        before = await value(session, "joints", "mode", "frame")
+        with pytest.raises(Refused, match="this mode is broken"):
+            await set_to(session, joints=5, mode=3)
+        for name, bad in (*wrong, ("joints", {})):
             with pytest.raises(Refused, match=f"/arm/{name}"):
-                await set_to(session, frame="elsewhere", **{name: wrong})
-            assert await value(session, name, "frame") == before
-
-    asyncio.run(scenario())
+                await set_to(session, frame="elsewhere", **{name: bad})
+        assert await value(session, "joints", "mode", "frame") == before
 
 
-def test_a_tree_that_is_set_whole_takes_effect_too(arm: RosSystem, opened: Opening) -> None:
-    async def scenario() -> None:
-        async with opened(arm) as session:
-            await described(session)
-            await session.adapter.set_parameters(
-                {"/arm/gripper": {"force": 30, "color": "red"}}, deadline=session.deadline(20)
-            )
-            assert await value(session, "gripper") == [{"force": 30, "color": "red"}]
-            updates = await session.adapter.subscribe("/arm/gripper/parameter_updates")
-            (sample,) = await session.first(updates)
-            assert [(one.name, one.value) for one in (await session.decoded(sample)).ints] == [("force", 30)]
-
-    asyncio.run(scenario())
+async def test_a_tree_that_is_set_whole_takes_effect_too(arm: RosSystem, opened: Opening) -> None:
+    async with opened(arm) as session:
+        await described(session)
+        await session.set_parameters({"/arm/gripper": {"force": 30, "color": "red"}}, seconds=20)
+        assert await value(session, "gripper") == [{"force": 30, "color": "red"}]
+        updates = await session.adapter.subscribe("/arm/gripper/parameter_updates")
+        (sample,) = await session.first(updates)
+        assert [(one.name, one.value) for one in (await session.decoded(sample)).ints] == [("force", 30)]
 
 
-def test_what_a_node_decides_by_itself_is_told(arm: RosSystem, opened: Opening) -> None:
-    async def scenario() -> None:
-        async with opened(arm) as session:
-            await described(session)
-            await set_to(session, speed=0.0)
-            session.told.parameters.clear()
-            decide = asyncio.to_thread(
-                arm.run, "/usr/bin/rostopic", "pub", "-1", "/arm/decide", "std_msgs/String", "data: '{\"speed\": 1.5}'"
-            )
-            await asyncio.gather(decide, session.until(lambda: "/arm/speed" in session.told.parameters))
-            assert await value(session, "speed") == [1.5]
-
-    asyncio.run(scenario())
+async def test_what_a_node_decides_by_itself_is_told(arm: RosSystem, opened: Opening) -> None:
+    async with opened(arm) as session:
+        await described(session)
+        await set_to(session, speed=0.0)
+        session.told.parameters.clear()
+        ref, data = TypeRef("std_msgs/msg/String"), json.dumps({"speed": 1.5}).encode()
+        data = len(data).to_bytes(4, "little") + data
+        await session.publish("/arm/decide", ref, data)
+        await session.until(lambda: "/arm/speed" in session.told.parameters)
+        assert await value(session, "speed") == [1.5]
 
 
-def test_what_a_node_keeps_cannot_be_deleted(arm: RosSystem, opened: Opening) -> None:
-    async def scenario() -> None:
-        async with opened(arm) as session:
-            await described(session)
-
-            def allowed(name: str) -> bool:
-                return Operation.DELETE_PARAMETER in session.adapter.allows(Ref(Kind.PARAMETER, name))
-
-            assert allowed("/arm/frame")
-            assert not any(map(allowed, DECLARED))
-
-    asyncio.run(scenario())
-
-
-def test_looking_registers_nothing(arm: RosSystem, opened: Opening) -> None:
-    async def scenario() -> None:
-        before = arm.master.getSystemState("/test")[2]
-        async with opened(arm) as session:
-            await described(session)
-            assert arm.master.getSystemState("/test")[2] == before
-
-    asyncio.run(scenario())
-
-
-def test_a_node_that_comes_later_and_goes_is_noticed(lone_ros: RosSystem, opened: Opening) -> None:
+async def test_a_node_that_comes_later_and_goes_is_noticed(lone_ros: RosSystem, opened: Opening) -> None:
     require("a server of dynamic_reconfigure", "dynamic_reconfigure.server")
-
-    async def scenario() -> None:
-        async with opened(lone_ros) as session:
-            node = await asyncio.to_thread(lone_ros.node, "reconfigurable_node.py")
-            await described(session)
-            await asyncio.to_thread(node.kill)
-            await asyncio.to_thread(lone_ros.run, "/usr/bin/rosnode", "list")
-            for service in ("set_parameters", "gripper/set_parameters"):
-                uri = lone_ros.master.lookupService("/test", f"/arm/{service}")[2]
-                lone_ros.master.unregisterService("/arm", f"/arm/{service}", uri)
-            await session.until(lambda: not any(one.descriptor for one in session.graph.parameters.values()))
-            await set_to(session, speed=9.0)
-            assert await value(session, "speed") == [9.0]
-
-    asyncio.run(scenario())
+    async with opened(lone_ros) as session:
+        node = await asyncio.to_thread(lone_ros.node, "reconfigurable_node.py")
+        await described(session)
+        await asyncio.to_thread(node.kill)
+        await asyncio.to_thread(lone_ros.run, "/usr/bin/rosnode", "list")
+        for service in ("set_parameters", "gripper/set_parameters"):
+            uri = lone_ros.master.lookupService("/test", f"/arm/{service}")[2]
+            lone_ros.master.unregisterService("/arm", f"/arm/{service}", uri)
+        await session.until(lambda: not any(one.descriptor for one in session.graph.parameters.values()))
+        await set_to(session, speed=9.0)
+        assert await value(session, "speed") == [9.0]
 
 
 # The wire
@@ -264,25 +202,26 @@ METHODS = {
 }
 
 
-@pytest.mark.parametrize("method", METHODS, ids=range(len(METHODS)))
-def test_an_enumeration_is_read_from_what_is_plain_data(ros: RosSystem, method: str, tmp_path: Any) -> None:
+def test_an_enumeration_is_read_from_what_is_plain_data(ros: RosSystem, tmp_path: Path) -> None:
     require("the messages of dynamic_reconfigure", "dynamic_reconfigure.msg")
-    (tmp_path / "method").write_text(method)
+    (tmp_path / "methods").write_text(json.dumps(list(METHODS)))
     octets = genpy(
         ros,
-        "one = ParamDescription('x', 'int', 0, 'words', open(sys.argv[1]).read())\n"
-        "message = ConfigDescription([Group('Default', '', [one], 0, 0)], Config(), Config(), Config())\n"
-        "found = io.BytesIO()\nmessage.serialize(found)\nopen(sys.argv[1], 'wb').write(found.getvalue())",
-        str(tmp_path / "method"),
+        "import json\n"
+        "for method in json.load(open(sys.argv[1])):\n"
+        "    one = ParamDescription('x', 'int', 0, 'words', method)\n"
+        "    message = ConfigDescription([Group('Default', '', [one], 0, 0)], Config(), Config(), Config())\n"
+        "    found = io.BytesIO()\n    message.serialize(found)\n    print(found.getvalue().hex())",
+        str(tmp_path / "methods"),
     )
-    assert octets == ""
-    found = read_descriptors((tmp_path / "method").read_bytes())["x"]
-    assert tuple(choice.value for choice in found.choices) == METHODS[method]
-    assert (found.type, found.description, found.range) == (ParameterType.INTEGER, "words", None)
+    for expected, line in zip(METHODS.values(), octets.split(), strict=True):
+        found = read_descriptors(bytes.fromhex(line))["x"]
+        assert tuple(choice.value for choice in found.choices) == expected
+        assert (found.type, found.description, found.range) == (ParameterType.INTEGER, "words", None)
 
 
-@pytest.mark.parametrize("data", [b"", b"\1", b"\1\0\0\0", b"\xff" * 40, b"\0" * 7])
-def test_what_is_cut_off_is_no_message(data: bytes) -> None:
-    for read in (read_config, read_descriptors):
-        with pytest.raises(ValueError, match=r"cut off|more than"):
-            read(data)
+def test_a_truncated_message_is_refused() -> None:
+    for data in (b"", b"\1", b"\1\0\0\0", b"\xff" * 40, b"\0" * 7):
+        for read in (read_config, read_descriptors):
+            with pytest.raises(ValueError, match=r"cut off|more than"):
+                read(data)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 from typing import Any
 
 import pytest
@@ -10,15 +11,34 @@ import pytest
 from rosld.adapters.model import Kind, Live, MessageSchema, Operation, Ref, Refused, TypeRef, UnknownType
 from tests.adapters.ros1.conftest import Opening
 from tests.adapters.ros1.system import RosSystem
-from tests.adapters.session import Session
+from tests.processes import Process
+
+pytestmark = pytest.mark.slow
 
 TWIST = "{linear: {x: 0.1, y: -2.5, z: 1.0e+300}, angular: {x: 0.0, y: -0.0, z: 3.0}}"
-IMAGE = "{height: 2, width: 3, encoding: mono8, step: 3, data: [1, 2, 3, 250, 251, 252]}"
-SCAN = "{angle_min: -1.5, angle_max: 1.5, ranges: [0.5, .inf, 2.25], intensities: []}"
 FIX = (
     "{latitude: 49.01, longitude: 8.41, position_covariance: [1, 0, 0, 0, 2, 0, 0, 0, 3], position_covariance_type: 2}"
 )
-STRING = "data: 'quotes \" and ümlauts 🤖'"
+READ = {
+    "/read/twist": ("geometry_msgs/Twist", TWIST),
+    "/read/image": ("sensor_msgs/Image", "{height: 2, width: 3, encoding: mono8, step: 3, data: [1, 2, 3, 250, 252]}"),
+    "/read/scan": ("sensor_msgs/LaserScan", "{angle_min: -1.5, ranges: [0.5, .inf, 2.25], intensities: []}"),
+    "/read/fix": ("sensor_msgs/NavSatFix", FIX),
+    "/read/text": ("std_msgs/String", "data: 'quotes \" and ümlauts 🤖'"),
+}
+"""The type of each topic that is read, and its message."""
+
+
+@pytest.fixture(scope="module")
+def speaker(ros: RosSystem) -> Process:
+    """Two nodes that speak: both on `/both`, where they say the same type, and on `/types`, where they do not."""
+    words = [word for topic, (type, value) in READ.items() for word in (topic, type, value)]
+    words += ["/both", "std_msgs/String", "data: one", "/types", "std_msgs/String", "data: one"]
+    found = ros.node("speaking_node.py", "speaker", *words)
+    ros.node(
+        "speaking_node.py", "other", "/both", "std_msgs/String", "data: other", "/types", "std_msgs/Int32", "data: 5"
+    )
+    return found
 
 
 def plain(value: Any, schema: MessageSchema) -> Any:
@@ -34,7 +54,7 @@ def plain(value: Any, schema: MessageSchema) -> Any:
 
 
 def numbers(value: Any) -> Any:
-    """What rostopic printed, with the floats that YAML takes for strings as floats."""
+    """The value of a YAML document, with the floats that YAML takes for strings as floats."""
     if isinstance(value, dict):
         return {key: numbers(each) for key, each in value.items()}
     if isinstance(value, list):
@@ -42,245 +62,163 @@ def numbers(value: Any) -> Any:
     return float(value) if value in ("inf", "1e+300") else value
 
 
-@pytest.mark.parametrize(
-    ("name", "type_name", "value"),
-    [
-        ("twist", "geometry_msgs/Twist", TWIST),
-        ("image", "sensor_msgs/Image", IMAGE),
-        ("scan", "sensor_msgs/LaserScan", SCAN),
-        ("fix", "sensor_msgs/NavSatFix", FIX),
-        ("text", "std_msgs/String", STRING),
-    ],
-)
-def test_a_topic_reads_as_rostopic_echo_prints_it(
-    ros: RosSystem, opened: Opening, name: str, type_name: str, value: str
-) -> None:
-    publishing = ros.publish(f"/read/{name}", type_name, value)
-    echoed = ros.echo(f"/read/{name}")
-
-    async def read() -> Any:
-        async with opened(ros) as session:
-            sample = (await session.first(await session.adapter.subscribe(f"/read/{name}")))[0]
-            assert sample.schema.name == type_name.replace("/", "/msg/")
-            schema = await session.adapter.schema(sample.schema, deadline=session.deadline())
+async def test_a_topic_reads_as_rostopic_echo_prints_it(ros: RosSystem, opened: Opening, speaker: Process) -> None:
+    said = [line.split(" ", 2) for line in speaker.seen if line.startswith("says /read")]
+    async with opened(ros) as session:
+        for _, topic, text in said:
+            sample = (await session.first(await session.adapter.subscribe(topic)))[0]
+            assert sample.schema.name == READ[topic][0].replace("/", "/msg/")
+            schema = await session.schema(sample.schema)
             assert isinstance(schema, MessageSchema)
-            return plain(await session.decoded(sample), schema)
-
-    try:
-        mine = asyncio.run(read())
-    finally:
-        publishing.stop()
-    echoed = numbers(echoed)
-    for each in (mine, echoed):
-        each.get("header", {}).pop("seq", None)
-        each.get("header", {}).pop("stamp", None)
-    assert mine == echoed
+            mine, echoed = plain(await session.decoded(sample), schema), numbers(json.loads(text))
+            for each in (mine, echoed):
+                each.get("header", {}).pop("seq", None)
+                each.get("header", {}).pop("stamp", None)
+            assert mine == echoed
 
 
-def test_the_graph_is_what_the_master_says(ros: RosSystem, opened: Opening) -> None:
-    publishing = ros.publish("/graph/chatter", "std_msgs/String", "data: x", name="graph_talker")
-    listening = ros.node("listener.py", "/graph/chatter", "std_msgs/String")
-
-    async def look() -> None:
-        async with opened(ros) as session:
-            graph = session.graph
-            assert isinstance(graph.state, Live)
-            assert graph.master is not None
-            assert graph.master.uri == f"http://127.0.0.1:{ros.port}"
-            topic = graph.topics["/graph/chatter"]
-            assert topic.type == TypeRef("std_msgs/msg/String")
-            assert [each.node for each in topic.publishers] == ["/graph_talker"]
-            assert [each.node.startswith("/listener") for each in topic.subscribers] == [True]
-            assert graph.own_node not in graph.nodes
-            await session.until(lambda: session.graph.nodes["/graph_talker"].uri, "the node's address")
-            assert session.graph.nodes["/graph_talker"].uri == ros.master.lookupNode("/test", "/graph_talker")[2]
-            ref = Ref(Kind.TOPIC, "/graph/chatter")
-            assert session.adapter.allows(ref) == {Operation.SUBSCRIBE, Operation.PUBLISH}
-
-    asyncio.run(look())
-    publishing.stop()
+async def test_the_graph_is_what_the_master_says_and_reading_leaves_no_trace_there(
+    ros: RosSystem, opened: Opening, speaker: Process
+) -> None:
+    listening = ros.node("listener.py", "/read/text", "std_msgs/String")
+    before = sorted(map(sorted, ros.master.getSystemState("/test")[2]))
+    async with opened(ros) as session:
+        graph = session.graph
+        assert isinstance(graph.state, Live)
+        assert graph.master is not None
+        assert graph.master.uri == f"http://127.0.0.1:{ros.port}"
+        topic = graph.topics["/read/text"]
+        assert topic.type == TypeRef("std_msgs/msg/String")
+        assert [each.node for each in topic.publishers] == ["/speaker"]
+        assert [each.node.startswith("/listener") for each in topic.subscribers] == [True]
+        assert graph.own_node not in graph.nodes
+        await session.until(lambda: session.graph.nodes["/speaker"].uri, "the node's address")
+        assert session.graph.nodes["/speaker"].uri == ros.master.lookupNode("/test", "/speaker")[2]
+        allowed = session.adapter.allows(Ref(Kind.TOPIC, "/read/text"))
+        assert allowed == {Operation.SUBSCRIBE, Operation.PUBLISH}
+        await session.first(await session.adapter.subscribe("/read/text"))
+        await session.adapter.subscribe("/nobody_publishes_this")
+        assert sorted(map(sorted, ros.master.getSystemState("/test")[2])) == before
+        assert ros.master.lookupNode("/test", session.graph.own_node)[0] == -1
+        with pytest.raises(Refused, match="std_msgs/msg/String"):
+            await session.publish("/read/text", TypeRef("std_msgs/msg/Int32"), b"\0\0\0\0")
+    assert sorted(map(sorted, ros.master.getSystemState("/test")[2])) == before
     listening.stop()
 
 
-def test_the_revision_rises_by_one_a_change_and_unchanged_entries_are_shared(ros: RosSystem, opened: Opening) -> None:
-    publishing = ros.publish("/shared/one", "std_msgs/String", "data: x")
-
-    async def look() -> None:
-        async with opened(ros) as session:
-            await session.until(lambda: all(each.uri for each in session.graph.nodes.values()), "addresses")
-            before = session.graph
-            second = await asyncio.to_thread(ros.publish, "/shared/two", "std_msgs/String", "data: y")
-            after = await session.until(lambda: "/shared/two" in session.graph.topics and session.graph)
-            assert after.topics["/shared/one"] is before.topics["/shared/one"]
-            revisions = [graph.revision for graph in session.told.graphs]
-            assert revisions == list(range(revisions[0], revisions[0] + len(revisions)))
-            assert after.parameters is before.parameters
-            await asyncio.to_thread(second.stop)
-
-    asyncio.run(look())
-    publishing.stop()
+@pytest.mark.usefixtures("speaker")
+async def test_the_revision_rises_by_one_a_change_and_unchanged_entries_are_shared(
+    ros: RosSystem, opened: Opening
+) -> None:
+    async with opened(ros) as session:
+        await session.until(lambda: all(each.uri for each in session.graph.nodes.values()), "addresses")
+        before = session.graph
+        node = await asyncio.to_thread(ros.node, "latched_node.py", "second", "/second", "hello")
+        after = await session.until(lambda: "/second" in session.graph.topics and session.graph)
+        assert after.topics["/both"] is before.topics["/both"]
+        assert after.parameters is before.parameters
+        revisions = [graph.revision for graph in session.told.graphs]
+        assert revisions == list(range(revisions[0], revisions[0] + len(revisions)))
+        await asyncio.to_thread(node.stop)
 
 
-def test_reading_leaves_no_trace_at_the_master(ros: RosSystem, opened: Opening) -> None:
-    publishing = ros.publish("/trace/chatter", "std_msgs/String", "data: x")
-    before = sorted(map(sorted, ros.master.getSystemState("/test")[2]))
-
-    async def read() -> None:
-        async with opened(ros) as session:
-            await session.first(await session.adapter.subscribe("/trace/chatter"))
-            await session.adapter.subscribe("/trace/nobody_publishes_this")
-            await session.adapter.get_parameters(["/"], deadline=session.deadline())
-            assert sorted(map(sorted, ros.master.getSystemState("/test")[2])) == before
-            assert ros.master.lookupNode("/test", session.graph.own_node)[0] == -1
-
-    asyncio.run(read())
-    assert sorted(map(sorted, ros.master.getSystemState("/test")[2])) == before
-    publishing.stop()
-
-
-def test_latest_is_the_same_object_until_something_new_arrives(ros: RosSystem, opened: Opening) -> None:
-    latched = ros.node("latched_node.py", "same_node", "/same", "hello")
-
-    async def read() -> None:
-        async with opened(ros) as session:
-            subscription = await session.adapter.subscribe("/same")
-            assert subscription.latest() == ()
-            (sample,) = await session.first(subscription)
-            assert (sample.latched, sample.sequence, sample.epoch) == (True, 1, 0)
-            assert subscription.latest() is subscription.latest()
-            assert session.graph.topics["/same"].publishers[0].latched
-            again = await session.adapter.subscribe("/same")
-            assert again.latest()[0] is subscription.latest()[0]
-
-    asyncio.run(read())
-    latched.stop()
+@pytest.mark.usefixtures("speaker")
+async def test_two_publishers_are_two_samples_and_deeper_subscriptions_see_more(
+    ros: RosSystem, opened: Opening
+) -> None:
+    async with opened(ros) as session:
+        subscription = await session.adapter.subscribe("/both")
+        deep = await session.adapter.subscribe("/both", depth=3)
+        samples = await session.first(subscription, 2)
+        assert {sample.publisher for sample in samples} == {"/speaker", "/other"}
+        assert {(await session.decoded(sample)).data for sample in samples} == {"one", "other"}
+        deepest = await session.first(deep, 6)
+        assert len(deepest) == 6
+        assert len(subscription.latest()) == 2
+        assert [each.received_ns for each in deepest] == sorted(each.received_ns for each in deepest)
+        mine = [each.sequence for each in deepest if each.publisher == "/speaker"]
+        assert mine == list(range(mine[0], mine[0] + 3))
+        identities = {(each.publisher, each.epoch, each.sequence): each.received_ns for each in deepest}
+        for closed in (subscription, deep, deep):
+            closed.close()
+        for each in await session.first(await session.adapter.subscribe("/both"), 2):
+            identity = (each.publisher, each.epoch, each.sequence)
+            assert identities.get(identity, each.received_ns) == each.received_ns, "one identity, one sample"
 
 
-def test_two_publishers_are_two_samples_and_deeper_subscriptions_see_more(ros: RosSystem, opened: Opening) -> None:
-    one = ros.publish("/two/publishers", "std_msgs/String", "data: one", name="two_one")
-    other = ros.publish("/two/publishers", "std_msgs/String", "data: other", name="two_other")
-
-    async def read() -> None:
-        async with opened(ros) as session:
-            subscription = await session.adapter.subscribe("/two/publishers")
-            deep = await session.adapter.subscribe("/two/publishers", depth=3)
-            samples = await session.first(subscription, 2)
-            assert {sample.publisher for sample in samples} == {"/two_one", "/two_other"}
-            assert len({(await session.decoded(sample)).data for sample in samples}) == 2
-            deepest = await session.first(deep, 6)
-            assert len(deepest) == 6
-            assert len(subscription.latest()) == 2
-            assert [each.received_ns for each in deepest] == sorted(each.received_ns for each in deepest)
-            mine = [each.sequence for each in deepest if each.publisher == "/two_one"]
-            assert mine == list(range(mine[0], mine[0] + 3))
-            deep.close()
-            deep.close()
-
-    asyncio.run(read())
-    one.stop()
-    other.stop()
+@pytest.mark.usefixtures("speaker")
+async def test_two_types_on_one_topic_are_both_shown_and_it_is_not_writable(ros: RosSystem, opened: Opening) -> None:
+    async with opened(ros) as session:
+        samples = await session.first(await session.adapter.subscribe("/types"), 2)
+        assert {(await session.decoded(sample)).data for sample in samples} == {"one", 5}
+        names = {"std_msgs/msg/String", "std_msgs/msg/Int32"}
+        await session.until(lambda: {each.name for each in session.graph.topics["/types"].types} == names)
+        topic = session.graph.topics["/types"]
+        assert topic.type is None
+        assert all(each.hash for each in topic.types)
+        assert session.adapter.allows(Ref(Kind.TOPIC, "/types")) == {Operation.SUBSCRIBE}
 
 
-def test_two_types_on_one_topic_are_both_shown_and_it_is_not_writable(ros: RosSystem, opened: Opening) -> None:
-    text = ros.publish("/two/types", "std_msgs/String", "data: one", name="types_text")
-    number = ros.publish("/two/types", "std_msgs/Int32", "data: 5", name="types_number")
+@pytest.mark.usefixtures("speaker")
+async def test_a_node_in_cpp_is_read_and_hears_as_any_node(ros: RosSystem, opened: Opening) -> None:
+    relays = [
+        ros.start(["/usr/lib/topic_tools/relay", source, f"{source}/relayed"]) for source in ("/read/twist", "/said")
+    ]
+    ros.until(lambda: ros.publishers("/read/twist/relayed"), "the relay")
+    ros.until(lambda: dict(ros.master.getSystemState("/test")[2][1]).get("/said"), "the other relay")
+    async with opened(ros) as session:
+        (sample,) = await session.first(await session.adapter.subscribe("/read/twist/relayed"))
+        assert sample.schema.hash == "9f195f881246fdfa2798d1d3eebca84a"
+        assert (await session.decoded(sample)).linear.z == 1.0e300
+        relayed = next(name for name in session.graph.services if "relay" in name)
+        await session.until(lambda: session.graph.services[relayed].type, "a roscpp service's type")
+        ref, back = TypeRef("std_msgs/msg/String"), await session.adapter.subscribe("/said/relayed")
 
-    async def read() -> None:
-        async with opened(ros) as session:
-            samples = await session.first(await session.adapter.subscribe("/two/types"), 2)
-            assert {(await session.decoded(sample)).data for sample in samples} == {"one", 5}
-            names = {"std_msgs/msg/String", "std_msgs/msg/Int32"}
-            await session.until(lambda: {each.name for each in session.graph.topics["/two/types"].types} == names)
-            topic = session.graph.topics["/two/types"]
-            assert topic.type is None
-            assert all(each.hash for each in topic.types)
-            assert session.adapter.allows(Ref(Kind.TOPIC, "/two/types")) == {Operation.SUBSCRIBE}
+        async def say() -> None:
+            while not back.latest():  # the relay advertises with its first message
+                sent = await session.publish("/said", ref, b"\5\0\0\0round")
+                assert sent.matched == 1
+                await asyncio.sleep(0.05)
 
-    asyncio.run(read())
-    text.stop()
-    number.stop()
-
-
-def test_tf_from_three_nodes_is_three_publishers(ros: RosSystem, opened: Opening) -> None:
-    nodes = [ros.node("tf_node.py", child) for child in ("left", "right", "base")]
-
-    async def read() -> set[str]:
-        async with opened(ros) as session:
-            samples = await session.first(await session.adapter.subscribe("/tf", depth=10), 6)
-            messages = [await session.decoded(sample) for sample in samples]
-            return {transform.child_frame_id for message in messages for transform in message.transforms}
-
-    assert asyncio.run(read()) == {"left", "right", "base"}
-    for node in nodes:
-        node.stop()
+        await asyncio.wait_for(say(), 30)
+        assert (await session.decoded(back.latest()[0])).data == "round"
+    for relay in relays:
+        relay.stop()
 
 
-def test_a_relay_in_cpp_is_read_as_any_node(ros: RosSystem, opened: Opening) -> None:
-    publishing = ros.publish("/relay/in", "geometry_msgs/Twist", TWIST)
-    relay = ros.start(["/usr/lib/topic_tools/relay", "/relay/in", "/relay/out"])
-    ros.until(lambda: ros.publishers("/relay/out"), "the relay")
+async def test_a_subscription_made_before_its_publisher_gets_the_latched_message(
+    ros: RosSystem, opened: Opening
+) -> None:
+    async with opened(ros) as session:
+        subscription = await session.adapter.subscribe("/early")
+        assert subscription.latest() == ()
+        woken = asyncio.Event()
+        watch = subscription.watch(woken.set)
+        node = await asyncio.to_thread(ros.node, "latched_node.py", "early_node", "/early", "bird")
+        await asyncio.wait_for(woken.wait(), 60)
+        (sample,) = subscription.latest()
+        assert (await session.decoded(sample)).data == "bird"
+        assert (sample.latched, sample.sequence, sample.epoch) == (True, 1, 0)
+        assert subscription.latest() is subscription.latest()
+        assert (await session.adapter.subscribe("/early")).latest()[0] is sample
+        await session.until(lambda: session.graph.topics["/early"].publishers[0].latched, "that it is latched")
+        watch.close()
+        watch.close()
+        await asyncio.to_thread(node.stop)
 
-    async def read() -> Any:
-        async with opened(ros) as session:
-            (sample,) = await session.first(await session.adapter.subscribe("/relay/out"))
-            assert sample.schema.hash == "9f195f881246fdfa2798d1d3eebca84a"
-            await session.until(lambda: [each for each in session.graph.services.values() if each.type], "types")
-            relayed = [name for name in session.graph.services if "relay" in name]
-            await session.until(lambda: session.graph.services[relayed[0]].type, "a roscpp service's type")
-            return (await session.decoded(sample)).linear.z
 
-    assert asyncio.run(read()) == 1.0e300
-    relay.stop()
-    publishing.stop()
-
-
-def test_a_definition_that_cannot_be_read_leaves_the_topic_listed_and_says_why(ros: RosSystem, opened: Opening) -> None:
+async def test_a_definition_that_cannot_be_read_leaves_the_topic_listed_and_says_why(
+    ros: RosSystem, opened: Opening
+) -> None:
     odd = ros.node("odd_type_node.py")
-
-    async def read() -> None:
-        async with opened(ros) as session:
-            (sample,) = await session.first(await session.adapter.subscribe("/odd"))
-            words = await session.until(lambda: session.graph.topics["/odd"].unreadable, "the reason")
-            assert "nowhere_msgs" in words
-            with pytest.raises(UnknownType, match="nowhere_msgs"):
-                await session.adapter.schema(sample.schema, deadline=session.deadline())
-            assert Operation.PUBLISH not in session.adapter.allows(Ref(Kind.TOPIC, "/odd"))
-
-    asyncio.run(read())
+    async with opened(ros) as session:
+        (sample,) = await session.first(await session.adapter.subscribe("/odd"))
+        words = await session.until(lambda: session.graph.topics["/odd"].unreadable, "the reason")
+        assert "nowhere_msgs" in words
+        with pytest.raises(UnknownType, match="nowhere_msgs"):
+            await session.schema(sample.schema)
+        assert Operation.PUBLISH not in session.adapter.allows(Ref(Kind.TOPIC, "/odd"))
     odd.stop()
-
-
-def test_a_subscription_made_before_its_publisher_gets_its_messages(ros: RosSystem, opened: Opening) -> None:
-    async def read() -> None:
-        async with opened(ros) as session:
-            subscription = await session.adapter.subscribe("/early")
-            woken = asyncio.Event()
-            watch = subscription.watch(woken.set)
-            node = await asyncio.to_thread(ros.node, "latched_node.py", "early_node", "/early", "bird")
-            await asyncio.wait_for(woken.wait(), 60)
-            assert (await session.decoded(subscription.latest()[0])).data == "bird"
-            watch.close()
-            watch.close()
-            await asyncio.to_thread(node.stop)
-
-    asyncio.run(read())
-
-
-def test_subscribing_again_never_gives_two_samples_one_identity(ros: RosSystem, opened: Opening) -> None:
-    publishing = ros.publish("/identity", "std_msgs/String", "data: x", rate=50)
-
-    async def read() -> None:
-        async with opened(ros) as session:
-            identities = set()
-            for _ in range(3):
-                subscription = await session.adapter.subscribe("/identity")
-                (sample,) = await session.first(subscription)
-                identities.add((sample.publisher, sample.epoch, sample.sequence, sample.received_ns))
-                subscription.close()
-            assert len({each[:3] for each in identities}) == 3
-
-    asyncio.run(read())
-    publishing.stop()
 
 
 def test_a_host_name_that_does_not_resolve_is_tried_at_the_masters_host(ros: RosSystem, opened: Opening) -> None:
@@ -296,49 +234,14 @@ def test_a_host_name_that_does_not_resolve_is_tried_at_the_masters_host(ros: Ros
     node.stop()
 
 
-def test_a_host_that_does_not_answer_is_shown_as_unreachable_until_it_is_mapped(
-    ros: RosSystem, opened: Opening
-) -> None:
-    node = ros.node("latched_node.py", "far_node", "/far", "away", ROS_HOSTNAME="127.1.2.3", ROS_IP="127.1.2.3")
-    name = "far-away.invalid"
-    uri = ros.master.lookupNode("/test", "/far_node")[2]
-    ros.master.registerPublisher("/ghost", "/ghosts", "std_msgs/String", uri.replace("127.1.2.3", name))
-
-    async def read(session: Session) -> str:
+async def test_a_host_that_does_not_resolve_is_shown_as_unreachable(ros: RosSystem, opened: Opening) -> None:
+    name, uri = "far-away.invalid", "http://far-away.invalid:9/"
+    ros.master.registerPublisher("/ghost", "/ghosts", "std_msgs/String", uri)
+    async with opened(ros, host_map={name: "127.7.7.7"}) as session:
         await session.adapter.subscribe("/ghosts")
-        await session.until(lambda: session.graph.nodes["/ghost"].unreachable, "the node is unreachable")
-        await session.until(lambda: session.graph.topics["/ghosts"].publishers[0].unreachable, "the endpoint as well")
-        return session.graph.nodes["/ghost"].unreachable or ""
-
-    async def unmapped() -> str:
-        async with opened(ros, host_map={name: "127.7.7.7"}) as session:
-            return await read(session)
-
-    words = asyncio.run(unmapped())
-    assert "far-away.invalid" in words
-    ros.master.unregisterPublisher("/ghost", "/ghosts", uri.replace("127.1.2.3", name))
-    node.stop()
-
-
-def test_a_type_nobody_knows_is_unknown_and_the_way_out_is_named(ros: RosSystem, opened: Opening) -> None:
-    async def ask() -> None:
-        async with opened(ros) as session:
-            with pytest.raises(UnknownType, match="--types"):
-                await session.adapter.schema(TypeRef("no_msgs/msg/Such"), deadline=session.deadline())
-
-    asyncio.run(ask())
-
-
-def test_publishing_another_type_than_the_topics_is_refused(ros: RosSystem, opened: Opening) -> None:
-    publishing = ros.publish("/typed", "std_msgs/String", "data: x")
-
-    async def attempt() -> None:
-        async with opened(ros) as session:
-            with pytest.raises(Refused, match="std_msgs/msg/String"):
-                await session.adapter.publish(
-                    "/typed", TypeRef("std_msgs/msg/Int32"), b"\0\0\0\0", deadline=session.deadline()
-                )
-            assert session.graph.own_node not in ros.publishers("/typed")
-
-    asyncio.run(attempt())
-    publishing.stop()
+        words = await session.until(lambda: session.graph.nodes["/ghost"].unreachable, "the node is unreachable")
+        assert name in words
+        await session.until(lambda: session.graph.topics["/ghosts"].publishers[0].unreachable, "the endpoint, too")
+        with pytest.raises(UnknownType, match="--types"):
+            await session.schema(TypeRef("no_msgs/msg/Such"))
+    ros.master.unregisterPublisher("/ghost", "/ghosts", uri)

@@ -100,31 +100,25 @@ def _client(port: int, connections: list[Streams] | None = None) -> XmlRpcClient
     return XmlRpcClient(f"http://127.0.0.1:{port}", "/RPC2", connect, keep_alive=True)
 
 
-def test_our_client_speaks_with_our_server_over_one_connection() -> None:
-    async def talk() -> None:
-        async with _serving(lambda method, arguments: Answer(1, method, list(arguments))) as (_, port):  # type: ignore[call-overload]
-            connections: list[Streams] = []
-            client = _client(port, connections)
-            for number in range(3):
-                assert await client.call("add", number, timeout=5) == Answer(1, "add", [number])
-            assert len(connections) == 1
-            client.close()
-
-    asyncio.run(talk())
+async def test_our_client_speaks_with_our_server_over_one_connection() -> None:
+    async with _serving(lambda method, arguments: Answer(1, method, list(arguments))) as (_, port):  # type: ignore[call-overload]
+        connections: list[Streams] = []
+        client = _client(port, connections)
+        for number in range(3):
+            assert await client.call("add", number, timeout=5) == Answer(1, "add", [number])
+        assert len(connections) == 1
+        client.close()
 
 
-def test_a_kept_connection_that_died_is_replaced() -> None:
-    async def talk() -> None:
-        async with _serving(lambda method, arguments: Answer(1, "", 0)) as (_, port):
-            connections: list[Streams] = []
-            client = _client(port, connections)
-            await client.call("a", timeout=5)
-            connections[0][1].transport.abort()
-            assert (await client.call("b", timeout=5)).code == 1
-            assert len(connections) == 2
-            client.close()
-
-    asyncio.run(talk())
+async def test_a_kept_connection_that_died_is_replaced() -> None:
+    async with _serving(lambda method, arguments: Answer(1, "", 0)) as (_, port):
+        connections: list[Streams] = []
+        client = _client(port, connections)
+        await client.call("a", timeout=5)
+        connections[0][1].transport.abort()
+        assert (await client.call("b", timeout=5)).code == 1
+        assert len(connections) == 2
+        client.close()
 
 
 def test_nobody_listening_is_unreachable_and_nothing_was_sent(free_port: int) -> None:
@@ -133,58 +127,47 @@ def test_nobody_listening_is_unreachable_and_nothing_was_sent(free_port: int) ->
     assert caught.value.sent is Sent.NO
 
 
-def test_a_server_that_never_answers_is_timed_out() -> None:
-    async def attempt() -> None:
-        hanging = await asyncio.start_server(lambda reader, writer: asyncio.sleep(30), "127.0.0.1", 0)
-        async with hanging:
-            with pytest.raises(TimedOut) as caught:
-                await _client(hanging.sockets[0].getsockname()[1]).call("getPid", "/x", timeout=0.2)
-            assert caught.value.sent is Sent.MAYBE
-
-    asyncio.run(attempt())
+async def test_a_server_that_never_answers_is_timed_out() -> None:
+    hanging = await asyncio.start_server(lambda reader, writer: asyncio.sleep(30), "127.0.0.1", 0)
+    async with hanging:
+        with pytest.raises(TimedOut) as caught:
+            await _client(hanging.sockets[0].getsockname()[1]).call("getPid", "/x", timeout=0.2)
+        assert caught.value.sent is Sent.MAYBE
 
 
-@pytest.mark.parametrize(
-    "reply",
-    [
+async def test_a_server_that_is_no_master_is_unreachable() -> None:
+    replies = [
         b"HTTP/1.1 200 OK\r\nContent-Length: 99999999999999\r\n\r\n",
         b"HTTP/1.1 200 OK\r\nContent-Length: -5\r\n\r\n",
         b"HTTP/1.1 500 Oh\r\nContent-Length: 0\r\n\r\n",
         b"SSH-2.0-hello\r\n\r\n",
         b"HTTP/1.1 200 OK\r\n" + b"X: " + b"y" * 200_000,
         b"HTTP/1.1 200 OK\r\nContent-Length: 3\r\n\r\nabc",
-    ],
-)
-def test_a_server_that_is_no_master_is_unreachable(reply: bytes) -> None:
+    ]
+    left = list(replies)
+
     async def answer(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         await reader.readuntil(b"\r\n\r\n")
-        writer.write(reply)
+        writer.write(left.pop())
         writer.close()
 
-    async def attempt() -> None:
-        async with await asyncio.start_server(answer, "127.0.0.1", 0) as server:
+    async with await asyncio.start_server(answer, "127.0.0.1", 0) as server:
+        for _ in replies:
             with pytest.raises(Unreachable):
                 await _client(server.sockets[0].getsockname()[1]).call("getPid", "/x", timeout=5)
+    assert not left
 
-    asyncio.run(attempt())
 
-
-@pytest.mark.parametrize(
-    ("request_", "expected"),
-    [
-        (b"GET / HTTP/1.1\r\n\r\n", b"HTTP/1.1 405"),
-        (b"POST / HTTP/1.1\r\nContent-Length: 5\r\n\r\nhello", b"HTTP/1.1 200"),
-        (b"POST / HTTP/1.1\r\nContent-Length: 999999999\r\n\r\n", b""),
-        (b"\x16\x03\x01" * 10 + b"\r\n\r\n", b"HTTP/1.1 405"),
-    ],
-)
-def test_our_server_survives_what_is_no_call(request_: bytes, expected: bytes) -> None:
-    async def attempt() -> None:
-        async with _serving(lambda method, arguments: Answer(1, "", 0)) as (_, port):
+async def test_our_server_survives_what_is_no_call() -> None:
+    async with _serving(lambda method, arguments: Answer(1, "", 0)) as (_, port):
+        for request, expected in {
+            b"GET / HTTP/1.1\r\n\r\n": b"HTTP/1.1 405",
+            b"POST / HTTP/1.1\r\nContent-Length: 5\r\n\r\nhello": b"HTTP/1.1 200",
+            b"POST / HTTP/1.1\r\nContent-Length: 999999999\r\n\r\n": b"",
+            b"\x16\x03\x01" * 10 + b"\r\n\r\n": b"HTTP/1.1 405",
+        }.items():
             reader, writer = await asyncio.open_connection("127.0.0.1", port)
-            writer.write(request_)
+            writer.write(request)
             assert (await asyncio.wait_for(reader.read(12), 60)) == expected
             writer.close()
             assert (await _client(port).call("still", timeout=5)).code == 1
-
-    asyncio.run(attempt())

@@ -11,11 +11,8 @@ import time
 from contextvars import ContextVar
 from typing import NamedTuple
 
-from rosld.server.runtime.dry_run import current_dry_run
+from rosld.server.runtime.dry_run import MAX_STEPS, current_dry_run
 from rosld.server.runtime.identifiers import new_identifier
-
-_MAX_STEPS = 100
-"""Steps and URLs that are noted: a write of thousands of things is not told one by one."""
 
 
 class Sender(NamedTuple):
@@ -82,9 +79,9 @@ class AuditContext:
         if not self.plan:
             self.plan, self.touched = (does,), touches
             return
-        if does not in self.plan and len(self.plan) < _MAX_STEPS:
+        if does not in self.plan and len(self.plan) < MAX_STEPS:
             self.plan = (*self.plan, does)
-        if len(self.touched) < _MAX_STEPS:
+        if len(self.touched) < MAX_STEPS:
             self.touched = (*self.touched, *(url for url in touches if url not in self.touched))
 
     def add_receivers(self, matched: int) -> None:

@@ -18,8 +18,8 @@ from rosld.ontology.describe_activities import Receipt
 from rosld.server.auth.agent import Agent
 from rosld.server.http.token_redaction import PREFIX, redact_tokens
 from rosld.server.receipts.secrets import SCANNED, holds_credentials
+from rosld.server.runtime.dry_run import MAX_STEPS
 
-_MAX_STEPS = 100
 _MAX_TEXT = 500
 """Characters of a step, of the words of a refusal, of a media type."""
 _LONGEST_URL = 2000
@@ -75,8 +75,8 @@ def receipt_of(entry: AuditEntry, number: int, id: str, excerpt_bytes: int) -> R
         None if withheld or digest is None else f"sha-256=:{base64.b64encode(digest).decode()}:",
         None if withheld or text is None or not excerpt_bytes else _begin(text, excerpt_bytes),
         withheld or hides_query,
-        tuple(dict.fromkeys(_said(step, withheld) for step in entry.plan[:_MAX_STEPS])),
-        tuple(map(redact_tokens, entry.touched[:_MAX_STEPS])),
+        tuple(dict.fromkeys(_said(step, withheld) for step in entry.plan[:MAX_STEPS])),
+        tuple(map(redact_tokens, entry.touched[:MAX_STEPS])),
         entry.matched,
         entry.status,
         None if entry.created is None else redact_tokens(entry.created),
@@ -91,7 +91,7 @@ def touched_urls(url: str, touched: Sequence[str], made: str | None, status: int
     all here; a query that is withheld; and a body that names other things and was refused before all were known.
     """
     own, _, query = url.partition("?")
-    if own.endswith("/sparql") or len(touched) >= _MAX_STEPS or query == _WITHHELD.strip("()"):
+    if own.endswith("/sparql") or len(touched) >= MAX_STEPS or query == _WITHHELD.strip("()"):
         return None
     if own.endswith("/") and length and status >= 400:
         return None

@@ -10,8 +10,8 @@ from collections.abc import Iterable
 from contextvars import ContextVar
 from typing import NamedTuple
 
-_MAX_STEPS = 100
-"""Steps, limits and conditions that are listed."""
+MAX_STEPS = 100
+"""Maximum number of steps, URLs, limits and conditions that a dry run or a receipt lists."""
 
 
 class PlannedStep(NamedTuple):
@@ -36,7 +36,7 @@ class DryRun:
     def add_step(self, description: str, touches: tuple[str, ...]) -> None:
         """Add a step, unless it is there already."""
         step = PlannedStep(description, touches)
-        if step not in self.steps and len(self.steps) < _MAX_STEPS:
+        if step not in self.steps and len(self.steps) < MAX_STEPS:
             self.steps.append(step)
 
 
@@ -84,5 +84,5 @@ def note_conditions(iris: Iterable[str]) -> None:
 
 
 def _add(found: list[str], url: str) -> None:
-    if url not in found and len(found) < _MAX_STEPS:
+    if url not in found and len(found) < MAX_STEPS:
         found.append(url)

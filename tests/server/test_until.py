@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import threading
+import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
@@ -12,8 +13,11 @@ from typing import Any
 import httpx
 import pytest
 
+from rosld.adapters.base import Watch
+from rosld.adapters.embedded import NoWatch
+from rosld.adapters.model import Action, GoalEvent, GoalId, GoalStatus, TypeRef
 from tests.server.conftest import Served
-from tests.server.robots.made_up import MadeUp, Serving
+from tests.server.robots.made_up import ROBOT, MadeUp, Serving, served
 from tests.server.test_events import streaming
 from tests.waiting import until
 
@@ -131,6 +135,39 @@ def test_the_end_of_a_goal_is_waited_for(serve: Callable[..., Served]) -> None:
         told = [line for line in lines if line]
     problem = told[told.index("event: problem") + 1 :]
     assert json.loads("".join(line.removeprefix("data: ") for line in problem))["status"] == 409
+
+
+class Mover(MadeUp):
+    """A robot with an action whose result has no fields."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.strange(Action("/move_base", self._library.find(TypeRef("move_base_msgs/action/MoveBase")).ref, (ROBOT,)))
+
+    async def send_goal(self, action: str, type: TypeRef, goal: bytes, *, deadline: float) -> GoalId:
+        self.tell(GoalEvent(time.time_ns(), GoalStatus.EXECUTING, goal=goal, own=True))
+        return GoalId(action, "1")
+
+    async def follow_goals(self, action: str, *, deadline: float) -> Watch:
+        return NoWatch()
+
+    def tell(self, event: GoalEvent) -> None:
+        """Report an event of the goal."""
+        assert self._sink is not None
+        self._sink.goal_changed(GoalId("/move_base", "1"), event)
+
+
+def test_a_result_without_fields_is_waited_for(aside: ThreadPoolExecutor) -> None:
+    robot = Mover()
+    with served(robot) as http:
+        goal = http.post("/actions/move_base", json={}).headers["location"]
+        waiting = aside.submit(wait, http, goal, "result != null")
+        robot.tell(GoalEvent(time.time_ns(), GoalStatus.SUCCEEDED))
+        ended = wait(http, goal, "status = 'succeeded'").json()
+        assert ended["result"] is None
+        robot.tell(GoalEvent(time.time_ns(), result=b""))
+        assert answered(waiting) == ended | {"result": {}}
+        assert wait(http, goal, "result = null").status_code == 409
 
 
 def test_a_condition_that_can_never_hold_is_refused_at_once(aircraft: Served) -> None:

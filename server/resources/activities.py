@@ -195,10 +195,6 @@ class NewestReceipt(Resource):
         self._permissions = permissions
 
     @property
-    def variant_key(self) -> str:
-        return self._permissions.rights_key
-
-    @property
     def conforms_to(self) -> Sequence[str]:
         return (self.space.document_shape("Write"),)
 

@@ -26,7 +26,7 @@ from rosld.ontology.notifications import (
 )
 from rosld.ontology.urls import Location, Space, locate
 from rosld.server.auth import enforcement
-from rosld.server.auth.permissions import Permissions
+from rosld.server.auth.authenticator import AuthContext
 from rosld.server.auth.redaction.problems import redact_problem
 from rosld.server.events.broadcaster import Broadcasters
 from rosld.server.events.channel_request import JSON_LD, MAX_BYTES, MEDIA_TYPES, check_profile, read_subscription
@@ -121,7 +121,7 @@ class Notifications:
         media_type = exchange.media_type
         data = exchange.to_utf8(await read_body(exchange.request, limit=MAX_BYTES))
         wish = read_subscription(data, media_type, service.url, service.type, time.time_ns())
-        resource, state = await self._topic(wish.topic, exchange.permissions)
+        resource, state = await self._topic(wish.topic, exchange.auth)
         place = partial(self.urls_of, service.type)
         return self.channels.open(wish, service.type, resource, state, place, exchange.auth)
 
@@ -138,10 +138,11 @@ class Notifications:
                 return WebSocketReceiver(self.channels, self.broadcasters, channel_of(self, kind, token))
         raise Problem(404, f"No WebSocket is there: subscribe at {self.space.url(ROUTE, (WEBSOCKET,))} first.")
 
-    async def _topic(self, url: str, permissions: Permissions) -> tuple[Resource, State]:
-        """The resource to tell of, and what it is like now. Raises a 422 Problem where nothing can be told of it."""
-        scope = self._scope(url)
+    async def _topic(self, url: str, auth: AuthContext) -> tuple[Resource, State]:
+        """Return the topic of a channel, and its state. Raises a 422 Problem for what has no state to follow."""
+        scope, permissions = self._scope(url), auth.permissions
         exchange = Exchange(Request(scope), 0)
+        exchange.auth = auth
         place = None if permissions.is_unrestricted else enforcement.location_of(scope, self.space)
         try:
             if not permissions.is_unrestricted:

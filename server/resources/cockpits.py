@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -108,7 +108,6 @@ class _ShownPage(Resource):
     """Base of the pages of the default cockpit and of those that clients keep, as shown to one agent."""
 
     documents: Documents
-    _permissions: Permissions
     _reader: PanelReader
 
     def _set_reader(self, sources: CockpitSources, permissions: Permissions) -> None:
@@ -118,10 +117,6 @@ class _ShownPage(Resource):
     async def cockpit(self) -> Cockpit:
         """The cockpit that is shown."""
         raise NotImplementedError
-
-    @property
-    def variant_key(self) -> Hashable:
-        return "page", self._permissions.rights_key
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         return self

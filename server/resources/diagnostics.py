@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from urllib.parse import quote
 
@@ -102,10 +102,6 @@ class DiagnosticsResource(Resource):
         self._permissions = permissions
         self.states: Sequence[DiagnosticState] = ()
         self._changes: Sequence[LevelChange] = ()
-
-    @property
-    def variant_key(self) -> Hashable:
-        return self._permissions.rights_key
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem("What the parts of the robot say of themselves", plain=_PLAIN, query=(_NAME, FORMAT))

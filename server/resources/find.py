@@ -127,10 +127,6 @@ class FindResource(Resource):
         self._pictures: Mapping[str, Thumbnail] = {}
         self._total = 0
 
-    @property
-    def variant_key(self) -> str:
-        return self._permissions.rights_key
-
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem("The search", plain=_RESULTS, query=(_QUERY, _VALUES, FORMAT))
 

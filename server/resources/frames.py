@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import orjson
@@ -71,10 +71,6 @@ class FramesResource(Resource):
         self.scene = scene
         self._permissions = permissions
         self._nodes: Sequence[FrameNode] = ()
-
-    @property
-    def variant_key(self) -> Hashable:
-        return self._permissions.rights_key
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem("The frames of the robot, each with its parent", plain=_PLAIN)

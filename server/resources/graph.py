@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from urllib.parse import quote
 
@@ -106,10 +106,6 @@ class GraphResource(Resource):
         self.instance_id = instance_id
         self._selection = selection
         self._permissions = permissions
-
-    @property
-    def variant_key(self) -> Hashable:
-        return self._permissions.rights_key
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem(

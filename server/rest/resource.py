@@ -17,7 +17,7 @@ from starlette.responses import Response
 from rosld.adapters.base import Watch
 from rosld.adapters.model import RosError
 from rosld.ontology.describe_graph import SECTIONS
-from rosld.server.auth.permissions import Permissions
+from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.dataset.base import TripleChanges
 from rosld.server.html import Csrf, Form, MemberColumns, Notice, Page, SequenceLink, Site
 from rosld.server.http.link import Link, to_uri
@@ -57,17 +57,19 @@ class Resource:
     """Whether a posted form is one of our pages' (else the resource reads it itself)."""
     title = ""
     """What its page is called: a ROS name as a rule."""
+    _permissions = ALLOW_ALL
+    """The permissions that the state was made for; ALLOW_ALL if `redact` removes from it what an agent may not see."""
 
     def __init__(self, url: str) -> None:
         self.url = url
 
     @property
     def variant_key(self) -> Hashable:
-        """What of its URL's state it shows, where that is not the whole: a page, some parts."""
-        return None
+        """Identifier of a partial view of the URL's state: a page, some parts, or what one agent may see."""
+        return self._permissions.rights_key
 
     def __eq__(self, other: object) -> bool:
-        """One may be made for each request: those that show the same are the same, to whoever follows them."""
+        """Whether the other resource has the same state, so that those who wait for changes can share it."""
         return (
             isinstance(other, Resource)
             and type(other) is type(self)

@@ -628,7 +628,9 @@ async def _look_everywhere(folder: Path) -> None:
         await ask_the_dataset(crawl, [path for path, status in everything.seen.items() if status == 200])
         await check_what_may_be_read(crawl.ask, everything.ask)
         await follow_streams(crawl, Client(app, "admin"))
+        await wait_for_space(crawl, Client(app, "admin"))
         await crawl.walk_again(await stop(Client(app, "admin")))
+        await subscribe_to_denied(crawl)
         print(f"{len(crawl.seen)} URLs, {crawl.ask.statuses.total()} answers: {dict(crawl.ask.statuses)}")
         assert not crawl.leaks
         assert not crawl.failures
@@ -654,6 +656,37 @@ async def follow_streams(crawl: Crawl, admin: Client) -> None:
         answer = await each.leave()
         if answer.leaks:
             crawl.leaks[f"stream of {path}"] = answer.leaks
+
+
+async def wait_for_space(crawl: Crawl, admin: Client) -> None:
+    """Wait for a second topic in space, of which the reader sees one, while an administrator waits, who sees two."""
+    waits = [
+        (client, client.begin("GET", f"/space?until={quote(condition)}", Accept=JSON))
+        for client, condition in ((admin, "frame = 'never'"), (crawl.ask, "show[1].kind != 'never'"))
+    ]
+    for client, each in waits:
+        await client("GET", "/space")  # takes as long as the wait takes to begin
+        assert not each.answer.leaks
+    for _, each in waits:
+        answer = await each.leave()
+        assert (answer.status, answer.body) == (204, b"")
+
+
+async def subscribe_to_denied(crawl: Crawl) -> None:
+    """Ask for channels about denied things, and about things that do not exist."""
+    for path in ("/plot?y=topics/{}%23data", "/space?show=topics/{}", "/diagnostics?name={}"):
+        answers = set()
+        for name in ("zq7_scan", "zq7_speed", "zq7 motor", "zq7_never"):
+            topic = BASE[:-1] + path.format(quote(name))
+            wish = {
+                "@context": ["https://www.w3.org/ns/solid/notifications-context/v1"],
+                "type": "http://www.w3.org/ns/solid/notifications#StreamingHTTPChannel2023",
+                "topic": topic,
+            }
+            answer = await crawl.ask("POST", "/channels/StreamingHTTPChannel2023", json.dumps(wish).encode(),
+                                     Content_Type="application/ld+json")  # fmt: skip
+            answers.add((answer.status, answer.body.replace(topic.encode(), b"")))
+        assert [status for status, _ in answers] == [422], path
 
 
 async def stop(admin: Client) -> list[str]:

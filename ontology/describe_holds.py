@@ -54,6 +54,9 @@ MEANINGS = {
 _SETTINGS = LiftSettings()
 PARAMETERS = "{?rate,lease,for,then}"
 """Those of a hold, as in a URI template (RFC 6570)."""
+CONFIRM = "The id of the stop, which its page shows: needed of those who have not said who they are."
+CONFIRM_PARAMETER = "{?confirm}"
+"""The parameter of a release, as in a URI template."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -207,7 +210,14 @@ def stop_document(
         stop = NamedNode(f"{url}#stop")
         triples += forms(stop, "post", "POST", td.invokeAction, url, BODIES[:1])
         if by is not None:
-            triples += forms(stop, "delete", "DELETE", td.cancelAction, url)
+            template = f"{url}{CONFIRM_PARAMETER}"
+            triples += forms(stop, "delete", "DELETE", td.cancelAction, url, template=template)
+            confirm = NamedNode(f"{stop.value}/confirm")
+            triples.append(Triple(stop, td.hasUriTemplateSchema, confirm))
+            named = (js.propertyName, Literal("confirm"))
+            triples += triples_about(
+                confirm, (rdf.type, js.StringSchema), named, (dcterms.description, Literal(CONFIRM))
+            )
     return Document(url, tuple(triples))
 
 

@@ -7,8 +7,14 @@ import re
 import httpx
 
 
-def release(http: httpx.Client, **params: str) -> httpx.Response:
-    """DELETE the stop, confirmed with the id that its page shows."""
+def shown_id(http: httpx.Client) -> str | None:
+    """The id that the page of the stop shows, None while the robot is not stopped."""
     page = http.get("/stop", headers={"Accept": "text/html"}).text
     found = re.search(r'name="[?]confirm" value="([^"]+)"', page)
-    return http.delete("/stop", params=params if found is None else {"confirm": found[1], **params})
+    return None if found is None else found[1]
+
+
+def release(http: httpx.Client, **params: str) -> httpx.Response:
+    """DELETE the stop, confirmed with the id that its page shows."""
+    id = shown_id(http)
+    return http.delete("/stop", params=params if id is None else {"confirm": id, **params})

@@ -14,7 +14,7 @@ from typing import TypeAlias
 import orjson
 from pyoxigraph import NamedNode
 
-from rosld.ontology.describe_holds import HOLD, MAX_LEASE, MAX_RATE, MEANINGS, PARAMETERS
+from rosld.ontology.describe_holds import CONFIRM, CONFIRM_PARAMETER, HOLD, MAX_LEASE, MAX_RATE, MEANINGS, PARAMETERS
 from rosld.ontology.lift import LiftSettings
 from rosld.ontology.vocab import mapping, qudt, ros
 from rosld.server.hypermedia.data_schema import DataSchema, message_schema, value_schema
@@ -178,6 +178,7 @@ def _stop(url: str) -> orjson.Fragment:
     return _fragment(
         {
             "title": "Stop the whole robot",
+            "uriVariables": {"confirm": {"description": CONFIRM, "type": "string"}},
             "input": reason,
             "output": {"type": "object"},
             "safe": False,
@@ -186,7 +187,7 @@ def _stop(url: str) -> orjson.Fragment:
             "forms": [
                 _form(url, "invokeaction", "POST"),
                 _form(url, "queryaction", "GET"),
-                _form(url, "cancelaction", "DELETE"),
+                _form(f"{url}{CONFIRM_PARAMETER}", "cancelaction", "DELETE"),
             ],
         }
     )

@@ -9,7 +9,7 @@ from starlette.responses import Response
 
 from rosld.adapters.base import Watch
 from rosld.ontology.body import parse_json
-from rosld.ontology.describe_holds import StepView, stop_document
+from rosld.ontology.describe_holds import CONFIRM, StepView, stop_document
 from rosld.ontology.document import Document
 from rosld.ontology.triples import date_time_literal
 from rosld.ontology.urls import Space
@@ -38,9 +38,7 @@ _ABOUT = (
 )
 
 
-_CONFIRM = QueryParameter(
-    "confirm", "The id of the stop, which its page shows: needed of those who have not said who they are."
-)
+_CONFIRM = QueryParameter("confirm", CONFIRM)
 
 
 class StopResource(Resource):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import re
 import threading
 import time
 from collections.abc import Iterator
@@ -18,7 +19,7 @@ from rosld.adapters.base import AdapterOptions, Published
 from rosld.adapters.model import GoalEvent, GoalId, GoalStatus, Refused, TypeRef
 from tests.server.robots.asking import mapped
 from tests.server.robots.made_up import MadeUp, served
-from tests.stopping import release
+from tests.stopping import release, shown_id
 from tests.waiting import until
 
 JSON = {"Accept": "application/json"}
@@ -309,12 +310,29 @@ def events(stream: httpx.Response) -> Iterator[str]:
 def test_every_thing_description_has_the_stop(http: httpx.Client) -> None:
     for url in ("/.well-known/wot", "/resources/arm/?format=td"):
         forms = http.get(url).json()["actions"]["stopRobot"]["forms"]
-        told = {(form["op"], form["htv:methodName"], form["href"]) for form in forms}
+        told = {(form["op"], form["htv:methodName"], form["href"].removesuffix("{?confirm}")) for form in forms}
         href = f"{http.base_url}stop"
         assert told == {("invokeaction", "POST", href), ("queryaction", "GET", href), ("cancelaction", "DELETE", href)}
     paths = http.get("/openapi.json").json()["paths"]
     assert {"get", "post", "delete"} <= paths["/stop"].keys()
     assert f"<{ROS}hasStop> <{http.base_url}stop>" in http.get("/", headers={"Accept": "application/n-triples"}).text
+
+
+def test_a_stop_is_released_by_the_form_of_a_thing_description_and_by_that_of_its_rdf(http: httpx.Client) -> None:
+    action = http.get("/.well-known/wot").json()["actions"]["stopRobot"]
+    [variable] = action["uriVariables"]
+    invoke, _, cancel = action["forms"]
+    for in_rdf in (False, True):
+        assert http.request(invoke["htv:methodName"], invoke["href"]).status_code == 200
+        template = cancel["href"]
+        if in_rdf:
+            told = http.get("/stop", headers={"Accept": "application/n-triples"}).text
+            [template] = re.findall(r'/stop#stop/delete> <[^>]+#uriTemplate> "([^"]+)"', told)
+            assert f'/stop#stop/{variable}> <https://www.w3.org/2019/wot/json-schema#propertyName> "{variable}"' in told
+        url, found = template.split(f"{{?{variable}}}")[0], {variable: shown_id(http)}
+        assert http.request(cancel["htv:methodName"], url).status_code == 428
+        assert http.request(cancel["htv:methodName"], url, params=found).status_code == 204
+        assert http.get("/stop", headers=JSON).json()["stopped"] is False
 
 
 def test_a_server_that_is_read_only_tells_the_robot_nothing_not_even_to_stop(robot: Stoppable) -> None:

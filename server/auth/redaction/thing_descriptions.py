@@ -25,7 +25,11 @@ def redact_thing_description(data: bytes, permissions: Permissions) -> bytes:
         return orjson.dumps(thing)
 
     def usable(forms: list[dict[str, str]]) -> list[dict[str, str]]:
-        return [one for one in forms if permissions.may(one.get("htv:methodName", "GET"), urljoin(base, one["href"]))]
+        return [
+            one
+            for one in forms
+            if permissions.may(one.get("htv:methodName", "GET"), urljoin(base, one["href"].partition("{?")[0]))
+        ]
 
     for kind in ("properties", "actions", "events"):
         if kind not in thing:

@@ -25,7 +25,7 @@ paths = ["/**"]
 [[rule]]
 agents = ["operator"]
 modes = ["control"]
-paths = ["/topics/**", "/holds/**"]
+paths = ["/topics/cmd_vel", "/holds/**"]
 
 [[rule]]
 agents = ["admin"]
@@ -99,6 +99,9 @@ def test_one_who_may_read_alone_is_offered_nothing_else_by_descriptions_and_page
     thing = watcher.get("/.well-known/wot").json()
     affordances = [one for kind in ("properties", "actions", "events") for one in thing.get(kind, {}).values()]
     assert {form.get("htv:methodName", "GET") for one in affordances for form in one["forms"]} == {"GET"}
+    by_operator = agents["operator"].get("/.well-known/wot").json()["actions"]
+    commands = {name for name, one in by_operator.items() for form in one["forms"] if form["htv:methodName"] != "GET"}
+    assert commands == {"cmd_vel/hold"}
     described = watcher.get("/openapi.json").json()["paths"]
     writes = {path for path, methods in described.items() if methods.keys() & {"put", "post", "patch", "delete"}}
     assert all(path.startswith(("/sparql", "/channels/")) for path in writes), writes

@@ -26,6 +26,12 @@ Properties: TypeAlias = Mapping[NamedNode, list[Term]]
 
 MAX_DEPTH = 128
 """The levels of nesting a body may have."""
+_LEAST_EXPANDED, _EXPANSION = 16 * 1024 * 1024, 150
+"""Bytes that the terms of a body may have when written out: at least, and for each byte of the body.
+
+Each use of a prefix of 100 kB stands for 100 kB. An RDF list of digits, the tersest legitimate body, comes to 132 for
+each byte.
+"""
 
 _FORMATS = {
     "text/turtle": RdfFormat.TURTLE,
@@ -57,6 +63,13 @@ class BodyError(ValueError):
 
 class UnsupportedCharset(BodyError):
     """A body in a character encoding that is not read here."""
+
+
+class ExpandedBodyError(BodyError):
+    """A body whose terms are too long, written out."""
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return ExpandedBodyError, (self.words,)
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,12 +197,33 @@ def _quads(data: bytes, form: RdfFormat, base: str, *, relabelled: bool = False)
     _check_utf8(data)
     if form is RdfFormat.JSON_LD:
         check_json_depth(data)
-        _refuse_remote_contexts(data)
+        _check_contexts(data, base)
     elif form is RdfFormat.RDF_XML:
         _check_xml(data)
     else:
         _check_depth(data, _TURTLE_TOKENS, b"[({<")
-    return parse(data, form, base_iri=base, rename_blank_nodes=relabelled)
+    return _limited(parse(data, form, base_iri=base, rename_blank_nodes=relabelled), len(data))
+
+
+def _limited(quads: Iterable[Quad], size: int) -> Iterator[Quad]:
+    """The quads of a body of `size` bytes. Raises ExpandedBodyError once they are too long, written out."""
+    left = expansion_limit(size)
+    for quad in quads:
+        left -= len(str(quad))
+        if left < 0:
+            raise expanded_body_error(size)
+        yield quad
+
+
+def expansion_limit(size: int) -> int:
+    """Return the most bytes that the terms of a body of `size` bytes may have when written out."""
+    return _LEAST_EXPANDED + _EXPANSION * size
+
+
+def expanded_body_error(size: int) -> ExpandedBodyError:
+    """Return the error for a body of `size` bytes with more than that."""
+    words = f"Written out, the IRIs of these {size} bytes take more than {expansion_limit(size)} bytes"
+    return ExpandedBodyError(f"{words}: shorten the prefixes and bases, or send several parts.")
 
 
 def index_triples(triples: Iterable[Triple]) -> RdfBody:
@@ -292,18 +326,28 @@ def _too_deep(data: bytes, position: int) -> BodyError:
 # JSON-LD
 
 
-def _refuse_remote_contexts(data: bytes) -> None:
-    """Raise BodyError naming the URL of the first context that would have to be fetched (JSON-LD 1.1 3.1)."""
-    if b"context" not in data and b"import" not in data and b"\\" not in data:
-        return
-    for url in _remote(data):
-        raise BodyError(
-            f"the JSON-LD context {url} would have to be fetched, and nothing is fetched here: put the context itself "
-            "in its place"
-        )
+def _check_contexts(data: bytes, base: str) -> None:
+    """Raise BodyError for a context that would have to be fetched (JSON-LD 1.1 3.1), naming its URL.
+
+    Raises ExpandedBodyError if the strings may expand to too much: the parser holds all of them before the first quad.
+    """
+    longest, seen = len(base), set[bytes]()
+    for context in _contexts(data) if b"context" in data or b"import" in data or b"\\" in data else ():
+        if isinstance(context, str):
+            raise BodyError(
+                f"the JSON-LD context {context} would have to be fetched, and nothing is fetched here: put the context "
+                "itself in its place"
+            )
+        text = orjson.dumps(context)
+        if text not in seen:
+            seen.add(text)
+            longest += _longest_iri(context)
+    if longest * (data.count(b'"') // 2) > expansion_limit(len(data)):
+        raise expanded_body_error(len(data))
 
 
-def _remote(data: bytes) -> Iterator[str]:
+def _contexts(data: bytes) -> Iterator[str | dict[str, object]]:
+    """The contexts of a JSON-LD document: objects, and the URLs of remote ones."""
     try:
         waiting: list[object] = [orjson.loads(data)]
     except orjson.JSONDecodeError as error:
@@ -314,10 +358,30 @@ def _remote(data: bytes) -> Iterator[str]:
             waiting += value
         elif isinstance(value, dict):
             context = value.get("@context")
-            for each in [*(context if isinstance(context, list) else [context]), value.get("@import")]:
-                if isinstance(each, str):
+            for each in (*(context if isinstance(context, list) else (context,)), value.get("@import")):
+                if isinstance(each, str | dict):
                     yield each
             waiting += value.values()
+
+
+def _longest_iri(context: Mapping[str, object]) -> int:
+    """An upper bound of the characters that a context adds to an IRI: terms may be prefixes of each other."""
+    terms: dict[str, str] = {}
+    for term, value in context.items():
+        iri = value.get("@id") if isinstance(value, dict) else value
+        if isinstance(iri, str):
+            terms[term] = iri
+    lengths: dict[str, int] = {}
+    for each in terms:
+        chain: dict[str, None] = {}
+        term = each
+        while term in terms and term not in lengths and term not in chain:
+            chain[term] = None
+            term = terms[term].partition(":")[0]
+        length = lengths.get(term, 0)
+        for term in reversed(chain):
+            length = lengths[term] = length + len(terms[term])
+    return max(lengths.values(), default=0) + lengths.get("@vocab", 0) + lengths.get("@base", 0)
 
 
 def _json_words(error: orjson.JSONDecodeError) -> str:

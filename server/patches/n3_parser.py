@@ -17,7 +17,7 @@ from typing import NoReturn, cast
 from pyoxigraph import BlankNode, Literal, NamedNode, RdfFormat, parse
 from rdflib.plugins.parsers.notation3 import BadSyntax, RDFSink, SinkParser
 
-from rosld.ontology.body import BodyError, check_turtle_depth
+from rosld.ontology.body import BodyError, check_turtle_depth, expanded_body_error, expansion_limit
 from rosld.ontology.vocab import rdf, xsd
 from rosld.server.patches.n3 import Formula, Node, RefusedSyntax, Statement, Variable
 
@@ -29,13 +29,15 @@ def read_n3(data: bytes, base: str) -> Formula:
     """
     check_turtle_depth(data)
     text = data.removeprefix(b"\xef\xbb\xbf").decode()
-    parser = _Parser(cast(RDFSink, _Sink()), baseURI=base)
+    parser = _Parser(cast(RDFSink, _Sink()), base, len(data))
     try:
         return cast(Formula, parser.loadBuf(text))
     except BadSyntax as error:
         raise _error(text, error._i, error._why) from error
     except RefusedSyntax as error:
         raise BodyError(str(error)) from error
+    except BodyError:
+        raise
     except RecursionError as error:
         raise BodyError("nested deeper than can be read here") from error
     except Exception as error:  # a parser that meets what it does not expect fails in many ways
@@ -56,9 +58,12 @@ _VARIABLE = re.compile(r"\?([^\W\d][\w\-]*)")
 class _Parser(SinkParser):
     """rdflib's parser, with numbers and variables as they are written, and what else Turtle has."""
 
-    def __init__(self, store: RDFSink, baseURI: str) -> None:  # noqa: N803
-        super().__init__(store, baseURI=baseURI)
+    def __init__(self, store: RDFSink, base: str, size: int) -> None:
+        """`size` is that of the document in bytes, which limits its IRIs when written out."""
+        super().__init__(store, baseURI=base)
         self.string_delimiters = ('"', "'")
+        self._size = size
+        self._left = expansion_limit(size)
 
     def directiveOrStatement(self, argstr: str, h: int) -> int:
         start = self.skipSpace(argstr, h)
@@ -76,6 +81,14 @@ class _Parser(SinkParser):
         return numeral.end()
 
     def uri_ref2(self, argstr: str, i: int, res: MutableSequence[object]) -> int:
+        end = self._iri(argstr, i, res)
+        if end >= 0:
+            self._left -= len(str(res[-1]))
+            if self._left < 0:
+                raise expanded_body_error(self._size)
+        return end
+
+    def _iri(self, argstr: str, i: int, res: MutableSequence[object]) -> int:
         start = self.skipSpace(argstr, i)
         if start < 0 or argstr[start] != "<":
             return super().uri_ref2(argstr, i, res)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from rosld.adapters.model import NotFound, Refused, RosError, Sent, TimedOut, UnknownType, Unreachable
-from rosld.ontology.body import BodyError, UnsupportedCharset
+from rosld.ontology.body import BodyError, ExpandedBodyError, UnsupportedCharset
 from rosld.ontology.lower import LoweringError
 from rosld.ontology.triples import date_time_literal
 from rosld.server.http.problem import AGENT_SAID, ROBOT_SAID, Problem
@@ -55,9 +55,11 @@ def problem_of_out_of_memory(error: BaseException, *, is_write: bool) -> Problem
 
 
 def problem_of_body(error: BodyError | LoweringError) -> Problem:
-    """400 for a body that cannot be read (415 for its charset), 422 for one that does not fit, with every violation."""
+    """400 for a body that cannot be read (413, 415 for its IRIs, its charset), 422 with violations for a misfit."""
     if isinstance(error, LoweringError):
         return Problem(422, str(error), title="Does not fit", violations=error.violations)
     if isinstance(error, UnsupportedCharset):
         return Problem(415, str(error))
+    if isinstance(error, ExpandedBodyError):
+        return Problem(413, str(error))
     return Problem(400, str(error), title="Malformed body")

@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
+import json
 import time
+from collections.abc import Callable
 
 import pyoxigraph as ox
 import pytest
 
-from rosld.ontology.body import MAX_DEPTH, MEDIA_TYPES, BodyError, parse_body, parse_json
+from rosld.ontology.body import (
+    MAX_DEPTH,
+    MEDIA_TYPES,
+    BodyError,
+    ExpandedBodyError,
+    parse_body,
+    parse_json,
+    read_ntriples,
+)
 
 D = "http://127.0.0.1:8080/topics/t"
 SUBJECT, PREDICATE = ox.NamedNode(D + "#message"), ox.NamedNode("http://x/p")
@@ -167,3 +177,50 @@ def test_what_is_no_json_is_refused(text: bytes, words: str) -> None:
     with pytest.raises(BodyError) as refused:
         parse_json(text)
     assert words in str(refused.value)
+
+
+USES = 10_000
+PREFIX = f"http://x/{'a' * 20_000}/"
+EXPANDING = [
+    *(
+        (kind, f"@prefix x: <{PREFIX}> . x: x: x:{',x:' * USES} .")
+        for kind in ("text/turtle", "text/n3", "application/trig")
+    ),
+    ("text/turtle", f"@base <{PREFIX}> . <> <p> <>{',<>' * USES} ."),
+    (
+        "application/rdf+xml",
+        f'<r:RDF xmlns:r="{RDF}" xmlns:x="{PREFIX}"><r:Description>{"<x:p/>" * USES}</r:Description></r:RDF>',
+    ),
+    ("application/ld+json", json.dumps({"@context": {"@vocab": PREFIX}, "p": [{"@type": "t"}] * USES})),
+    (
+        "application/ld+json",
+        json.dumps({"@context": {"a": PREFIX, "b": {"@id": "a:" + "b" * 20_000}}, "b": [{"@type": "b"}] * 600}),
+    ),
+    ("application/ld+json", json.dumps({"@context": {"@base": PREFIX}, "http://x/p": [{"@id": ""}] * USES})),
+]
+
+
+@pytest.mark.parametrize(("media_type", "text"), EXPANDING, ids=range(len(EXPANDING)))
+@pytest.mark.parametrize("parse", [parse_body, read_ntriples])
+def test_prefixes_and_bases_that_expand_too_far_are_refused(
+    media_type: str, text: str, parse: Callable[[bytes, str, str], object]
+) -> None:
+    with pytest.raises(ExpandedBodyError, match="shorten the prefixes"):
+        parse(text.encode(), media_type, D)
+
+
+DENSE = [
+    ("text/turtle", f"<> <http://x/p> ({' 1' * 100_000} ) ."),
+    ("application/ld+json", json.dumps({"http://x/p": {"@list": [1] * 100_000}})),
+    (
+        "application/ld+json",
+        json.dumps(
+            [{"@context": {"x": "http://example.org/vocabulary#"}, "@id": f"#{i}", "x:p": i} for i in range(9_000)]
+        ),
+    ),
+]
+
+
+@pytest.mark.parametrize(("media_type", "text"), DENSE, ids=range(len(DENSE)))
+def test_a_dense_body_of_the_usual_prefixes_is_read(media_type: str, text: str) -> None:
+    assert parse_body(text.encode(), media_type, D).size >= 9_000

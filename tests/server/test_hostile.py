@@ -161,3 +161,28 @@ def test_a_head_that_is_too_large_is_431_also_where_it_comes_at_once(http: httpx
         b"GET / HTTP/1.1\r\nConnection: upgrade\r\nUpgrade: h2c\r\nX: " + b"a" * 100_000 + b"\r\n\r\n",
     ):
         assert raw(http, head).startswith(b"HTTP/1.1 431"), head[:40]
+
+
+LONG = f"http://x/{'a' * 20_000}/"
+TRIPLES = f"x: x: x:{',x:' * 12_000}"
+"""300 MB when written out."""
+SOLID = "http://www.w3.org/ns/solid/terms#"
+
+
+def test_a_body_whose_prefixes_expand_too_far_is_413(http: httpx.Client) -> None:
+    patch = f"[ a <{SOLID}InsertDeletePatch> ; <{SOLID}inserts> {{ {TRIPLES} }} ] ."
+    for method, path, media_type, body in (
+        ("PUT", "/data/expanded", "text/turtle", f"@prefix x: <{LONG}> . {TRIPLES} ."),
+        ("PUT", DISPLAY, "text/turtle", f"@prefix x: <{LONG}> . {TRIPLES} ."),
+        ("POST", "/sparql", "application/sparql-update", f"PREFIX x: <{LONG}> INSERT DATA {{ {TRIPLES} }}"),
+        (
+            "POST",
+            "/sparql",
+            "application/sparql-query",
+            f"PREFIX x: <{LONG}> ASK {{ VALUES ?x {{ {'x: ' * 12_000} }} }}",
+        ),
+        ("PATCH", "/data/", "text/n3", f"@prefix x: <{LONG}> . {patch}"),
+    ):
+        answer = http.request(method, path, content=body, headers={"Content-Type": media_type})
+        assert answer.status_code == 413, (method, path)
+        assert "shorten the prefixes" in answer.json()["detail"]

@@ -8,6 +8,7 @@ from typing import NoReturn, Protocol
 
 from pyoxigraph import NamedNode, RdfFormat, parse
 
+from rosld.ontology.body import expanded_body_error, expansion_limit
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.syntax.keywords import KEYWORDS
 from rosld.server.sparql.syntax.lexer import CheckedText, line_and_column, unescape_codepoints
@@ -41,6 +42,7 @@ class Cursor:
         self.text = checked.text
         self.prefixes = dict(prefixes)
         self.base = base
+        self._left = expansion_limit(len(checked.text))
         self._written = checked.written
         self._what = checked.what
         self._tokens = (*checked.tokens, Token(Kind.END, "", len(checked.text)))
@@ -133,9 +135,14 @@ class Cursor:
         return iri
 
     def iri(self, token: Token) -> str:
-        """The IRI that a token stands for."""
-        if token.kind is Kind.IRI:
-            return self._resolve(token)
+        """The IRI that a token stands for. Raises a Problem 413 if the IRIs are too long in all, for their text."""
+        iri = self._resolve(token) if token.kind is Kind.IRI else self._expand(token)
+        self._left -= len(iri)
+        if self._left < 0:
+            raise Problem(413, str(expanded_body_error(len(self.text))))
+        return iri
+
+    def _expand(self, token: Token) -> str:
         prefix, _, local = token.text.partition(":")
         namespace = self.prefixes.get(prefix)
         if namespace is None:

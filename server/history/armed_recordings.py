@@ -21,6 +21,7 @@ from rosld.server.history.ordered_recording import (
 from rosld.server.history.recording_notes import ARMED, RecordingNotes
 from rosld.server.receipts.audit_context import record_step
 from rosld.server.runtime.dry_run import end_dry_run
+from rosld.server.runtime.woken_task import end_tasks
 
 log = logging.getLogger("rosld.history")
 MAX_ARMED = 16
@@ -144,10 +145,7 @@ class ArmedRecordings:
         """Wait for nothing any more. What is kept stays so."""
         tasks = [one.task for one in self.all.values() if one.task is not None]
         self.all.clear()
-        for task in tasks:
-            task.cancel()
-        if tasks:
-            await asyncio.wait(tasks)
+        await end_tasks(tasks)
         await asyncio.to_thread(self._writer.shutdown)
 
     def _start(self, one: ArmedRecording, occurrences: Occurrences) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import logging
 from collections import Counter
 from collections.abc import Awaitable, Callable, Collection, Iterable, Sequence
@@ -12,6 +11,7 @@ from rosld.adapters.base import Adapter, Subscription
 from rosld.adapters.model import RosError, Sample, TypeRef
 from rosld.server.history.latched_messages import LatchedMessages
 from rosld.server.history.recorder import SAMPLE_OVERHEAD, Arrival, Recorder, Sink
+from rosld.server.runtime.woken_task import end_tasks
 
 log = logging.getLogger("rosld.history")
 PERIOD = 0.1
@@ -146,10 +146,7 @@ class LiveFeed:
         task, self._task = self._task, None
         if task is None:
             return
-        for each in (task, *self._learning):
-            each.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await each
+        await end_tasks([task, *self._learning])
         self._look()
         for feed in self._feeds.values():
             feed.subscription.close()

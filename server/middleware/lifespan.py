@@ -9,6 +9,7 @@ from typing import TypeAlias
 from starlette.types import Receive, Scope, Send
 
 from rosld.server.runtime.watchdog import Watchdog
+from rosld.server.runtime.woken_task import end_tasks
 from rosld.server.sparql.process.client import QueryProcess
 
 Job: TypeAlias = Callable[[], Awaitable[None]]
@@ -51,9 +52,7 @@ class Lifespan:
         await send({"type": "lifespan.startup.complete"})
         await receive()
         self._watchdog.stop()
-        for each in background:
-            each.cancel()
-        await asyncio.wait(background)
+        await end_tasks(background)
         for close in self._closings:
             await close()
         await self._process.close()

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 from dataclasses import dataclass
 
 from rosld.adapters.base import Adapter, Watch
 from rosld.adapters.model import RosError
 from rosld.server.runtime.loop_time import loop_time
+from rosld.server.runtime.woken_task import end_tasks
 
 _SWEEP = 1.0
 
@@ -29,9 +29,7 @@ class GoalFollower:
     async def stop(self) -> None:
         """Follow nothing more."""
         if self._sweeper is not None:
-            self._sweeper.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await self._sweeper
+            await end_tasks([self._sweeper])
         for action in list(self._followed):
             self._unfollow(action)
 

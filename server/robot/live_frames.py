@@ -13,6 +13,7 @@ from rosld.server.robot.fold import QUEUE_DEPTH
 from rosld.server.robot.schemas import Schemas
 from rosld.server.runtime.loop_time import loop_time
 from rosld.server.runtime.signals import Signal
+from rosld.server.runtime.woken_task import end_tasks
 from rosld.server.space.frame_buffer import STATIC_TOPIC, TOPICS, TYPES, FrameBuffer
 
 
@@ -60,9 +61,7 @@ class LiveFrames:
         """Give the subscriptions back. Idempotent."""
         task, self._task = self._task, None
         if task is not None:
-            task.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await task
+            await end_tasks([task])
         self._close()
 
     async def _run(self) -> None:

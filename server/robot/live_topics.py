@@ -14,6 +14,7 @@ from rosld.server.robot.fold import FOLDS, QUEUE_DEPTH, FoldedTopic, decoder_of
 from rosld.server.robot.schemas import Schemas
 from rosld.server.robot.topic_view import EMPTY_VIEW, RateEstimator, TopicView
 from rosld.server.runtime.loop_time import loop_time
+from rosld.server.runtime.woken_task import end_tasks
 
 _SWEEP = 0.5
 """Seconds between sweeps, which fold what came and give back what nobody looks at any more."""
@@ -101,9 +102,7 @@ class LiveTopics:
     async def stop(self) -> None:
         """Give every subscription back."""
         if self._sweeper is not None:
-            self._sweeper.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await self._sweeper
+            await end_tasks([self._sweeper])
         for topic in list(self._looks):
             self._close(topic)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import signal
 import socket
@@ -17,6 +18,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from rosld.server.cli.main import main
+from rosld.server.runtime.woken_task import end_tasks
 
 PATIENCE = 60.0
 
@@ -211,3 +213,23 @@ def test_types_of_a_missing_file_is_told_in_one_line() -> None:
     result = CliRunner().invoke(main, ["types", "no-such.bag"])
     assert (result.exit_code, result.stdout) == (1, "")
     assert result.stderr.count("\n") == 1
+
+
+def test_a_background_task_ends_though_its_wait_is_over_just_as_it_is_cancelled() -> None:
+    async def cancelled() -> bool:
+        event = asyncio.Event()
+
+        async def wait_for_ever() -> None:
+            while True:
+                await asyncio.wait_for(event.wait(), PATIENCE)
+                event.clear()
+
+        task = asyncio.create_task(wait_for_ever())
+        for step in range(4):  # the event is noticed, but not yet by the task
+            await asyncio.sleep(0)
+            if step == 1:
+                event.set()
+        await end_tasks([task])
+        return task.cancelled()
+
+    assert asyncio.run(asyncio.wait_for(cancelled(), PATIENCE))

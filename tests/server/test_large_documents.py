@@ -10,6 +10,7 @@ import httpx
 import pytest
 from pyoxigraph import BlankNode, RdfFormat, parse
 
+from rosld.server.rest.state import LARGE_BYTES
 from tests.server.robots.made_up import MadeUp, served
 
 pytestmark = pytest.mark.slow
@@ -83,6 +84,14 @@ def test_a_large_document_is_whole_in_every_syntax_and_a_part_of_it_on_its_page(
     assert 'href="?format=ttl"' in page.text
     assert len(page.content) < 200_000
     assert busy(http) < busy_seconds()
+
+
+def test_the_page_of_a_large_document_of_few_triples_shows_all_of_them(http: httpx.Client) -> None:
+    body = f'<> <http://example.org/p> "{"a" * LARGE_BYTES}", "the second" .'
+    assert http.put("data/long", content=body, headers=TURTLE).status_code == 201
+    page = http.get("data/long", headers={"Accept": "text/html"}).text
+    assert "the second" in page
+    assert "This page shows the first" not in page
 
 
 def test_what_is_wrong_in_a_large_body_is_told_as_in_a_small_one(http: httpx.Client) -> None:

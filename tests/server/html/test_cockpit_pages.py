@@ -9,9 +9,12 @@ from typing import Any
 import httpx
 import pytest
 
+from tests.server.robots.made_up import MadeUp, served
+
 LOADED = "JSON.stringify(performance.getEntriesByType('resource').map((each) => [each.name, each.encodedBodySize]))"
 PANEL = "[...document.querySelectorAll('.panel')].find((each) => each.querySelector('h2').textContent === '%s')"
 SIZES = "[...document.querySelectorAll('.panel')].map((each) => each.getBoundingClientRect().width)"
+HEIGHT = "document.querySelector('%s').getBoundingClientRect().height"
 MAX_BYTES = 300_000
 
 
@@ -55,6 +58,22 @@ def test_the_pad_of_a_cockpit_drives_while_it_is_pressed(tab: Any, rover: httpx.
     tab.until("document.querySelector('.driving').textContent === 'Standing'")
     stood = rover.get("/topics/odom?until=twist.twist.linear.x = 0&timeout=20", headers={"Accept": "application/json"})
     assert stood.status_code == 200
+
+
+def test_the_panel_of_space_is_mostly_its_picture_for_hundreds_of_topics(tab: Any) -> None:
+    robot = MadeUp()
+    names = [f"/robot_{number:03}/scan" for number in range(300)]
+    robot.topics(names, "sensor_msgs/msg/LaserScan")
+    for name in names:
+        robot.publishes(name, {"header": {"frame_id": name}, "ranges": [1.0], "angle_increment": 0.5, "range_max": 2.0})
+    with served(robot) as http:
+        tab.send("Emulation.setDeviceMetricsOverride", width=1280, height=800, deviceScaleFactor=1, mobile=False)
+        tab.open(f"{http.base_url}cockpit/default")
+        tab.until("Number(document.querySelector('.panel.space canvas')?.dataset.messages) > 2")
+        panel, picture = (tab.run(HEIGHT % each) for each in (".panel.space", ".panel.space canvas"))
+        assert picture > panel / 2
+        assert panel < 800
+        tab.open("about:blank")
 
 
 def test_on_a_phone_the_panels_are_one_below_the_other(tab: Any, rover: httpx.Client) -> None:

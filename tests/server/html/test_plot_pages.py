@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import html
 import json
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -104,9 +106,19 @@ def test_numbers_of_a_page_have_small_plots_that_lead_to_large_ones(tab: Any, ro
     assert tab.run("document.querySelector('h1').textContent") == "twist.twist.linear.x"
 
 
+def labels(page: str) -> list[str]:
+    """The labels of the lines of a plot, as its script gets them."""
+    [found] = re.findall(r'data-plot="([^"]*)"', page)
+    return [each["label"] for each in json.loads(html.unescape(found))["y"]]
+
+
 def test_a_page_without_scripts_tells_the_numbers_and_takes_another(rover: httpx.Client) -> None:
     page = rover.get("/plot?y=topics/odom%23twist.twist.linear.x", headers={"Accept": "text/html"}).text
     assert '<a href="/topics/odom?series=twist.twist.linear.x&amp;format=csv">' in page
     assert '<input type="hidden" name="y" value="topics/odom#twist.twist.linear.x">' in page
     assert 'class="controls" hidden' in page
+    assert labels(page) == ["twist.twist.linear.x"]
+    query = "y=topics/odom%23twist.twist.linear.x&y=topics/battery_state%23percentage"
+    several = rover.get(f"/plot?{query}", headers={"Accept": "text/html"}).text
+    assert labels(several) == ["/odom twist.twist.linear.x", "/battery_state percentage"]
     assert rover.get("/plot", headers={"Accept": "text/html"}).status_code == 200

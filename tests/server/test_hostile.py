@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 
 import httpx
+import pytest
 
 STRING = "https://w3id.org/rosld/types/std_msgs/msg/String"
 DISPLAY = "/topics/cockpit/display"
@@ -169,6 +170,7 @@ TRIPLES = f"x: x: x:{',x:' * 12_000}"
 SOLID = "http://www.w3.org/ns/solid/terms#"
 
 
+@pytest.mark.slow
 def test_a_body_whose_prefixes_expand_too_far_is_413(http: httpx.Client) -> None:
     patch = f"[ a <{SOLID}InsertDeletePatch> ; <{SOLID}inserts> {{ {TRIPLES} }} ] ."
     for method, path, media_type, body in (

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 from urllib.parse import quote
 
-import httpx
 import pytest
 from pyoxigraph import NamedNode, Triple
 
@@ -29,10 +27,7 @@ def topics(place: Place) -> str:
     return place.at("topics/")
 
 
-def test_5_5_1_1_an_indirect_container_is_a_container(
-    topics: str, place: Place, models: Callable[[httpx.Response], set[str]]
-) -> None:
-    assert models(place.get(topics)) == {"Resource", "RDFSource", "IndirectContainer"}
+def test_5_5_1_1_an_indirect_container_is_a_container(topics: str, place: Place) -> None:
     assert {ldp.Container.value, ldp.IndirectContainer.value} <= place.objects(topics, rdf.type)
     assert place.objects(topics, ldp.membershipResource) == {f"{topics}#all"}
     assert place.objects(topics, ldp.hasMemberRelation) == {HAS.value}
@@ -45,14 +40,6 @@ def test_5_5_1_2_there_is_one_inserted_content_relation(topics: str, place: Plac
         answer = place.send("PUT", "more/", said, "text/turtle", model="IndirectContainer")
         assert answer.status_code == 409
         assert "insertedContentRelation" in answer.text
-
-
-def test_5_5_1_2_the_member_is_what_the_relation_says(topics: str, place: Place) -> None:
-    made = place.post(f"<> {TOPIC} <#it> .", to=topics)
-    elsewhere = place.post(f"<> {TOPIC} <http://ex.org/bob#me> .", to=topics)
-    expected = {f"{made}#it", "http://ex.org/bob#me"}
-    assert {each.object.value for each in _membership(topics, place)} == expected
-    assert place.contained(topics) == {made, elsewhere}
 
 
 def test_5_5_1_2_what_names_two_members_or_none_that_can_be_is_refused(topics: str, place: Place) -> None:
@@ -105,11 +92,14 @@ def test_5_5_1_2_queries_see_the_same(topics: str, place: Place, served: Served)
 
 def test_5_5_2_1_containment_is_of_the_document_itself(topics: str, place: Place) -> None:
     made = place.post(f"<> {TOPIC} <#it> .", to=topics)
-    assert Triple(NamedNode(topics), ldp.contains, NamedNode(made)) in place.graph(topics)
-    assert Triple(NamedNode(f"{topics}#all"), HAS, NamedNode(f"{made}#it")) in place.graph(topics)
-    assert place.send("DELETE", made).status_code == 204
-    assert place.contained(topics) == set()
-    assert not _membership(topics, place)
+    elsewhere = place.post(f"<> {TOPIC} <http://ex.org/bob#me> .", to=topics)
+    assert place.contained(topics) == {made, elsewhere}
+    subject = NamedNode(f"{topics}#all")
+    members = {Triple(subject, HAS, NamedNode(each)) for each in (f"{made}#it", "http://ex.org/bob#me")}
+    assert _membership(topics, place) == members
+    for url in (made, elsewhere):
+        assert place.send("DELETE", url).status_code == 204
+    assert (place.contained(topics), _membership(topics, place)) == (set(), set())
 
 
 def _membership(topics: str, place: Place) -> set[Triple]:

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import httpx
-import pytest
 from pyoxigraph import Literal, NamedNode
 
 from rosld.ontology.vocab import dcterms, ldp, rdf
@@ -19,26 +18,22 @@ BYTES = bytes(range(256)) * 40
 P = NamedNode("http://ex.org/p")
 
 
-@pytest.mark.parametrize("media_type", ["image/png", "text/plain; charset=iso-8859-1", "application/json", "text/html"])
-def test_4_4_1_1_bytes_and_media_type_come_back_as_they_were(media_type: str, place: Place) -> None:
-    assert place.send("PUT", "a", BYTES, media_type).status_code == 201
-    answer = place.get("a")
-    assert answer.content == BYTES
-    assert answer.headers["content-type"] == media_type
-    assert answer.headers["etag"]
-    assert place.send("DELETE", "a").status_code == 204
+def test_4_4_1_1_bytes_and_media_type_come_back_as_they_were(
+    place: Place, models: Callable[[httpx.Response], set[str]]
+) -> None:
+    for media_type in ("image/png", "text/plain; charset=iso-8859-1", "application/json", "text/html"):
+        assert place.send("PUT", "a", BYTES, media_type).status_code == 201
+        answer = place.get("a")
+        assert (answer.content, answer.headers["content-type"]) == (BYTES, media_type)
+        for method in ("GET", "HEAD", "OPTIONS"):
+            assert models(place.send(method, "a")) == {"Resource", "NonRDFSource"}
+        assert place.send("DELETE", "a").status_code == 204
 
 
 def test_4_4_1_1_an_rdf_file_may_be_kept_as_bytes(place: Place) -> None:
     body = "# a comment\n<> <http://ex.org/p>   1 ."
     assert place.send("PUT", "a.ttl", body, "text/turtle", model="NonRDFSource").status_code == 201
     assert place.get("a.ttl", Accept="text/turtle").text == body
-
-
-def test_4_4_1_2_it_is_told_by_a_link(place: Place, models: Callable[[httpx.Response], set[str]]) -> None:
-    place.send("PUT", "a", BYTES, "image/png")
-    for method in ("GET", "HEAD", "OPTIONS"):
-        assert models(place.send(method, "a")) == {"Resource", "NonRDFSource"}
 
 
 def test_4_4_1_2_the_files_of_pages_tell_it_too(served: Served, models: Callable[[httpx.Response], set[str]]) -> None:

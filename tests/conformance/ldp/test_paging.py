@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 
 import httpx
 import pytest
-from pyoxigraph import NamedNode, Triple
 
 from rosld.ontology.vocab import ldp
 from rosld.server.storage import Model, Put, Record, Remove, Write
@@ -141,20 +140,13 @@ def test_paging_many_members_are_walked_page_by_page(
     assert (minimal.status_code, minimal.headers["preference-applied"]) == (200, "return=representation")
 
 
-def test_paging_the_last_page_is_reached_at_once(large: Place) -> None:
+def test_paging_a_new_member_is_on_the_last_page_until_it_is_deleted(large: Place) -> None:
     first = large.http.get(large.url, follow_redirects=True)
     last = read(large, first.links["last"]["url"])
     assert contained(last)[-1] == large.at(f"m{MEMBERS - 1}")
-    assert "next" not in last.links
-    before = read(large, last.links["prev"]["url"])
-    assert before.links["next"]["url"] == str(last.url)
-    assert last.links["first"]["url"] == first.links["first"]["url"]
-
-
-def test_paging_what_is_posted_is_on_the_last_page_until_it_is_deleted(large: Place) -> None:
-    first = large.http.get(large.url, follow_redirects=True)
+    assert read(large, last.links["prev"]["url"]).links["next"]["url"] == str(last.url)
     made = large.post()
-    last = read(large, first.links["last"]["url"])
+    last = read(large, str(last.url))
     if "next" in last.links:  # the page was full
         last = read(large, last.links["next"]["url"])
     assert contained(last)[-1] == made
@@ -187,13 +179,6 @@ def test_paging_a_large_container_is_patched_without_its_members(large: Place) -
     assert large.send("PATCH", "", wrong, "application/sparql-update").status_code == 409
 
 
-def test_paging_a_large_container_can_be_followed(large: Place) -> None:
-    wish = {"@context": [STATES], "type": "http://www.w3.org/ns/solid/notifications#WebSocketChannel2023"}
-    url = large.url.replace("data/many/", "channels/WebSocketChannel2023")
-    answer = large.http.post(url, json={**wish, "topic": large.url}, headers={"Content-Type": "application/ld+json"})
-    assert answer.status_code == 201, answer.text
-
-
 # Containers of any size in pages, as a client prefers
 
 
@@ -207,35 +192,6 @@ def few(place: Place) -> Place:
 
 def small(limit: int) -> dict[str, str]:
     return {"Prefer": f'return=representation; max-member-count="{limit}"'}
-
-
-def test_paging_pages_have_as_many_members_as_a_client_prefers(few: Place) -> None:
-    page = few.http.get(few.url, headers={**small(3), "Accept": "application/n-triples"}, follow_redirects=True)
-    sizes = [len(contained(page))]
-    while "next" in page.links:
-        page = read(few, page.links["next"]["url"])
-        sizes.append(len(contained(page)))
-    assert sizes == [3, 3, 1]
-
-
-def test_paging_the_page_before_ends_where_a_page_begins_whatever_went(few: Place) -> None:
-    first = few.http.get(few.url, headers=small(2), follow_redirects=True)
-    last = read(few, first.links["last"]["url"])
-    assert contained(last) == [few.at("m6")]
-    assert few.send("DELETE", "m4").status_code == 204
-    before = read(few, read(few, str(last.url)).links["prev"]["url"])
-    assert contained(before) == [few.at("m3"), few.at("m5")]
-
-
-def test_paging_rdf_says_what_the_links_say(few: Place, read_triples: Callable[[httpx.Response], set[Triple]]) -> None:
-    first = few.http.get(few.url, headers=small(3), follow_redirects=True)
-    second = few.get(first.links["next"]["url"])
-    subject = NamedNode(str(second.url))
-    xhv = "http://www.w3.org/1999/xhtml/vocab#"
-    said = {each.predicate.value: each.object.value for each in read_triples(second) if each.subject == subject}
-    for rel in ("first", "prev", "next", "last"):
-        assert said[xhv + rel] == second.links[rel]["url"]
-    assert said[f"{ldp.iri}pageSequence"] == few.url
 
 
 def test_paging_a_page_tells_the_state_of_the_whole(few: Place) -> None:
@@ -296,55 +252,28 @@ def test_paging_thousands_of_parameters_come_in_pages(robot: Place) -> None:
     told = [url for page in walked for url in contained(page) if not url.endswith("deep")]
     assert told == [robot.at("a%3Ab/"), *(robot.at(name) for name in sorted(PARAMETERS)[1:])]
     assert walked[0].links["last"]["url"] == str(walked[-1].url)
-    back = [walked[-1]]
-    while "prev" in back[-1].links:
-        back.append(read(robot, back[-1].links["prev"]["url"]))
-    assert [page.text for page in back] == [page.text for page in reversed(walked)]
     assert len({page.headers["etag"] for page in walked}) == len(walked)
 
 
-def test_paging_the_value_of_a_tree_is_one_and_comes_whole(robot: Place) -> None:
+def test_paging_a_tree_is_one_json_value_and_only_named_in_the_tree_above(robot: Place) -> None:
     answer = robot.get(Accept="application/json")
     assert answer.status_code == 200
     assert answer.json() == PARAMETERS
-    assert robot.get("?format=json").json() == PARAMETERS
     assert list(robot.get("?page=:p0000", Accept="application/json").json()) == sorted(PARAMETERS)[2:1002]
-
-
-def test_paging_a_tree_above_tells_only_that_a_large_one_is_there(robot: Place) -> None:
     above = robot.get("../", Accept="application/n-triples")
-    assert above.status_code == 200
     assert robot.url in contained(above)
     assert "paged/p0000" not in above.text
 
 
-def test_paging_what_is_added_meanwhile_is_on_a_later_page(served: Served) -> None:
-    """Pages are told in the order in which members were made: nobody who reads on misses any that was there."""
-    place = served.place("few")
-    first, second = place.post(), place.post()
-    page = place.get("?page=0")
-    assert page.status_code == 200
-    text = place.get("?page=0", Accept="application/n-triples").text
-    assert re.findall(r"#contains> <([^>]*)>", text) == [first, second]
-
-
-@pytest.mark.parametrize("path", ["topics/", "services/", "nodes/", "parameters/"])
-def test_paging_each_container_of_names_comes_in_pages_where_a_client_prefers_it(path: str, served: Served) -> None:
-    place = served.at(path)
-    whole = contained(read(place, place.url))
-    page = place.http.get(place.url, headers={**small(1), "Accept": "application/n-triples"}, follow_redirects=True)
-    told = contained(page)[:1]
-    while "next" in page.links:
-        page = read(place, page.links["next"]["url"])
-        told += contained(page)[:1]
-    direct = [url for url in whole if "/" not in url.removeprefix(place.url).rstrip("/")]
-    assert sorted(told) == sorted(direct)
-    assert place.get("?page=4711").status_code == 404
-
-
-def test_paging_people_see_on_a_page_what_it_tells_of(served: Served) -> None:
-    place = served.at("topics/")
-    page = place.http.get(place.url, headers={**small(1), "Accept": "text/html"}, follow_redirects=True).text
-    assert re.findall(r'<a href="[^"]*" rel="\w+">(\w+)</a>', page) == ["First", "Next", "Last"]
-    assert "aircraft/engine/speed" in page
-    assert "cockpit/display" not in page
+def test_paging_each_container_of_names_comes_in_pages_where_a_client_prefers_it(served: Served) -> None:
+    for path in ("topics/", "services/", "nodes/", "parameters/"):
+        place = served.at(path)
+        whole = contained(read(place, place.url))
+        page = place.http.get(place.url, headers={**small(1), "Accept": "application/n-triples"}, follow_redirects=True)
+        told = contained(page)[:1]
+        while "next" in page.links:
+            page = read(place, page.links["next"]["url"])
+            told += contained(page)[:1]
+        direct = [url for url in whole if "/" not in url.removeprefix(place.url).rstrip("/")]
+        assert sorted(told) == sorted(direct)
+        assert place.get("?page=4711").status_code == 404

@@ -59,43 +59,29 @@ def test_6_2_1_other_representations_are_there_too(containers: list[Place]) -> N
             assert answer.headers["content-type"].startswith(media_type), container.url
 
 
-def test_6_2_3_what_was_deleted_is_gone(place: Place) -> None:
-    place.put("a", "<> <http://ex.org/p> 1 .")
-    assert place.send("DELETE", "a").status_code == 204
-    assert [place.send(method, "a").status_code for method in ("GET", "HEAD", "DELETE")] == [410] * 3
-
-
-def test_6_3_1_triples_may_be_about_anything(place: Place) -> None:
-    place.put("a", "<http://ex.org/s> <http://ex.org/p> <http://ex.org/o> .")
-    assert NamedNode("http://ex.org/s") in {each.subject for each in place.graph("a")}
-
-
-def test_7_1_1_accept_post_lists_media_types(containers: list[Place]) -> None:
-    for container in containers:
-        listed = container.send("OPTIONS").headers.get("accept-post")
-        if listed is not None:
-            assert all(len(each.strip().split("/")) == 2 for each in listed.split(",")), container.url
-
-
 def test_7_1_2_accept_post_is_there_wherever_post_is(containers: list[Place]) -> None:
     for container in containers:
         for method in ("GET", "HEAD", "OPTIONS"):
-            answer = container.send(method)
-            assert ("accept-post" in answer.headers) == ("POST" in answer.headers["allow"]), container.url
+            headers = container.send(method).headers
+            assert ("accept-post" in headers) == ("POST" in headers["allow"]), container.url
+            listed = headers.get("accept-post", "*/*").split(",")
+            assert all(len(each.strip().split("/")) == 2 for each in listed), container.url
 
 
 @pytest.mark.parametrize(
-    ("include", "parts"),
+    ("hints", "parts"),
     [
-        (MINIMAL, {"minimal"}),
-        (EMPTY, {"minimal"}),
-        (CONTAINMENT, {"containment", "minimal"}),
-        (MEMBERSHIP, {"membership", "minimal"}),
-        (f"{MEMBERSHIP} {CONTAINMENT}", {"containment", "membership", "minimal"}),
+        (f'include="{MINIMAL}"', {"minimal"}),
+        (f'include="{EMPTY}"', {"minimal"}),
+        (f'include="{CONTAINMENT}"', {"containment", "minimal"}),
+        (f'include="{MEMBERSHIP}"', {"membership", "minimal"}),
+        (f'include="{MEMBERSHIP} {CONTAINMENT}"', {"containment", "membership", "minimal"}),
+        (f'include="{CONTAINMENT}"; omit="{CONTAINMENT}"', {"containment", "membership", "minimal"}),
+        ('include="http://ex.org/PreferBlue"', {"containment", "membership", "minimal"}),
     ],
 )
-def test_7_2_2_1_include_says_what_is_wanted(include: str, parts: set[str], house: Place) -> None:
-    assert told(house, f'return=representation; include="{include}"') == parts
+def test_7_2_2_1_include_says_what_is_wanted(hints: str, parts: set[str], house: Place) -> None:
+    assert told(house, f"return=representation; {hints}") == parts
 
 
 @pytest.mark.parametrize(
@@ -109,16 +95,6 @@ def test_7_2_2_1_include_says_what_is_wanted(include: str, parts: set[str], hous
 )
 def test_7_2_2_2_omit_says_what_is_not(omit: str, parts: set[str], house: Place) -> None:
     assert told(house, f'return=representation; omit="{omit}"') == parts
-
-
-def test_7_2_2_3_hints_that_contradict_each_other_are_passed_over(house: Place) -> None:
-    prefer = f'return=representation; include="{CONTAINMENT}"; omit="{CONTAINMENT}"'
-    assert told(house, prefer) == {"containment", "membership", "minimal"}
-
-
-def test_7_2_2_4_unknown_hints_are_passed_over(house: Place) -> None:
-    prefer = 'return=representation; include="http://ex.org/PreferBlue"'
-    assert told(house, prefer) == {"containment", "membership", "minimal"}
 
 
 def test_7_2_2_the_answer_says_which_preference_was_applied(house: Place) -> None:

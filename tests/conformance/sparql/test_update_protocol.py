@@ -47,35 +47,23 @@ def test_update_post_form(endpoint: Endpoint, store: Store) -> None:
     assert done(endpoint, graph)
 
 
-def test_update_post_direct(endpoint: Endpoint, store: Store) -> None:
-    graph = store.at("direct")
-    assert succeeded(direct(endpoint, f"INSERT DATA {{ GRAPH <{graph}> {{ {DONE} }} }}"))
-    assert done(endpoint, graph)
-
-
 @pytest.mark.parametrize("how", ["direct", "form"])
 def test_update_dataset_default_graph(endpoint: Endpoint, store: Store, three: tuple[str, str, str], how: str) -> None:
-    for graph, pattern, expected in ((store.at("yes"), ONE, True), (store.at("no"), TWO, False)):
+    """One and two of them (`update_dataset_default_graphs`), by direct POST (`update_post_direct`) and by a form."""
+    for number, (pattern, graphs, expected) in enumerate(
+        (
+            (ONE, [three[0]], True),
+            (TWO, [three[0]], False),
+            (f"{ONE} . {TWO}", [three[0], three[1]], True),
+            (f"{ONE} . {THREE}", [three[0], three[1]], False),
+        )
+    ):
+        text = where(store.at(f"{number}"), pattern)
         if how == "direct":
-            assert succeeded(direct(endpoint, where(graph, pattern), using_graph_uri=[three[0]]))
+            assert succeeded(direct(endpoint, text, using_graph_uri=graphs))
         else:
-            assert succeeded(endpoint.form(update=where(graph, pattern), using_graph_uri=three[0]))
-        assert done(endpoint, graph) is expected
-
-
-def test_update_dataset_default_graphs(endpoint: Endpoint, store: Store, three: tuple[str, str, str]) -> None:
-    yes, no = store.at("yes"), store.at("no")
-    assert succeeded(direct(endpoint, where(yes, f"{ONE} . {TWO}"), using_graph_uri=[three[0], three[1]]))
-    assert succeeded(direct(endpoint, where(no, f"{ONE} . {THREE}"), using_graph_uri=[three[0], three[1]]))
-    assert (done(endpoint, yes), done(endpoint, no)) == (True, False)
-
-
-def test_update_dataset_named_graphs(endpoint: Endpoint, store: Store, three: tuple[str, str, str]) -> None:
-    yes, no = store.at("yes"), store.at("no")
-    for graph, third in ((yes, TWO), (no, THREE)):
-        pattern = f"GRAPH ?g1 {{ {ONE} }} GRAPH ?g2 {{ {third} }}"
-        assert succeeded(direct(endpoint, where(graph, pattern), using_named_graph_uri=[three[0], three[1]]))
-    assert (done(endpoint, yes), done(endpoint, no)) == (True, False)
+            assert succeeded(endpoint.form(update=text, using_graph_uri=graphs))
+        assert done(endpoint, store.at(f"{number}")) is expected
 
 
 def test_update_dataset_full(endpoint: Endpoint, store: Store, three: tuple[str, str, str]) -> None:
@@ -107,17 +95,18 @@ def test_bad_update_get(endpoint: Endpoint, store: Store) -> None:
 
 
 def test_bad_multiple_updates(endpoint: Endpoint) -> None:
+    """And an update together with a query."""
     assert endpoint.form(update=["CLEAR NAMED", "CLEAR DEFAULT"]).status_code == 400
-    assert endpoint.post("CLEAR NAMED", UPDATE, "?update=CLEAR%20DEFAULT").status_code == 400
+    assert endpoint.form(query="ASK {}", update="CLEAR NAMED").status_code == 400
+    for name, text in (("update", "CLEAR%20DEFAULT"), ("query", "ASK%20%7B%7D")):
+        assert endpoint.post("CLEAR NAMED", UPDATE, f"?{name}={text}").status_code == 400
 
 
 def test_bad_update_wrong_media_type(endpoint: Endpoint) -> None:
+    """And none (`bad_update_missing_form_type`)."""
     answer = endpoint.post("CLEAR NAMED", "text/plain")
     assert answer.status_code == 415
     assert UPDATE in answer.headers["accept-post"]
-
-
-def test_bad_update_missing_form_type(endpoint: Endpoint) -> None:
     assert endpoint.post("update=CLEAR%20NAMED", None).status_code == 415
 
 
@@ -150,11 +139,6 @@ def test_bad_update_dataset_conflict(
 # Beyond the tests of W3C
 
 
-def test_a_query_and_an_update_together_are_refused(endpoint: Endpoint) -> None:
-    assert endpoint.form(query="ASK {}", update="CLEAR NAMED").status_code == 400
-    assert endpoint.post("CLEAR NAMED", UPDATE, "?query=ASK%20%7B%7D").status_code == 400
-
-
 def test_an_update_as_a_query_is_refused(endpoint: Endpoint, store: Store) -> None:
     graph = store.at("a")
     text = f"INSERT DATA {{ GRAPH <{graph}> {{ {DONE} }} }}"
@@ -184,11 +168,3 @@ def test_a_server_that_only_reads_takes_no_update_and_says_why(read_only: Endpoi
     described = read_only.http.get(f"{read_only.url}sparql", headers={"Accept": "text/turtle"}).text
     assert "SPARQL11Query" in described
     assert "SPARQL11Update" not in described
-
-
-def test_a_dry_run_does_nothing(endpoint: Endpoint, store: Store) -> None:
-    graph = store.at("dry")
-    answer = endpoint.post(f"INSERT DATA {{ GRAPH <{graph}> {{ {DONE} }} }}", UPDATE, "?dry-run=true")
-    assert answer.status_code == 200
-    assert graph in answer.text
-    assert not done(endpoint, graph)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import itertools
 import re
 import signal
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import httpx
@@ -116,6 +116,16 @@ def triples(answer: httpx.Response) -> set[Triple]:
     return {quad.triple for quad in parse(answer.content, format=syntax, base_iri=str(answer.url))}
 
 
+def links(answer: httpx.Response) -> list[Link]:
+    """The links of an answer."""
+    return list(link.parse(", ".join(answer.headers.get_list("link"))))
+
+
+def models(answer: httpx.Response) -> set[str]:
+    """The local names of the LDP types that an answer links to."""
+    return {each.target.removeprefix(ldp.iri) for each in links(answer) if each.rel == "type"}
+
+
 @contextmanager
 def running(*arguments: str) -> Iterator[Served]:
     """A server that ends afterwards, and in order."""
@@ -127,13 +137,6 @@ def running(*arguments: str) -> Iterator[Served]:
     finally:
         server.send_signal(signal.SIGTERM)
         server.wait(60)
-
-
-@pytest.fixture(scope="module")
-def start_many() -> Iterator[Callable[..., Served]]:
-    """Start servers that end with the tests of a file."""
-    with ExitStack() as stack:
-        yield lambda *arguments: stack.enter_context(running(*arguments))
 
 
 @pytest.fixture(scope="module")
@@ -168,48 +171,14 @@ def containers(served: Served, robots: list[Place]) -> list[Place]:
     return [served.place("any"), *robots]
 
 
-@pytest.fixture(scope="session")
-def links() -> Callable[[httpx.Response], list[Link]]:
-    """The links of an answer."""
-
-    def read(answer: httpx.Response) -> list[Link]:
-        return list(link.parse(", ".join(answer.headers.get_list("link"))))
-
-    return read
-
-
-@pytest.fixture(scope="session")
-def models(links: Callable[[httpx.Response], list[Link]]) -> Callable[[httpx.Response], set[str]]:
-    """The local names of the LDP types that an answer links to."""
-
-    def read(answer: httpx.Response) -> set[str]:
-        return {each.target.removeprefix(ldp.iri) for each in links(answer) if each.rel == "type"}
-
-    return read
-
-
-@pytest.fixture(scope="session")
-def read_triples() -> Callable[[httpx.Response], set[Triple]]:
-    """The triples of an answer."""
-    return triples
-
-
 @pytest.fixture
 def kinds(place: Place) -> dict[str, str]:
-    """One resource of every interaction model, by its name."""
-    return dict(_kinds(place))
-
-
-def _kinds(place: Place) -> Iterable[tuple[str, str]]:
+    """URLs of one resource of every interaction model."""
     place.put("rdf", "<> <http://ex.org/p> 1 .")
-    yield "RDFSource", place.at("rdf")
-    answer = place.send("PUT", "file.txt", "some words", "text/plain")
-    assert answer.status_code == 201, answer.text
-    yield "NonRDFSource", place.at("file.txt")
+    assert place.send("PUT", "file.txt", "some words", "text/plain").status_code == 201
     place.put("basic/", "", model="BasicContainer")
-    yield "BasicContainer", place.at("basic/")
     place.put("direct/", "", model="DirectContainer")
-    yield "DirectContainer", place.at("direct/")
-    said = f"<> <{ldp.iri}insertedContentRelation> <http://ex.org/topic> ."
-    place.put("indirect/", said, model="IndirectContainer")
-    yield "IndirectContainer", place.at("indirect/")
+    place.put("indirect/", f"<> <{ldp.iri}insertedContentRelation> <http://ex.org/topic> .", model="IndirectContainer")
+    models = ("RDFSource", "NonRDFSource", "BasicContainer", "DirectContainer", "IndirectContainer")
+    names = ("rdf", "file.txt", "basic/", "direct/", "indirect/")
+    return {model: place.at(name) for model, name in zip(models, names, strict=True)}

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-import httpx
 from pyoxigraph import Literal, NamedNode
 
 from rosld.ontology.vocab import ldp, rdf, xsd
+from tests.conformance.ldp.conftest import links, models
 
 if TYPE_CHECKING:
-    from rosld.server.http.link import Link
     from tests.conformance.ldp.conftest import Place, Served
 
 P = NamedNode("http://ex.org/p")
@@ -27,9 +25,7 @@ def test_5_2_1_3_members_are_in_no_rdf_list_or_bag(containers: list[Place]) -> N
                 assert not (isinstance(each.object, NamedNode) and each.object.value in contained), container.url
 
 
-def test_5_2_1_4_every_answer_links_to_the_type_of_container(
-    place: Place, kinds: dict[str, str], models: Callable[[httpx.Response], set[str]]
-) -> None:
+def test_5_2_1_4_every_answer_links_to_the_type_of_container(place: Place, kinds: dict[str, str]) -> None:
     for model in CONTAINERS:
         said = "<> <http://ex.org/topic> <#t> ."
         answers = [place.send(method, kinds[model]) for method in ("GET", "HEAD", "OPTIONS")]
@@ -71,9 +67,7 @@ def test_5_2_3_1_post_makes_a_parameter(served: Served) -> None:
     assert made not in parameters.contained()
 
 
-def test_5_2_3_4_the_interaction_model_asked_for_is_honoured(
-    place: Place, models: Callable[[httpx.Response], set[str]]
-) -> None:
+def test_5_2_3_4_the_interaction_model_asked_for_is_honoured(place: Place) -> None:
     said = f"<> <{ldp.iri}insertedContentRelation> <http://ex.org/topic> ."
     for model in CONTAINERS:
         made = place.post(said if model == "IndirectContainer" else "", model=model)
@@ -241,9 +235,7 @@ def test_5_2_7_1_patch_changes_the_values_in_a_container_of_parameters(served: S
     assert parameters.send("DELETE", "patched").status_code == 204
 
 
-def test_5_2_8_1_a_file_links_to_its_description_from_its_creation_on(
-    place: Place, links: Callable[[httpx.Response], list[Link]]
-) -> None:
+def test_5_2_8_1_a_file_links_to_its_description_from_its_creation_on(place: Place) -> None:
     made = place.send("POST", "", b"\x89PNG", "image/png", Slug="a")
     assert (made.status_code, made.content, made.headers["location"]) == (201, b"", place.at("a"))
     answers = [made, *(place.send(method, "a") for method in ("GET", "HEAD", "OPTIONS"))]

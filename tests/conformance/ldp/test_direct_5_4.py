@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-import httpx
 import pytest
 from pyoxigraph import NamedNode, Triple
 
 from rosld.ontology.vocab import ldp, rdf
+from tests.conformance.ldp.conftest import models
 
 if TYPE_CHECKING:
     from tests.conformance.ldp.conftest import Place
@@ -24,7 +23,7 @@ def made(place: Place, said: str, name: str = "rooms/") -> str:
     return place.at(name)
 
 
-def test_5_4_1_1_a_direct_container_is_a_container(place: Place, models: Callable[[httpx.Response], set[str]]) -> None:
+def test_5_4_1_1_a_direct_container_is_a_container(place: Place) -> None:
     rooms = made(place, FORWARD)
     assert models(place.get(rooms)) == {"Resource", "RDFSource", "DirectContainer"}
     assert {ldp.Container.value, ldp.DirectContainer.value} <= place.objects(rooms, rdf.type)

@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-import httpx
 from pyoxigraph import Literal, NamedNode
 
 from rosld.ontology.vocab import dcterms, ldp, rdf
+from tests.conformance.ldp.conftest import links, models
 
 if TYPE_CHECKING:
-    from rosld.server.http.link import Link
     from tests.conformance.ldp.conftest import Place, Served
 
 BYTES = bytes(range(256)) * 40
 P = NamedNode("http://ex.org/p")
 
 
-def test_4_4_1_1_bytes_and_media_type_come_back_as_they_were(
-    place: Place, models: Callable[[httpx.Response], set[str]]
-) -> None:
+def test_4_4_1_1_bytes_and_media_type_come_back_as_they_were(place: Place) -> None:
     for media_type in ("image/png", "text/plain; charset=iso-8859-1", "application/json", "text/html"):
         assert place.send("PUT", "a", BYTES, media_type).status_code == 201
         answer = place.get("a")
@@ -36,14 +32,12 @@ def test_4_4_1_1_an_rdf_file_may_be_kept_as_bytes(place: Place) -> None:
     assert place.get("a.ttl", Accept="text/turtle").text == body
 
 
-def test_4_4_1_2_the_files_of_pages_tell_it_too(served: Served, models: Callable[[httpx.Response], set[str]]) -> None:
+def test_4_4_1_2_the_files_of_pages_tell_it_too(served: Served) -> None:
     for path in ("style.css", "icon.svg", "live.js"):
         assert models(served.at(path).send("OPTIONS")) == {"Resource", "NonRDFSource"}
 
 
-def test_4_4_1_1_its_description_is_an_rdf_source_of_its_own(
-    place: Place, links: Callable[[httpx.Response], list[Link]], models: Callable[[httpx.Response], set[str]]
-) -> None:
+def test_4_4_1_1_its_description_is_an_rdf_source_of_its_own(place: Place) -> None:
     place.send("PUT", "a", BYTES, "image/png")
     (target,) = {each.target for each in links(place.get("a")) if each.rel == "describedby"}
     assert target == place.at("a.meta")

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import itertools
-import signal
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 
 import httpx
@@ -13,9 +11,8 @@ import pytest
 from pyoxigraph import CanonicalizationAlgorithm, Dataset, NamedNode, Quad, RdfFormat, Triple, parse
 
 from rosld.ontology.vocab import dcterms, ldp, rdf
-from tests.server.conftest import ServingThread
+from tests.conformance.ldp.conftest import TURTLE, running, triples
 
-TURTLE = "text/turtle"
 EX = "http://example.org/"
 _COUNTED = itertools.count(1)
 
@@ -98,13 +95,6 @@ def boolean(answer: httpx.Response) -> bool:
     return found
 
 
-def triples(answer: httpx.Response) -> set[Triple]:
-    """The triples of an answer in any RDF syntax."""
-    syntax = RdfFormat.from_media_type(answer.headers["content-type"].partition(";")[0])
-    assert syntax is not None, answer.headers["content-type"]
-    return {quad.triple for quad in parse(answer.content, format=syntax, base_iri=str(answer.url))}
-
-
 def canonical(graph: Iterable[Triple]) -> set[str]:
     """A graph with its blank nodes named alike in all graphs that are isomorphic to it."""
     dataset = Dataset(Quad(each.subject, each.predicate, each.object) for each in graph)
@@ -119,38 +109,18 @@ def _is_managed(triple: Triple, url: NamedNode) -> bool:
     return kind.startswith(ldp.iri) or triple.predicate in (dcterms.created, dcterms.modified)
 
 
-@contextmanager
-def running(*arguments: str) -> Iterator[Endpoint]:
-    """A server that ends afterwards, and in order."""
-    server = ServingThread("aircraft", *arguments, "--port", "0")
-    try:
-        with httpx.Client(timeout=20) as http:
-            yield Endpoint(server.url(), http)
-        assert server.poll() is None, "the server died during the tests"
-    finally:
-        server.send_signal(signal.SIGTERM)
-        server.wait(60)
-
-
 @pytest.fixture(scope="module")
 def endpoint() -> Iterator[Endpoint]:
     """The embedded aircraft."""
-    with running("--max-publish-rate", "100000") as one:
-        yield one
+    with running("aircraft", "--max-publish-rate", "100000") as served:
+        yield Endpoint(served.url, served.http)
 
 
 @pytest.fixture(scope="module")
 def read_only() -> Iterator[Endpoint]:
     """A server that only reads."""
-    with running("--read-only") as one:
-        yield one
-
-
-@pytest.fixture(scope="module")
-def sharing() -> Iterator[Endpoint]:
-    """A server that shares with one other site."""
-    with running("--cors-origin", "https://page.example") as one:
-        yield one
+    with running("aircraft", "--read-only") as served:
+        yield Endpoint(served.url, served.http)
 
 
 def new_store(endpoint: Endpoint, *, direct: bool = False) -> Store:

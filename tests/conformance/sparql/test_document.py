@@ -8,7 +8,7 @@ from pathlib import Path
 
 HERE = Path(__file__).parent
 PAGE = HERE.parents[2] / "docs" / "reference" / "conformance.md"
-COUNT = 52
+COUNT = 53
 """How many cases the manifests of W3C have."""
 
 
@@ -28,4 +28,4 @@ def test_every_case_has_one_row_and_a_test_that_names_it() -> None:
     tests = "".join(path.read_text("utf-8") for path in HERE.glob("test_*_*.py"))
     names = set(re.findall(r"def test_(\w+)\(|`(\w+)`", tests))
     found = {one or other for one, other in names}
-    assert not [case for case in cases if re.sub(r"^get_of_|_(get|post)$", "", case) not in found]
+    assert not [case for case in cases if not {case, re.sub(r"^get_of_|_(get|post)$", "", case)} & found]

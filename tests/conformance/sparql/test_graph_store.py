@@ -103,7 +103,7 @@ def test_post__multipart_formdata(graphs: Store) -> None:
 
 
 def test_post__create__new_graph(graphs: Store) -> None:
-    """A POST to the store itself, or to the container that is one; then a POST of nothing to the graph."""
+    """POST to the store, or to the container that is one; then of nothing to the graph (`get_of_post__after_noop`)."""
     endpoint, media_type = graphs.endpoint, "text/turtle; charset=utf-8"
     url = f"{endpoint.url}data/" if graphs.direct else f"{endpoint.url}graphs"
     answer = endpoint.http.post(url, content=ALICE, headers={"Content-Type": media_type})
@@ -125,6 +125,7 @@ def test_head_on_an_existing_graph(graphs: Store) -> None:
 
 
 def test_head_on_a_nonexisting_graph(graphs: Store) -> None:
+    """And DELETE (`delete__nonexistent_graph`)."""
     assert [graphs.send(method, "person/4").status_code for method in ("HEAD", "DELETE")] == [404, 404]
 
 

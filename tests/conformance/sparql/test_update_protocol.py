@@ -67,6 +67,7 @@ def test_update_dataset_default_graph(endpoint: Endpoint, store: Store, three: t
 
 
 def test_update_dataset_full(endpoint: Endpoint, store: Store, three: tuple[str, str, str]) -> None:
+    """Default and named graphs (`update_dataset_named_graphs`)."""
     yes, no = store.at("yes"), store.at("no")
     pattern = f"{THREE} . GRAPH ?g1 {{ {ONE} }} GRAPH ?g2 {{ {TWO} }}"
     one, two, default = three

@@ -1,13 +1,15 @@
-"""Who may import whom, and where things lie: the house as `CONTRIBUTING.md` draws it."""
+"""Which modules and distributions each part imports, and where files lie, as `CONTRIBUTING.md` says."""
 
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
@@ -15,6 +17,8 @@ if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib
+
+pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).parent.parent
 ROOMS = ("adapters", "ontology", "queries", "server", "shapes")
@@ -49,6 +53,10 @@ KNOWS_NOTHING_OF: dict[str, tuple[str, ...]] = {
 }
 
 
+BLOCKS = (ast.stmt, ast.excepthandler, ast.match_case)
+"""The nodes within which imports are looked for: to walk expressions takes ten times as long."""
+
+
 def sources() -> Iterator[tuple[str, Path]]:
     """Every module of rosld by its dotted name."""
     for room in ROOMS:
@@ -67,17 +75,38 @@ def modules() -> dict[str, Path]:
     return dict(sources())
 
 
-def imports(path: Path) -> Iterator[str]:
-    """The modules a file imports; of `from a import b` it is `a.b` where that is a module of rosld, else `a`."""
-    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+class Facts(NamedTuple):
+    """Imported modules of a file, and the names of its classes with too many attributes."""
+
+    imports: set[str]
+    large_classes: set[str]
+
+
+@cache
+def facts(path: Path) -> Facts:
+    """Parse a file once for all tests; of `from a import b` the import is `a.b` where that is a module of rosld."""
+    text = path.read_text("utf-8")
+    found = Facts(set(re.findall(r"(?:import_module|importorskip)\(\s*\"([\w.]+)", text)), set())
+    waiting: list[ast.AST] = [ast.parse(text)]
+    while waiting:
+        node = waiting.pop()
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            found.imports.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}: relative imports are not used here"
             assert node.module is not None
             for alias in node.names:
                 inner = f"{node.module}.{alias.name}"
-                yield inner if inner in modules() else node.module
+                found.imports.add(inner if inner in modules() else node.module)
+        else:
+            waiting += (each for each in ast.iter_child_nodes(node) if isinstance(each, BLOCKS))
+            if isinstance(node, ast.ClassDef) and len(attributes(node)) > MAX_ATTRIBUTES:
+                found.large_classes.add(node.name)
+    return found
+
+
+def imports(path: Path) -> set[str]:
+    return facts(path).imports
 
 
 def within(module: str, part: str) -> bool:
@@ -202,15 +231,10 @@ def test_every_folder_with_an_init_is_packaged() -> None:
     assert {"rosld", *folders} == set(project["tool"]["setuptools"]["packages"])
 
 
-@pytest.mark.parametrize("room", ROOMS)
-def test_each_room_is_linked_into_the_import_package(room: str) -> None:
-    link = ROOT / "rosld" / room
-    assert link.is_symlink()
-    assert link.readlink() == Path("..") / room
-    assert (ROOT / room / "__init__.py").is_file()
-
-
-def test_tests_are_no_package() -> None:
+def test_each_folder_is_linked_into_the_import_package_and_tests_are_no_package() -> None:
+    for room in ROOMS:
+        assert (ROOT / "rosld" / room).readlink() == Path("..") / room
+        assert (ROOT / room / "__init__.py").is_file()
     assert not list((ROOT / "tests").rglob("__init__.py"))
 
 
@@ -230,7 +254,7 @@ print(*sorted({"PIL", "pyshacl", "rdflib"} & sys.modules.keys()))
 """
 
 
-def test_a_server_is_made_without_what_it_may_never_need() -> None:
+def test_creating_a_server_imports_none_of_the_libraries_it_may_never_need() -> None:
     made = subprocess.run([sys.executable, "-c", _MADE], capture_output=True, text=True, check=True)
     assert made.stdout.strip() == ""
 
@@ -243,7 +267,7 @@ STILL_LARGE = {"Mirror", "Client"}
 
 
 def attributes(node: ast.ClassDef) -> set[str]:
-    """The attributes that a class declares as a record, or assigns to itself."""
+    """Return the attributes that a class declares as a record, or assigns to itself."""
     bases = {ast.unparse(base).rpartition(".")[2] for base in node.bases}
     is_record = "NamedTuple" in bases or any("dataclass" in ast.unparse(each) for each in node.decorator_list)
     declared = {
@@ -262,11 +286,66 @@ def attributes(node: ast.ClassDef) -> set[str]:
 
 
 def test_no_class_has_more_than_fourteen_attributes_of_its_own() -> None:
-    large = {
-        node.name
-        for path in modules().values()
-        for node in ast.walk(ast.parse(path.read_text("utf-8")))
-        if isinstance(node, ast.ClassDef) and len(attributes(node)) > MAX_ATTRIBUTES
-    }
+    large = set().union(*(facts(path).large_classes for path in modules().values()))
     # Three of a connection's are uvicorn's: parser, expect_100_continue, timeout_keep_alive_task.
     assert large - {"Connection"} == RECORDS | STILL_LARGE
+
+
+NAMES = {
+    "PIL": "pillow",
+    "cv2": "opencv-python-headless",
+    "backports": "backports-zstd",
+    "jwt": "pyjwt",
+    "mcap_ros1": "mcap-ros1-support",
+    "re2": "google-re2",
+    "ruamel": "ruamel-yaml",
+    "xdist": "pytest-xdist",
+    "SPARQLWrapper": "sparqlwrapper",
+}
+"""Distributions whose name differs from that of their module."""
+OF_ROS = re.compile(
+    r"rclpy|rospy|roslib|rosservice|actionlib|dynamic_reconfigure|genpy|tf2_py|rosidl_\w+|rcl_interfaces|\w+_(msgs|srvs)"
+    r"|rosld_(aircraft|rover)"
+)
+"""Modules that come with a ROS."""
+OF_LATER_PYTHONS = {"compression", "tomllib"}
+OWN = {"rosld", "tests", *(path.stem for path in (ROOT / "bench").glob("*.py"))}
+
+
+def declared(*extras: str) -> set[str]:
+    """Return the distributions that rosld with these extras depends on."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    requirements = [*project["dependencies"]]
+    for extra in extras:
+        requirements += project["optional-dependencies"][extra]
+    return {normal(re.split(r"[\[<>=!~; ]", requirement, maxsplit=1)[0]) for requirement in requirements}
+
+
+def normal(name: str) -> str:
+    """Normalize the name of a distribution as indexes do."""
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def undeclared(folders: tuple[str, ...], known: set[str], *, excluded: str = "") -> set[str]:
+    """Return the imports of the files in these folders that are not declared, each with its file."""
+    out = {"nodes", "node_modules", excluded}
+    files = [file for folder in folders for file in (ROOT / folder).rglob("*.py") if out.isdisjoint(file.parent.parts)]
+    assert files
+    return {
+        f"{name} in {file.relative_to(ROOT)}"
+        for file in files
+        for name in {module.partition(".")[0] for module in imports(file)}
+        if name not in sys.stdlib_module_names | OF_LATER_PYTHONS | OWN
+        and not OF_ROS.fullmatch(name)
+        and NAMES.get(name, normal(name)) not in known
+    }
+
+
+def test_every_imported_distribution_is_declared_and_openid_connect_alone_needs_its_extra() -> None:
+    """A dependency of a dependency may go with any of its releases."""
+    assert undeclared(ROOMS, declared()) == {"jwt in server/auth/oidc.py"}
+    assert not undeclared(ROOMS, declared("oidc"))
+    assert not undeclared(("tests",), declared("test"), excluded="interop")
+    assert not undeclared(("tests/interop",), declared("test", "interop"))
+    assert not undeclared(("bench",), declared("test", "bench"))
+    assert not undeclared(("docs",), declared())

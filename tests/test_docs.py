@@ -99,6 +99,7 @@ def serve(start: Callable[..., Served], command: str) -> str:
     return served.url
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("page", "command"),
     [

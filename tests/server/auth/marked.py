@@ -163,7 +163,7 @@ def everywhere(guarded: Guarded, limit: int = 400) -> list[str]:
 def said_to(
     guarded: Guarded, agent: str, paths: list[str], own: tuple[str, ...] = ()
 ) -> Iterator[tuple[str, str, Answer]]:
-    """Everything that an agent is told at these paths: the request in words, the same, and the answer."""
+    """Yield what an agent is told at these paths: the request in words, the same, and the answer."""
     ask = Asking(guarded, agent)
 
     def asked(method: str, path: str, body: bytes | None = None, **headers: str) -> tuple[str, str, Answer]:
@@ -173,9 +173,7 @@ def said_to(
     for number, path in enumerate(paths):
         first = asked("GET", path)
         yield first
-        if (
-            first[2].status in (401, 403, 404) and path not in own
-        ):  # all of these are refused alike: some of them each time
+        if first[2].status in (401, 403, 404) and path not in own:  # refused alike: another of them each time
             method, body, kind = OTHERS[(number + len(agent)) % len(OTHERS)]
             yield asked(method, path, body, Content_Type=kind)
             yield asked("GET", f"{path}?format=html")

@@ -132,43 +132,26 @@ def newest(guarded: Guarded) -> dict[str, object]:
     return found
 
 
-@pytest.mark.parametrize(
-    ("agent", "method", "path", "status"),
-    [
+def test_a_refused_write_of_a_known_agent_leaves_a_receipt_and_nothing_else_does(aircraft: Guarded) -> None:
+    for agent, method, path, status in (
         ("reader", "PUT", "/topics/cockpit/display", 403),
-        ("reader", "PUT", "/data/open/x", 403),
         ("reader", "PUT", "/data/closed", 404),
         ("reader", "POST", "/services/aircraft/start", 404),
-        ("reader", "PUT", "/nowhere", 404),
         ("writer", "DELETE", "/data/open/never", 404),
         ("reader", "PUT", "/graphs?graph=/data/open/x", 403),
-    ],
-)
-def test_a_write_that_a_known_agent_was_refused_leaves_a_receipt(
-    aircraft: Guarded, agent: str, method: str, path: str, status: int
-) -> None:
-    answer = aircraft[agent].request(method, path, content="<> a <#T> .", headers=TURTLE)
-    assert answer.status_code == status, answer.text
-    assert PROVENANCE not in answer.headers["link"]
-    told = newest(aircraft)
-    assert (told["agent"], told["method"], told["status"]) == (agent, method, status)
-    assert str(told["url"]).endswith(path)
-    assert "plan" not in told
-    assert "touched" not in told
-
-
-@pytest.mark.parametrize(
-    ("agent", "method", "path", "status"),
-    [
+    ):
+        answer = aircraft[agent].request(method, path, content="<> a <#T> .", headers=TURTLE)
+        assert answer.status_code == status, answer.text
+        assert PROVENANCE not in answer.headers["link"]
+        told = newest(aircraft)
+        assert (told["agent"], told["method"], told["status"]) == (agent, method, status)
+        assert str(told["url"]).endswith(path)
+        assert told.keys().isdisjoint({"plan", "touched"})
+    for agent, method, path, status in (
         ("anybody", "PUT", "/topics/cockpit/display", 401),
         ("reader", "GET", "/nowhere", 404),
         ("reader", "OPTIONS", "/nowhere", 404),
         ("keeper", "DELETE", "/services/aircraft/start", 405),
-    ],
-)
-def test_what_is_no_write_or_nobodys_leaves_none(
-    aircraft: Guarded, agent: str, method: str, path: str, status: int
-) -> None:
-    before = newest(aircraft)
-    assert aircraft[agent].request(method, path).status_code == status
-    assert newest(aircraft) == before
+    ):
+        assert aircraft[agent].request(method, path).status_code == status
+        assert newest(aircraft) == told

@@ -55,9 +55,8 @@ def test_both_forms_say_the_same(tmp_path: Path) -> None:
     assert one.tokens.owner_of("b") is None
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
+def test_what_is_not_understood_is_refused_at_the_start_in_a_sentence(tmp_path: Path) -> None:
+    for text, words in (
         ("[[rule]]\nagents = ['a']\nmodes = ['read']\n", "rule 1 has no paths|rule 1: paths"),
         ("[[rule]]\nagents = ['a']\nmodes = ['fly']\npaths = ['/']", "rule 1: 'fly' is no mode; there are read"),
         ("[[rule]]\nagents = ['a']\nmodes = ['read']\npaths = ['topics']", "rule 1: 'topics' must begin"),
@@ -70,30 +69,28 @@ def test_both_forms_say_the_same(tmp_path: Path) -> None:
         ("[[user]]\nname = 'x'", "'user' is not known; there are"),
         ("rule = 3", "'rule' is not known"),
         ("[[rule", "auth.toml: "),
-    ],
-)
-def test_what_is_not_understood_is_refused_at_the_start_in_a_sentence(tmp_path: Path, text: str, words: str) -> None:
-    file = tmp_path / "auth.toml"
-    file.write_text(text)
-    with pytest.raises(ValueError, match=words):
-        config.read_config(file, BASE)
-    told = CliRunner().invoke(main, ["serve", "aircraft", "--port", "0", "--auth", str(file)])
-    assert told.exit_code == 1
-    assert "Traceback" not in told.output
+    ):
+        file = tmp_path / "auth.toml"
+        file.write_text(text)
+        with pytest.raises(ValueError, match=words):
+            config.read_config(file, BASE)
+        told = CliRunner().invoke(main, ["serve", "aircraft", "--port", "0", "--auth", str(file)])
+        assert told.exit_code == 1
+        assert "Traceback" not in told.output
 
 
-@pytest.mark.parametrize(
-    "line",
-    [
-        "acl:mode acl:Fly", "acl:accessTo <http://elsewhere.example/>", "acl:agentClass acl:Nobody", "acl:origin <x:y>",
+def test_turtle_that_is_not_understood_is_refused(tmp_path: Path) -> None:
+    for line in (
+        "acl:mode acl:Fly",
+        "acl:accessTo <http://elsewhere.example/>",
+        "acl:agentClass acl:Nobody",
+        "acl:origin <x:y>",
         'acl:agent "anna"',
-    ],
-)  # fmt: skip
-def test_turtle_that_is_not_understood_is_refused(tmp_path: Path, line: str) -> None:
-    file = tmp_path / "a.ttl"
-    file.write_text(TURTLE.replace("ros:deny true", f"ros:deny true ; {line}"))
-    with pytest.raises(ValueError, match=re.escape(str(file))):
-        config.read_config(file, BASE)
+    ):
+        file = tmp_path / "a.ttl"
+        file.write_text(TURTLE.replace("ros:deny true", f"ros:deny true ; {line}"))
+        with pytest.raises(ValueError, match=re.escape(str(file))):
+            config.read_config(file, BASE)
 
 
 def test_tokens_are_made_listed_and_taken_away(tmp_path: Path) -> None:

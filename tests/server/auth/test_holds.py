@@ -5,7 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import pytest
+
 from tests.server.auth.conftest import Guarded
+
+pytestmark = pytest.mark.slow
 
 RULES = """
 [[rule]]

@@ -7,7 +7,9 @@ import pytest
 
 from tests.server.auth.conftest import TURTLE, Guarded
 
-LINKS = 40_000
+pytestmark = pytest.mark.slow
+
+LINKS = 20_000
 BUSY_SECONDS = 0.1
 SECRET, OPEN = "/data/secret/plan", "/data/open/plan"
 
@@ -21,16 +23,21 @@ def large(guarded: Guarded) -> str:
     return "/data/open/links"
 
 
-@pytest.mark.parametrize("accept", ["application/n-triples", "text/turtle", "application/ld+json", "text/html"])
-def test_what_is_large_is_told_without_what_the_reader_may_not_know(guarded: Guarded, large: str, accept: str) -> None:
-    found = {}
-    for agent in ("reader", "admin"):
-        answer = guarded[agent].get(large, headers={"Accept": accept}, timeout=120)
-        assert answer.status_code == 200
-        found[agent] = answer
-    assert SECRET not in found["reader"].text
-    assert OPEN in found["reader"].text
-    assert SECRET in found["admin"].text
-    assert found["reader"].headers["etag"] != found["admin"].headers["etag"]
-    told = guarded["admin"].get("/status", headers={"Accept": "application/json"}).json()
-    assert told["longestWork"] < BUSY_SECONDS
+def test_what_is_large_is_told_without_what_the_reader_may_not_know(guarded: Guarded, large: str) -> None:
+    for accept in (
+        "application/n-triples",
+        "text/turtle",
+        "application/ld+json",
+        "text/html",
+    ):
+        found = {}
+        for agent in ("reader", "admin"):
+            answer = guarded[agent].get(large, headers={"Accept": accept}, timeout=120)
+            assert answer.status_code == 200
+            found[agent] = answer
+        assert SECRET not in found["reader"].text
+        assert OPEN in found["reader"].text
+        assert SECRET in found["admin"].text
+        assert found["reader"].headers["etag"] != found["admin"].headers["etag"]
+        told = guarded["admin"].get("/status", headers={"Accept": "application/json"}).json()
+        assert told["longestWork"] < BUSY_SECONDS

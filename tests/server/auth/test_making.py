@@ -13,18 +13,24 @@ UPDATE = {"Content-Type": "application/sparql-update"}
 INSERT = "INSERT DATA { <> <urn:p> 1 }"
 
 
-@pytest.mark.parametrize("path", ["/data/open/nothing", "/data/open/gone"])
-@pytest.mark.parametrize("method", ["GET", "HEAD"])
-def test_who_may_make_something_is_told_what(method: str, path: str, guarded: Guarded) -> None:
-    gone = guarded["admin"].put("/data/open/gone", content="", headers={"Content-Type": "text/turtle"})
-    assert gone.status_code in (201, 204)
-    guarded["admin"].delete("/data/open/gone").raise_for_status()
-    for agent, may in (("admin", True), ("reader", True), ("commander", False)):
-        answer = guarded[agent].request(method, path)
-        assert answer.status_code in (404, 410)
-        allowed = set(answer.headers.get("allow", "").split(", "))
-        assert ({"PUT", "PATCH"} <= allowed) is may, agent
-        assert ("accept-put" in answer.headers, "accept-patch" in answer.headers) == (may, may), agent
+def test_who_may_make_something_is_told_what(guarded: Guarded) -> None:
+    for path in (
+        "/data/open/nothing",
+        "/data/open/gone",
+    ):
+        for method in (
+            "GET",
+            "HEAD",
+        ):
+            gone = guarded["admin"].put("/data/open/gone", content="", headers={"Content-Type": "text/turtle"})
+            assert gone.status_code in (201, 204)
+            guarded["admin"].delete("/data/open/gone").raise_for_status()
+            for agent, may in (("admin", True), ("reader", True), ("commander", False)):
+                answer = guarded[agent].request(method, path)
+                assert answer.status_code in (404, 410)
+                allowed = set(answer.headers.get("allow", "").split(", "))
+                assert ({"PUT", "PATCH"} <= allowed) is may, agent
+                assert ("accept-put" in answer.headers, "accept-patch" in answer.headers) == (may, may), agent
 
 
 def test_who_may_not_write_there_is_told_nothing(guarded: Guarded) -> None:
@@ -35,26 +41,32 @@ def test_who_may_not_write_there_is_told_nothing(guarded: Guarded) -> None:
         assert "PUT" not in answer.headers.get("allow", "")
 
 
-@pytest.mark.parametrize("where", ["{}", "/graphs?graph={}"])
-def test_a_post_makes_a_graph_where_its_agent_may_write(guarded: Guarded, where: str) -> None:
-    for agent, path, may in (("reader", "open", True), ("commander", "open", False), ("reader", "secret", False)):
-        url = f"/data/{path}/posted-{agent}-{len(where)}"
-        name = str(guarded["admin"].base_url.join(url))
-        answer = guarded[agent].post(
-            where.format(name), content="<> <urn:p> 1 .", headers={"Content-Type": "text/turtle"}
-        )
-        assert answer.status_code in ((201,) if may else (403, 404)), (agent, path, answer.text)
-        assert guarded["admin"].get(url).status_code == (200 if may else 404)
+def test_a_post_makes_a_graph_where_its_agent_may_write(guarded: Guarded) -> None:
+    for where in (
+        "{}",
+        "/graphs?graph={}",
+    ):
+        for agent, path, may in (("reader", "open", True), ("commander", "open", False), ("reader", "secret", False)):
+            url = f"/data/{path}/posted-{agent}-{len(where)}"
+            name = str(guarded["admin"].base_url.join(url))
+            answer = guarded[agent].post(
+                where.format(name), content="<> <urn:p> 1 .", headers={"Content-Type": "text/turtle"}
+            )
+            assert answer.status_code in ((201,) if may else (403, 404)), (agent, path, answer.text)
+            assert guarded["admin"].get(url).status_code == (200 if may else 404)
 
 
-@pytest.mark.parametrize("verb", ["DROP SILENT GRAPH <{}>", "COPY SILENT <{}> TO </data/secret/copy>"])
-def test_silent_hides_what_an_agent_may_not_do_and_does_nothing(guarded: Guarded, verb: str) -> None:
-    guarded["admin"].put("/data/secret/there", content="", headers={"Content-Type": "text/turtle"})
-    text, update = verb.format("/data/secret/there"), {"Content-Type": "application/sparql-update"}
-    assert guarded["reader"].post("/sparql", content=text.replace("SILENT", ""), headers=update).status_code == 403
-    assert guarded["reader"].post("/sparql", content=text, headers=update).status_code == 204
-    assert guarded["admin"].get("/data/secret/there").status_code == 200
-    assert guarded["admin"].get("/data/secret/copy").status_code == 404
+def test_silent_hides_what_an_agent_may_not_do_and_does_nothing(guarded: Guarded) -> None:
+    for verb in (
+        "DROP SILENT GRAPH <{}>",
+        "COPY SILENT <{}> TO </data/secret/copy>",
+    ):
+        guarded["admin"].put("/data/secret/there", content="", headers={"Content-Type": "text/turtle"})
+        text, update = verb.format("/data/secret/there"), {"Content-Type": "application/sparql-update"}
+        assert guarded["reader"].post("/sparql", content=text.replace("SILENT", ""), headers=update).status_code == 403
+        assert guarded["reader"].post("/sparql", content=text, headers=update).status_code == 204
+        assert guarded["admin"].get("/data/secret/there").status_code == 200
+        assert guarded["admin"].get("/data/secret/copy").status_code == 404
 
 
 def test_no_document_is_asked_for_by_an_agent_who_may_not_load_it_there(guard: Callable[..., Guarded]) -> None:

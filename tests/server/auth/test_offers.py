@@ -15,6 +15,8 @@ from rosld.ontology.vocab import hctl, htv
 from tests.server.auth.conftest import clients, tokens
 from tests.server.robots.made_up import served
 
+pytestmark = pytest.mark.slow
+
 AGENTS = ("watcher", "operator", "admin")
 RULES = """
 [[rule]]

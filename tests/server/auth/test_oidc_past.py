@@ -15,6 +15,8 @@ from tests.server.auth.issuer import Issuer
 from tests.server.history.test_recordings import SPEED, count, value
 from tests.waiting import until
 
+pytestmark = pytest.mark.slow
+
 ISSUER = '[[issuer]]\nurl = "{url}"\naudience = "robot"\n'
 ANNA = '[[agent]]\nname = "anna"\nissuer = "{url}"\nsubject = "anna-1"\n'
 BERT = '[[agent]]\nname = "bert"\nissuer = "{url}"\nsubject = "bert-2"\n'

@@ -21,6 +21,8 @@ from tests.server.auth.conftest import RULES, TURTLE, token, tokens
 from tests.server.auth.test_files import certificate
 from tests.server.conftest import Served
 
+pytestmark = pytest.mark.slow
+
 NGINX = shutil.which("nginx") or shutil.which("nginx", path="/usr/sbin")
 CONF = Path(__file__).parents[3] / "docs" / "how-to" / "nginx.conf"
 
@@ -163,10 +165,7 @@ def test_what_asks_for_another_protocol_arrives_whole(proxied: tuple[str, ssl.SS
             assert http.get(path).text == text
 
 
-@pytest.mark.parametrize(
-    ("asked", "passed"), [("h2c", None), ("WebSocket", "websocket"), ("h2c, websocket", None), (None, None)]
-)
-def test_nginx_passes_on_an_upgrade_to_a_websocket_alone(tmp_path: Path, asked: str | None, passed: str | None) -> None:
+def test_nginx_passes_on_an_upgrade_to_a_websocket_alone(tmp_path: Path) -> None:
     port = free_port()
     with socket.create_server(("127.0.0.1", 0)) as inner, nginx(tmp_path, port, inner.getsockname()[1]) as trusted:
         heads: list[bytes] = []
@@ -177,11 +176,12 @@ def test_nginx_passes_on_an_upgrade_to_a_websocket_alone(tmp_path: Path, asked: 
                 heads.append(connection.recv(65536))
                 connection.sendall(b"HTTP/1.1 204 No Content\r\nConnection: close\r\n\r\n")
 
-        thread = threading.Thread(target=answer, daemon=True)
-        thread.start()
-        upgrade = "" if asked is None else f"Connection: Upgrade\r\nUpgrade: {asked}\r\n"
-        exchange(port, trusted, f"GET / HTTP/1.0\r\nHost: localhost\r\n{upgrade}\r\n".encode())
-        thread.join(10)
-    lines = heads[0].lower().decode().split("\r\n")
-    assert next((line.partition(": ")[2] for line in lines if line.startswith("upgrade:")), None) == passed
-    assert ("connection: upgrade" in lines) is (passed is not None)
+        for asked, passed in (("h2c", None), ("WebSocket", "websocket"), ("h2c, websocket", None), (None, None)):
+            thread = threading.Thread(target=answer, daemon=True)
+            thread.start()
+            upgrade = "" if asked is None else f"Connection: Upgrade\r\nUpgrade: {asked}\r\n"
+            exchange(port, trusted, f"GET / HTTP/1.0\r\nHost: localhost\r\n{upgrade}\r\n".encode())
+            thread.join(10)
+            lines = heads.pop().lower().decode().split("\r\n")
+            assert next((line.partition(": ")[2] for line in lines if line.startswith("upgrade:")), None) == passed
+            assert ("connection: upgrade" in lines) is (passed is not None)

@@ -6,17 +6,10 @@ import re
 
 import httpx
 import pytest
-from pyoxigraph import Literal, NamedNode, Triple
 
-from rosld.ontology.document import Document
-from rosld.ontology.urls import Space
-from rosld.ontology.vocab import hctl, htv, td
-from rosld.server.auth.agent import ANONYMOUS
-from rosld.server.auth.globs import Glob
-from rosld.server.auth.permissions import Permissions
-from rosld.server.auth.redaction.documents import redact_document
-from rosld.server.auth.rules import Mode, Rights, Rule
 from tests.server.auth.conftest import TURTLE, Guarded
+
+pytestmark = pytest.mark.slow
 
 FORMATS = ("ttl", "jsonld", "nt", "rdf", "n3", "nq", "trig", "json", "html")
 CONTAINERS = (
@@ -34,17 +27,15 @@ SECRETS = re.compile(
 """What the reader may not know of."""
 
 
-@pytest.mark.parametrize("format", FORMATS)
-@pytest.mark.parametrize("path", CONTAINERS)
-def test_nothing_that_the_reader_reads_speaks_of_what_they_may_not_know(
-    guarded: Guarded, path: str, format: str
-) -> None:
-    answer = guarded["reader"].get(path, params={"format": format})
-    assert answer.status_code == 200, answer.text
-    told = answer.text + "".join(f"{name}: {value}\n" for name, value in answer.headers.items())
-    assert not SECRETS.search(told), SECRETS.search(told)
-    assert "cockpit" not in told or not path.startswith("/topics")
-    assert guarded["admin"].get(path, params={"format": format}).status_code == 200
+def test_nothing_that_the_reader_reads_speaks_of_what_they_may_not_know(guarded: Guarded) -> None:
+    for format in FORMATS:
+        for path in CONTAINERS:
+            answer = guarded["reader"].get(path, params={"format": format})
+            assert answer.status_code == 200, answer.text
+            told = answer.text + "".join(f"{name}: {value}\n" for name, value in answer.headers.items())
+            assert not SECRETS.search(told), SECRETS.search(told)
+            assert "cockpit" not in told or not path.startswith("/topics")
+            assert guarded["admin"].get(path, params={"format": format}).status_code == 200
 
 
 def test_a_condition_is_judged_on_what_the_reader_may_read(guarded: Guarded) -> None:
@@ -69,23 +60,13 @@ def test_agents_of_other_rights_have_other_entity_tags_of_one_state(guarded: Gua
     assert written.status_code == 204
 
 
-def test_affordances_and_forms_are_those_that_this_agent_may_use(guarded: Guarded) -> None:
-    def affords(agent: str) -> tuple[bool, bool]:
+def test_affordances_and_forms_are_those_that_this_agent_may_use_with_tokens_of_its_own(guarded: Guarded) -> None:
+    tokens: list[set[str]] = []
+    for agent in ("commander", "admin", "reader"):
         told = guarded[agent].get("/resources/aircraft/", headers={"Accept": "text/turtle"}).text
         page = guarded[agent].get("/resources/aircraft/", headers={"Accept": "text/html"}).text
-        return "invokeAction" in told, "<form" in page.partition("<main")[2]
-
-    assert affords("commander") == (True, True)
-    assert affords("admin") == (True, True)
-    assert affords("reader") == (False, False)
-
-
-def test_the_pages_of_one_agent_are_not_shared_with_another(guarded: Guarded) -> None:
-    pages = [
-        guarded[agent].get("/resources/aircraft/", headers={"Accept": "text/html"}).text
-        for agent in ("admin", "commander")
-    ]
-    tokens = [set(re.findall(r'name="[^"]*csrf[^"]*" value="([^"]+)"', page)) for page in pages]
+        assert ("invokeAction" in told) == ("<form" in page.partition("<main")[2]) == (agent != "reader")
+        tokens.append(set(re.findall(r'name="[^"]*csrf[^"]*" value="([^"]+)"', page)))
     assert tokens[0]
     assert tokens[0].isdisjoint(tokens[1])
 
@@ -96,9 +77,8 @@ def solutions(client: httpx.Client, query: str) -> list[str]:
     return answer.text.split("\r\n")[1:-1]
 
 
-@pytest.mark.parametrize(
-    "query",
-    [
+def test_queries_see_what_their_agent_may_read_and_no_mention_of_anything_else(guarded: Guarded) -> None:
+    for query in (
         "SELECT ?s ?p ?o { ?s ?p ?o }",
         "SELECT ?g ?s ?p ?o { GRAPH ?g { ?s ?p ?o } }",
         "SELECT ?s ?p ?o { GRAPH </topics/> { ?s ?p ?o } }",
@@ -109,12 +89,10 @@ def solutions(client: httpx.Client, query: str) -> list[str]:
         "SELECT (STR(?o) AS ?t) { ?s ?p ?o }",
         "SELECT ?x ?p ?o { ?x a ros:ComplexResource ; ?p ?o }",
         "SELECT ?x ?p ?o { ?x a ros:Property ; ?p ?o }",
-    ],
-)
-def test_queries_see_what_their_agent_may_read_and_no_mention_of_anything_else(guarded: Guarded, query: str) -> None:
-    rows = "\n".join(solutions(guarded["reader"], query))
-    assert not SECRETS.search(rows), SECRETS.search(rows)
-    assert solutions(guarded["admin"], query)
+    ):
+        rows = "\n".join(solutions(guarded["reader"], query))
+        assert not SECRETS.search(rows), SECRETS.search(rows)
+        assert solutions(guarded["admin"], query)
 
 
 def test_what_may_not_be_known_is_no_answer_to_any_question(guarded: Guarded) -> None:
@@ -124,13 +102,10 @@ def test_what_may_not_be_known_is_no_answer_to_any_question(guarded: Guarded) ->
         "ASK { ?s ?p </data/secret/plan> }",
         "ASK { FILTER(BOUND(?x)) BIND(ros:age(</topics/cockpit/display>) AS ?x) }",
     ):
-        for agent, expected in (("reader", "false"), ("admin", None)):
-            answer = guarded[agent].post(
-                "/sparql", data={"query": ask}, headers={"Accept": "application/sparql-results+json"}
-            )
-            assert answer.status_code == 200, answer.text
-            if expected:
-                assert f'"boolean":{expected}' in answer.text.replace(" ", ""), ask
+        answer = guarded["reader"].post(
+            "/sparql", data={"query": ask}, headers={"Accept": "application/sparql-results+json"}
+        )
+        assert answer.json()["boolean"] is False, ask
 
 
 def test_the_answers_of_one_agent_are_kept_for_no_other(guarded: Guarded) -> None:
@@ -176,25 +151,6 @@ def test_the_graph_store_judges_the_graph_that_is_named(guarded: Guarded) -> Non
 def test_a_name_that_is_not_for_one_to_give_counts_as_taken(guarded: Guarded) -> None:
     made = guarded["reader"].post("/data/", content="", headers={**TURTLE, "Slug": "secret"}).headers["location"]
     assert made.rpartition("/")[2] != "secret"
-
-
-def test_of_an_affordance_only_the_forms_are_left_that_may_be_used() -> None:
-    base = "http://robot.example/"
-    rule = Rule(frozenset({ANONYMOUS.name}), frozenset({Mode.READ}), (Glob("/topics/**"),))
-    url = f"{base}topics/a"
-    about, read, write = (NamedNode(f"{url}#{name}") for name in ("affordance", "read", "write"))
-    forms = [
-        triple
-        for form, method in ((read, "GET"), (write, "PUT"))
-        for triple in (
-            Triple(about, td.hasForm, form),
-            Triple(form, hctl.hasTarget, NamedNode(url)),
-            Triple(form, htv.methodName, Literal(method)),
-        )
-    ]
-    told = redact_document(Document(url, tuple(forms)), Permissions(ANONYMOUS, Rights((rule,)), Space(base))).triples
-    assert {triple.object for triple in told if triple.predicate == td.hasForm} == {read}
-    assert write not in {triple.subject for triple in told}
 
 
 def test_a_404_tells_what_is_near_to_those_who_may_read_everything(guarded: Guarded) -> None:

@@ -40,6 +40,7 @@ def seen(answer: httpx.Response) -> tuple[int, bytes, list[tuple[str, str]]]:
     )
 
 
+@pytest.mark.slow
 def test_what_one_may_not_know_of_is_refused_in_the_same_bytes_whether_it_is_there_or_not(guarded: Guarded) -> None:
     for method in ("GET", "HEAD", "OPTIONS", "PUT", "POST", "PATCH", "DELETE"):
         for agent, status in (("anybody", 401), ("reader", 404)):
@@ -63,29 +64,31 @@ def test_what_is_not_there_where_one_may_know_is_told_in_the_same_bytes_as_what_
     assert guarded["typist"].get("/services/aircraft/start").status_code == 200
 
 
-def test_401_asks_for_a_token_in_both_ways(guarded: Guarded) -> None:
+def test_what_proves_nothing_is_refused_even_where_anybody_may_read(guarded: Guarded) -> None:
+    for field in (
+        "Bearer wrong",
+        "Bearer",
+        "Bearer a b",
+        "Basic !!!",
+        "Basic " + base64.b64encode(b"reader").decode(),
+        "Basic " + base64.b64encode(f"admin:{token('reader')}".encode()).decode(),
+        "Digest x",
+        "token-of-admin",
+        "Bearer token-of-admin, Bearer token-of-reader",
+        "Bearer " + "x" * 20000,
+        "Bearer a.b.c",
+        "Bearer eyJhbGciOiJub25lIn0.eyJpc3MiOiJ4In0.",
+    ):
+        answer = guarded["anybody"].get("/", headers={"Authorization": field})
+        assert answer.status_code in (401, 431)
+        if answer.status_code == 401:
+            assert 'error="invalid_token"' in answer.headers["www-authenticate"]
+            assert "wac-allow" not in answer.headers
+
+
+def test_401_asks_for_a_token_which_is_also_the_password_of_basic_for_browsers(guarded: Guarded) -> None:
     asked = guarded["anybody"].get("/topics/").headers["www-authenticate"]
     assert asked == 'Bearer realm="rosld", Basic realm="rosld", charset="UTF-8"'
-
-
-@pytest.mark.parametrize(
-    "field",
-    [
-        "Bearer wrong", "Bearer", "Bearer a b", "Basic !!!", "Basic " + base64.b64encode(b"reader").decode(),
-        "Basic " + base64.b64encode(f"admin:{token('reader')}".encode()).decode(), "Digest x", "token-of-admin",
-        "Bearer token-of-admin, Bearer token-of-reader", "Bearer " + "x" * 20000, "Bearer a.b.c",
-        "Bearer eyJhbGciOiJub25lIn0.eyJpc3MiOiJ4In0.",
-    ],
-)  # fmt: skip
-def test_what_proves_nothing_is_refused_even_where_anybody_may_read(guarded: Guarded, field: str) -> None:
-    answer = guarded["anybody"].get("/", headers={"Authorization": field})
-    assert answer.status_code in (401, 431)
-    if answer.status_code == 401:
-        assert 'error="invalid_token"' in answer.headers["www-authenticate"]
-        assert "wac-allow" not in answer.headers
-
-
-def test_a_token_is_taken_as_the_password_of_basic_so_that_a_browser_can_ask_for_it(guarded: Guarded) -> None:
     for name in ("reader", ""):
         answer = guarded["anybody"].get("/topics/", auth=(name, token("reader")))
         assert answer.status_code == 200
@@ -141,6 +144,7 @@ def test_a_preflight_says_nothing_of_what_is_there(guard: Callable[..., Guarded]
     assert "allow" not in there.headers
 
 
+@pytest.mark.slow
 def test_rights_are_read_again_when_the_file_changes_and_stay_when_it_cannot_be_read(
     guard: Callable[..., Guarded],
 ) -> None:

@@ -21,12 +21,10 @@ def rights(*rules: Rule, agent: Agent = ANNA) -> Rights:
     return Policy(rules).rights_of(agent)
 
 
-def test_what_no_rule_allows_is_not_allowed() -> None:
+def test_rules_are_about_names_webids_everybody_and_those_who_are_known() -> None:
     assert not rights().may(Mode.READ, ())
     assert not rights().may_know(("topics",))
-
-
-def test_rules_are_about_names_webids_everybody_and_those_who_are_known() -> None:
+    assert Policy(allow_all_rules()).rights_of(ANONYMOUS).is_unrestricted
     for name in ("anna", "https://anna.example/#me", "anybody", AUTHENTICATED):
         assert rights(rule("/**", agents=name)).may(Mode.READ, ("topics",)), name
     assert not rights(rule("/**", agents="bert")).may(Mode.READ, ("topics",))
@@ -87,10 +85,6 @@ def test_rules_about_types_are_about_what_is_of_such_types_alone() -> None:
     assert not but.may(Mode.READ, ("topics", "a"), IMAGE)
     assert not but.may(Mode.READ, ("topics", "a"), IMAGE | TWIST)
     assert but.may(Mode.READ, ("topics", "a"), TWIST)
-
-
-def test_without_rules_of_its_own_a_server_lets_everybody_do_everything() -> None:
-    assert Policy(allow_all_rules()).rights_of(ANONYMOUS).is_unrestricted
 
 
 def test_agents_with_the_same_rules_share_the_name_of_their_rights_and_others_do_not() -> None:

@@ -15,6 +15,8 @@ from websockets.sync.client import connect
 
 from tests.server.auth.conftest import RULES, TURTLE, Guarded, tokens
 
+pytestmark = pytest.mark.slow
+
 STREAM = {"Accept": "text/event-stream"}
 AGENTS = ("reader", "admin")
 

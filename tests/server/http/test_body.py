@@ -39,23 +39,14 @@ def test_a_body_is_read_to_its_end() -> None:
     assert asyncio.run(read_body(request([b"abc", b"", b"de"]), limit=5)) == b"abcde"
     assert asyncio.run(read_body(request([]), limit=5)) == b""
     assert asyncio.run(read_body(request([b"abc"], [(b"content-length", b"3")]), limit=5)) == b"abc"
+    assert asyncio.run(read_body(request([b"x"], [(b"content-encoding", b"Identity")]), limit=10)) == b"x"
 
 
-@pytest.fixture
-def short_linger(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_body_that_is_or_says_it_is_too_large_is_413(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(body, "LINGER_SECONDS", 0.01)
-
-
-@pytest.mark.usefixtures("short_linger")
-@pytest.mark.parametrize("then", ["end", "nothing", "disconnect"])
-def test_a_body_that_says_it_is_too_large_is_413(then: str) -> None:
-    assert status(request([b"x"], [(b"content-length", b"11")], then=then), timeout=60)[0] == 413
-
-
-@pytest.mark.usefixtures("short_linger")
-@pytest.mark.parametrize("then", ["end", "nothing", "disconnect"])
-def test_a_body_that_grows_too_large_is_413(then: str) -> None:
-    assert status(request([b"12345", b"67890", b"1"], then=then), timeout=60)[0] == 413
+    for then in ("end", "nothing", "disconnect"):
+        assert status(request([b"x"], [(b"content-length", b"11")], then=then), timeout=60)[0] == 413
+        assert status(request([b"12345", b"67890", b"1"], then=then), timeout=60)[0] == 413
 
 
 def test_a_client_that_waits_to_be_told_to_go_on_is_answered_at_once() -> None:
@@ -63,34 +54,27 @@ def test_a_client_that_waits_to_be_told_to_go_on_is_answered_at_once() -> None:
     assert status(asked)[0] == 413
 
 
-@pytest.mark.parametrize("length", [b"-1", b"1e3", b"", b"0x10", b"1,1", b"9" * 30, "²".encode("latin-1", "replace")])
-def test_a_length_that_is_no_number_is_400(length: bytes) -> None:
-    assert status(request([b"x"], [(b"content-length", length)]))[0] == 400
-
-
-def test_a_length_that_lies_is_400() -> None:
+def test_a_length_that_is_no_number_or_not_that_of_the_body_is_400() -> None:
+    for length in (b"-1", b"1e3", b"", b"0x10", b"1,1", b"9" * 30, "²".encode("latin-1", "replace")):
+        assert status(request([b"x"], [(b"content-length", length)]))[0] == 400
     code, detail = status(request([b"abc"], [(b"content-length", b"7")]))
-    assert code == 400
-    assert "7" in detail
-    assert "3" in detail
+    assert (code, "7" in detail, "3" in detail) == (400, True, True)
 
 
-def test_a_body_that_never_ends_is_408() -> None:
+def test_a_body_that_never_ends_is_408_and_one_that_is_cut_off_400() -> None:
     assert status(request([b"abc"], then="nothing"), timeout=0.01)[0] == 408
-
-
-def test_a_body_cut_off_is_400() -> None:
     assert status(request([b"abc"], then="disconnect"))[0] == 400
 
 
-@pytest.mark.parametrize("coding", [b"gzip", b"deflate", b"br", b"gzip, identity"])
-def test_a_compressed_body_is_415(coding: bytes) -> None:
-    asked = request([b"x"], [(b"content-encoding", coding)])
-    with pytest.raises(Problem) as raised:
-        asyncio.run(read_body(asked, limit=10))
-    assert raised.value.status == 415
-    assert raised.value.headers["Accept-Encoding"] == "identity"
-
-
-def test_identity_is_no_coding() -> None:
-    assert asyncio.run(read_body(request([b"x"], [(b"content-encoding", b"Identity")]), limit=10)) == b"x"
+def test_a_compressed_body_is_415() -> None:
+    for coding in (
+        b"gzip",
+        b"deflate",
+        b"br",
+        b"gzip, identity",
+    ):
+        asked = request([b"x"], [(b"content-encoding", coding)])
+        with pytest.raises(Problem) as raised:
+            asyncio.run(read_body(asked, limit=10))
+        assert raised.value.status == 415
+        assert raised.value.headers["Accept-Encoding"] == "identity"

@@ -73,11 +73,6 @@ def answer(*chunks: bytes, bounds: ConnectionBounds | None = None) -> tuple[int,
     return int(head.split()[1]), head.lower(), body
 
 
-def test_a_request_is_answered() -> None:
-    status, _, body = answer(b"PUT / HTTP/1.1\r\nHost: a\r\nConnection: close\r\nContent-Length: 3\r\n\r\nabc")
-    assert (status, body) == (200, b"abc")
-
-
 def test_what_is_no_http_is_400_problem_details() -> None:
     status, head, body = answer(b"EHLO robot\r\n\r\n")
     assert status == 400
@@ -85,30 +80,23 @@ def test_what_is_no_http_is_400_problem_details() -> None:
     assert json.loads(body)["status"] == 400
 
 
-@pytest.mark.parametrize(
-    "request_line",
-    [b"GET /\x01 HTTP/1.1", b"GET / HTTP/9.9", b"GET / HTTP/1.1\r\nBad Header: x", b"GET / HTTP/1.1\r\nA: b\x00c"],
-)
-def test_a_malformed_head_is_400(request_line: bytes) -> None:
-    assert answer(request_line + b"\r\nHost: a\r\nConnection: close\r\n\r\n")[0] == 400
+def test_a_malformed_head_is_400() -> None:
+    both = b"Host: a\r\nContent-Length: 3\r\nTransfer-Encoding: chunked\r\nConnection: close\r\n\r\n0\r\n\r\n"
+    assert answer(b"PUT / HTTP/1.1\r\n" + both)[0] == 400
+    for request_line in (
+        b"GET /\x01 HTTP/1.1",
+        b"GET / HTTP/9.9",
+        b"GET / HTTP/1.1\r\nBad Header: x",
+        b"GET / HTTP/1.1\r\nA: b\x00c",
+    ):
+        assert answer(request_line + b"\r\nHost: a\r\nConnection: close\r\n\r\n")[0] == 400
 
 
-def test_a_length_and_a_transfer_coding_together_are_400() -> None:
-    head = b"PUT / HTTP/1.1\r\nHost: a\r\nContent-Length: 3\r\nTransfer-Encoding: chunked\r\nConnection: close\r\n\r\n"
-    assert answer(head + b"0\r\n\r\n")[0] == 400
-
-
-def test_headers_without_end_are_431() -> None:
+def test_a_head_without_end_is_431() -> None:
     many = [b"X-%d: %s\r\n" % (number, b"x" * 1000) for number in range(400)]
     assert answer(b"GET / HTTP/1.1\r\nHost: a\r\n", *many)[0] == 431
-
-
-def test_one_header_without_end_is_431() -> None:
-    assert answer(b"GET / HTTP/1.1\r\nX: ", *[b"x" * 10_000] * 30)[0] == 431
-
-
-def test_a_url_without_end_is_431() -> None:
-    assert answer(b"GET /", *[b"x" * 10_000] * 30)[0] == 431
+    for begin in (b"GET / HTTP/1.1\r\nX: ", b"GET /"):
+        assert answer(begin, *[b"x" * 10_000] * 30)[0] == 431
 
 
 def test_a_head_of_the_largest_size_is_read() -> None:
@@ -118,10 +106,14 @@ def test_a_head_of_the_largest_size_is_read() -> None:
     assert answer(head + padding + b"x\r\n\r\n")[0] == 431
 
 
-@pytest.mark.parametrize("coding", [b"gzip, chunked", b"chunked, chunked", b"chunked\r\nTransfer-Encoding: chunked"])
-def test_a_transfer_coding_that_is_not_undone_is_501(coding: bytes) -> None:
-    head = b"PUT / HTTP/1.1\r\nHost: a\r\nTransfer-Encoding: " + coding
-    assert answer(head + b"\r\n\r\n3\r\nabc\r\n0\r\n\r\n")[0] in (400, 501)
+def test_a_transfer_coding_that_is_not_undone_is_501() -> None:
+    for coding in (
+        b"gzip, chunked",
+        b"chunked, chunked",
+        b"chunked\r\nTransfer-Encoding: chunked",
+    ):
+        head = b"PUT / HTTP/1.1\r\nHost: a\r\nTransfer-Encoding: " + coding
+        assert answer(head + b"\r\n\r\n3\r\nabc\r\n0\r\n\r\n")[0] in (400, 501)
 
 
 def test_another_version_than_http_1_is_505() -> None:
@@ -136,9 +128,12 @@ def test_a_url_longer_than_can_be_read_is_431_also_where_heads_may_be_larger() -
 CHUNK = b"PUT / HTTP/1.1\r\nHost: a\r\nTransfer-Encoding: chunked\r\n\r\n1\r\na\r\n"
 
 
-@pytest.mark.parametrize("more", [b"0\r\nX: ", b"1;a="])
-def test_trailers_and_chunk_extensions_without_end_are_431(more: bytes) -> None:
-    assert answer(CHUNK + more, *[b"x" * 10_000] * 50)[0] == 431
+def test_trailers_and_chunk_extensions_without_end_are_431() -> None:
+    for more in (
+        b"0\r\nX: ",
+        b"1;a=",
+    ):
+        assert answer(CHUNK + more, *[b"x" * 10_000] * 50)[0] == 431
 
 
 def test_a_trailer_is_no_header() -> None:
@@ -199,32 +194,28 @@ class Bodies:
         await Response(body, media_type="text/plain")(scope, receive, send)
 
 
-@pytest.mark.parametrize("sent_before", [b"", b"1\r\na\r\n", b"20000\r\n" + b"x" * 0x20000 + b"\r\n"])
 @pytest.mark.parametrize("broken", BROKEN.values(), ids=BROKEN)
-@pytest.mark.parametrize("is_cut", [False, True], ids=["whole", "byte by byte"])
-def test_a_body_with_a_broken_chunk_is_400_with_words_and_reaches_nobody(
-    sent_before: bytes, broken: bytes, is_cut: bool
-) -> None:
+def test_a_body_with_a_broken_chunk_is_400_with_words_and_reaches_nobody(broken: bytes) -> None:
     app = Bodies()
 
     async def talk(port: int) -> bytes:
-        reader, writer = await asyncio.open_connection("127.0.0.1", port)
-        writer.write(CHUNKED % 1 + sent_before)
-        await writer.drain()
-        for piece in [broken[at : at + 1] for at in range(len(broken))] if is_cut else [broken]:
-            writer.write(piece)
-            await writer.drain()
-            await asyncio.sleep(0)
-        answer = await reader.read()
-        writer.close()
-        return answer
+        for sent_before in (b"", b"1\r\na\r\n", b"20000\r\n" + b"x" * 0x20000 + b"\r\n"):
+            for pieces in ([broken], [broken[at : at + 1] for at in range(len(broken))]):
+                reader, writer = await asyncio.open_connection("127.0.0.1", port)
+                for piece in (CHUNKED % 1 + sent_before, *pieces):
+                    writer.write(piece)
+                    await writer.drain()
+                    await asyncio.sleep(0)
+                head, _, body = (await reader.read()).partition(b"\r\n\r\n")
+                writer.close()
+                assert head.startswith(b"HTTP/1.1 400 ")
+                assert b"connection: close" in head.lower()
+                assert "chunks of the body" in json.loads(body)["detail"]
+        return b""
 
-    head, _, body = with_server(talk, app=app).partition(b"\r\n\r\n")
-    assert head.startswith(b"HTTP/1.1 400 ")
-    assert b"connection: close" in head.lower()
-    assert "chunks of the body" in json.loads(body)["detail"]
+    with_server(talk, app=app)
     assert app.bodies == []
-    assert app.unfinished <= 1
+    assert app.unfinished <= 6
 
 
 def test_requests_before_a_broken_chunk_are_answered_first_and_what_follows_it_is_not_done() -> None:
@@ -248,6 +239,7 @@ def test_requests_before_a_broken_chunk_are_answered_first_and_what_follows_it_i
     assert app.bodies == [b"1", b"2"]
 
 
+@pytest.mark.slow
 def test_a_put_with_a_broken_chunk_over_http_changes_nothing_and_is_told() -> None:
     with servers() as serve:
         served = serve("aircraft")
@@ -267,9 +259,6 @@ SOON = ConnectionBounds(head_seconds=0.05)
 
 def test_a_head_that_never_ends_is_408() -> None:
     assert answer(b"GET / HTTP/1.1\r\nHost:", bounds=SOON)[0] == 408
-
-
-def test_a_client_that_says_nothing_is_sent_away() -> None:
     assert answer(bounds=SOON)[0] == 408
 
 
@@ -336,10 +325,11 @@ def test_a_second_head_that_never_ends_is_408() -> None:
 
 
 def test_a_large_body_is_no_large_head() -> None:
-    status, _, body = answer(
+    status, head, body = answer(
         b"PUT / HTTP/1.1\r\nHost: a\r\nConnection: close\r\nContent-Length: 200000\r\n\r\n", *[b"x" * 10_000] * 20
     )
     assert status == 413
+    assert b"server:" not in head
     assert json.loads(body)["status"] == 413
 
 
@@ -349,11 +339,6 @@ def test_requests_in_a_row_are_answered_in_a_row() -> None:
     _, _, rest = answer(one + b"1" + one + b"2" + last)
     assert [part[-1:] for part in rest.split(b"HTTP/1.1 200 OK")][:1] == [b"1"]
     assert rest.endswith(b"3")
-
-
-def test_the_server_does_not_tell_what_it_is() -> None:
-    _, head, _ = answer(b"GET / HTTP/1.1\r\nHost: a\r\nConnection: close\r\n\r\n")
-    assert b"server:" not in head
 
 
 class Sent:
@@ -397,12 +382,9 @@ HEAD = b"HTTP/1.1 200 OK\r\n\r\n"
 
 
 def test_the_head_of_an_answer_goes_with_its_body() -> None:
+    assert sent(("write", HEAD)) == [HEAD]
     assert sent(("write", HEAD), ("write", b"body"), ("write", b"more")) == [HEAD + b"body", b"more"]
     assert sent(("write", HEAD), ("write", b"x" * 100_000)) == [HEAD, b"x" * 100_000]
-
-
-def test_a_head_without_a_body_goes_in_the_loop_s_next_turn() -> None:
-    assert sent(("write", HEAD)) == [HEAD]
 
 
 def test_nothing_overtakes_a_head() -> None:

@@ -16,10 +16,16 @@ def test_a_token_is_valid_for_its_action_in_its_run_only() -> None:
     assert not other.is_valid(token, "http://127.0.0.1:8080/services/aircraft/start")
 
 
-@pytest.mark.parametrize("token", [None, "", "x", "ü\ud800", "A" * 10_000])
-def test_a_form_without_its_token_is_403(token: str | None) -> None:
-    with pytest.raises(Problem, match="403"):
-        FormKey().require(token, "/a")
+def test_a_form_without_its_token_is_403() -> None:
+    for token in (
+        None,
+        "",
+        "x",
+        "ü\ud800",
+        "A" * 10_000,
+    ):
+        with pytest.raises(Problem, match="403"):
+            FormKey().require(token, "/a")
 
 
 def test_the_key_is_not_shown() -> None:

@@ -21,18 +21,14 @@ def test_links_are_written_in_order() -> None:
 
 
 def test_a_title_beyond_ascii_is_extended() -> None:
+    assert str(Link("/topics/höhe", "item")) == '</topics/h%C3%B6he>; rel="item"'
     written = str(Link("/a", "up", title="Höhe %"))
     assert written == "</a>; rel=\"up\"; title*=UTF-8''H%C3%B6he%20%25"
     assert link.parse(written)[0].title == "Höhe %"
 
 
-def test_an_iri_becomes_a_uri() -> None:
-    assert str(Link("/topics/höhe", "item")) == '</topics/h%C3%B6he>; rel="item"'
-
-
-@pytest.mark.parametrize(
-    "bad",
-    [
+def test_nothing_can_be_injected() -> None:
+    for bad in (
         Link("/a>; rel=evil, </b", "up"),
         Link("/a\r\nX: y", "up"),
         Link("/a b", "up"),
@@ -41,11 +37,9 @@ def test_an_iri_becomes_a_uri() -> None:
         Link("/a", "up", anchor="#\x00"),
         Link("/a", "up", attributes=(("bad name", "x"),)),
         Link("/a", "up", attributes=(("x", "y\r"),)),
-    ],
-)
-def test_nothing_can_be_injected(bad: Link) -> None:
-    with pytest.raises(ValueError):  # noqa: PT011 - each has its own sentence
-        str(bad)
+    ):
+        with pytest.raises(ValueError):  # noqa: PT011 - each has its own sentence
+            str(bad)
 
 
 def test_a_title_with_a_line_break_is_encoded() -> None:

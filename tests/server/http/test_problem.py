@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pyoxigraph import RdfFormat, parse
@@ -30,13 +29,18 @@ def test_problem_json_is_the_default() -> None:
     }
 
 
-@pytest.mark.parametrize(
-    "accept", ["*/*", "application/json", "application/problem+json", "image/png", "rubbish", "application/*"]
-)
-def test_problem_json_is_also_for_who_accepts_nothing_else_that_there_is(accept: str) -> None:
-    rendered = render(Problem(400, "No."), accept)
-    assert rendered.headers["content-type"] == JSON
-    assert json.loads(rendered.body)["detail"] == "No."
+def test_problem_json_is_also_for_who_accepts_nothing_else_that_there_is() -> None:
+    for accept in (
+        "*/*",
+        "application/json",
+        "application/problem+json",
+        "image/png",
+        "rubbish",
+        "application/*",
+    ):
+        rendered = render(Problem(400, "No."), accept)
+        assert rendered.headers["content-type"] == JSON
+        assert json.loads(rendered.body)["detail"] == "No."
 
 
 def test_each_violation_is_told() -> None:
@@ -47,21 +51,18 @@ def test_each_violation_is_told() -> None:
     ]
 
 
-@pytest.mark.parametrize(
-    ("accept", "syntax"),
-    [
+def test_rdf_holds_the_status_and_a_validation_report() -> None:
+    for accept, syntax in (
         ("text/turtle", RdfFormat.TURTLE),
         ("application/ld+json", RdfFormat.JSON_LD),
         ("application/n-triples", RdfFormat.N_TRIPLES),
         ("application/rdf+xml", RdfFormat.RDF_XML),
-    ],
-)
-def test_rdf_holds_the_status_and_a_validation_report(accept: str, syntax: RdfFormat) -> None:
-    rendered = render(unfit(), accept)
-    assert str(rendered.headers["content-type"]).startswith(accept)
-    objects = [str(quad.object) for quad in parse(rendered.body, format=syntax)]
-    assert '"422"^^<http://www.w3.org/2001/XMLSchema#integer>' in objects
-    assert objects.count("<http://www.w3.org/ns/shacl#ValidationResult>") == 2
+    ):
+        rendered = render(unfit(), accept)
+        assert str(rendered.headers["content-type"]).startswith(accept)
+        objects = [str(quad.object) for quad in parse(rendered.body, format=syntax)]
+        assert '"422"^^<http://www.w3.org/2001/XMLSchema#integer>' in objects
+        assert objects.count("<http://www.w3.org/ns/shacl#ValidationResult>") == 2
 
 
 def test_rdf_is_about_the_resource_that_the_problem_is_with() -> None:
@@ -70,21 +71,11 @@ def test_rdf_is_about_the_resource_that_the_problem_is_with() -> None:
     assert b"about:blank" not in body
 
 
-def test_a_url_that_is_no_iri_does_no_harm() -> None:
-    assert b"about:blank" in render(unfit(), "text/turtle", url="http://[/ <x>").body
-
-
 def test_a_page_escapes_what_was_sent() -> None:
     rendered = render(Problem(404, 'There is no <script>alert("x")</script>.'), "text/html")
     assert rendered.headers["content-type"] == "text/html; charset=utf-8"
     assert b"<script" not in rendered.body
     assert b"&lt;script&gt;" in rendered.body
-
-
-def test_a_page_tells_each_violation_escaped() -> None:
-    body = render(unfit(), "text/html,*/*;q=0.1").body.decode()
-    assert "linear.x" in body
-    assert "must be a float64" in body
 
 
 def test_headers_are_sent_and_those_that_would_inject_are_not() -> None:
@@ -97,10 +88,6 @@ def test_headers_are_sent_and_those_that_would_inject_are_not() -> None:
 def test_extra_members_are_told_and_replace_none_of_the_standard_ones() -> None:
     told = json.loads(render(Problem(422, "No.", extra={"words": "engine is off", "status": 200})).body)
     assert (told["words"], told["status"]) == ("engine is off", 422)
-
-
-def test_an_unknown_status_has_a_title_too() -> None:
-    assert Problem(499, "x").title == "Status 499"
 
 
 def test_head_has_the_length_and_no_body() -> None:

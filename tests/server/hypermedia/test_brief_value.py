@@ -86,15 +86,7 @@ def test_what_matters_of_common_messages_fits(type: str, value: object, brief: s
     assert brief_json(value_of(type, value)) == brief
 
 
-@pytest.mark.parametrize(
-    ("value", "brief"),
-    [
-        (0.5, "0.5"),
-        ("x" * 100, f'"{"x" * 60}..."'),
-        ([1, 2], "[1,2]"),
-        ({"a": 1}, '{"a":1}'),
-        (list(range(500)), '"..."'),
-    ],
-)
-def test_parameters_are_told_whole_or_not_at_all(value: Any, brief: str) -> None:
-    assert brief_json(StoredValue(value)) == brief
+def test_a_parameter_is_whole_or_left_out() -> None:
+    briefs = ((0.5, "0.5"), ("x" * 100, f'"{"x" * 60}..."'), ([1, 2], "[1,2]"), ({"a": 1}, '{"a":1}'))
+    assert [brief_json(StoredValue(value)) for value, _ in briefs] == [brief for _, brief in briefs]
+    assert brief_json(StoredValue(list(range(500)))) == '"..."'

@@ -73,56 +73,33 @@ def refused(text: str, property: Property = NUMBER) -> str:
     return str(caught.value)
 
 
-@pytest.mark.parametrize(
-    "literal",
-    ['"off"', "5", "5.0", "5e0", "true", '"NaN"^^xsd:double', '"0.1"^^xsd:float', '"[1,2]"^^rdf:JSON'],
-)
-def test_a_literal_is_taken_as_it_is_with_its_datatype(literal: str) -> None:
-    found = content(f"<> rdf:value {literal} .")
-    assert isinstance(found, Literal)
-    assert found in turtle(f"<> rdf:value {literal} .").objects(NamedNode(P), rdf.value)
-
-
-def test_a_relation_of_a_mapping_is_found_on_the_complex_resource() -> None:
+def test_a_literal_keeps_its_datatype_and_other_statements_do_not_matter() -> None:
+    literals = ('"off"', "5", "5.0", "5e0", "true", '"NaN"^^xsd:double', '"0.1"^^xsd:float', '"[1,2]"^^rdf:JSON')
+    for literal in literals:
+        found = content(f"<> rdf:value {literal} ; a rdf:Property . <http://example.org/> rdf:value 6, 7 .")
+        assert isinstance(found, Literal)
+        assert found in turtle(f"<> rdf:value {literal} .").objects(NamedNode(P), rdf.value)
     body = turtle(f"<{C}> av:power 'on' ; av:speed 3 . <> rdf:value 'not this' .")
     assert content_from_rdf(body, NamedNode(C), av.power, NUMBER, LIFTING) == Literal("on")
 
 
-def test_a_node_of_the_type_of_the_setter_is_the_object_of_its_fields() -> None:
-    node = f"a <{TYPES}made_up/srv/SetPoint_Request> ; <{TYPES}made_up/srv/SetPoint_Request#x> 1 ; " \
-        f"<{TYPES}made_up/srv/SetPoint_Request#y> 2.5"  # fmt: skip
+def test_a_node_of_the_type_to_write_or_that_was_read_is_the_object_of_its_fields() -> None:
+    kind = f"{TYPES}made_up/srv/SetPoint_Request"
+    node = f"a <{kind}> ; <{kind}#x> 1 ; <{kind}#y> 2.5"
     for text in (f"<> rdf:value [ {node} ] .", f"<> rdf:value <#value> . <#value> {node} ."):
         assert content(text, POINT) == {"x": 1.0, "y": 2.5}
-
-
-def test_a_node_of_the_type_that_was_read_is_the_object_of_the_fields_that_are_its_value() -> None:
     kind = f"{TYPES}made_up/srv/GetPoint_Response"
-    assert content(f"<> rdf:value [ a <{kind}> ; <{kind}#x> 1 ; <{kind}#y> 'NaN'^^xsd:double ] .", POINT) == {
-        "x": 1.0,
-        "y": "NaN",
-    }
-
-
-def test_a_node_that_holds_one_scalar_is_that_scalar() -> None:
+    node = f"a <{kind}> ; <{kind}#x> 1 ; <{kind}#y> 'NaN'^^xsd:double"
+    assert content(f"<> rdf:value [ {node} ] .", POINT) == {"x": 1.0, "y": "NaN"}
     kind = f"{TYPES}std_msgs/msg/Float64"
     assert content(f"<> rdf:value [ a <{kind}> ; <{kind}#data> 7 ] .") == 7.0
 
 
-def test_what_else_the_body_says_does_not_matter() -> None:
-    assert content("<> rdf:value 5 ; a rdf:Property . <http://example.org/> rdf:value 6, 7 .") == Literal(5)
-
-
-def test_no_value_is_missing() -> None:
+def test_there_must_be_one_value() -> None:
+    assert content("<> rdf:value 5 . <> rdf:value 5 .") == Literal(5)
+    assert "expected one value, and there are 2" in refused("<> rdf:value 5, 6 .")
     assert "missing: expected the value" in refused("<http://example.org/> rdf:value 5 .")
     assert P in refused("")
-
-
-def test_two_values_are_one_too_many() -> None:
-    assert "expected one value, and there are 2" in refused("<> rdf:value 5, 6 .")
-
-
-def test_a_value_said_twice_is_one() -> None:
-    assert content("<> rdf:value 5 . <> rdf:value 5 .") == Literal(5)
 
 
 def test_a_node_of_another_type_names_those_that_may_be_sent() -> None:

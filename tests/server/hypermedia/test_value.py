@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyoxigraph import Literal, NamedNode, RdfFormat, parse
 
-from rosld.adapters.model import Encoding, Message, MessageSchema, ServiceSchema, TypeRef
+from rosld.adapters.model import Encoding, MessageSchema, TypeRef
 from rosld.adapters.model.library import TypeLibrary
 from rosld.ontology.document import Document
 from rosld.ontology.lift import LiftSettings
@@ -140,79 +140,60 @@ def test_a_long_string_that_is_the_value_is_whole() -> None:
     assert json.loads(plain_json(value, LiftSettings(inline_limit=10))) == text
 
 
-def test_a_message_is_the_object_of_its_fields_and_has_no_literal() -> None:
-    value = value_of(known("geometry_msgs/msg/Vector3"), {"x": 1, "y": 2, "z": 3})
-    assert value_literal(value) is None
-    assert plain_json(value, LIFTING) == b'{"x":1.0,"y":2.0,"z":3.0}'
-
-
 RESPONSE = "float32 x\nfloat32 y\nbool success\nstring message"
 
 
 def test_fields_that_are_not_the_value_are_left_out() -> None:
     value = value_of(schema_of(RESPONSE), {"x": 1, "y": 2, "success": True, "message": "ok"}, "x", "y")
+    assert value_literal(value) is None
     assert plain_json(value, LIFTING) == b'{"x":1.0,"y":2.0}'
     triples = lift_value(value, "#value", LIFTING).triples(Document(P, ()))
     assert {each.predicate.value.rpartition("#")[2] for each in triples} == {"x", "y", "type"}
-    assert [each.object for each in triples if each.predicate == rdf.type] == [
-        NamedNode(LIFTING.types + "made_up/msg/Thing")
-    ]
-
-
-def test_one_field_of_a_response_is_a_scalar() -> None:
-    value = value_of(schema_of(RESPONSE), {"x": 1.5}, "x")
-    assert plain_json(value, LIFTING) == b"1.5"
-    assert value_literal(value) == typed("1.5", "float")
-
-
-def test_one_field_that_is_no_primitive_is_a_message() -> None:
-    value = value_of(schema_of("float64[] data"), {"data": [1]})
-    assert plain_json(value, LIFTING) == b'{"data":[1.0]}'
-    assert value_literal(value) is None
+    kinds = [each.object for each in triples if each.predicate == rdf.type]
+    assert kinds == [NamedNode(LIFTING.types + "made_up/msg/Thing")]
+    with pytest.raises(ValueError, match="success"):
+        value_literal(value, "success")
+    one = value_of(schema_of(RESPONSE), {"x": 1.5}, "x")
+    assert (plain_json(one, LIFTING), value_literal(one)) == (b"1.5", typed("1.5", "float"))
+    array = value_of(schema_of("float64[] data"), {"data": [1]})
+    assert (plain_json(array, LIFTING), value_literal(array)) == (b'{"data":[1.0]}', None)
 
 
 POSE = {"position": {"x": 1.25, "y": -2, "z": 0}, "orientation": {"w": 1}}
 
 
-@pytest.mark.parametrize(
-    ("path", "lexical"), [("pose.position.x", "1.25"), ("pose.position.y", "-2.0"), ("pose.orientation.w", "1.0")]
-)
-def test_a_field_is_picked_by_its_path(path: str, lexical: str) -> None:
-    value = value_of(known("geometry_msgs/msg/PoseStamped"), {"pose": POSE})
-    assert value_literal(value, path) == typed(lexical, "double")
-    assert field_json(value, path) == lexical.encode()
-
-
-def test_an_element_of_an_array_is_picked_by_its_place() -> None:
+def test_a_field_or_an_element_is_selected_by_its_path() -> None:
+    pose = value_of(known("geometry_msgs/msg/PoseStamped"), {"pose": POSE})
     scan = value_of(known("sensor_msgs/msg/LaserScan"), {"ranges": [0.1, "NaN", 3]})
-    assert value_literal(scan, "ranges.0") == typed("0.1", "float")
-    assert value_literal(scan, "ranges.1") == typed("NaN", "float")
-    assert field_json(scan, "ranges.1") == b'"NaN"'
+    stored = StoredValue({"limits": {"speed": 4.5}, "names": ["a", "b"]})
     tree = value_of(known("tf2_msgs/msg/TFMessage"), {"transforms": [{"child_frame_id": "base"}]})
-    assert value_literal(tree, "transforms.0.child_frame_id") == Literal("base")
+    selected: list[tuple[MessageValue | StoredValue, str, Literal, bytes]] = [
+        (pose, "pose.position.x", typed("1.25", "double"), b"1.25"),
+        (pose, "pose.orientation.w", typed("1.0", "double"), b"1.0"),
+        (scan, "ranges.0", typed("0.1", "float"), b"0.1"),
+        (scan, "ranges.1", typed("NaN", "float"), b'"NaN"'),
+        (tree, "transforms.0.child_frame_id", Literal("base"), b'"base"'),
+        (stored, "limits.speed", typed("4.5", "double"), b"4.5"),
+        (stored, "names.1", Literal("b"), b'"b"'),
+    ]
+    for value, path, literal, text in selected:
+        assert (value_literal(value, path), field_json(value, path)) == (literal, text)
 
 
-@pytest.mark.parametrize(
-    "path", ["", "nothing", "pose.nothing", "pose.position.x.y", "pose", "pose.position", "pose.0"]
-)
-def test_a_field_that_is_no_scalar_is_told_in_a_sentence(path: str) -> None:
-    value = value_of(known("geometry_msgs/msg/PoseStamped"), {"pose": POSE})
-    for pick in (value_literal, field_json):
-        with pytest.raises(ValueError, match="geometry_msgs/msg/PoseStamped"):
-            pick(value, path)
-
-
-def test_an_array_that_is_too_short_has_no_such_field_now() -> None:
+def test_a_path_to_no_scalar_is_an_error() -> None:
+    pose = value_of(known("geometry_msgs/msg/PoseStamped"), {"pose": POSE})
     scan = value_of(known("sensor_msgs/msg/LaserScan"), {"ranges": [0.1]})
-    for path in ("ranges.1", "ranges.-1", "ranges.99999999999999999999"):
-        with pytest.raises(ValueError, match="has no field"):
-            value_literal(scan, path)
-
-
-def test_a_field_that_is_not_of_the_value_cannot_be_picked() -> None:
-    value = value_of(schema_of(RESPONSE), {"x": 1}, "x", "y")
-    with pytest.raises(ValueError, match="success"):
-        value_literal(value, "success")
+    stored = StoredValue({"limits": {"speed": 4.5}, "names": ["a", "b"]})
+    wrong: dict[MessageValue | StoredValue, tuple[str, tuple[str, ...]]] = {
+        pose: ("geometry_msgs/msg/PoseStamped", ("", "nothing", "pose.nothing", "pose.position.x.y", "pose", "pose.0")),
+        scan: ("has no field", ("ranges.1", "ranges.-1", "ranges.99999999999999999999")),
+        stored: ("", ("limits", "names", "names.2", "other")),
+    }
+    for value, (words, paths) in wrong.items():
+        for path in paths:
+            for select in (value_literal, field_json):
+                with pytest.raises(ValueError, match=words or path):
+                    select(value, path)
 
 
 @pytest.mark.parametrize(
@@ -238,15 +219,6 @@ def test_a_parameter_is_its_literal_and_its_json(value: object, expected: Litera
     assert plain_json(stored, LIFTING) == plain
 
 
-def test_a_field_of_a_stored_tree_or_list_is_picked_too() -> None:
-    stored = StoredValue({"limits": {"speed": 4.5}, "names": ["a", "b"]})
-    assert value_literal(stored, "limits.speed") == typed("4.5", "double")
-    assert field_json(stored, "names.1") == b'"b"'
-    for path in ("limits", "names", "names.2", "other"):
-        with pytest.raises(ValueError, match=path):
-            value_literal(stored, path)
-
-
 def test_the_bytes_of_elided_fields_are_asked_of_where_they_are() -> None:
     """In a document of another URL they still lead to the topic."""
     small = LiftSettings(inline_limit=4)
@@ -266,13 +238,6 @@ def _format(syntax: Syntax) -> RdfFormat:
     return found
 
 
-def test_a_message_without_a_source_leads_to_its_own_document() -> None:
-    value = value_of(schema_of("uint8[] data\nfloat32 x"), {"data": [1] * 9, "x": 1})
-    own = replace(lift_value(value, "#message", LiftSettings(inline_limit=4)), source=None)
-    hrefs = [each.object for each in own.triples(Document(T, ())) if each.predicate == ros.bytes]
-    assert hrefs == [NamedNode(f"{T}?field=data")]
-
-
 def test_a_part_of_a_message_builds_the_whole_with_defaults() -> None:
     schema = schema_of(RESPONSE)
     part = select_fields(schema, schema.type.fields[:2])
@@ -284,29 +249,20 @@ def test_a_part_of_a_message_builds_the_whole_with_defaults() -> None:
     assert select_fields(schema, schema.type.fields) is schema
 
 
-@pytest.mark.parametrize(
-    ("definition", "value", "words"),
-    [
+def test_a_response_refuses_with_bool_success_false_unless_that_is_its_value() -> None:
+    responses: list[tuple[str, object, str | None]] = [
         ("bool success\nstring message", {"success": False, "message": "too fast"}, "too fast"),
         ("bool success\nstring status_message", {"success": False, "status_message": "no"}, "no"),
         ("bool success", {"success": False}, ""),
         ("bool success\nstring message", {"success": True, "message": "fine"}, None),
         ("string success", {"success": ""}, None),
         ("float64 data", {}, None),
-    ],
-)
-def test_a_response_declines_with_bool_success_false(definition: str, value: object, words: str | None) -> None:
-    schema = schema_of(definition)
-    assert refusal_text(schema, _message(schema, value)) == words
-
-
-def test_a_success_that_is_the_value_declines_nothing() -> None:
+    ]
+    for definition, value, words in responses:
+        schema = schema_of(definition)
+        assert refusal_text(schema, lowerer(schema).from_json(value, defaults=True)) == words
     schema = schema_of("bool success")
-    assert refusal_text(schema, _message(schema, {"success": False}), schema.type.fields) is None
-
-
-def _message(schema: MessageSchema, value: object) -> Message:
-    return lowerer(schema).from_json(value, defaults=True)
+    assert refusal_text(schema, lowerer(schema).from_json({"success": False}), schema.type.fields) is None
 
 
 def reading(value: MessageValue | StoredValue | None, failure: str | None = None, at: int = 1) -> Reading:
@@ -347,11 +303,3 @@ def test_tokens_differ_with_the_value_and_the_failure_and_not_with_the_time() ->
 def test_two_tokens_are_alike_just_when_the_values_are(one: float, other: float) -> None:
     same = np.float64(one).tobytes() == np.float64(other).tobytes() or (math.isnan(one) and math.isnan(other))
     assert (version_key(reading(scalar("float64", one))) == version_key(reading(scalar("float64", other)))) == same
-
-
-def test_the_shipped_getter_of_the_aircraft_gives_a_bare_scalar() -> None:
-    service = LIBRARY.find(TypeRef("rosld_aircraft/srv/GetText"))
-    assert isinstance(service, ServiceSchema)
-    value = value_of(service.response, {"data": "off"})
-    assert plain_json(value, LIFTING) == b'"off"'
-    assert value_literal(value) == Literal("off")

@@ -126,9 +126,6 @@ def violations(error: LoweringError) -> list[tuple[str, str]]:
     return [(each.path, each.message) for each in error.violations]
 
 
-# On the aircraft
-
-
 def test_a_setter_is_called_with_the_value() -> None:
     async def main(flight: Flight) -> None:
         plan = flight.plan(POWER, "on")
@@ -143,136 +140,41 @@ def test_a_setter_is_called_with_the_value() -> None:
     flown(main)
 
 
-@pytest.mark.parametrize("content", ["on", {"data": "on"}, Literal("on")])
-def test_a_scalar_may_be_bare_an_object_of_its_field_or_a_literal(content: object) -> None:
+def test_what_does_not_fit_is_refused_before_anything_moves() -> None:
     async def main(flight: Flight) -> None:
-        await flight.write(POWER, content)
-        assert await flight.answer("/aircraft/get_power") == "on"
+        for content in (5, None, {"data": "on", "more": 1}, ["on"], Literal(5)):
+            with pytest.raises(LoweringError) as caught:
+                flight.plan(POWER, content)
+            assert violations(caught.value) == [("", "expected a string")]
+        with pytest.raises(LoweringError, match="expected a string without a language"):
+            flight.plan(POWER, Literal("on", language="en"))
+        for content in (None, [None], Literal("x", datatype=xsd.anyURI), Literal("x", language="en")):
+            with pytest.raises(LoweringError):
+                flight.plan(SEATS, content)
 
     flown(main)
 
 
-def test_what_the_setter_refuses_is_refused_with_its_words() -> None:
+def test_a_parameter_takes_whatever_parameters_can_be() -> None:
     async def main(flight: Flight) -> None:
-        with pytest.raises(Refused) as caught:
-            await flight.write(POWER, "purple")
-        assert caught.value.words
-        assert caught.value.sent is Sent.YES
-        assert caught.value.sentence == "/aircraft/set_power refused the value"
-        assert flight.written == [(Kind.SERVICE, "/aircraft/set_power")], "it may have done something"
-
-    flown(main)
-
-
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        (5, "expected a string"),
-        (None, "expected a string"),
-        ({"data": "on", "more": 1}, "expected a string"),
-        (["on"], "expected a string"),
-        (Literal(5), "expected a string"),
-        (Literal("on", language="en"), "expected a string without a language"),
-    ],
-)
-def test_what_does_not_fit_is_refused_before_anything_moves(content: object, message: str) -> None:
-    async def main(flight: Flight) -> None:
-        with pytest.raises(LoweringError) as caught:
-            flight.plan(POWER, content)
-        assert violations(caught.value) == [("", message)]
-
-    flown(main)
-
-
-def test_a_parameter_is_set_where_there_is_no_setter() -> None:
-    async def main(flight: Flight) -> None:
-        plan = flight.plan(SEATS, 4)
+        values = [
+            (Literal("7", datatype=xsd.short), 7),
+            (Literal("0.1", datatype=xsd.double), 0.1),
+            (Literal("INF", datatype=xsd.float), math.inf),
+            (Literal('["a",1]', datatype=rdf.JSON), ["a", 1]),
+            (["a", 1], ["a", 1]),
+            ({"@value": "NaN", "@type": "xsd:string"}, "NaN"),
+            ({"a": {"b": True}}, {"a": {"b": True}}),
+        ]
+        for content, stored in values:
+            plan = flight.plan(SEATS, content)
+            assert isinstance(plan.value, StoredValue)
+            assert (plan.value.value, type(plan.value.value)) == (stored, type(stored))
         assert (plan.writer, plan.data) == (ParameterSource(SEATS), b"")
-        assert isinstance(plan.value, StoredValue)
-        assert plan.value.value == 4
         assert await carry_out(flight.robot, plan) is WriteOutcome.DONE
-        assert await flight.adapter.get_parameters([SEATS], deadline=loop_time() + 1) == {SEATS: 4}
         assert flight.written == [(Kind.PARAMETER, SEATS)]
 
     flown(main)
-
-
-@pytest.mark.parametrize(
-    ("content", "stored"),
-    [
-        (Literal("7", datatype=xsd.short), 7),
-        (Literal("0.1", datatype=xsd.double), 0.1),
-        (Literal("INF", datatype=xsd.float), math.inf),
-        (Literal('["a",1]', datatype=rdf.JSON), ["a", 1]),
-        (["a", 1], ["a", 1]),
-        ({"@value": "NaN", "@type": "xsd:string"}, "NaN"),
-        ({"a": {"b": True}}, {"a": {"b": True}}),
-    ],
-)
-def test_a_parameter_takes_whatever_parameters_can_be(content: object, stored: object) -> None:
-    async def main(flight: Flight) -> None:
-        plan = flight.plan(SEATS, content)
-        assert isinstance(plan.value, StoredValue)
-        assert plan.value.value == stored
-        assert type(plan.value.value) is type(stored)
-
-    flown(main)
-
-
-@pytest.mark.parametrize("content", [None, [None], Literal("x", datatype=xsd.anyURI), Literal("x", language="en")])
-def test_what_no_parameter_can_be_is_refused(content: object) -> None:
-    async def main(flight: Flight) -> None:
-        with pytest.raises(LoweringError):
-            flight.plan(SEATS, content)
-
-    flown(main)
-
-
-def test_a_topic_that_others_listen_to_is_published_to() -> None:
-    async def main(flight: Flight) -> None:
-        assert await flight.write(DISPLAY, "cleared for take-off") is WriteOutcome.DONE
-        view = await flight.robot.topics.read(DISPLAY)
-        assert view.newest is not None
-        assert view.newest.data[4:] == b"cleared for take-off"
-        assert not view.newest.latched
-        assert flight.written == [(Kind.TOPIC, DISPLAY)]
-
-    flown(main)
-
-
-def test_publishing_obeys_the_rate() -> None:
-    async def main(flight: Flight) -> None:
-        await flight.write(DISPLAY, "one")
-        with pytest.raises(Problem) as caught:
-            await flight.write(DISPLAY, "two")
-        assert caught.value.status == 429
-        assert caught.value.headers["Retry-After"]
-        assert flight.written == [(Kind.TOPIC, DISPLAY)]
-
-    flown(main, max_publish_rate=0.001 + 1)
-
-
-def test_the_setter_writes_what_a_sensor_s_topic_shows() -> None:
-    async def main(flight: Flight) -> None:
-        assert isinstance(writer_of(flight.robot, flight.property(SPEED)), Setter)
-        only_topic = replace(flight.property(SPEED), writers=(flight.property(SPEED).writers[-1],))
-        assert isinstance(only_topic.writers[0], TopicSource)
-        assert writer_of(flight.robot, only_topic) is None
-        assert "is published by /aircraft" in reason_of(flight.robot, only_topic)
-
-    flown(main)
-
-
-def test_a_read_only_server_writes_nothing() -> None:
-    async def main(flight: Flight) -> None:
-        for own in flight.catalogue.properties.values():
-            assert writer_of(flight.robot, own) is None
-            assert reason_of(flight.robot, own) == "This server is read-only."
-        with pytest.raises(Problem) as caught:
-            flight.plan(POWER, "on")
-        assert caught.value.status == 405
-
-    flown(main, read_only=True)
 
 
 def test_each_property_of_the_aircraft_has_the_writer_it_should() -> None:
@@ -287,9 +189,6 @@ def test_each_property_of_the_aircraft_has_the_writer_it_should() -> None:
         }
 
     flown(main)
-
-
-# On a robot of our own making
 
 
 class Fake:
@@ -378,16 +277,12 @@ def test_why_nothing_writes_is_told_of_every_writer() -> None:
         "The parameter /robot/x of this fake cannot be set. Nothing can be published on /robot/x of a fake."
     )
     assert reason_of(robot()[0], writable(TopicSource(X, None))) == "The type of /robot/x is not known."
+    with pytest.raises(Problem) as caught:
+        plan_write(robot(Graph(1))[0], writable(), 1)
+    assert (caught.value.status, "/robot/set_x" in caught.value.detail) == (405, True)
     assert reason_of(robot()[0], Property(X, OpenKind())) == (
         "/robot/x has no setter, no parameter and no topic that could be written."
     )
-
-
-def test_a_property_that_nothing_writes_is_405() -> None:
-    with pytest.raises(Problem) as caught:
-        plan_write(robot(Graph(1))[0], writable(), 1)
-    assert caught.value.status == 405
-    assert "/robot/set_x" in caught.value.detail
 
 
 def test_a_scalar_goes_to_the_one_field_of_the_setter_whatever_it_is_called() -> None:
@@ -397,59 +292,30 @@ def test_a_scalar_goes_to_the_one_field_of_the_setter_whatever_it_is_called() ->
     assert plan.data == b"\x00\x00\xc0\x3f"
 
 
-def test_what_fits_the_property_but_not_its_setter_is_refused() -> None:
-    own, fake = robot()
-    with pytest.raises(LoweringError, match="beyond its range"):
-        plan_write(own, writable(), 1e300)
-    assert fake.sent == []
-
-
-@pytest.mark.parametrize("answer", [b"\x01\x00\x00\x00\x00", b"\x01\x04\x00\x00\x00done"])
-def test_a_setter_that_says_success_is_done(answer: bytes) -> None:
-    async def main() -> None:
-        own, fake = robot()
-        fake.answer = answer
-        assert await carry_out(own, plan_write(own, writable(), 1)) is WriteOutcome.DONE
-        assert len(fake.sent) == 1
-
-    run(main())
-
-
-@pytest.mark.parametrize(
-    ("answer", "words"), [(b"\x00\x08\x00\x00\x00too fast", "too fast"), (b"\x00\x00\x00\x00\x00", None)]
-)
-def test_a_setter_that_says_no_success_has_refused(answer: bytes, words: str | None) -> None:
-    async def main() -> None:
-        own, fake = robot()
-        fake.answer = answer
-        with pytest.raises(Refused) as caught:
-            await carry_out(own, plan_write(own, writable(), 1))
-        assert caught.value.words == words
-
-    run(main())
-
-
-def test_a_setter_whose_answer_cannot_be_read_may_have_done_it() -> None:
-    async def main() -> None:
-        own, fake = robot()
-        fake.answer = b"\x00"
-        with pytest.raises(UnreadableResponse) as caught:
-            await carry_out(own, plan_write(own, writable(), 1))
-        assert caught.value.sent is Sent.YES
-
-    run(main())
-
-
-def test_what_becomes_of_a_setter_that_fails_is_told_as_it_is_and_freshness_ends() -> None:
+def test_the_answer_of_a_setter_is_the_outcome_of_the_write() -> None:
     async def main() -> None:
         own, fake = robot()
         written: list[tuple[Kind, str]] = []
         own.add_write_listener(lambda kind, name: written.append((kind, name)))
-        fake.answer = TimedOut("no answer", sent=Sent.MAYBE)
-        with pytest.raises(TimedOut) as caught:
+        for answer in (b"\x01\x00\x00\x00\x00", b"\x01\x04\x00\x00\x00done"):
+            fake.answer = answer
+            assert await carry_out(own, plan_write(own, writable(), 1)) is WriteOutcome.DONE
+        for answer, words in ((b"\x00\x08\x00\x00\x00too fast", "too fast"), (b"\x00\x00\x00\x00\x00", None)):
+            fake.answer = answer
+            with pytest.raises(Refused) as refused:
+                await carry_out(own, plan_write(own, writable(), 1))
+            assert (refused.value.words, refused.value.sent) == (words, Sent.YES)
+        fake.answer = b"\x00"
+        with pytest.raises(UnreadableResponse) as unreadable:
             await carry_out(own, plan_write(own, writable(), 1))
-        assert caught.value is fake.answer
-        assert written == [(Kind.SERVICE, "/robot/set_x")]
+        assert unreadable.value.sent is Sent.YES
+        fake.answer = TimedOut("no answer", sent=Sent.MAYBE)
+        with pytest.raises(TimedOut) as late:
+            await carry_out(own, plan_write(own, writable(), 1))
+        assert late.value is fake.answer
+        assert written == [(Kind.SERVICE, "/robot/set_x")] * len(fake.sent)
+        with pytest.raises(LoweringError, match="beyond its range"):
+            plan_write(own, writable(), 1e300)
 
     run(main())
 
@@ -484,9 +350,6 @@ def test_a_parameter_beside_something_typed_keeps_to_that_type() -> None:
     assert [each.path for each in caught.value.violations] == ["y"]
 
 
-# Lowering
-
-
 FLOAT, INTEGER = message_schema("float64 data"), message_schema("int64 data")
 
 
@@ -514,16 +377,11 @@ def test_a_literal_counts_by_its_own_datatype() -> None:
 
 
 @settings(deadline=None)
-@given(st.floats())
-def test_a_float_arrives_exactly(number: float) -> None:
+@given(st.floats(), st.integers(-(2**63), 2**63 - 1))
+def test_numbers_arrive_exactly(number: float, whole: int) -> None:
     lexical = "NaN" if math.isnan(number) else repr(number).replace("inf", "INF")
     message = lower_content(FLOAT, Literal(lexical, datatype=xsd.double), LIFTING)
     data = getattr(message, "data")  # noqa: B009
     assert data == number or (math.isnan(data) and math.isnan(number))
-
-
-@settings(deadline=None)
-@given(st.integers(-(2**63), 2**63 - 1))
-def test_an_integer_arrives_exactly(number: int) -> None:
-    for content in (number, str(number), Literal(str(number), datatype=xsd.integer)):
-        assert getattr(lower_content(INTEGER, content, LIFTING), "data") == number  # noqa: B009
+    for content in (whole, str(whole), Literal(str(whole), datatype=xsd.integer)):
+        assert getattr(lower_content(INTEGER, content, LIFTING), "data") == whole  # noqa: B009

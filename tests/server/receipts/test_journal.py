@@ -66,42 +66,30 @@ def run(work: Callable[[], Awaitable[None]]) -> None:
 # What a receipt tells
 
 
-def test_a_receipt_tells_how_the_body_begins_and_its_digest() -> None:
+def test_a_receipt_has_the_beginning_of_a_text_and_the_digest_of_any_body() -> None:
     found = receipt(asked(b"climb " * 1000), excerpt=10)
     assert (found.excerpt, found.length) == ("climb clim...", 6000)
     assert found.digest == f"sha-256=:{b64encode(sha256(b'climb ' * 1000).digest()).decode()}:"
-
-
-def test_bytes_that_are_no_text_have_a_digest_and_no_excerpt() -> None:
     for body in (b"\x89PNG\r\n\x1a\n\xff", b"a\0b"):
         found = receipt(asked(body))
         assert found.excerpt is None
         assert found.digest is not None
-
-
-def test_an_excerpt_never_ends_within_a_character() -> None:
     assert receipt(asked("ää".encode()), excerpt=3).excerpt == "ä..."
     assert receipt(asked("ü".encode() * 5000)).excerpt == "ü" * 250 + "..."
-
-
-def test_no_excerpt_is_told_where_none_is_wanted() -> None:
     assert receipt(asked(), excerpt=0).excerpt is None
 
 
-@pytest.mark.parametrize(
-    "request_",
-    [
+def test_of_a_body_that_looks_like_credentials_nothing_is_told() -> None:
+    for request_ in (
         asked(b'{"password": "hunter2"}', plan=("set the parameter /a to hunter2",), words="hunter2 is no number"),
         asked(b'"hunter2"', url=f"{BASE}parameters/wifi/password", plan=("set it to hunter2",), words="not hunter2"),
         asked(b"hunter2 " + b" " * 1000 + b'"the password"', words="hunter2 is no number"),
         asked(b'{"password": "hunter2"}' + b" " * 5000),  # too long to be held: it came with a digest
-    ],
-)
-def test_of_a_body_that_looks_like_credentials_nothing_is_told(request_: AuditEntry) -> None:
-    found = receipt(request_)
-    assert found.withheld
-    assert (found.excerpt, found.digest) == (None, None)
-    assert "hunter2" not in repr(found)
+    ):
+        found = receipt(request_)
+        assert found.withheld
+        assert (found.excerpt, found.digest) == (None, None)
+        assert "hunter2" not in repr(found)
 
 
 def test_credentials_in_the_query_or_in_a_step_are_not_told() -> None:

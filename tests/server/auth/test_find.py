@@ -53,14 +53,7 @@ def test_what_may_not_be_read_is_neither_found_nor_counted(guarded: Guarded) -> 
 
 
 def test_no_form_of_the_results_speaks_of_anything_else(guarded: Guarded) -> None:
-    for format in (
-        "ttl",
-        "jsonld",
-        "nt",
-        "rdf",
-        "json",
-        "html",
-    ):
+    for format in ("ttl", "jsonld", "nt", "rdf", "json", "html"):
         told = guarded["reader"].get("/find", params={"q": "speed", "format": format}).text
         assert "topics/aircraft/engine/speed" in told
         assert "resources/" not in told

@@ -77,24 +77,6 @@ def solutions(client: httpx.Client, query: str) -> list[str]:
     return answer.text.split("\r\n")[1:-1]
 
 
-def test_queries_see_what_their_agent_may_read_and_no_mention_of_anything_else(guarded: Guarded) -> None:
-    for query in (
-        "SELECT ?s ?p ?o { ?s ?p ?o }",
-        "SELECT ?g ?s ?p ?o { GRAPH ?g { ?s ?p ?o } }",
-        "SELECT ?s ?p ?o { GRAPH </topics/> { ?s ?p ?o } }",
-        "SELECT ?s ?p ?o FROM </topics/cockpit/display> { ?s ?p ?o }",
-        "SELECT ?s ?p ?o FROM NAMED </data/secret/plan> { GRAPH ?g { ?s ?p ?o } }",
-        "SELECT ?s ?p ?o { GRAPH </nodes/aircraft> { ?s ?p ?o } }",
-        "SELECT ?g (COUNT(*) AS ?n) { GRAPH ?g { ?s ?p ?o } } GROUP BY ?g",
-        "SELECT (STR(?o) AS ?t) { ?s ?p ?o }",
-        "SELECT ?x ?p ?o { ?x a ros:ComplexResource ; ?p ?o }",
-        "SELECT ?x ?p ?o { ?x a ros:Property ; ?p ?o }",
-    ):
-        rows = "\n".join(solutions(guarded["reader"], query))
-        assert not SECRETS.search(rows), SECRETS.search(rows)
-        assert solutions(guarded["admin"], query)
-
-
 def test_what_may_not_be_known_is_no_answer_to_any_question(guarded: Guarded) -> None:
     for ask in (
         "ASK { </data/secret/plan> ?p ?o }",

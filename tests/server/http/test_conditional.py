@@ -12,10 +12,8 @@ from rosld.server.http.conditional import (
     ETag,
     PreconditionResult,
     ReceivedTag,
-    check_preconditions,
     evaluate,
     parse,
-    require_if_match,
 )
 from rosld.server.http.problem import Problem
 
@@ -57,14 +55,6 @@ def test_if_match_asks_for_the_same_state_by_a_strong_tag_of_any_variant() -> No
         assert judged("PUT", if_match=field) is PreconditionResult.PRECONDITION_FAILED
 
 
-def test_a_star_means_that_something_is_there() -> None:
-    assert judged("PUT", if_match="*") is PreconditionResult.PROCEED
-    assert judged("PUT", None, if_match="*") is PreconditionResult.PRECONDITION_FAILED
-    assert judged("PUT", if_none_match="*") is PreconditionResult.PRECONDITION_FAILED
-    assert judged("PUT", None, if_none_match="*") is PreconditionResult.PROCEED
-    assert judged("GET", None, if_none_match="*") is PreconditionResult.PROCEED
-
-
 def test_a_tag_of_odd_characters_matches_nothing_and_what_is_no_tag_is_400() -> None:
     for field in ('"no tag of ours"', '"a b", "c"', '"\t"', '"{}"', '"é"', '"a\\"'):
         assert judged("PUT", if_match=field) is PreconditionResult.PRECONDITION_FAILED
@@ -77,23 +67,6 @@ def test_a_tag_of_odd_characters_matches_nothing_and_what_is_no_tag_is_400() -> 
 def test_if_match_comes_before_if_none_match() -> None:
     assert judged("GET", if_match='"x"', if_none_match='"b00t-42.ttl"') is PreconditionResult.PRECONDITION_FAILED
     assert judged("GET", if_match='"b00t-42.ttl"', if_none_match='"b00t-42.ttl"') is PreconditionResult.NOT_MODIFIED
-
-
-def test_guard_raises_412_that_tells_the_present_tag() -> None:
-    with pytest.raises(Problem) as raised:
-        check_preconditions("PUT", NOW, if_match='"old"', if_none_match=None)
-    assert raised.value.status == 412
-    assert raised.value.headers == {"ETag": '"b00t-42.ttl"'}
-    assert check_preconditions("GET", NOW, if_match=None, if_none_match='"b00t-42.ttl"')
-    assert not check_preconditions("GET", NOW, if_match=None, if_none_match=None)
-
-
-def test_a_write_that_needs_a_guard_and_has_none_is_428() -> None:
-    assert require_if_match('"a"', "Why.") == '"a"'
-    with pytest.raises(Problem) as raised:
-        require_if_match(None, "PATCH changes the latest message.")
-    assert raised.value.status == 428
-    assert "If-Match" in raised.value.detail
 
 
 _opaque = st.text(st.characters(min_codepoint=0x21, max_codepoint=0x7E, exclude_characters='"'), max_size=12)

@@ -24,7 +24,6 @@ from rosld.server.serving.transport import CoalescingTransport
 from tests.server.conftest import servers
 
 _V = TypeVar("_V")
-Talk = Callable[[bytes], Awaitable[bytes]]
 
 
 async def echo(scope: Scope, receive: Receive, send: Send) -> None:
@@ -107,11 +106,7 @@ def test_a_head_of_the_largest_size_is_read() -> None:
 
 
 def test_a_transfer_coding_that_is_not_undone_is_501() -> None:
-    for coding in (
-        b"gzip, chunked",
-        b"chunked, chunked",
-        b"chunked\r\nTransfer-Encoding: chunked",
-    ):
+    for coding in (b"gzip, chunked", b"chunked, chunked", b"chunked\r\nTransfer-Encoding: chunked"):
         head = b"PUT / HTTP/1.1\r\nHost: a\r\nTransfer-Encoding: " + coding
         assert answer(head + b"\r\n\r\n3\r\nabc\r\n0\r\n\r\n")[0] in (400, 501)
 
@@ -129,10 +124,7 @@ CHUNK = b"PUT / HTTP/1.1\r\nHost: a\r\nTransfer-Encoding: chunked\r\n\r\n1\r\na\
 
 
 def test_trailers_and_chunk_extensions_without_end_are_431() -> None:
-    for more in (
-        b"0\r\nX: ",
-        b"1;a=",
-    ):
+    for more in (b"0\r\nX: ", b"1;a="):
         assert answer(CHUNK + more, *[b"x" * 10_000] * 50)[0] == 431
 
 

@@ -38,17 +38,7 @@ def test_wait_is_read_beside_others() -> None:
 
 
 def test_what_is_malformed_is_passed_over() -> None:
-    for text in (
-        "",
-        "=",
-        "a=b c",
-        '"',
-        ";;",
-        ",,",
-        "return=",
-        "return = ",
-        "\x00",
-    ):
+    for text in ("", "=", "a=b c", '"', ";;", ",,", "return=", "return = ", "\x00"):
         assert not prefer.parse(text).representation
         assert prefer.parse(f"{text.replace(chr(34), '')}, return=representation").representation or "return" in text
 

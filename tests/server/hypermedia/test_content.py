@@ -17,7 +17,7 @@ from rosld.ontology.document import Document
 from rosld.ontology.lift import LiftSettings
 from rosld.ontology.lower import LoweringError, lowerer
 from rosld.ontology.vocab import av, rdf, xsd
-from rosld.server.hypermedia.catalogue import Getter, OpenKind, ParameterSource, Property, Setter, TopicSource
+from rosld.server.hypermedia.catalogue import Getter, Property, Setter, TopicSource
 from rosld.server.hypermedia.property_writer import lower_content
 from rosld.server.hypermedia.type_inference import value_fields, value_kind
 from rosld.server.hypermedia.value import MessageValue, lift_value
@@ -83,18 +83,6 @@ def test_a_literal_keeps_its_datatype_and_other_statements_do_not_matter() -> No
     assert content_from_rdf(body, NamedNode(C), av.power, NUMBER, LIFTING) == Literal("on")
 
 
-def test_a_node_of_the_type_to_write_or_that_was_read_is_the_object_of_its_fields() -> None:
-    kind = f"{TYPES}made_up/srv/SetPoint_Request"
-    node = f"a <{kind}> ; <{kind}#x> 1 ; <{kind}#y> 2.5"
-    for text in (f"<> rdf:value [ {node} ] .", f"<> rdf:value <#value> . <#value> {node} ."):
-        assert content(text, POINT) == {"x": 1.0, "y": 2.5}
-    kind = f"{TYPES}made_up/srv/GetPoint_Response"
-    node = f"a <{kind}> ; <{kind}#x> 1 ; <{kind}#y> 'NaN'^^xsd:double"
-    assert content(f"<> rdf:value [ {node} ] .", POINT) == {"x": 1.0, "y": "NaN"}
-    kind = f"{TYPES}std_msgs/msg/Float64"
-    assert content(f"<> rdf:value [ a <{kind}> ; <{kind}#data> 7 ] .") == 7.0
-
-
 def test_there_must_be_one_value() -> None:
     assert content("<> rdf:value 5 . <> rdf:value 5 .") == Literal(5)
     assert "expected one value, and there are 2" in refused("<> rdf:value 5, 6 .")
@@ -108,12 +96,6 @@ def test_a_node_of_another_type_names_those_that_may_be_sent() -> None:
     assert "made_up/srv/SetPoint_Request" in sentence
     assert "expected a node of type" in refused("<> rdf:value <#other> .", POINT)
     assert "expected a node of type" in refused("<> rdf:value [ ] .", POINT)
-
-
-def test_a_parameter_alone_is_stated_as_a_literal() -> None:
-    parameter = Property("/robot/thing", OpenKind(), (ParameterSource("/robot/thing"),))
-    assert "expected a literal" in refused("<> rdf:value [ ] .", parameter)
-    assert content("<> rdf:value 5 .", parameter) == Literal(5)
 
 
 def test_what_does_not_fit_within_a_node_is_told_by_its_field() -> None:

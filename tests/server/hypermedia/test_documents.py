@@ -201,96 +201,50 @@ def test_the_triples_are_exactly_those_that_were_sent() -> None:
 
 # What the shape refuses: inside a complex resource of path /a/
 
-WRONG = {
-    "a predicate that is no IRI": ('map:property [ map:predicate "p" ; map:member "p" ]', "predicate"),
-    "no predicate": ('map:property [ map:member "p" ]', "predicate"),
-    "two predicates": ('map:property [ map:predicate av:p , av:q ; map:member "p" ]', "predicate"),
-    "rdf:type as a predicate": ('map:property [ map:predicate rdf:type ; map:member "p" ]', "predicate"),
-    "a term of LDP as a predicate": ('map:property [ map:predicate ldp:contains ; map:member "p" ]', "predicate"),
-    "no member": ("map:property [ map:predicate av:p ]", "member"),
-    "two members": ('map:property [ map:predicate av:p ; map:member "p" , "q" ]', "member"),
-    "a member that is an IRI": ("map:property [ map:predicate av:p ; map:member <p> ]", "member"),
-    "a member that is a number": ("map:property [ map:predicate av:p ; map:member 1 ]", "member"),
-    "a member with a language": ('map:property [ map:predicate av:p ; map:member "p"@en ]', "member"),
-    "an empty member": ('map:property [ map:predicate av:p ; map:member "" ]', "member"),
-    "a member that is a path": ('map:property [ map:predicate av:p ; map:member "p/" ]', "member"),
-    "a member with an empty part": ('map:property [ map:predicate av:p ; map:member "/p//q" ]', "member"),
-    "a member that ends a line": ('map:property [ map:predicate av:p ; map:member "p\\n" ]', "member"),
-    "a name with a slash": ('map:property [ map:predicate av:p ; map:member "p" ; map:name "a/b" ]', "name"),
-    "an empty name": ('map:property [ map:predicate av:p ; map:member "p" ; map:name "" ]', "name"),
-    "two names": ('map:property [ map:predicate av:p ; map:member "p" ; map:name "a" , "b" ]', "name"),
-    "a field with a slash": ('map:property [ map:predicate av:p ; map:member "p" ; map:field "x/y" ]', "field"),
-    "a field that ends in a dot": ('map:property [ map:predicate av:p ; map:member "p" ; map:field "x." ]', "field"),
-    "an empty field": ('map:property [ map:predicate av:p ; map:member "p" ; map:field "" ]', "field"),
-    "a field that ends a line": ('map:property [ map:predicate av:p ; map:member "p" ; map:field "x\\n" ]', "field"),
-    "two fields": ('map:property [ map:predicate av:p ; map:member "p" ; map:field "x" , "y" ]', "field"),
-    "a unit that is no IRI": ('map:property [ map:predicate av:p ; map:member "p" ; qudt:hasUnit "m" ]', "hasUnit"),
-    "an old unit that is no IRI": ('map:property [ map:predicate av:p ; map:member "p" ; map:unit "m" ]', "unit"),
-    "two units": ('map:property [ map:predicate av:p ; map:member "p" ; map:unit unit:M , unit:S ]', "unit"),
-    "a quantity kind that is no IRI": (
-        'map:property [ map:predicate av:p ; map:member "p" ; map:quantityKind "length" ]',
-        "quantityKind",
-    ),
-    "a property that is no node": ('map:property "power"', "property"),
-    "a property with a service": ('map:property [ map:predicate av:p ; map:member "p" ; map:service "s" ]', "service"),
-    "a property that is available": (
-        f'map:property [ map:predicate av:p ; map:member "p" ; map:availableWhen {SHAPE} ]',
-        "availableWhen",
-    ),
-    "a misspelt term of a property": ('map:property [ map:predicate av:p ; map:member "p" ; map:feld "x" ]', "feld"),
-    "an action without a relation": ('map:action [ map:service "s" ]', "relation"),
-    "an action without a service": ("map:action [ map:relation av:start ]", "service"),
-    "an action of two services": ('map:action [ map:relation av:start ; map:service "s" , "t" ]', "service"),
-    "an action whose name is two": (
-        'map:action [ map:relation av:start ; map:service "s" ; map:name "a" , "b" ]',
-        "name",
-    ),
-    "an action with a target": ('map:action [ map:relation av:start ; map:service "s" ; map:target "/b/" ]', "target"),
-    "an action that is writable": (
-        f'map:action [ map:relation av:start ; map:service "s" ; map:writableWhen {SHAPE} ]',
-        "writableWhen",
-    ),
-    "an action that is no node": ('map:action "start"', "action"),
-    "a link without a relation": ('map:link [ map:target "/b/" ]', "relation"),
-    "a link without a target": ("map:link [ map:relation av:engine ]", "target"),
-    "a link to a name": ('map:link [ map:relation av:engine ; map:target "/b" ]', "target"),
-    "a link to an IRI": ("map:link [ map:relation av:engine ; map:target </resources/b/> ]", "target"),
-    "a link whose target is two": ('map:link [ map:relation av:engine ; map:target "/b/" , "/c/" ]', "target"),
-    "a link with a name": ('map:link [ map:relation av:engine ; map:target "/b/" ; map:name "b" ]', "name"),
-    "a link that is no node": ('map:link "/b/"', "link"),
-    "a second path": ('map:path "/b/"', "path"),
-    "a title that is a node": ("rdfs:label [ rdfs:label 'x' ]", "label"),
-    "a misspelt term of a complex resource": ('map:exists "x"', "exists"),
-    "a term of something else": ('<x:y> "z"', "x:y"),
-    "a condition that is a literal": ('map:existsWhen "on"', "existsWhen"),
-    "a condition that is described nowhere": ("map:existsWhen <#nowhere>", "about"),
-    "a condition that is no shape": ('map:existsWhen [ map:about "/a/" ; sh:minLength 1 ]', "type"),
-    "a condition about nothing": (
-        "map:existsWhen [ a sh:NodeShape ; sh:property [ sh:path av:p ; sh:minCount 1 ] ]",
-        "about",
-    ),
-    "a condition about two resources": (
-        'map:existsWhen [ a sh:NodeShape ; map:about "/b/" , "/c/" ; sh:property [ sh:path av:p ; sh:minCount 1 ] ]',
-        "about",
-    ),
-    "a condition about a relative name": (
-        'map:existsWhen [ a sh:NodeShape ; map:about "b" ; sh:property [ sh:path av:p ; sh:minCount 1 ] ]',
-        "about",
-    ),
-    "a condition about an IRI": (
-        "map:existsWhen [ a sh:NodeShape ; map:about </a/> ; sh:property [ sh:path av:p ; sh:minCount 1 ] ]",
-        "about",
-    ),
-}
+CONDITION = "a sh:NodeShape ; sh:property [ sh:path av:p ; sh:minCount 1 ]"
+WRONG: tuple[tuple[str, str, tuple[str, ...]], ...] = (
+    # what is blamed, a template, and what is wrong in its place
+    ("predicate", 'map:property [ map:member "p" {} ]', ("", '; map:predicate "p"', "; map:predicate av:p , av:q")),
+    ("predicate", 'map:property [ map:predicate {} ; map:member "p" ]', ("rdf:type", "ldp:contains")),
+    ("member", "map:property [ map:predicate av:p {} ]", ("", '; map:member "p" , "q"', "; map:member <p>")),
+    ("member", "map:property [ map:predicate av:p ; map:member {} ]", ("1", '"p"@en', '""', '"p/"', '"/p//q"')),
+    ("member", "map:property [ map:predicate av:p ; map:member {} ]", ('"p\\n"',)),
+    ("name", 'map:property [ map:predicate av:p ; map:member "p" ; map:name {} ]', ('"a/b"', '""', '"a" , "b"')),
+    ("field", 'map:property [ map:predicate av:p ; map:member "p" ; map:field {} ]', ('"x/y"', '"x."', '""', '"x\\n"')),
+    ("field", 'map:property [ map:predicate av:p ; map:member "p" ; map:field {} ]', ('"x" , "y"',)),
+    ("hasUnit", 'map:property [ map:predicate av:p ; map:member "p" ; qudt:hasUnit {} ]', ('"m"',)),
+    ("unit", 'map:property [ map:predicate av:p ; map:member "p" ; map:unit {} ]', ('"m"', "unit:M , unit:S")),
+    ("quantityKind", 'map:property [ map:predicate av:p ; map:member "p" ; map:quantityKind {} ]', ('"length"',)),
+    ("service", 'map:property [ map:predicate av:p ; map:member "p" ; map:service {} ]', ('"s"',)),
+    ("availableWhen", 'map:property [ map:predicate av:p ; map:member "p" ; map:availableWhen {} ]', (SHAPE,)),
+    ("feld", 'map:property [ map:predicate av:p ; map:member "p" ; map:feld {} ]', ('"x"',)),
+    ("relation", "map:action [ {} ]", ('map:service "s"',)),
+    ("service", "map:action [ map:relation av:start {} ]", ("", '; map:service "s" , "t"')),
+    ("name", 'map:action [ map:relation av:start ; map:service "s" ; map:name {} ]', ('"a" , "b"',)),
+    ("target", 'map:action [ map:relation av:start ; map:service "s" ; map:target {} ]', ('"/b/"',)),
+    ("writableWhen", 'map:action [ map:relation av:start ; map:service "s" ; map:writableWhen {} ]', (SHAPE,)),
+    ("relation", "map:link [ {} ]", ('map:target "/b/"',)),
+    ("target", "map:link [ map:relation av:engine {} ]", ("", '; map:target "/b"', "; map:target </resources/b/>")),
+    ("target", "map:link [ map:relation av:engine ; map:target {} ]", ('"/b/" , "/c/"',)),
+    ("name", 'map:link [ map:relation av:engine ; map:target "/b/" ; map:name {} ]', ('"b"',)),
+    *((name, f"map:{name} {{}}", ('"x"',)) for name in ("property", "action", "link", "exists", "existsWhen")),
+    ("path", "map:path {}", ('"/b/"',)),
+    ("label", "rdfs:label {}", ("[ rdfs:label 'x' ]",)),
+    ("x:y", "<x:y> {}", ('"z"',)),
+    ("type", "map:existsWhen [ map:about {} ; sh:minLength 1 ]", ('"/a/"',)),
+    ("about", "map:existsWhen {}", ("<#nowhere>", f"[ {CONDITION} ]")),
+    ("about", f"map:existsWhen [ {CONDITION} ; map:about {{}} ]", ('"/b/" , "/c/"', '"b"', "</a/>")),
+)
 
 
 def test_the_shape_of_mappings_refuses_what_is_wrong_and_says_where() -> None:
-    wrong = {}
-    for case, (inner, blamed) in WRONG.items():
-        found = refused(f'<#a> a map:ComplexResource ; map:path "/a/" ; {inner} .')
-        assert all(one.message.endswith((".", "?")) and one.component and one.focus for one in found)
-        if not any(one.path.endswith((blamed, f"{blamed}>")) for one in found):
-            wrong[case] = found
+    wrong = []
+    for blamed, template, values in WRONG:
+        for inner in map(template.format, values):
+            found = refused(f'<#a> a map:ComplexResource ; map:path "/a/" ; {inner} .')
+            assert all(one.message.endswith((".", "?")) and one.component and one.focus for one in found)
+            if not any(one.path.endswith((blamed, f"{blamed}>")) for one in found):
+                wrong.append((inner, found))
     assert not wrong, wrong
 
 
@@ -423,7 +377,7 @@ def test_a_file_is_named_by_its_stem_unless_it_is_given_a_name(tmp_path: Path) -
     path.write_text(TEXT + '<> rdfs:comment "Mine." . <x:a> <x:b> [ <x:c> ( 1 2 ) ] .')
     found = load_mapping(path, SPACE)
     assert found.url == "http://127.0.0.1:8080/mappings/my%20plane"
-    assert list(map(_outline, found.resources)) == list(map(_outline, aircraft().resources))
+    assert [one.path for one in found.resources] == [one.path for one in aircraft().resources]
     assert load_mapping(path, SPACE, "a").url == "http://127.0.0.1:8080/mappings/a"
 
 

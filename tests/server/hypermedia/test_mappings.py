@@ -19,7 +19,6 @@ from rosld.server.hypermedia.mappings import (
     connected_paths,
     dependents,
     mapped_above,
-    members_of,
     write_conditions_of,
 )
 
@@ -92,18 +91,6 @@ def test_what_was_handed_out_never_changes() -> None:
         mapping_set.resources["/x/"] = mapping_set.resources["/a/"]  # type: ignore[index]
 
 
-def test_a_document_that_takes_anothers_path_is_refused_and_all_stays_as_it_was() -> None:
-    mappings = Mappings()
-    mappings.replace(document("a", resource("/a/") + resource("/b/")))
-    mappings.replace(document("c", resource("/c/")))
-    before = mappings.mapping_set
-    with pytest.raises(InvalidMapping) as found:
-        mappings.replace(document("c", resource("/d/") + resource("/b/") + resource("/a/")))
-    assert [one.path for one in found.value.violations] == ["/a/", "/b/"]
-    assert f"{SPACE.base}mappings/a" in found.value.violations[0].message
-    assert mappings.mapping_set is before
-
-
 def test_a_document_that_describes_anothers_condition_is_refused() -> None:
     shape = '<http://x/c> a sh:NodeShape ; map:about "/z/" ; sh:property [ sh:path :p ; sh:minCount 1 ] .'
     mappings = Mappings()
@@ -135,12 +122,6 @@ def test_actions_are_found_by_the_service_behind_them() -> None:
     assert set(found) == {"/s"}
     assert [(one.path, action.name) for one, action in found["/s"]] == [("/a/", "go"), ("/b/", "run")]
     assert set(actions_by_service(arranged(AIRCRAFT))) == {"/aircraft/start", "/aircraft/stop"}
-
-
-def test_members_are_the_full_names_of_what_is_shown() -> None:
-    shown = having("p") + '; map:property [ map:predicate :q ; map:member "/b/q" ; map:field "x.y" ]'
-    (one,) = document("a", resource("/a/", shown)).resources
-    assert members_of(one) == {"/a/p", "/b/q"}
 
 
 def test_dependents_have_a_condition_of_any_kind_about_a_place() -> None:

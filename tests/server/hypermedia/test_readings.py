@@ -35,8 +35,7 @@ from rosld.adapters.slots import Slot
 from rosld.ontology.lift import LiftSettings
 from rosld.ontology.lower import lowerer
 from rosld.ontology.urls import Space
-from rosld.server.hypermedia.catalogue import Catalogue, Getter, OpenKind, ParameterSource, Property, TopicSource
-from rosld.server.hypermedia.conventions import catalogue
+from rosld.server.hypermedia.catalogue import Getter, OpenKind, ParameterSource, Property, TopicSource
 from rosld.server.hypermedia.property_reader import PropertyReader
 from rosld.server.hypermedia.type_inference import value_fields
 from rosld.server.hypermedia.value import Reading, plain_json
@@ -50,7 +49,6 @@ SPACE = Space("http://127.0.0.1:8080/")
 LIFTING = LiftSettings()
 LIBRARY = TypeLibrary(ros_version=1)
 FRESHNESS, PATIENCE = 1.0, 10.0
-SPEED, POWER, SEATS = "/aircraft/engine/speed", "/aircraft/power", "/aircraft/seats"
 
 
 def goals_of(adapter: Adapter) -> Goals:
@@ -100,101 +98,6 @@ async def turns(count: int = 5) -> None:
 def plain(reading: Reading) -> object:
     """The value as JSON; the failure's text where there is none."""
     return plain_json(reading.value, LIFTING).decode() if reading.value is not None else reading.failure
-
-
-class Deaf:
-    """A sink that does not listen."""
-
-    def graph_changed(self, graph: Graph) -> None: ...
-
-    def parameter_changed(self, name: str) -> None: ...
-
-
-class Cockpit:
-    """Readings of the embedded aircraft."""
-
-    def __init__(self, adapter: Aircraft, freshness: float = FRESHNESS) -> None:
-        self.adapter = adapter
-        self.schemas = Schemas(adapter)
-        self.topics = LiveTopics(adapter, self.schemas, LiveSettings())
-        self.readings = PropertyReader(
-            adapter, self.topics, goals_of(adapter), self.schemas, SPACE, freshness=freshness, patience=PATIENCE
-        )
-        self.catalogue: Catalogue = catalogue(adapter.graph, LIBRARY.find)
-
-    def property(self, name: str) -> Property:
-        return self.catalogue.properties[name]
-
-    async def read(self, name: str, **how: bool) -> Reading:
-        return (await self.readings.read([self.property(name)], deadline=soon(), **how))[name]
-
-
-def flown(test: Callable[[Cockpit, Clock], Awaitable[None]]) -> None:
-    async def main(loop: Clock) -> None:
-        adapter = Aircraft(AdapterOptions())
-        await adapter.open(Deaf(), deadline=soon())
-        cockpit = Cockpit(adapter)
-        try:
-            await test(cockpit, loop)
-        finally:
-            await cockpit.readings.stop()
-            await cockpit.topics.stop()
-            await adapter.close()
-
-    run(main)
-
-
-def test_a_topic_is_read_as_its_latest_message_and_good_until_another_comes() -> None:
-    async def main(cockpit: Cockpit, loop: Clock) -> None:
-        speed = cockpit.property(SPEED)
-        assert cockpit.readings.cached(speed) is None
-        reading = await cockpit.read(SPEED)
-        assert (plain(reading), reading.failure, reading.fresh_until) == ("0.0", None, None)
-        assert reading.value is not None
-        assert getattr(reading.value, "origin") == SPACE.topic(SPEED)  # noqa: B009
-        assert cockpit.readings.cached(speed) is reading
-        assert await cockpit.read(SPEED) is reading
-        assert await cockpit.read(SPEED, refresh=True) is reading
-        arrived = asyncio.Event()
-        subscription = await cockpit.adapter.subscribe(SPEED)
-        subscription.watch(arrived.set)
-        await arrived.wait()
-        assert cockpit.readings.cached(speed) is None
-        again = await cockpit.read(SPEED)
-        assert again is not reading
-        assert reading.read_ns is not None
-        assert again.read_ns is not None
-        assert again.read_ns > reading.read_ns
-        subscription.close()
-
-    flown(main)
-
-
-def test_all_members_are_read_together_and_parameters_in_one_call() -> None:
-    async def main(cockpit: Cockpit, loop: Clock) -> None:
-        asked: list[Sequence[str]] = []
-        get = cockpit.adapter.get_parameters
-
-        async def counted(names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
-            asked.append(names)
-            return await get(names, deadline=deadline)
-
-        cockpit.adapter.get_parameters = counted  # type: ignore[method-assign]
-        properties = list(cockpit.catalogue.properties.values())
-        readings = await cockpit.readings.read(properties, deadline=soon())
-        assert set(readings) == set(cockpit.catalogue.properties)
-        assert len(asked) == 1
-        found = {name: plain(reading) for name, reading in readings.items()}
-        assert found[SPEED] == "0.0"
-        assert found[POWER] == '"off"'
-        assert found[SEATS] == "2"
-        assert found["/cockpit/checklist"] == '["fuel","flaps","radio"]'
-        assert found["/cockpit/display"] is None  # nobody has published there
-        again = await cockpit.readings.read(properties, deadline=soon())
-        assert [again[name] is readings[name] for name in readings].count(False) <= 1  # the speed may be another
-        assert len(asked) == 1
-
-    flown(main)
 
 
 GET = LIBRARY.find(TypeRef("rosld_aircraft/srv/GetNumber"))
@@ -390,23 +293,6 @@ def test_a_getter_that_hangs_costs_each_reader_no_more_than_its_own_deadline_and
     benched(main)
 
 
-def test_one_that_hangs_leaves_the_others_whole_and_all_are_there_by_the_deadline() -> None:
-    async def main(bench: Bench, loop: Clock) -> None:
-        bench.fake.hangs = True
-        bench.fake.say("/robot/t", "std_msgs/msg/Float64", {"data": 7})
-        hanging = [bench.property(getter(f"/robot/get_{i}"), name=f"/robot/{i}") for i in range(20)]
-        topic = bench.property(TopicSource("/robot/t", None), name="/robot/t")
-        reader = asyncio.ensure_future(bench.readings.read([*hanging, topic], deadline=soon(4)))
-        await turns(20)
-        assert len(bench.fake.calls) == 20
-        loop.skip(4)
-        found = await reader
-        assert plain(found["/robot/t"]) == "7.0"
-        assert plain(found["/robot/3"]) == "/robot/get_3 has not answered within 4 s"
-
-    benched(main)
-
-
 def refuses(error: RosError | Exception) -> Callable[[int], bytes]:
     def answer(turn: int) -> bytes:
         raise error
@@ -439,26 +325,6 @@ def test_a_getter_that_fails_is_told_by_name_and_not_asked_again_for_a_while(err
         anew = await bench.read(refresh=True)
         assert plain(anew) == "3.0"
         assert await bench.read() is anew
-
-    benched(main)
-
-
-def test_a_getter_that_answers_success_false_has_refused() -> None:
-    async def main(bench: Bench, loop: Clock) -> None:
-        library = TypeLibrary(ros_version=1)
-        schema = library.learn_service("made_up/srv/Get", "---\nbool success\nstring message\nint32 count")
-        words = iter(["no fuel", ""])
-
-        def answer(turn: int) -> bytes:
-            message = lowerer(schema.response).from_json({"success": False, "message": next(words), "count": 3})
-            return schema.response.codec.encode(message, Encoding.ROS1)
-
-        bench.fake.answers = answer
-        own = getter(ASKED, schema)
-        refused = await bench.read(own)
-        assert (plain(refused), refused.words) == (f"{ASKED} refused", "no fuel")
-        refused = await bench.read(own, refresh=True)
-        assert (plain(refused), refused.words) == (f"{ASKED} refused", None)
 
     benched(main)
 
@@ -559,9 +425,6 @@ def test_a_parameter_that_has_vanished_or_cannot_be_had_is_told() -> None:
         assert plain(await reader) == "/robot/x has not answered within 2 s"
 
     benched(main)
-
-
-# One source after the other
 
 
 TOPIC = TopicSource("/robot/x", None)

@@ -16,7 +16,6 @@ from pyoxigraph import Literal
 from rosld.adapters.aircraft import Aircraft
 from rosld.adapters.base import Adapter, AdapterOptions, Published
 from rosld.adapters.model import (
-    Encoding,
     Graph,
     Kind,
     MessageSchema,
@@ -58,10 +57,9 @@ from rosld.server.hypermedia.property_writer import (
     plan_write,
 )
 from rosld.server.hypermedia.type_inference import value_kind
-from rosld.server.hypermedia.value import MessageValue, StoredValue, plain_json
+from rosld.server.hypermedia.value import StoredValue
 from rosld.server.robot.calls import UnreadableResponse
 from rosld.server.robot.session import Session
-from rosld.server.runtime.loop_time import loop_time
 from rosld.server.settings import Settings
 
 T = TypeVar("T")
@@ -99,16 +97,6 @@ class Flight:
     def plan(self, name: str, content: object) -> PlannedWrite:
         return plan_write(self.robot, self.property(name), content)
 
-    async def write(self, name: str, content: object) -> WriteOutcome:
-        return await carry_out(self.robot, self.plan(name, content))
-
-    async def answer(self, service: str) -> object:
-        """What a getter of the aircraft says."""
-        schema = LIBRARY.find(TypeRef("rosld_aircraft/srv/GetText"))
-        assert isinstance(schema, ServiceSchema)
-        data = await self.adapter.call(service, schema.ref, b"", deadline=loop_time() + 1)
-        return getattr(schema.response.codec.decode(data, Encoding.ROS1), "data")  # noqa: B009
-
 
 def flown(test: Callable[[Flight], Awaitable[None]], **settings: Any) -> None:
     async def main() -> None:
@@ -124,20 +112,6 @@ def flown(test: Callable[[Flight], Awaitable[None]], **settings: Any) -> None:
 
 def violations(error: LoweringError) -> list[tuple[str, str]]:
     return [(each.path, each.message) for each in error.violations]
-
-
-def test_a_setter_is_called_with_the_value() -> None:
-    async def main(flight: Flight) -> None:
-        plan = flight.plan(POWER, "on")
-        assert (plan.property, plan.writer.name) == (POWER, "/aircraft/set_power")
-        assert plain_json(plan.value, LIFTING) == b'"on"'
-        assert flight.written == []
-        assert await flight.answer("/aircraft/get_power") == "off"
-        assert await carry_out(flight.robot, plan) is WriteOutcome.DONE
-        assert await flight.answer("/aircraft/get_power") == "on"
-        assert flight.written == [(Kind.SERVICE, "/aircraft/set_power")]
-
-    flown(main)
 
 
 def test_what_does_not_fit_is_refused_before_anything_moves() -> None:
@@ -283,13 +257,6 @@ def test_why_nothing_writes_is_told_of_every_writer() -> None:
     assert reason_of(robot()[0], Property(X, OpenKind())) == (
         "/robot/x has no setter, no parameter and no topic that could be written."
     )
-
-
-def test_a_scalar_goes_to_the_one_field_of_the_setter_whatever_it_is_called() -> None:
-    plan = plan_write(robot()[0], writable(), 1.5)
-    assert isinstance(plan.value, MessageValue)
-    assert plain_json(plan.value, LIFTING) == b"1.5"
-    assert plan.data == b"\x00\x00\xc0\x3f"
 
 
 def test_the_answer_of_a_setter_is_the_outcome_of_the_write() -> None:

@@ -130,21 +130,6 @@ def test_what_is_too_old_goes() -> None:
 # The disk
 
 
-def test_an_orderly_end_loses_nothing(tmp_path: Path) -> None:
-    async def work() -> None:
-        first = journal(tmp_path)
-        ids = [first.add(asked()) for _ in range(20)]
-        await first.close()
-        second = journal(tmp_path)
-        assert [entry.id for entry in second.newest_first()] == ids[::-1]
-        assert second.find(ids[0]).receipt == first.find(ids[0]).receipt
-        newer = second.add(asked())
-        assert next(second.newest_first()).id == newer
-        await second.close()
-
-    run(work)
-
-
 def test_what_was_noted_is_on_the_disk_soon_and_what_was_forgotten_is_not(tmp_path: Path) -> None:
     async def work() -> None:
         kept = journal(tmp_path, limit=5)

@@ -50,19 +50,7 @@ def test_what_robots_say_is_no_secret() -> None:
 
 
 def test_no_text_takes_long() -> None:
-    for piece in (
-        "eyj",
-        "basic ",
-        "://",
-        "a1",
-        "\\u0061",
-        "pass ",
-        "://a:",
-        "sk-",
-        "%41",
-        "key ",
-        "private ",
-    ):
+    for piece in ("eyj", "basic ", "://", "a1", "\\u0061", "pass ", "://a:", "sk-", "%41", "key ", "private "):
         text = piece * 100_000
         begun = time.thread_time()
         holds_credentials(text)

@@ -7,11 +7,9 @@ from urllib.parse import parse_qsl, urlsplit
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pyoxigraph import NamedNode, Triple
 
 from rosld.ontology.urls import encode_segment
-from rosld.ontology.vocab import ldp, rdf, xhv
-from rosld.server.http import link, prefer
+from rosld.server.http import prefer
 from rosld.server.http.problem import Problem
 from rosld.server.rest.paging import (
     MAX_PAGE_SIZE,
@@ -36,30 +34,13 @@ def asked(text: str) -> prefer.Preferences:
 
 
 def test_a_token_names_a_place_and_back() -> None:
-    for token, place in (
-        ("0", PagePosition()),
-        ("4711", PagePosition(4711)),
-        ("20-5", PagePosition(20, 5)),
-    ):
+    for token, place in (("0", PagePosition()), ("4711", PagePosition(4711)), ("20-5", PagePosition(20, 5))):
         assert parse_position(token) == place
         assert place.token == token
 
 
 def test_a_token_that_names_no_place_is_404_and_says_where_to_begin() -> None:
-    for token in (
-        "",
-        "-1",
-        "x",
-        "1.5",
-        "01",
-        "5-0",
-        "5-1001",
-        "5-",
-        "²",
-        "9" * 30,
-        "1-2-3",
-        " 1",
-    ):
+    for token in ("", "-1", "x", "1.5", "01", "5-0", "5-1001", "5-", "²", "9" * 30, "1-2-3", " 1"):
         with pytest.raises(Problem, match=r"from [?]page=0") as refused:
             parse_position(token)
         assert refused.value.status == 404
@@ -77,18 +58,7 @@ def test_a_token_names_a_place_among_names_and_back() -> None:
 
 
 def test_a_token_that_names_no_place_among_names_is_404() -> None:
-    for token in (
-        "",
-        "1",
-        "7-5",
-        ":",
-        "0:a",
-        "1001:a",
-        ":a b",
-        ":\u00e9",
-        "x",
-        ":" + "a" * 5000,
-    ):
+    for token in ("", "1", "7-5", ":", "0:a", "1001:a", ":a b", ":\u00e9", "x", ":" + "a" * 5000):
         with pytest.raises(Problem, match=r"from [?]page=0") as refused:
             parse_named_position(token)
         assert refused.value.status == 404
@@ -130,29 +100,6 @@ def test_the_size_of_pages_is_a_preference_that_may_be_ignored() -> None:
         ("", None),
     ):
         assert requested_page_size(asked(text)) == limit
-
-
-def test_every_page_but_the_last_has_a_next() -> None:
-    place = PagePosition(0, 3)
-    assert page_of(ROOT, place, [2, 5, 7, 9]) == LdpPage(ROOT, "0-3", "0-3", next="7-3")
-    assert page_of(ROOT, place, [2, 5, 7]) == LdpPage(ROOT, "0-3", "0-3", last="0-3")
-    assert page_of(ROOT, place, []).next is None
-
-
-def test_every_page_but_the_first_has_a_prev_that_ends_where_it_begins() -> None:
-    place = PagePosition(9, 3)
-    assert page_of(ROOT, place, [10], [9, 8, 5, 4]).prev == "4-3"
-    assert page_of(ROOT, place, [10], [9, 8, 5]).prev == "0-3"
-    assert page_of(ROOT, place, [10], [9]).prev == "0-3"
-    assert page_of(ROOT, place, [10], []).prev is None
-
-
-def test_the_last_page_is_the_one_that_next_leads_to() -> None:
-    assert [last_page_size(count, 3) for count in (0, 1, 2, 3, 4, 6, 7)] == [0, 1, 2, 3, 1, 3, 1]
-    assert last_position(3, 7, [20, 18]) == PagePosition(18, 3)
-    assert last_position(3, 6, [20, 18, 17, 11]) == PagePosition(11, 3)
-    assert last_position(3, 2, [20, 18]) == PagePosition(0, 3)
-    assert page_of(ROOT, PagePosition(0, 3), [2, 5, 7, 9], last=PagePosition(18, 3)).last == "18-3"
 
 
 @given(st.sets(st.integers(1, 200), max_size=60), st.integers(1, 12))
@@ -201,31 +148,6 @@ def test_names_are_walked_both_ways_and_none_is_missed_that_was_there_all_the_wh
         page, told = page_of_names(ROOT, parse_named_position(page.prev), names)
         back = [*told, *back]
     assert list(back) == names
-
-
-def test_a_page_says_what_it_is_and_what_its_neighbours_are() -> None:
-    page = LdpPage(ROOT, "3", "0", "2", "4", "9")
-    links = {(each.rel, each.target) for each in link.parse(link.render(page.links('"a-7.any"')))}
-    assert links == {
-        ("type", "http://www.w3.org/ns/ldp#Page"),
-        ("first", f"{ROOT}?page=0"),
-        ("prev", f"{ROOT}?page=2"),
-        ("next", f"{ROOT}?page=4"),
-        ("last", f"{ROOT}?page=9"),
-        ("canonical", ROOT),
-    }
-    assert page.links('"a-7.any"')[-1].attributes == (("etag", "a-7.any"),)
-    assert [step.rel for step in page.neighbours()] == ["first", "prev", "next", "last"]
-
-
-def test_rdf_says_the_same() -> None:
-    here, container = NamedNode(f"{ROOT}?page=3"), NamedNode(ROOT)
-    assert set(LdpPage(ROOT, "3", "0", next="4").triples()) == {
-        Triple(here, rdf.type, ldp.Page),
-        Triple(here, ldp.pageSequence, container),
-        Triple(here, xhv.first, NamedNode(f"{ROOT}?page=0")),
-        Triple(here, xhv.next, NamedNode(f"{ROOT}?page=4")),
-    }
 
 
 @given(

@@ -60,20 +60,7 @@ def test_what_would_be_dangerous_or_misleading_is_not_in_the_name() -> None:
 
 
 def test_without_anything_readable_a_name_is_made_that_can_be_read_aloud() -> None:
-    for slug in (
-        None,
-        "",
-        " ",
-        ".",
-        "..",
-        "...",
-        "%2E%2E",
-        "/",
-        "~",
-        "---",
-        "%E2%80%AE",
-        "%CC%88",
-    ):
+    for slug in (None, "", " ", ".", "..", "...", "%2E%2E", "/", "~", "---", "%E2%80%AE", "%CC%88"):
         name = choose_name(slug, free)
         assert len(name) == 13
         assert name.replace("-", "").isalpha()
@@ -112,13 +99,7 @@ def test_the_suffix_is_for_names_that_have_none() -> None:
 
 
 def test_a_suffix_that_is_none_is_refused() -> None:
-    for suffix in (
-        "png",
-        ".",
-        "./x",
-        ".meta",
-        ".a b",
-    ):
+    for suffix in ("png", ".", "./x", ".meta", ".a b"):
         with pytest.raises(ValueError, match="no extension"):
             choose_name("a", free, suffix=suffix)
 

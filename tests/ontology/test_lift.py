@@ -23,6 +23,7 @@ from rosld.ontology.fields import field_bytes
 from rosld.ontology.lift import LiftSettings, lifter
 from rosld.ontology.literals import date_time, scalar_texts, unpack_float32
 from rosld.ontology.lower import lowerer
+from rosld.ontology.vocab import rdf, xsd
 
 D = "http://127.0.0.1:8080/topics/t"
 LIBRARY = TypeLibrary(ros_version=1)
@@ -75,33 +76,33 @@ def test_json_is_the_message_as_ros_has_it() -> None:
 @pytest.mark.parametrize(
     ("kind", "value", "literal"),
     [
-        ("int8", -128, '"-128"^^<http://www.w3.org/2001/XMLSchema#byte>'),
-        ("byte", -1, '"-1"^^<http://www.w3.org/2001/XMLSchema#byte>'),
-        ("char", 255, '"255"^^<http://www.w3.org/2001/XMLSchema#unsignedByte>'),
-        ("uint8", 255, '"255"^^<http://www.w3.org/2001/XMLSchema#unsignedByte>'),
-        ("int16", -1, '"-1"^^<http://www.w3.org/2001/XMLSchema#short>'),
-        ("uint16", 1, '"1"^^<http://www.w3.org/2001/XMLSchema#unsignedShort>'),
-        ("int32", -1, '"-1"^^<http://www.w3.org/2001/XMLSchema#int>'),
-        ("uint32", 1, '"1"^^<http://www.w3.org/2001/XMLSchema#unsignedInt>'),
-        ("int64", -(2**63), '"-9223372036854775808"^^<http://www.w3.org/2001/XMLSchema#long>'),
-        ("uint64", 2**64 - 1, '"18446744073709551615"^^<http://www.w3.org/2001/XMLSchema#unsignedLong>'),
-        ("float32", 0.1, '"0.1"^^<http://www.w3.org/2001/XMLSchema#float>'),
-        ("float64", 0.1, '"0.1"^^<http://www.w3.org/2001/XMLSchema#double>'),
-        ("float64", "-0.0", '"-0.0"^^<http://www.w3.org/2001/XMLSchema#double>'),
-        ("float64", "-INF", '"-INF"^^<http://www.w3.org/2001/XMLSchema#double>'),
-        ("bool", True, '"true"^^<http://www.w3.org/2001/XMLSchema#boolean>'),
+        ("int8", -128, '"-128"^^<xsd:byte>'),
+        ("byte", -1, '"-1"^^<xsd:byte>'),
+        ("char", 255, '"255"^^<xsd:unsignedByte>'),
+        ("uint8", 255, '"255"^^<xsd:unsignedByte>'),
+        ("int16", -1, '"-1"^^<xsd:short>'),
+        ("uint16", 1, '"1"^^<xsd:unsignedShort>'),
+        ("int32", -1, '"-1"^^<xsd:int>'),
+        ("uint32", 1, '"1"^^<xsd:unsignedInt>'),
+        ("int64", -(2**63), '"-9223372036854775808"^^<xsd:long>'),
+        ("uint64", 2**64 - 1, '"18446744073709551615"^^<xsd:unsignedLong>'),
+        ("float32", 0.1, '"0.1"^^<xsd:float>'),
+        ("float64", 0.1, '"0.1"^^<xsd:double>'),
+        ("float64", "-0.0", '"-0.0"^^<xsd:double>'),
+        ("float64", "-INF", '"-INF"^^<xsd:double>'),
+        ("bool", True, '"true"^^<xsd:boolean>'),
         ("string", "a\x00\"'", '"a\\u0000\\"\'"'),
-        ("uint8[]", [0, 255], '"AP8="^^<http://www.w3.org/2001/XMLSchema#base64Binary>'),
-        ("float32[]", [0.1, "NaN", "-0.0"], _json := '"{}"^^<http://www.w3.org/1999/02/22-rdf-syntax-ns#JSON>'),
-        ("int8[2]", [-1, 1], '"[-1,1]"^^<http://www.w3.org/1999/02/22-rdf-syntax-ns#JSON>'),
-        ("bool[]", [True, False], '"[true,false]"^^<http://www.w3.org/1999/02/22-rdf-syntax-ns#JSON>'),
-        ("string[]", ["a"], '"[\\"a\\"]"^^<http://www.w3.org/1999/02/22-rdf-syntax-ns#JSON>'),
+        ("uint8[]", [0, 255], '"AP8="^^<xsd:base64Binary>'),
+        ("float32[]", [0.1, "NaN", "-0.0"], '"[0.1,\\"NaN\\",\\"-0.0\\"]"^^<rdf:JSON>'),
+        ("int8[2]", [-1, 1], '"[-1,1]"^^<rdf:JSON>'),
+        ("int64[]", [2**53, -(2**53) - 1], '"[9007199254740992,\\"-9007199254740993\\"]"^^<rdf:JSON>'),
+        ("bool[]", [True, False], '"[true,false]"^^<rdf:JSON>'),
+        ("string[]", ["a"], '"[\\"a\\"]"^^<rdf:JSON>'),
     ],
 )
 def test_each_primitive_has_the_exact_datatype_of_its_ros_type(kind: str, value: object, literal: str) -> None:
-    if literal is _json:
-        literal = literal.format('[0.1,\\"NaN\\",\\"-0.0\\"]')
-    assert objects(schema_of(f"{kind} v"), {"v": value}) == {"v": literal}
+    found = objects(schema_of(f"{kind} v"), {"v": value})["v"]
+    assert found.replace(xsd.iri, "xsd:").replace(rdf.iri, "rdf:") == literal
 
 
 def test_a_string_that_is_not_utf8_is_its_octets() -> None:
@@ -114,13 +115,6 @@ def test_a_string_that_is_not_utf8_is_its_octets() -> None:
         "ok",
         {"@value": "gA==", "@type": "http://www.w3.org/2001/XMLSchema#base64Binary"},
     ]
-
-
-def test_integers_in_arrays_are_strings_only_beyond_two_to_the_53() -> None:
-    values = [2**53, 2**53 + 1, -(2**53), -(2**53) - 1]
-    assert (
-        json_numbers(np.array(values)) == '[9007199254740992,"9007199254740993",-9007199254740992,"-9007199254740993"]'
-    )
 
 
 @given(st.lists(st.floats(width=32), max_size=6))
@@ -136,14 +130,6 @@ def test_float32_has_the_shortest_digits_alone_and_in_arrays(values: list[float]
     ]
     finite = [(form, value) for form, value in zip(alone, array, strict=True) if np.isfinite(value)]
     assert [Decimal(form) for form, _ in finite] == [Decimal(str(value)) for _, value in finite]
-
-
-def test_nested_messages_are_fragments_and_arrays_of_them_lists() -> None:
-    schema = schema_of("Inner[] many\nInner one\n================\nMSG: made_up/Inner\nint8 v")
-    message = message_of(schema, {"many": [{"v": 1}, {"v": 2}], "one": {"v": 3}})
-    body = {str(t.subject): t for t in lifter(schema).triples(message, D, "#message") if "Inner#v" in str(t.predicate)}
-    assert list(body) == [f"<{D}#message.many.0>", f"<{D}#message.many.1>", f"<{D}#message.one>"]
-    assert "( <#message.many.0> <#message.many.1> )" in lifter(schema).turtle(message, D, "#message")
 
 
 def test_list_cells_of_two_documents_never_share_a_label() -> None:
@@ -214,10 +200,6 @@ def test_what_is_too_large_is_left_out_visibly_in_every_syntax(definition: str, 
     assert orjson.loads(lift.json(message, D)) == {"v": elided}
 
 
-def test_what_just_fits_is_written_out() -> None:
-    assert objects(schema_of("string v"), {"v": "x" * 16}, SMALL) == {"v": f'"{"x" * 16}"'}
-
-
 def test_the_path_of_what_is_elided_leads_through_arrays_and_queries() -> None:
     schema = schema_of("Inner[] many\n================\nMSG: made_up/Inner\nuint8[] data")
     message = message_of(schema, {"many": [{"data": [1] * 20}]})
@@ -249,17 +231,14 @@ def test_two_types_of_one_short_name_have_prefixes_of_their_own() -> None:
     assert said == {str(triple) for triple in lifter(schema).triples(message, D, "#message")}
 
 
-@pytest.mark.parametrize("name", ["made_up/msg/Th-ing", "x", "a/b/c/d", "a/msg/'+exit()+'", "a/msg/Ü"])
-def test_a_name_that_is_none_never_reaches_the_compiler(name: str) -> None:
-    schema = schema_of("int8 v")
-    types = MappingProxyType({name: MessageType(name, ())})
-    with pytest.raises(ValueError, match="no name of a ROS type"):
-        lifter(replace(schema, ref=replace(schema.ref, name=name), types=types))
-
-
 @pytest.mark.parametrize("attribute", ["x; exit()", "x'", "é", ""])
-def test_a_field_name_that_is_none_never_reaches_the_compiler(attribute: str) -> None:
+def test_a_name_that_is_none_never_reaches_the_compiler(attribute: str) -> None:
     schema = schema_of("int8 v")
+    name = f"a/msg/{attribute}"
+    with pytest.raises(ValueError, match="no name of a ROS type"):
+        lifter(
+            replace(schema, ref=replace(schema.ref, name=name), types=MappingProxyType({name: MessageType(name, ())}))
+        )
     field = Field(attribute, Primitive("int8"), attribute)
     types = MappingProxyType({schema.ref.name: MessageType(schema.ref.name, (field,))})
     with pytest.raises(ValueError, match="no name of a ROS field"):
@@ -271,12 +250,6 @@ def test_a_type_that_contains_itself_is_refused() -> None:
     own = MessageType(schema.ref.name, (Field("own", Nested(schema.ref.name), "own"),))
     with pytest.raises(ValueError, match="contains itself"):
         lifter(replace(schema, types=MappingProxyType({schema.ref.name: own}))).json(cast(Message, None), D)
-
-
-def test_a_lifter_is_compiled_once_a_schema() -> None:
-    schema = schema_of("int8 v")
-    assert lifter(schema) is lifter(schema)
-    assert lifter(schema, SMALL) is not lifter(schema)
 
 
 FIELDS = schema_of(
@@ -306,9 +279,7 @@ def test_a_field_can_be_fetched_by_its_path(path: str, octets: bytes, media_type
     assert field_bytes(FIELDS, message_of(FIELDS, VALUE), path) == (octets, media_type)
 
 
-@pytest.mark.parametrize(
-    "path", ["", "x", "o.0.1", "many.2", "many.-1", "many.0.x", "s.0", "many..v", "many.99999999999"]
-)
-def test_a_path_that_leads_nowhere_is_named(path: str) -> None:
-    with pytest.raises(ValueError, match="has no field"):
-        field_bytes(FIELDS, message_of(FIELDS, VALUE), path)
+def test_a_path_of_no_field_is_named() -> None:
+    for path in ("", "x", "o.0.1", "many.2", "many.-1", "many.0.x", "s.0", "many..v", "many.99999999999"):
+        with pytest.raises(ValueError, match="has no field"):
+            field_bytes(FIELDS, message_of(FIELDS, VALUE), path)

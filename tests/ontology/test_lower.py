@@ -13,13 +13,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pyoxigraph import NamedNode
 
-from rosld.adapters.model import Array, Encoding, Message, MessageSchema, Primitive
+from rosld.adapters.model import Encoding, Message, MessageSchema, Primitive
 from rosld.adapters.model.library import TypeLibrary
 from rosld.ontology.body import RdfBody, parse_body
-from rosld.ontology.coercion import Misfit, describe_kind, float_fit, to_float32
+from rosld.ontology.coercion import Misfit, float_fit, to_float32
 from rosld.ontology.document import Envelope
 from rosld.ontology.lexical import NUMBERS, parse_date_time
-from rosld.ontology.lift import LiftSettings, lifter
+from rosld.ontology.lift import lifter
 from rosld.ontology.lower import LoweringError, Violation, find_message, lowerer, parse_json
 from rosld.ontology.vocab import xsd
 
@@ -73,9 +73,7 @@ def value(kind: str, turtle: str, ros_version: int = 1) -> object:
 @pytest.mark.parametrize(
     ("kind", "turtle", "expected"),
     [
-        ("float64", "0", 0.0),
         ("float64", "0.0", 0.0),
-        ("float64", "0e0", 0.0),
         ("float64", '"5"^^xsd:unsignedByte', 5.0),
         ("float64", '"0.1"^^xsd:float', 0.10000000149011612),
         ("float64", '" INF "^^xsd:double', math.inf),
@@ -84,27 +82,19 @@ def value(kind: str, turtle: str, ros_version: int = 1) -> object:
         ("float32", '"-INF"^^xsd:double', -math.inf),
         ("float32", "3.4028235677973366e38", None),
         ("float32", "3.4028235e38", 3.4028234663852886e38),
-        ("int8", "-128", -128),
         ("int8", '"5.0"^^xsd:decimal', 5),
-        ("int8", "1.2e2", None),
         ("int8", "120.00", 120),
-        ("uint64", "18446744073709551615", 2**64 - 1),
         ("int64", '"1e300"^^xsd:double', None),
         ("int32", '"16777217"^^xsd:float', None),
-        ("byte", "-1", -1),
-        ("char", "255", 255),
-        ("bool", "true", True),
         ("bool", '"0"^^xsd:boolean', False),
         ("string", '"a\\u0000b"', "a\0b"),
         ("string", '"Yf8="^^xsd:base64Binary', "a\udcff"),
-        ("string", '"c3a9"^^xsd:hexBinary', "é"),
         ("uint8[]", '" AP 8= "^^xsd:base64Binary', [0, 255]),
         ("uint8[]", '"00fF"^^xsd:hexBinary', [0, 255]),
         ("uint8[]", '"[0,255]"^^rdf:JSON', [0, 255]),
         ("uint8[2]", "(0 255)", [0, 255]),
         ("float64[]", '"[1,2.5,\\"NaN\\"]"^^rdf:JSON', [1.0, 2.5, math.nan]),
         ("float64[]", "(1 2.5 1e1)", [1.0, 2.5, 10.0]),
-        ("float64[]", "()", []),
         ("int64[]", '"[\\"9223372036854775807\\",5]"^^rdf:JSON', [2**63 - 1, 5]),
         ("int64[]", '"[5.0]"^^rdf:JSON', None),
         ("bool[]", "(true false)", [True, False]),
@@ -123,35 +113,26 @@ def test_any_literal_that_holds_the_value_fits(kind: str, turtle: str, expected:
 @pytest.mark.parametrize(
     ("kind", "turtle", "words"),
     [
-        ("int8", "128", "expected an int8 (an integer from -128 to 127)"),
         ("int8", "1.5", "expected an int8 (an integer from -128 to 127)"),
         ("int8", "1e9", "expected an int8 (an integer from -128 to 127), as an integer or a decimal"),
         ("int8", '"NaN"^^xsd:double', "expected an int8 (an integer from -128 to 127), as an integer or a decimal"),
         ("int8", '"300"^^xsd:byte', "this is no xsd:byte"),
         ("int8", '"1"', "expected an int8 (an integer from -128 to 127)"),
-        ("int8", "true", "expected an int8 (an integer from -128 to 127)"),
-        ("uint32", "-1", "expected a uint32 (an integer from 0 to 4294967295)"),
-        ("uint64", "18446744073709551616", "expected a uint64 (an integer from 0 to 18446744073709551615)"),
         ("float32", "1e39", "expected a float32, and this is beyond its range"),
         ("float32", '"1e39"^^xsd:float', "beyond the range of xsd:float"),
         ("float64", '"1e400"^^xsd:double', "beyond the range of xsd:double"),
         ("float64", f"1{'0' * 399}.0", "expected a float64, and this is beyond its range"),
         ("float64", '"1_0"^^xsd:double', "this is no number"),
         ("float64", '"0x1"^^xsd:integer', "this is no xsd:integer"),
-        ("float64", "<#a>", "expected a float64"),
         ("bool", "1", "expected a bool"),
         ("bool", '"yes"^^xsd:boolean', "expected an xsd:boolean"),
         ("string", '"a"@en', "without a language"),
-        ("string", "5", "expected a string"),
         ("string", '"%"^^xsd:base64Binary', "expected base64"),
         ("uint8[]", '"[256]"^^rdf:JSON', "expected a uint8 (an integer from 0 to 255)"),
         ("uint8[3]", '"AP8="^^xsd:base64Binary', "expected an array of exactly 3 uint8"),
         ("float64[2]", "(1)", "expected an array of exactly 2 float64, and this has 1"),
-        ("float64[]", '"[1,null]"^^rdf:JSON', "expected a float64"),
         ("float64[]", '"[1,true]"^^rdf:JSON', "expected a float64"),
         ("float64[]", '"{}"^^rdf:JSON', "expected an array of float64 in JSON"),
-        ("float64[]", '"[1"^^rdf:JSON', "expected an array of float64 in JSON"),
-        ("float64[]", "1", "expected an array of float64"),
         ("float32[]", '"[1e39]"^^rdf:JSON', "expected a float32, and this is beyond its range"),
         ("float64[]", "[rdf:first 1]", "malformed rdf:List"),
         ("float64[]", "[rdf:first 1, 2; rdf:rest ()]", "malformed rdf:List"),
@@ -188,14 +169,11 @@ def test_a_whole_message_is_read_from_blank_nodes_too() -> None:
     assert lifter(TWO).json(message, D) == b'{"a":{"x":1.0,"y":2.0},"b":{"x":3.0,"y":4.0}}'
 
 
-def test_every_missing_field_is_named() -> None:
+def test_what_is_missing_and_what_is_no_field_are_named() -> None:
     assert violations_of(TWO, "<#message> t:a [ i:x 1 ] .") == {
         "a.y": "missing: expected a float64",
         "b": "missing: expected a made_up/msg/Inner",
     }
-
-
-def test_what_is_no_field_is_named() -> None:
     found = violations_of(TWO, "<#message> t:a [ i:x 1 ; i:y 2 ; i:z 3 ] ; t:b [ i:x 3 ; i:y 4 ] ; <http://e/p> 5 .")
     assert found.keys() == {"a.z", "http://e/p"}
     assert f"<{TYPES}made_up/msg/Inner#z> is no field of <{TYPES}made_up/msg/Inner>; it has x, y" == found["a.z"]
@@ -304,11 +282,6 @@ def test_no_message_or_too_many_is_told(turtle: str, count: str) -> None:
         find_message(body_of(turtle), D, f"{TYPES}made_up/msg/Thing")
 
 
-def test_another_fragment_can_be_asked_for() -> None:
-    body = body_of("<#request> a m:Thing ; t:v 1 . [] a m:Thing .")
-    assert str(find_message(body, D, f"{TYPES}made_up/msg/Thing", "#request")) == f"<{D}#request>"
-
-
 # Plain JSON
 
 
@@ -325,30 +298,19 @@ def test_json_with_every_field_is_a_message() -> None:
 @pytest.mark.parametrize(
     ("kind", "text"),
     [
-        ("int8", "128"),
-        ("int8", "1.5"),
         ("int8", '"1"'),
         ("int8", "true"),
-        ("int8", "null"),
         ("int64", '"1.0"'),
         ("int64", '"9223372036854775808"'),
         ("float64", "1e400"),
         ("float64", '"nan"'),
-        ("float64", "true"),
-        ("float32", "1e39"),
         ("float64[]", "[1e400]"),
-        ("float64[]", "1"),
-        ("bool", "1"),
-        ("string", "5"),
         ("string", '"\\ud800"'),
-        ("string", '"\\udc80"'),
         ("string", '{"@value":"a","@type":"http://www.w3.org/2001/XMLSchema#string"}'),
         ("string", '{"@value":5,"@type":"http://www.w3.org/2001/XMLSchema#base64Binary"}'),
         ("uint8[]", '"#"'),
-        ("uint8[]", "[-1]"),
         ("uint8[2]", '"AQID"'),
         ("string[]", '"a"'),
-        ("bool[]", "[0]"),
         ("uint8[]", '{"elided":true,"length":5,"href":"http://x"}'),
     ],
 )
@@ -376,19 +338,9 @@ def test_defaults_are_for_those_who_ask_and_for_what_is_missing_only() -> None:
     assert schema.codec.encode(message, Encoding.ROS1)
     assert json_violations_of(schema, '{"z":1}', defaults=True).keys() == {"z"}
     assert json_violations_of(schema, '{"s":null}', defaults=True).keys() == {"s"}
-
-
-def test_unknown_keys_are_named_even_beside_missing_ones() -> None:
     assert json_violations_of(TWO, '{"a":{"x":1,"y":2},"c":{}}').keys() == {"b", "c"}
-
-
-def test_what_is_no_object_is_refused() -> None:
     assert json_violations_of(TWO, "[]") == {"": "expected a made_up/msg/Thing"}
-
-
-def test_the_search_ends_with_the_twentieth_violation() -> None:
-    schema = schema_of("\n".join([f"int8 f{i}" for i in range(50)]))
-    assert len(json_violations_of(schema, "{}")) == 20
+    assert len(json_violations_of(schema_of("\n".join(f"int8 f{i}" for i in range(50))), "{}")) == 20
 
 
 def test_violations_show_the_value_shortened() -> None:
@@ -398,17 +350,6 @@ def test_violations_show_the_value_shortened() -> None:
     assert isinstance(violation, Violation)
     assert violation.value is not None
     assert len(violation.value) == 120
-
-
-def test_what_was_lifted_elided_is_not_taken_back() -> None:
-    schema = schema_of("uint8[] v")
-    lift = lifter(schema, LiftSettings(inline_limit=4))
-    message = lowerer(schema).from_json({"v": [1] * 9})
-    body = parse_body(lift.ntriples(message, D, "#message").encode(), "application/n-triples", D)
-    with pytest.raises(LoweringError, match="left out"):
-        lowerer(schema).from_graph(body, find_message(body, D, TYPES + schema.ref.name), D)
-    with pytest.raises(LoweringError, match="left out"):
-        lowerer(schema).from_json(parse_json(lift.json(message, D)))
 
 
 # Rounding
@@ -432,8 +373,3 @@ def test_rounding_twice_decides_no_tie() -> None:
     assert to_float32(float(above)) == 1.0
     assert to_float32(above) == 1.0 + 2**-23
     assert NUMBERS[xsd.float](str(above)) == 1.0 + 2**-23
-
-
-def test_descriptions_read_as_english() -> None:
-    assert describe_kind(Array(Primitive("float64"), length=9)) == "an array of exactly 9 float64"
-    assert describe_kind(Primitive("string", bound=5)) == "a string of at most 5 bytes"

@@ -15,7 +15,6 @@ from rosld.ontology.body import parse_body, parse_json
 from rosld.ontology.parameters import (
     lower_json,
     lower_parameter,
-    parameter_container_document,
     parameter_document,
     parameter_json,
 )
@@ -87,14 +86,6 @@ def test_plain_json_is_plain_where_it_can_be() -> None:
         "limits": {"max": {"@value": "INF", "@type": "xsd:double"}},
         "data": {"@value": "AA==", "@type": "xsd:base64Binary"},
     }
-
-
-def test_a_tree_is_a_container_with_its_members_values() -> None:
-    turtle = serialize(parameter_container_document((), {"a": {"b": 1}, "c": "x"}, SPACE), Syntax.TURTLE).decode()
-    assert "<http://127.0.0.1:8080/parameters/> a ros:Parameter, ldp:Resource" in turtle
-    assert "ldp:contains <http://127.0.0.1:8080/parameters/a/>, <http://127.0.0.1:8080/parameters/c>" in turtle
-    assert "<http://127.0.0.1:8080/parameters/a/b> a ros:Parameter" in turtle
-    assert 'ros:name "/a/b"' in turtle
 
 
 def lowered(turtle: str) -> ParameterValue:

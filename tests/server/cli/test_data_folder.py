@@ -30,12 +30,6 @@ def test_another_base_is_refused_and_told_the_owner(tmp_path: Path) -> None:
         bind_base(tmp_path, "http://127.0.0.1:8081/")
 
 
-def test_a_file_is_no_folder(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("x")
-    with pytest.raises(OSError, match="exists"):
-        bind_base(tmp_path / "file", BASE)
-
-
 HOLDER = """
 import os, sys
 from pathlib import Path
@@ -76,6 +70,7 @@ def test_a_folder_is_held_by_one_process_at_a_time(tmp_path: Path) -> None:
         pass
 
 
+@pytest.mark.slow
 def test_a_second_server_on_a_folder_says_who_serves_it(tmp_path: Path) -> None:
     with holding(tmp_path) as process:
         result = CliRunner().invoke(main, ["serve", "aircraft", "--port", "0", "--data", str(tmp_path)])
@@ -85,6 +80,7 @@ def test_a_second_server_on_a_folder_says_who_serves_it(tmp_path: Path) -> None:
         assert read_base(tmp_path) is None
 
 
+@pytest.mark.slow
 def test_what_a_killed_process_left_behind_is_no_obstacle(tmp_path: Path) -> None:
     with holding(tmp_path) as process:
         process.kill()
@@ -94,6 +90,7 @@ def test_what_a_killed_process_left_behind_is_no_obstacle(tmp_path: Path) -> Non
             pass
 
 
+@pytest.mark.slow
 def test_a_child_that_outlives_a_killed_process_holds_nothing(tmp_path: Path) -> None:
     end, begin = os.pipe()
     try:

@@ -351,13 +351,13 @@ HOSTILE: Mapping[str, Mapping[str, bytes]] = {
 }
 
 
-@pytest.mark.parametrize("name", HOSTILE)
-def test_a_dump_that_is_not_sound_changes_nothing(folder: Path, tmp_path: Path, name: str) -> None:
+def test_a_dump_that_is_not_sound_changes_nothing(folder: Path, tmp_path: Path) -> None:
     before = contents(folder)
-    words = failure("load", archive(tmp_path / "d.tar.gz", HOSTILE[name]), folder)
-    assert "dump" in words or "base" in words
-    assert contents(folder) == before
-    assert len(list((folder / "blobs").iterdir())) == 1
+    for name, members in HOSTILE.items():
+        words = failure("load", archive(tmp_path / "d.tar.gz", members), folder)
+        assert "dump" in words or "base" in words, name
+        assert contents(folder) == before, name
+        assert len(list((folder / "blobs").iterdir())) == 1, name
     failure("load", tmp_path / "d.tar.gz", tmp_path / "new")
     assert read_base(tmp_path / "new") is None
 
@@ -370,15 +370,9 @@ def test_a_sound_dump_can_be_made_up(tmp_path: Path) -> None:
     assert there["data/gone"] == ()
 
 
-@pytest.mark.parametrize("how", ["cut", "changed", "not compressed", "nothing"])
-def test_a_broken_file_is_refused(folder: Path, tmp_path: Path, how: str) -> None:
+def test_a_broken_file_is_refused(folder: Path, tmp_path: Path) -> None:
     done("dump", folder, "-o", tmp_path / "d.tar.gz")
     data = (tmp_path / "d.tar.gz").read_bytes()
-    broken = {
-        "cut": data[: len(data) // 2],
-        "changed": data[:-8] + bytes(8),
-        "not compressed": gzip.decompress(data),
-        "nothing": b"",
-    }[how]
-    (tmp_path / "d.tar.gz").write_bytes(broken)
-    assert "dump" in failure("load", tmp_path / "d.tar.gz", tmp_path / "new")
+    for broken in (data[: len(data) // 2], data[:-8] + bytes(8), gzip.decompress(data), b""):
+        (tmp_path / "d.tar.gz").write_bytes(broken)
+        assert "dump" in failure("load", tmp_path / "d.tar.gz", tmp_path / "new")

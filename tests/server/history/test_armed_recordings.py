@@ -201,15 +201,3 @@ def test_what_was_kept_beyond_the_limit_says_so_and_waits_once_there_is_room(tmp
         await again.stop()
 
     asyncio.run(run())
-
-
-def test_without_a_folder_nothing_is_kept() -> None:
-    async def run() -> None:
-        recordings = armed(None, Begun())
-        await recordings.arm("x", ONCE, ANNA, never)
-        await recordings.stop()
-        again = armed(None, Begun())
-        again.load()
-        assert not again.all
-
-    asyncio.run(run())

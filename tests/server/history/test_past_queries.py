@@ -17,6 +17,8 @@ from tests.server.auth.conftest import token, tokens
 from tests.server.history.mcap_files import decode, read
 from tests.waiting import until
 
+pytestmark = pytest.mark.slow
+
 CSV = {"Accept": "text/csv"}
 NTRIPLES = {"Accept": "application/n-triples"}
 TEXT = (Path(__file__).parents[3] / "docs" / "how-to" / "past.md").read_text("utf-8")
@@ -92,20 +94,16 @@ def refusal(http: httpx.Client, query: str, status: int) -> str:
     return str(answer.json()["detail"])
 
 
-def test_there_are_ten_examples() -> None:
+def test_the_ten_examples_answer_as_printed(driven: Driven) -> None:
     assert list(EXAMPLES) == [str(number) for number in range(1, 11)]
-
-
-@pytest.mark.parametrize("number", EXAMPLES)
-def test_an_example_answers_as_printed(driven: Driven, number: str) -> None:
-    query, printed = EXAMPLES[number]
-    expected = list(csv.reader(io.StringIO(printed)))
-    found = ask(driven.http, query)
-    assert found[0] == expected[0]
-    assert len(found) > 1
-    assert all(len(row) == len(found[0]) and all(row) for row in found[1:])
-    shapes = {tuple(map(kind, row)) for row in found[1:]}
-    assert shapes & {tuple(map(kind, row)) for row in expected[1:]}, "values of these kinds are printed"
+    for number, (query, printed) in EXAMPLES.items():
+        expected = list(csv.reader(io.StringIO(printed)))
+        found = ask(driven.http, query)
+        assert found[0] == expected[0], number
+        assert len(found) > 1, number
+        assert all(len(row) == len(found[0]) and all(row) for row in found[1:]), number
+        shapes = {tuple(map(kind, row)) for row in found[1:]}
+        assert shapes & {tuple(map(kind, row)) for row in expected[1:]}, number
 
 
 def kind(value: str) -> str:
@@ -184,16 +182,13 @@ def test_nobody_is_told_of_messages_that_they_may_not_read(driven: Driven) -> No
     assert len(ask(driven.http, topics, Authorization=f"Bearer {token('stranger')}")) == 1, "recordings are hidden"
 
 
-@pytest.mark.parametrize(
-    ("query", "words"),
-    [
+def test_what_cannot_be_asked_of_the_past_says_how_it_can(driven: Driven) -> None:
+    for query, words in (
         ("SELECT * { GRAPH ?g { ?topic ros:past ?m } }", "GRAPH"),
         ("SELECT * { ?topic ros:past ?m . ?m ros:recordedIn </bags/lost/> }", "no recording"),
         ("SELECT * FROM </topics/odom> { ?topic ros:past ?m }", "FROM </bags/history/>"),
-    ],
-)
-def test_what_cannot_be_asked_of_the_past_says_how_it_can(driven: Driven, query: str, words: str) -> None:
-    assert words in refusal(driven.http, query, 400)
+    ):
+        assert words in refusal(driven.http, query, 400)
 
 
 def test_a_topic_that_a_recording_lacks_is_no_empty_answer_and_the_history_is_none_of_its_remedies(
@@ -227,11 +222,8 @@ def test_stored_queries_ask_the_past(driven: Driven) -> None:
         assert len(answer.text.splitlines()) > 1, path
 
 
-def test_where_nothing_is_recorded_a_query_is_told_how_to_record(http: httpx.Client) -> None:
+def test_where_nothing_is_recorded_a_query_is_told_how_to_record(http: httpx.Client, serve: Callable[..., Any]) -> None:
     assert "--history" in refusal(http, "SELECT * { ?topic ros:past ?m }", 400)
-
-
-def test_a_topic_that_is_not_recorded_is_no_empty_answer(serve: Callable[..., Any]) -> None:
-    served = serve("aircraft", "--history", "/nothing")
-    words = refusal(served.http, "SELECT * { </topics/aircraft/engine/speed> ros:past ?m }", 400)
+    other = serve("aircraft", "--history", "/nothing").http
+    words = refusal(other, "SELECT * { </topics/aircraft/engine/speed> ros:past ?m }", 400)
     assert "--history /aircraft/engine/speed" in words

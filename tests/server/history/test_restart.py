@@ -5,11 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from tests.server.auth.conftest import token, tokens
 from tests.server.disks.server import Server, server_on
+from tests.server.history.mcap_files import read
 from tests.server.history.test_recordings import SPEED, count, value
 from tests.server.history.test_triggers import HTML, JSON, POWER, power
 from tests.waiting import until
+
+pytestmark = pytest.mark.slow
 
 ALL = '[[rule]]\nagents = ["anna"]\nmodes = ["read", "write", "control"]\npaths = ["/**"]\n'
 BEN = '[[rule]]\nagents = ["ben", "carl"]\nmodes = ["read", "write"]\npaths = ["/bags/**"]\n'
@@ -52,6 +57,8 @@ def test_orders_and_what_was_interrupted_outlive_a_kill_and_a_stop_and_rights_ar
         server.start("--auth", str(auth))
         assert http.get("/bags/ended/").status_code == 404
         assert count(http, "/bags/cut/") > 20
+        assert http.get("/bags/cut/messages/0", headers=JSON).json() == {"data": 0.0}
+        assert len(read(bags / "cut.mcap")) > 20
         assert status(server, "cut") == "interrupted"
         assert "ended by force" in problem(server, "cut")
         assert value(http, "/bags/cut/", "end") is not None

@@ -120,8 +120,7 @@ def test_an_index_that_is_lost_or_damaged_is_made_again_from_the_segments(tmp_pa
         again.segments.close()
 
 
-@pytest.mark.parametrize("step", [37])
-def test_a_file_that_ends_anywhere_is_completed_and_loses_only_the_chunk_it_ends_in(tmp_path: Path, step: int) -> None:
+def test_a_file_that_ends_anywhere_is_completed_and_loses_only_the_chunk_it_ends_in(tmp_path: Path) -> None:
     writer = open_writer(tmp_path / "whole")
     for _ in range(4):
         add(writer, 10)
@@ -129,7 +128,7 @@ def test_a_file_that_ends_anywhere_is_completed_and_loses_only_the_chunk_it_ends
     (path,) = files(tmp_path / "whole")
     whole = path.read_bytes()
     ends = [row.at for topic in ("/a", "/b") for row in writer.segments.index.of_topic(topic, 0, 1 << 62)][1:]
-    for size in range(len(whole), min(ends), -step):
+    for size in range(len(whole), min(ends), -97):
         copy = tmp_path / "copy.mcap"
         copy.write_bytes(whole[:size])
         found = recover(DiskFile(copy))

@@ -26,6 +26,8 @@ if sys.version_info >= (3, 14):
 else:
     from backports import zstd
 
+pytestmark = pytest.mark.slow
+
 JSON = {"Accept": "application/json"}
 PROBLEM = {"Accept": "application/problem+json"}
 MIB = 1 << 20
@@ -85,17 +87,15 @@ def test_the_name_of_a_file_that_cannot_be_opened_is_taken_until_it_is_deleted(
     assert http.delete("/bags/broken/").status_code == 204
 
 
-@pytest.mark.parametrize("kind", ["bag", "mcap", "db3"])
-def test_a_recording_compressed_by_zstd_is_inflated_and_read(http: Any, tmp_path: Path, kind: str) -> None:
-    if kind == "bag":
-        sent = write_rosbag1(tmp_path / "talk.bag", lines())
-    else:
-        folder = write_rosbag2(tmp_path / "talk", lines(), storage="mcap" if kind == "mcap" else "sqlite3")
-        sent = next(folder.glob(f"*.{kind}"))
-    assert http.put("/bags/packed", content=zstd.compress(sent.read_bytes())).status_code == 201
-    assert http.get("/bags/packed/messages/3", headers=JSON).json() == {"data": "3"}
-    assert http.get("/bags/packed/file").content == sent.read_bytes()
-    assert http.delete("/bags/packed/").status_code == 204
+def test_a_recording_compressed_by_zstd_is_inflated_and_read(http: Any, tmp_path: Path) -> None:
+    sent = [write_rosbag1(tmp_path / "talk.bag", lines())]
+    for storage, kind in (("mcap", "mcap"), ("sqlite3", "db3")):
+        sent += write_rosbag2(tmp_path / kind, lines(), storage=storage).glob(f"*.{kind}")
+    for file in sent:
+        assert http.put("/bags/packed", content=zstd.compress(file.read_bytes())).status_code == 201
+        assert http.get("/bags/packed/messages/3", headers=JSON).json() == {"data": "3"}
+        assert http.get("/bags/packed/file").content == file.read_bytes()
+        assert http.delete("/bags/packed/").status_code == 204
 
 
 def test_what_inflates_beyond_the_limit_of_uploads_is_refused_and_the_setting_is_named(http: Any, data: Path) -> None:

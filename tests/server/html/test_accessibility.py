@@ -10,6 +10,8 @@ import pytest
 
 from tests.agents.node import node_modules
 
+pytestmark = pytest.mark.slow
+
 PAGES = (
     "", "topics/", "topics/scan", "topics/cmd_vel", "topics/camera/image_raw", "topics/map", "nodes/rover", "mappings/",
     "services/set_lights", "actions/navigate_to", "parameters/", "resources/rover/", "types/nav_msgs/msg/Odometry",

@@ -11,6 +11,8 @@ import pytest
 
 from tests.server.robots.made_up import MadeUp, served
 
+pytestmark = pytest.mark.slow
+
 LOADED = "JSON.stringify(performance.getEntriesByType('resource').map((each) => [each.name, each.encodedBodySize]))"
 PANEL = "[...document.querySelectorAll('.panel')].find((each) => each.querySelector('h2').textContent === '%s')"
 SIZES = "[...document.querySelectorAll('.panel')].map((each) => each.getBoundingClientRect().width)"

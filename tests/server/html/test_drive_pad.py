@@ -14,6 +14,8 @@ from tests.server.robots.made_up import MadeUp, served
 from tests.stopping import release
 from tests.waiting import until
 
+pytestmark = pytest.mark.slow
+
 STICK = "document.querySelector('.stick')"
 WORDS = "document.querySelector('.driving').textContent"
 DRIVING = f"{WORDS} === 'Driving'"
@@ -146,9 +148,8 @@ def test_a_command_that_does_not_change_goes_on_for_as_long_as_it_is_pressed(
     base.stands()
 
 
-@pytest.mark.parametrize("keys", [("ArrowUp", "ArrowLeft"), ("KeyW", "KeyA")])
-def test_keys_drive_while_the_pad_has_the_focus(base: Base, pad: Any, keys: tuple[str, str]) -> None:
-    up, left = keys
+def test_keys_drive_while_the_pad_has_the_focus(base: Base, pad: Any) -> None:
+    up, left = "KeyW", "ArrowLeft"
     key(pad, "keyDown", up)
     assert base.told() == [], "nothing has the focus"
     key(pad, "keyUp", up)
@@ -295,21 +296,19 @@ def test_the_network_lost_is_zero_and_nothing_drives_on_when_it_is_back(
     base.stands()
 
 
-@pytest.mark.parametrize(
-    "loses",
-    [
+def test_losing_the_focus_the_sight_or_the_pad_is_zero(base: Base, http: httpx.Client, pad: Any) -> None:
+    for loses in (
         "dispatchEvent(new Event('blur'))",
         "(Object.defineProperty(document, 'hidden', {value: true, configurable: true}), "
         "document.dispatchEvent(new Event('visibilitychange')))",
         f"{STICK}.dispatchEvent(new PointerEvent('pointercancel', {{pointerId: 1}}))",
         f"{STICK}.closest('section').remove()",
-    ],
-)
-def test_losing_the_focus_the_sight_or_the_pad_is_zero(base: Base, pad: Any, loses: str) -> None:
-    press(pad)
-    base.drives()
-    pad.run(f"void ({loses})")
-    base.stands()
+    ):
+        press(opened(pad, http, "/cmd_vel"))
+        base.drives()
+        pad.run(f"void ({loses})")
+        base.stands()
+        mouse(opened(pad, http, "/cmd_vel"), "mouseReleased", 0.0, 0.0)
 
 
 def test_a_stop_ends_it_takes_the_pad_away_and_a_release_brings_it_back(

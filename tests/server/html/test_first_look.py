@@ -11,6 +11,8 @@ import pytest
 
 from tests.waiting import until
 
+pytestmark = pytest.mark.slow
+
 HTML, JSON = {"Accept": "text/html"}, {"Accept": "application/json"}
 
 
@@ -37,21 +39,15 @@ def test_the_entry_page_begins_with_what_there_is_and_folds_its_rdf(rover: httpx
     assert "hydra:IriTemplate" not in seen
 
 
-def test_the_page_of_a_parameter_shows_its_value_and_folds_its_shape(rover: httpx.Client) -> None:
+def test_a_page_begins_with_the_value_and_folds_its_rdf(rover: httpx.Client) -> None:
     seen, folded = page(rover, "/parameters/rover/max_speed")
     assert "From 0.1 to 1.0." in seen
     assert "sh:PropertyShape" not in seen
     assert "sh:PropertyShape" in folded
-
-
-def test_a_picture_has_no_bytes_in_hexadecimal_beside_it(rover: httpx.Client) -> None:
     seen, _ = page(rover, "/topics/camera/image_raw")
     assert '<figure class="picture">' in seen
     assert ">57,600 bytes</a>" in seen
     assert 'class="hex"' not in seen
-
-
-def test_a_list_of_topics_says_why_it_has_no_values(rover: httpx.Client) -> None:
     assert "a list subscribes to none" in rover.get("/topics/", headers=HTML).text
     assert "a list subscribes to none" not in rover.get("/services/", headers=HTML).text
 
@@ -65,17 +61,21 @@ def test_a_tree_of_parameters_is_a_table_of_their_values(rover: httpx.Client) ->
     assert text.count("<h2") == 2  # what it contains, and its description
 
 
-def test_a_goal_says_first_what_has_become_of_it(rover: httpx.Client) -> None:
-    pose = {"position": {"x": 50.0, "y": 50.0}, "orientation": {"w": 1.0}}
-    goal = {"pose": {"header": {"frame_id": "map"}, "pose": pose}}
-    url = rover.post("/actions/navigate_to", json=goal).headers["location"]
-    until(lambda: rover.get(url, headers=JSON).json()["status"] == "aborted", "the end of the goal")
-    seen = rover.get(url, headers=HTML).text
-    assert re.search(r'<div class="notice error" role="alert">\s*<p><bdi>The goal was aborted', seen)
-    rover.post("/actions/navigate_to", json={"pose": {"header": {"frame_id": "map"}}})
-    url = rover.post("/actions/navigate_to", json={"pose": {"header": {"frame_id": "map"}}}).headers["location"]
-    until(lambda: rover.get(url, headers=JSON).json()["status"] == "succeeded", "the end of the goal")
-    assert "The goal has succeeded" in rover.get(url, headers=HTML).text
+def test_a_goal_or_call_says_first_what_has_become_of_it(rover: httpx.Client, own_aircraft: httpx.Client) -> None:
+    header, pose = {"frame_id": "map"}, {"position": {"x": 50.0, "y": 50.0}, "orientation": {"w": 1.0}}
+    error = r'<div class="notice error" role="alert">\s*<p><bdi>'
+    for goal, status, words in (
+        ({"header": header, "pose": pose}, "aborted", error + "The goal was aborted"),
+        ({"header": header}, "succeeded", "The goal has succeeded"),
+    ):
+        url = rover.post("/actions/navigate_to", json={"pose": goal}).headers["location"]
+        until(lambda url=url, status=status: rover.get(url, headers=JSON).json()["status"] == status, "the end")
+        assert re.search(words, rover.get(url, headers=HTML).text)
+    lights = rover.post("/services/set_lights", json={"data": True}).headers["location"]
+    good = r'<div class="notice good"[^>]*>\s*<p><bdi>The service has answered'
+    assert re.search(good, rover.get(lights, headers=HTML).text)
+    faster = own_aircraft.post("/services/aircraft/engine/set_speed", json={"data": 100.0}).headers["location"]
+    assert re.search(f"{error}The call has failed: ", own_aircraft.get(faster, headers=HTML).text)
 
 
 def test_resources_are_a_line_each_and_unfolded_at_will(rover: httpx.Client) -> None:
@@ -102,12 +102,3 @@ def test_a_plot_of_what_stands_still_is_as_near_as_its_numbers(tab: Any, rover: 
     assert tab.run(f"{of}(12, 12)") == [10.8, 13.2]
     assert tab.run(f"{of}(null, null)") == [None, None]
     assert tab.run(f"{of}(1, 2)") == pytest.approx([0.9, 2.1])
-
-
-def test_a_call_says_first_what_has_become_of_it(rover: httpx.Client, own_aircraft: httpx.Client) -> None:
-    lights = rover.post("/services/set_lights", json={"data": True}).headers["location"]
-    seen = rover.get(lights, headers=HTML).text
-    assert re.search(r'<div class="notice good"[^>]*>\s*<p><bdi>The service has answered', seen)
-    faster = own_aircraft.post("/services/aircraft/engine/set_speed", json={"data": 100.0}).headers["location"]
-    seen = own_aircraft.get(faster, headers=HTML).text
-    assert re.search(r'<div class="notice error" role="alert">\s*<p><bdi>The call has failed: ', seen)

@@ -14,6 +14,8 @@ import pytest
 
 from rosld.server.html import ASSETS, HEADERS
 
+pytestmark = pytest.mark.slow
+
 FILES = {
     "/style.css": (ASSETS["style.css"], "text/css"),
     "/live.js": (ASSETS["live.js"], "text/javascript"),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from typing import Any
 
 import httpx
@@ -61,58 +60,46 @@ def http(robot: MadeUp, serving: Serving) -> httpx.Client:
     return client
 
 
-def wide(tab: Any) -> None:
+def tall(tab: Any, http: httpx.Client, *paths: str) -> list[str]:
+    """The pages that take more than three screens."""
     tab.send("Emulation.setDeviceMetricsOverride", width=WIDTH, height=SCREEN, deviceScaleFactor=1, mobile=False)
+    found = []
+    for path in paths:
+        tab.open(f"{http.base_url}{path}")
+        if tab.run(TALL) > 3 * SCREEN:
+            found.append(path)
+    return found
 
 
-@pytest.mark.parametrize(
-    "path", ["topics/", "services/", "parameters/", "resources/", "nodes/robot", "types/", "queries/"]
-)
-def test_a_page_of_hundreds_is_three_screens_at_most(tab: Any, http: httpx.Client, path: str) -> None:
-    wide(tab)
-    tab.open(f"{http.base_url}{path}")
-    assert tab.run(TALL) <= 3 * SCREEN
-
-
-def test_a_fleet_and_a_flat_robot_are_three_screens_at_most(tab: Any, robot: MadeUp, serving: Serving) -> None:
-    for number in range(COUNT):
-        robot.topic(f"/robot_{number:03}/odom", "nav_msgs/msg/Odometry")
-        robot.offer(f"/service_{number:03}", "std_srvs/srv/Trigger", lambda _: {"success": True})
-    url = serving().base_url
-    wide(tab)
-    for path in ("topics/", "services/", "resources/"):
-        tab.open(f"{url}{path}")
-        assert tab.run(TALL) <= 3 * SCREEN, path
-
-
-def test_all_rows_are_there_without_scripts_and_none_is_shown_twice(http: httpx.Client) -> None:
-    page = http.get("/topics/", headers={"Accept": "text/html"}).text
-    keys = re.findall(r'<tr data-key="([^"]+)"', page)
-    assert (len(keys), len(set(keys))) == (COUNT, COUNT)
-    assert '<p class="filter" hidden>' in page
-
-
-def test_what_is_typed_unfolds_what_has_it_while_values_go_on(tab: Any, robot: MadeUp, http: httpx.Client) -> None:
-    wide(tab)
-    tab.open(f"{http.base_url}topics/")
+@pytest.mark.slow
+def test_pages_of_hundreds_are_three_screens_at_most_and_filtered_by_typing_while_values_go_on(
+    tab: Any, robot: MadeUp, http: httpx.Client
+) -> None:
+    paths = ("services/", "parameters/", "resources/", "nodes/robot", "types/", "queries/", "topics/")
+    assert tall(tab, http, *paths) == []
     tab.until("document.querySelector('.liveness').dataset.state === 'live'")
     assert tab.run(f"{SHOWN}.length") == 0
     tab.run("document.querySelector('.filter input').focus()")
     tab.type("battery_2 state")
     tab.until(f"{SHOWN}.length === 1")
     robot.publishes("/battery_2/state", {"percentage": 0.25, "voltage": 11.5})
-    tab.until(f"{SHOWN}[0].textContent.includes('voltage 11.5')")  # the page is looked at anew, and stays filtered
+    tab.until(f"{SHOWN}[0].textContent.includes('voltage 11.5')")  # the page was replaced, and stays filtered
     assert tab.run(f"{SHOWN}.length") == 1
     assert tab.run("document.querySelector('.filter').checkVisibility()")
     tab.run("document.querySelector('.filter input').select()")
     tab.type("no such topic")
     tab.until(f"{SHOWN}.length === 0")
-    assert (
-        tab.run("[...document.querySelectorAll('details.group')].filter((each) => each.checkVisibility()).length") == 0
-    )
+    groups = "[...document.querySelectorAll('details.group')]"
+    assert tab.run(f"{groups}.filter((each) => each.checkVisibility()).length") == 0
+    page = http.get("/topics/", headers={"Accept": "text/html"}).text
+    keys = re.findall(r'<tr data-key="([^"]+)"', page)
+    assert (len(keys), len(set(keys))) == (COUNT, COUNT), "all rows are there without scripts"
+    assert '<p class="filter" hidden>' in page
 
 
-def test_few_members_are_not_folded(http: httpx.Client, serve: Callable[..., Any]) -> None:
-    page = serve("aircraft").http.get("/topics/", headers={"Accept": "text/html"}).text
-    assert 'class="group"' not in page
-    assert "filter.js" not in page
+@pytest.mark.slow
+def test_a_fleet_and_a_flat_robot_are_three_screens_at_most(tab: Any, robot: MadeUp, serving: Serving) -> None:
+    for number in range(COUNT):
+        robot.topic(f"/robot_{number:03}/odom", "nav_msgs/msg/Odometry")
+        robot.offer(f"/service_{number:03}", "std_srvs/srv/Trigger", lambda _: {"success": True})
+    assert tall(tab, serving(), "topics/", "services/", "resources/") == []

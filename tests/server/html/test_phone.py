@@ -6,12 +6,14 @@ import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import Any, TypeAlias
+from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
 
 from rosld.server.html import ASSETS, HEADERS
+
+pytestmark = pytest.mark.slow
 
 WIDTH = 360
 MEASURE = """(() => {
@@ -49,9 +51,6 @@ function crowding(page, name) {
 })()"""
 
 
-Measured: TypeAlias = Mapping[str, Mapping[str, object]]
-
-
 @contextmanager
 def serving(pages: Mapping[str, bytes]) -> Iterator[str]:
     """The pages by name, with the policy that all pages have, on a loopback port; yields the URL."""
@@ -82,32 +81,13 @@ def serving(pages: Mapping[str, bytes]) -> Iterator[str]:
         thread.join()
 
 
-@pytest.fixture(scope="module")
-def measured(window: Any, pages: Mapping[str, bytes]) -> Measured:
-    """How wide each page gets on a phone, whether its stylesheet passed its policy, what is too small or too close."""
+def test_every_page_fits_a_phone_and_a_finger(window: Any, pages: Mapping[str, bytes]) -> None:
+    wrong = {}
     with serving(pages) as url, window.tab() as tab:
         tab.send("Emulation.setDeviceMetricsOverride", width=WIDTH, height=700, deviceScaleFactor=1, mobile=True)
-
-        def measure(name: str) -> Mapping[str, object]:
+        for name in pages:
             tab.open(url + name)
-            found: Mapping[str, object] = tab.run(MEASURE)
-            return found
-
-        return {name: measure(name) for name in pages}
-
-
-def test_no_page_is_wider_than_a_phone(measured: Measured, pages: Mapping[str, bytes]) -> None:
-    assert measured.keys() == pages.keys()
-    assert {name: each["width"] for name, each in measured.items()} == dict.fromkeys(pages, WIDTH)
-
-
-def test_the_stylesheet_passes_the_policy(measured: Measured) -> None:
-    assert all(each["styled"] for each in measured.values())
-
-
-def test_nothing_in_the_header_touches_anything_else_or_reaches_beyond_the_page(measured: Measured) -> None:
-    assert {name: each["crowded"] for name, each in measured.items() if each["crowded"]} == {}
-
-
-def test_nothing_to_press_is_too_small_for_a_finger(measured: Measured) -> None:
-    assert not [name for name, each in measured.items() if each["small"]]
+            found = tab.run(MEASURE)
+            if found != {"width": WIDTH, "styled": True, "small": 0, "crowded": []}:
+                wrong[name] = found
+    assert not wrong, wrong

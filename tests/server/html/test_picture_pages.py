@@ -5,10 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import httpx
+import pytest
 
 from tests.server.html.test_live_pages import LIVE
 from tests.server.test_pictures import IMAGE, frame, image
 from tests.waiting import until
+
+pytestmark = pytest.mark.slow
 
 IMG = "document.querySelector('.picture img')"
 COLOUR = f"""(() => {{

@@ -11,6 +11,8 @@ from typing import Any
 import httpx
 import pytest
 
+pytestmark = pytest.mark.slow
+
 ODOMETRY = "topics/odom%23"
 POINTS = "Number(document.querySelector('figure[data-part]').dataset.points)"
 STATUS = "document.querySelector('[data-part=status]').textContent"
@@ -52,7 +54,9 @@ def test_messages_are_drawn_as_they_come_with_what_is_recorded_before_them(tab: 
     assert set(saved[2:-40]) <= recorded
 
 
-def test_dragging_shows_that_time_and_a_double_click_goes_back_to_now(tab: Any, rover: httpx.Client) -> None:
+def test_dragging_and_a_pause_hold_what_is_seen_which_goes_on_and_is_saved_as_a_picture(
+    tab: Any, rover: httpx.Client
+) -> None:
     opened(tab, rover, f"y={ODOMETRY}twist.twist.linear.x")
     tab.run("void document.querySelector('.u-over').scrollIntoView({block: 'center'})")
     box = json.loads(tab.run("JSON.stringify(document.querySelector('.u-over').getBoundingClientRect())"))
@@ -64,14 +68,11 @@ def test_dragging_shows_that_time_and_a_double_click_goes_back_to_now(tab: Any, 
     tab.until("document.querySelector('[data-part=pause]').textContent === 'Go on'")
     tab.run("document.querySelector('.u-over').dispatchEvent(new MouseEvent('dblclick', {bubbles: true}))")
     tab.until(f"{STATUS} === 'Live'")
-
-
-def test_a_pause_holds_what_is_seen_and_goes_on_where_it_is_now(tab: Any, rover: httpx.Client) -> None:
-    opened(tab, rover, f"y={ODOMETRY}twist.twist.linear.x")
-    tab.run("document.querySelector('[data-part=pause]').click()")
-    tab.until(f"{STATUS} === 'Zoomed'")
-    tab.run("document.querySelector('[data-part=pause]').click()")
-    tab.until(f"{STATUS} === 'Live'")
+    for status in ("Zoomed", "Live"):
+        tab.run("document.querySelector('[data-part=pause]').click()")
+        tab.until(f"{STATUS} === '{status}'")
+    kind, size = tab.run(SAVED % ("[blob.type, blob.size]", "png"))
+    assert (kind, size > 1000) == ("image/png", True)
 
 
 def test_the_elements_of_an_array_are_lines_of_their_own(tab: Any, rover: httpx.Client) -> None:
@@ -88,13 +89,6 @@ def test_joints_have_their_names_beside_their_lines(tab: Any, robot: Any, servin
     assert tab.run(LABELS) == ["position <b>", "position right"]
     robot.publishes("/joints", {"name": ["left", "right"], "position": [1, 2]})
     tab.until(f"{LABELS}[0] === 'position left'")
-
-
-def test_a_plot_is_saved_as_a_picture(tab: Any, rover: httpx.Client) -> None:
-    opened(tab, rover, f"y={ODOMETRY}pose.pose.position.x")
-    kind, size = tab.run(SAVED % ("[blob.type, blob.size]", "png"))
-    assert kind == "image/png"
-    assert size > 1000
 
 
 def test_numbers_of_a_page_have_small_plots_that_lead_to_large_ones(tab: Any, rover: httpx.Client) -> None:

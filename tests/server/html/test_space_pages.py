@@ -14,6 +14,8 @@ import pytest
 from tests.server.robots.made_up import MadeUp, served
 from tests.server.robots.point_clouds import CLOUD, cloud_message
 
+pytestmark = pytest.mark.slow
+
 CANVAS = "document.querySelector('.space canvas')"
 DATA = f"{CANVAS}.dataset"
 DARK_PIXELS = f"""(() => {{

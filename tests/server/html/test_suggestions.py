@@ -12,6 +12,8 @@ from tests.server.robots.made_up import MadeUp, Serving, robot, serving
 
 __all__ = ["robot", "serving"]
 
+pytestmark = pytest.mark.slow
+
 LINKS = "[...document.querySelectorAll('.suggestions a')].map((each) => each.textContent)"
 FOCUS = "document.querySelector('.find input').focus()"
 HOSTILE = "<img src=x onerror=alert(1)>"
@@ -47,18 +49,13 @@ def test_of_many_the_first_are_shown_and_a_link_to_all(tab: Any, http: httpx.Cli
     assert tab.run("document.querySelectorAll('table.found tbody tr').length") == 20
 
 
-def test_names_of_a_hostile_robot_are_text(tab: Any, http: httpx.Client) -> None:
+def test_names_of_a_hostile_robot_are_text_and_escape_closes(tab: Any, http: httpx.Client) -> None:
     tab.open(str(http.base_url))
     tab.run(FOCUS)
     tab.type("onerror")
     tab.until(f"{LINKS}.length === 1")
     assert tab.run(LINKS) == [f"/{HOSTILE} std_msgs/msg/Float64"]
     assert tab.run("document.querySelector('.suggestions img')") is None
-
-
-def test_escape_closes_and_nothing_found_is_told(tab: Any, http: httpx.Client) -> None:
-    tab.open(str(http.base_url))
-    tab.run(FOCUS)
     tab.type("nosuchthing")
     tab.until("document.querySelector('.suggestions .none')")
     for kind in ("keyDown", "keyUp"):

@@ -9,6 +9,9 @@ from typing import Any
 import pytest
 
 from tests.server.conftest import Served
+from tests.stopping import release
+
+pytestmark = pytest.mark.slow
 
 BOX = "document.querySelector('form.find input')"
 NOTICE = "document.querySelector('.notice.good')?.textContent"
@@ -57,18 +60,17 @@ class Person:
         return f"document.querySelector('[data-key=\"{field}\"] .value')?.textContent"
 
 
+@pytest.fixture(scope="module")
+def rover(start_server: Callable[..., Served]) -> Served:
+    return start_server("rover:?battery=0.5")
+
+
 @pytest.fixture
-def person(tab: Any, serve: Callable[..., Served]) -> Person:
-    return Person(tab, serve("rover:?battery=0.5").url)
+def person(tab: Any, rover: Served) -> Person:
+    return Person(tab, rover.url)
 
 
-def test_the_first_value_takes_two_clicks(person: Person) -> None:
-    person.find("odometry", "/odom")
-    person.tab.until(person.reads("frame_id"))
-    assert person.clicks == 2
-
-
-def test_to_drive_and_to_stop_takes_four_clicks(person: Person) -> None:
+def test_to_drive_and_to_stop_takes_four_clicks(person: Person, rover: Served) -> None:
     person.find("twist", "/cmd_vel")
     stick = "document.querySelector('.stick')"
     at = person._place(stick)
@@ -80,6 +82,7 @@ def test_to_drive_and_to_stop_takes_four_clicks(person: Person) -> None:
     person.follow("document.querySelector('form.stop button')")
     person.tab.until("document.querySelector('.notice.stopped')")
     assert person.clicks == 4
+    assert release(rover.http).status_code == 204
 
 
 def test_to_send_a_goal_and_see_it_fail_takes_four_clicks(person: Person) -> None:
@@ -101,14 +104,9 @@ def test_to_set_a_parameter_within_its_range_takes_four_clicks(person: Person) -
     assert person.clicks == 4
 
 
-def test_to_find_the_battery_takes_two_clicks(person: Person) -> None:
-    person.find("battery", "/battery_state")
-    assert 0 < float(person.tab.until(person.reads("percentage"))) <= 1
-    assert person.clicks == 2
-
-
 def test_to_see_the_battery_fall_below_a_fifth_takes_two_clicks(tab: Any, serve: Callable[..., Served]) -> None:
     person = Person(tab, serve("rover:?battery=0.201&rate=20").url)
     person.find("battery", "/battery_state")
+    assert 0 < float(person.tab.until(person.reads("percentage"))) <= 1
     person.tab.until(f"Number({person.reads('percentage')}) < 0.2")
     assert person.clicks == 2

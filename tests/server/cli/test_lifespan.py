@@ -13,7 +13,7 @@ from rosld.adapters.model import Unreachable
 from rosld.server.serving.run_lifespan import lifespan
 
 
-def app(events: list[str], *, at_start: Exception | None = None, at_end: Exception | None = None) -> Starlette:
+def app(events: list[str], *, at_start: Exception | None = None) -> Starlette:
     @asynccontextmanager
     async def life(app: Starlette) -> AsyncIterator[None]:
         if at_start:
@@ -21,21 +21,8 @@ def app(events: list[str], *, at_start: Exception | None = None, at_end: Excepti
         events.append("started")
         yield
         events.append("stopped")
-        if at_end:
-            raise at_end
 
     return Starlette(lifespan=life)
-
-
-def test_an_app_is_started_before_and_stopped_after() -> None:
-    events: list[str] = []
-
-    async def main() -> None:
-        async with lifespan(app(events)):
-            events.append("served")
-
-    asyncio.run(main())
-    assert events == ["started", "served", "stopped"]
 
 
 def test_an_error_at_start_arrives_as_itself() -> None:
@@ -44,15 +31,6 @@ def test_an_error_at_start_arrives_as_itself() -> None:
             pytest.fail("it did not start")
 
     with pytest.raises(Unreachable, match="no master"):
-        asyncio.run(main())
-
-
-def test_an_error_at_the_end_arrives_too() -> None:
-    async def main() -> None:
-        async with lifespan(app([], at_end=ValueError("stuck"))):
-            pass
-
-    with pytest.raises(ValueError, match="stuck"):
         asyncio.run(main())
 
 

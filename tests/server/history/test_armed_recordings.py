@@ -16,7 +16,6 @@ from rosld.server.history.recording_notes import ARMED, RecordingNotes
 
 ANNA = Agent("anna", "http://example.org/anna")
 ONCE = RecordingOrder(("/odom", "/camera/*"), "x", 10.0, 5.0, Trigger("x > 1", "/topics/odom"))
-TWICE = RecordingOrder(("/odom",), "x", 0.0, 5.0, Trigger("http://example.org/#low", None, 2))
 
 
 class Begun:
@@ -25,29 +24,15 @@ class Begun:
     def __init__(self, *failures: Exception) -> None:
         self.names: list[str] = []
         self.failures = list(failures)
-        self._changed = asyncio.Event()
 
     def begin(self, order: RecordingOrder, may_record: MayRecord) -> None:
         if self.failures:
             raise self.failures.pop(0)
         assert order.name is not None
         self.names.append(order.name)
-        self._changed.set()
-
-    async def reach(self, count: int) -> None:
-        """Until as many recordings were begun."""
-        while len(self.names) < count:
-            self._changed.clear()
-            await self._changed.wait()
 
     def is_free(self, name: str) -> bool:
         return name not in self.names
-
-
-async def once(one: ArmedRecording) -> AsyncGenerator[MayRecord, None]:
-    """It holds, and goes on."""
-    yield lambda topic: True
-    await asyncio.Event().wait()
 
 
 async def never(one: ArmedRecording) -> AsyncGenerator[MayRecord, None]:
@@ -111,31 +96,6 @@ def test_an_exception_where_a_trigger_is_followed_is_logged_and_the_order_waits_
         assert problems == [None, *["What it waits for could not be followed: KeyError."] * 2]
         assert sum("could not be followed" in each.message for each in caplog.records) == 1, "the same is logged once"
         await recordings.stop()
-
-    asyncio.run(run())
-
-
-def test_orders_are_kept_as_they_are_with_who_gave_them_and_how_often_they_began(tmp_path: Path) -> None:
-    async def run() -> None:
-        begun = Begun()
-        recordings = armed(tmp_path, begun)
-        await recordings.arm("x", TWICE, ANNA, once)
-        await recordings.arm("y", ONCE, ANNA, never)
-        await recordings.arm("z", ONCE, ANNA, never)
-        await begun.reach(1)
-        assert await recordings.disarm("z")
-        await recordings.stop()
-        again = armed(tmp_path, begun)
-        again.load()
-        found = {name: (one.order, one.agent, one.count) for name, one in again.all.items()}
-        assert found == {"x": (TWICE, ANNA, 1), "y": (ONCE, ANNA, 0)}
-        waiting = list(again.all.values())
-        again.resume(once)
-        for one in waiting:
-            await finished(one)
-        assert begun.names == ["x-1", "x-2", "y"]
-        assert not notes(tmp_path)
-        await again.stop()
 
     asyncio.run(run())
 

@@ -217,7 +217,7 @@ def test_what_is_typed_stays_with_its_focus_and_the_others_follow(tab: Any, site
     assert tab.run("document.querySelector('[name=csrf]').value") == "new"
 
 
-def test_a_field_in_which_somebody_stands_does_not_change(tab: Any, site: Site) -> None:
+def test_a_focused_field_does_not_change(tab: Any, site: Site) -> None:
     shown(tab, site, f"<ul>{form('/a', text('1'))}</ul><p>1</p>")
     tab.run("document.querySelector('[name=data]').focus()")
     site.tell_page(f"<ul>{form('/a', text('2'))}</ul><p>2</p>")

@@ -108,17 +108,6 @@ def test_times_say_how_long_ago_they_were_by_the_clock_of_the_robot(tab: Any, se
     tab.until("/^(now|\\d+ s ago)$/.test(document.querySelector('.members time')?.dataset.ago)")
 
 
-def test_a_parameter_that_another_sets_and_deletes(tab: Any, served: Any) -> None:
-    path = "parameters/cockpit/brightness"
-    watch(tab, served.url + path)
-    served.http.put(path, json=0.125).raise_for_status()
-    tab.until("document.querySelector('main').innerText.includes('0.125')")
-    assert tab.run("document.querySelector('[name=value]').value") == "0.125"
-    served.http.delete(path).raise_for_status()
-    tab.until("document.querySelector('#live-notice')")
-    assert tab.run("sameLoad")
-
-
 def test_counts_and_lists_follow_the_graph(tab: Any, served: Any) -> None:
     watch(tab, served.url)
     count = "Number(document.querySelector('li[data-key=\"/topics/\"] .number').textContent)"

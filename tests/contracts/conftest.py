@@ -27,7 +27,10 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Run a test on every robot that has what it needs."""
     if "robot" in metafunc.fixturenames:
         needed = frozenset(getattr(metafunc.function, "needed", ()))
-        able = [name for name, module in _MODULES.items() if needed <= module.HAS]
+        slow = {"ros1": [pytest.mark.slow], "ros2": [pytest.mark.slow]}
+        able = [
+            pytest.param(name, marks=slow.get(name, ())) for name, module in _MODULES.items() if needed <= module.HAS
+        ]
         metafunc.parametrize("robot", able, indirect=True, scope="session")
 
 

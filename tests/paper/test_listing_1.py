@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
+import pytest
+
 from rosld.ontology.vocab import ros
 from tests.paper.conftest import JSON, SERVICES, Flight
 from tests.waiting import until
+
+pytestmark = pytest.mark.slow
 
 TYPES = "https://w3id.org/rosld/types/"
 SPEED = "/topics/aircraft/engine/speed"

@@ -6,11 +6,14 @@ from collections.abc import Callable
 from typing import Any
 
 import httpx
+import pytest
 from pyoxigraph import NamedNode
 
 from rosld.ontology.vocab import ldp, rdf, ros, sh
 from tests.paper.conftest import Flight
 from tests.waiting import until
+
+pytestmark = pytest.mark.slow
 
 POWER = "/resources/aircraft/power"
 SPEED = "/resources/aircraft/engine/speed"

@@ -9,11 +9,14 @@ from itertools import product
 from typing import Any
 
 import httpx
+import pytest
 from pyoxigraph import NamedNode
 
 from rosld.ontology.vocab import av, htv, ldp, rdf, sh
 from tests.paper.conftest import AIRCRAFT, ENGINE, JSON, MERGE_PATCH, Flight
 from tests.waiting import until
+
+pytestmark = pytest.mark.slow
 
 POWER, START, STOP = f"{AIRCRAFT}power", f"{AIRCRAFT}start", f"{AIRCRAFT}stop"
 SPEED, DIRECTION = f"{ENGINE}speed", f"{ENGINE}direction"

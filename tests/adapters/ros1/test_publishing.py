@@ -83,7 +83,7 @@ async def test_a_subscriber_that_comes_within_the_wait_gets_the_message(ros: Ros
 async def test_a_late_subscriber_hears_what_was_latched_and_nothing_else(ros: RosSystem, opened: Opening) -> None:
     async with opened(ros) as session:
         for topic, latch in (("/latched", True), ("/volatile", False)):
-            await session.publish(topic, STRING, text("kept"), latch=latch, seconds=0.1)
+            await session.publish(topic, STRING, text("kept"), latch=latch, seconds=0.5)
             listener = await asyncio.to_thread(ros.node, "listener.py", topic, "std_msgs/String")
             await session.publish(topic, STRING, text("new"), latch=latch)
             assert ("kept" if latch else "new") in await asyncio.to_thread(listener.line, "heard")
@@ -95,7 +95,7 @@ async def test_what_rosld_publishes_is_a_sample_of_its_own_at_once(ros: RosSyste
         woken = asyncio.Event()
         before.watch(woken.set)
         for words in ("one", "two", "three"):
-            await session.publish("/own", STRING, text(words), seconds=0.05)
+            await session.publish("/own", STRING, text(words), seconds=0.5)
         after = await session.adapter.subscribe("/own")
         assert [sample.publisher for sample in after.latest()] == [session.graph.own_node]
         assert [(await session.decoded(sample)).data for sample in before.latest()] == ["two", "three"]
@@ -143,13 +143,13 @@ async def _tcp_port(session: Session, topic: str) -> int:
 
 async def test_subscribers_that_ask_for_udpros_alone_are_refused(ros: RosSystem, opened: Opening) -> None:
     async with opened(ros) as session:
-        await session.publish("/asked", STRING, text("x"), seconds=0.05)
+        await session.publish("/asked", STRING, text("x"), seconds=0.5)
         assert (await _requested(session, "/asked", "UDPROS")).code == 0
 
 
 async def test_a_subscriber_that_never_reads_costs_neither_memory_nor_time(ros: RosSystem, opened: Opening) -> None:
     async with opened(ros) as session:
-        await session.publish("/heavy", STRING, text("x"), seconds=0.05)
+        await session.publish("/heavy", STRING, text("x"), seconds=0.5)
         with _handshake(await _tcp_port(session, "/heavy"), "/heavy") as sleeper:
             megabyte = text("y" * 1_000_000)
             for _ in range(100):
@@ -174,7 +174,7 @@ async def test_a_subscriber_we_cannot_serve_is_told_why_and_garbage_ends_that_co
         encode_header({"probe": "1", "service": "/strict"}),
     )
     async with opened(ros) as session:
-        await session.publish("/strict", STRING, text("x"), latch=True, seconds=0.05)
+        await session.publish("/strict", STRING, text("x"), latch=True, seconds=0.5)
         port = await _tcp_port(session, "/strict")
         for hello in (*errors, b"\xff\xff\xff\xff" * 4, b"\x08\0\0\0\xff\xff\0\0abcd"):
             reader, writer = await asyncio.open_connection("127.0.0.1", port)
@@ -192,10 +192,10 @@ async def test_rosnode_kill_ends_what_we_publish_and_a_later_publish_begins_anew
     ros: RosSystem, opened: Opening
 ) -> None:
     async with opened(ros) as session:
-        await session.publish("/killed", STRING, text("x"), seconds=0.05)
+        await session.publish("/killed", STRING, text("x"), seconds=0.5)
         await asyncio.to_thread(ros.run, "/usr/bin/rosnode", "kill", session.graph.own_node)
         await session.until(lambda: not ros.publishers("/killed"), "the registration is gone")
-        await session.publish("/killed", STRING, text("x"), seconds=0.05)
+        await session.publish("/killed", STRING, text("x"), seconds=0.5)
         assert ros.publishers("/killed") == [session.graph.own_node]
 
 

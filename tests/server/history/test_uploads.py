@@ -174,14 +174,14 @@ def test_a_file_that_takes_too_long_to_check_is_given_up_and_holds_up_no_other(
     whole = write_rosbag1(tmp_path / "talk.bag", lines()).read_bytes()
     before = left(data)
     monkeypatch.setattr(recordings, "check_recording", hang_or_check)
-    monkeypatch.setattr(recordings, "check_seconds", lambda path: 3.0 if "slow" in path.name else 60.0)
+    monkeypatch.setattr(recordings, "check_seconds", lambda path: 8.0 if "slow" in path.name else 60.0)
     answers: list[Any] = []
     slow = threading.Thread(target=lambda: answers.append(http.put("/bags/slow", content=whole, headers=PROBLEM)))
     slow.start()
     assert http.put("/bags/quick", content=whole).status_code == 201
     assert not answers, "the other one is still being checked"
     slow.join()
-    assert "takes more than 3 s" in refused(answers[0], 503)
+    assert "takes more than 8 s" in refused(answers[0], 503)
     assert http.delete("/bags/quick/").status_code == 204
     assert left(data) == before
 

@@ -70,6 +70,7 @@ def test_an_offer_with_parameters_is_matched_by_its_own_range_first() -> None:
     assert choose("text/html;level=1;q=0.9, text/html;q=0.5", offers) == "text/html;level=1"
 
 
+@pytest.mark.slow
 def test_a_long_field_is_answered_without_being_kept() -> None:
     fields = (", ".join(f"application/x{start + n}" for n in range(500)) + ", application/json" for start in range(50))
     tracemalloc.start()

@@ -266,6 +266,7 @@ TEXTS = st.text(st.characters(exclude_categories=["Cs", "Cc"], exclude_character
 NAMES = TEXTS | st.sampled_from(['"', "a b", "<>", "ü", "💡", "#", "%2E", "a.b", ".", "properties/x", "@id", "{}", ""])
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None)
 @given(NAMES, NAMES, TEXTS)
 def test_no_name_and_no_string_breaks_a_description(one: str, other: str, words: str) -> None:

@@ -359,6 +359,7 @@ DEEP = {
 }
 
 
+@pytest.mark.slow
 def test_depth_and_size_do_no_harm(monkeypatch: pytest.MonkeyPatch) -> None:
     for text in DEEP.values():
         with suppress(InvalidMapping):

@@ -188,6 +188,7 @@ def test_a_patch_that_is_too_large_is_refused_unread() -> None:
     assert refused.value.status == 413
 
 
+@pytest.mark.slow
 def test_a_hostile_text_is_refused_soon() -> None:
     for data in (
         b"{" * 200_000,

@@ -161,10 +161,9 @@ def test_two_files_of_one_name_are_not_both_opened(tmp_path: Path) -> None:
 
 
 def hang_or_check(path: Path, index_limit: int) -> None:
-    """In a worker: the check, but of a file called `slow` one without an end."""
-    if "slow" in path.name:
-        while True:
-            pass
+    """Check a file in a worker; `endless` takes for ever, `slow` until there is a file called `release`."""
+    while "endless" in path.name or ("slow" in path.name and not (path.parent / "release").exists()):
+        pass
     check_recording(path, index_limit)
 
 
@@ -174,15 +173,19 @@ def test_a_file_that_takes_too_long_to_check_is_given_up_and_holds_up_no_other(
     whole = write_rosbag1(tmp_path / "talk.bag", lines()).read_bytes()
     before = left(data)
     monkeypatch.setattr(recordings, "check_recording", hang_or_check)
-    monkeypatch.setattr(recordings, "check_seconds", lambda path: 8.0 if "slow" in path.name else 60.0)
+    monkeypatch.setattr(recordings, "check_seconds", lambda path: 1.0 if "endless" in path.name else 60.0)
     answers: list[Any] = []
     slow = threading.Thread(target=lambda: answers.append(http.put("/bags/slow", content=whole, headers=PROBLEM)))
     slow.start()
     assert http.put("/bags/quick", content=whole).status_code == 201
     assert not answers, "the other one is still being checked"
+    (data / "bags" / "release").touch()
     slow.join()
-    assert "takes more than 8 s" in refused(answers[0], 503)
-    assert http.delete("/bags/quick/").status_code == 204
+    assert answers[0].status_code == 201
+    (data / "bags" / "release").unlink()
+    assert "takes more than 1 s" in refused(http.put("/bags/endless", content=whole, headers=PROBLEM), 503)
+    for name in ("quick", "slow"):
+        assert http.delete(f"/bags/{name}/").status_code == 204
     assert left(data) == before
 
 

@@ -44,11 +44,15 @@ def violations_text(violations: Iterable[Violation]) -> str:
 
 
 class LoweringError(ValueError):
-    """A body that is no message of the type, with the `violations` found (not necessarily all there are)."""
+    """A body that is no message of the type, with the `violations` found (not necessarily all there are).
 
-    def __init__(self, *violations: Violation) -> None:
+    `about` are URLs of what these speak of: a client that may not read them is not told these.
+    """
+
+    def __init__(self, *violations: Violation, about: tuple[str, ...] = ()) -> None:
         super().__init__(violations_text(violations))
         self.violations = violations
+        self.about = about
 
     def __reduce__(self) -> tuple[object, ...]:
         """Worker processes raise such errors, too."""

@@ -26,7 +26,8 @@ class Sent(Enum):
 class RosError(Exception):
     """Base of all errors of adapters: a sentence that names the value, and apart from it the robot's words.
 
-    The sentence never has the robot's words in it: clients trust it as the server's.
+    The sentence never has the robot's words in it: clients trust it as the server's. `about` are what the sentence
+    speaks of, as URLs that the server gives it: a client that may not read them is not told the sentence.
     """
 
     def __init__(self, sentence: str, *, words: str | None = None, sent: Sent = Sent.NO) -> None:
@@ -34,6 +35,7 @@ class RosError(Exception):
         self.sentence = sentence
         self.words = words
         self.sent = sent
+        self.about: tuple[str, ...] = ()
 
 
 class NotFound(RosError):

@@ -5,6 +5,9 @@ What an agent may not know of is refused in the same bytes whether it is there o
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from typing import cast
+
 from rosld.server.auth.agent import ANONYMOUS, Agent
 from rosld.server.http.problem import Problem
 
@@ -15,6 +18,8 @@ CHALLENGE = f"Bearer {_REALM}, {_BASIC}"
 NOT_VISIBLE_DETAIL = "There is nothing here that you may know of."
 GONE_DETAIL = "What was here is gone: it was deleted, or it has ended."
 WITHHELD_DETAIL = "The reason speaks of what you may not read."
+_DONE = frozenset({"sent", "members"})
+"""The members of a problem that say what became of a write: they name nothing but what the client asked for."""
 
 
 def invalid_token(why: str) -> Problem:
@@ -47,8 +52,14 @@ def gone() -> Problem:
 
 
 def withhold_reason(problem: Problem) -> Problem:
-    """The same refusal without its reason, which speaks of what the agent may not know of."""
-    return Problem(problem.status, WITHHELD_DETAIL, title=problem.title, type=problem.type, headers=problem.headers)
+    """The same refusal without its reason, which speaks of what the agent may not know of; it says what was done."""
+    extra = {name: problem.extra[name] for name in _DONE & problem.extra.keys()}
+    if "members" in extra:
+        found = cast("Sequence[Mapping[str, object]]", extra["members"])
+        extra["members"] = [{name: each[name] for name in ("name", "status")} for each in found]
+    return Problem(
+        problem.status, WITHHELD_DETAIL, title=problem.title, type=problem.type, headers=problem.headers, extra=extra
+    )
 
 
 def forbidden(agent: Agent, what: str) -> Problem:

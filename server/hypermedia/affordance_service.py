@@ -16,10 +16,9 @@ from typing import Generic, TypeVar
 from rosld.adapters.base import Watch
 from rosld.adapters.model import ActionSchema, Descriptor, Graph, Kind, Operation, Ref, RosError, Schema, TypeRef
 from rosld.ontology.neutral_message import COMMANDS
-from rosld.ontology.urls import Space
 from rosld.ontology.violations import violations_text
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.catalogue import GoalSource, ParameterSource, Property, Reader, TopicSource, Writer
+from rosld.server.hypermedia.catalogue import GoalSource, ParameterSource, Property, Reader, TopicSource, source_url
 from rosld.server.hypermedia.conditions import ConditionResults, url_of
 from rosld.server.hypermedia.conventions import CONVENTIONS, Conventions, catalogue, needed_types
 from rosld.server.hypermedia.mapping import Condition, MappingSet
@@ -259,8 +258,8 @@ class AffordanceService(Generic[T]):
         return PropertyView(
             affordance,
             reading,
-            tuple(_source_url(way, space) for way in own.readers),
-            tuple(_source_url(way, space) for way in own.writers),
+            tuple(source_url(way, space) for way in own.readers),
+            tuple(source_url(way, space) for way in own.writers),
             url_of(plan.parent, space),
             plan.member.field,
         )
@@ -418,16 +417,3 @@ def is_observable(found: Property) -> bool:
 def _member_of(part: Property) -> MemberPlan:
     """What is told of an action's goal as a member of the complex resource below the action's name."""
     return MemberPlan(part.name.rpartition("/")[2], part, part.name, ())
-
-
-def _source_url(way: Reader | Writer, space: Space) -> str:
-    """The URL of a topic, service, parameter or action."""
-    match way:
-        case TopicSource():
-            return space.topic(way.name)
-        case GoalSource():
-            return space.action(way.name)
-        case ParameterSource():
-            return space.parameter(way.name)
-        case _:
-            return space.service(way.name)

@@ -14,6 +14,7 @@ from typing import TypeAlias
 
 from rosld.adapters.model import ActionSchema, Field, MessageSchema, Primitive, ServiceSchema
 from rosld.ontology.namespaces import Members
+from rosld.ontology.urls import Space
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +73,19 @@ class GoalSource:
 
 Reader: TypeAlias = TopicSource | Getter | ParameterSource | GoalSource
 Writer: TypeAlias = Setter | ParameterSource | TopicSource
+
+
+def source_url(way: Reader | Writer, space: Space) -> str:
+    """Return the URL of a topic, service, parameter or action."""
+    match way:
+        case TopicSource():
+            return space.topic(way.name)
+        case GoalSource():
+            return space.action(way.name)
+        case ParameterSource():
+            return space.parameter(way.name)
+        case _:
+            return space.service(way.name)
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,6 +36,12 @@ class ConditionResults:
         """Everything that keeps them from holding."""
         return tuple(violation for condition in conditions for violation in self.violations_of(condition))
 
+    def about(self, conditions: Iterable[Condition]) -> list[str]:
+        """The URLs of what conditions are about, and of what their states are read from where that fails."""
+        about = [condition.about for condition in conditions]
+        readings = [reading for each in about for reading, _ in self._parts(each).values() if reading is not None]
+        return [*(url_of(each, self._space) for each in about), *(url for each in readings for url in each.about)]
+
     def violations_of(self, condition: Condition) -> tuple[Violation, ...]:
         """What keeps a condition from holding: nothing where it holds. A state that cannot be read fulfils nothing."""
         known = self._broken.get(condition.iri)

@@ -64,14 +64,16 @@ def _check(document: MappingDocument, others: Iterable[MappingDocument]) -> None
     """Raise InvalidMapping where a document takes what is another's."""
     paths, conditions = _claims(document)
     found: list[Violation] = []
+    about: list[str] = []
     for other in others:
         taken, named = _claims(other)
+        about += [other.url] if paths & taken or conditions & named else []
         for path in sorted(paths & taken):
             found.append(Violation(path, f"{other.url} arranges this path already; change that one, or remove it"))
         for iri in sorted(conditions & named):
             found.append(Violation(iri, f"{other.url} describes this condition already; give this one its own IRI"))
     if found:
-        raise InvalidMapping(*found)
+        raise InvalidMapping(*found, about=tuple(about))
 
 
 def _claims(document: MappingDocument) -> tuple[set[str], set[str]]:

@@ -15,7 +15,7 @@ from rosld.adapters.base import Adapter
 from rosld.adapters.model import MessageSchema, names
 from rosld.ontology.urls import Space
 from rosld.server.http.problem import one_line
-from rosld.server.hypermedia.catalogue import Getter, GoalSource, ParameterSource, Property, TopicSource
+from rosld.server.hypermedia.catalogue import Getter, GoalSource, ParameterSource, Property, TopicSource, source_url
 from rosld.server.hypermedia.single_flight_cache import Fetch, SingleFlightCache, Slot
 from rosld.server.hypermedia.source_reader import (
     NO_VALUE,
@@ -205,11 +205,15 @@ class PropertyReader:
         """The reading that sources come to: the value of the last, or the failures of all."""
         found = results[-1].found if results else NO_VALUE
         until = min((one.until for one in results), default=inf) if found.value is None else results[-1].until
-        failures = [one.found.failure for one in results if one.found.failure is not None]
-        failure = "; ".join(failures) if failures and found.value is None else None
-        words = "" if failure is None else one_line("; ".join(one.found.words for one in results if one.found.words))
+        pairs = zip(property.readers, results, strict=False)  # the first that has a value is the last that is read
+        failed = [(each, one.found) for each, one in pairs if one.found.failure is not None]
+        failure, words, about = None, "", tuple[str, ...]()
+        if failed and found.value is None:
+            failure = "; ".join(str(one.failure) for _, one in failed)
+            words = one_line("; ".join(one.words for _, one in failed if one.words))
+            about = tuple(source_url(each, self._space) for each, _ in failed)
         fresh_until = None if until == inf else until
-        reading = Reading(property.name, found.value, failure, found.read_ns, fresh_until, words or None)
+        reading = Reading(property.name, found.value, failure, found.read_ns, fresh_until, words or None, about)
         if until > asyncio.get_running_loop().time():
             self._kept.pop(property.name, None)
             self._kept[property.name] = _Kept(property, view, part, until, reading)

@@ -37,9 +37,10 @@ from rosld.server.hypermedia.catalogue import (
     TopicSource,
     ValueKind,
     Writer,
+    source_url,
 )
 from rosld.server.hypermedia.value import MessageValue, StoredValue, Value, refusal_text, scalar_field, select_fields
-from rosld.server.robot.audited_adapter import AuditedAdapter
+from rosld.server.robot.audited_adapter import AuditedAdapter, errors_about
 from rosld.server.robot.calls import UnreadableResponse
 from rosld.server.robot.declared_parameters import has_other_values
 from rosld.server.robot.publication import prepare, publish
@@ -90,6 +91,13 @@ def not_writable_reason(adapter: AuditedAdapter, settings: Settings, property: P
         return "This server is read-only."
     reasons = [reason for one in property.writers if (reason := _refusal(adapter, settings, one)) is not None]
     return " ".join(reasons) or f"{property.name} has no setter, no parameter and no topic that could be written."
+
+
+def not_writable_about(session: Session, property: Property) -> tuple[str, ...]:
+    """The URLs of what `not_writable_reason` may name: what writes the property, and who publishes on its topic."""
+    space, topics = session.space, map(session.graph.topics.get, (one.name for one in property.writers))
+    nodes = [space.node(each.node) for topic in topics if topic is not None for each in topic.publishers]
+    return (*(source_url(one, space) for one in property.writers), *nodes)
 
 
 def _refusal(adapter: AuditedAdapter, settings: Settings, writer: Writer) -> str | None:
@@ -159,7 +167,8 @@ def plan_write(session: Session, property: Property, content: object, *, default
                 require_form(None if parameter is None else parameter.descriptor, content)
             return PlannedWrite(property.name, writer, StoredValue(_parameter_value(property.kind, content)))
         case _:
-            raise Problem(405, not_writable_reason(session.adapter, session.settings, property))
+            reason = not_writable_reason(session.adapter, session.settings, property)
+            raise Problem(405, reason, about=not_writable_about(session, property))
 
 
 def _parameter_value(kind: ValueKind, content: object) -> ParameterValue:
@@ -258,10 +267,11 @@ async def _call(session: Session, setter: Setter, request: bytes) -> None:
         answer = await session.adapter.call(setter.name, setter.schema.ref, request, deadline=deadline)
     finally:
         session.announce_write(Kind.SERVICE, setter.name)
-    try:
-        message = response.codec.decode(answer, session.adapter.capabilities.encoding)
-    except ValueError as error:
-        raise UnreadableResponse(f"the answer of {setter.name} cannot be read: {error}", sent=Sent.YES) from error
-    words = refusal_text(response, message)
-    if words is not None:
-        raise Refused(f"{setter.name} refused the value", words=words or None, sent=Sent.YES)
+    with errors_about(source_url(setter, session.space)):
+        try:
+            message = response.codec.decode(answer, session.adapter.capabilities.encoding)
+        except ValueError as error:
+            raise UnreadableResponse(f"the answer of {setter.name} cannot be read: {error}", sent=Sent.YES) from error
+        words = refusal_text(response, message)
+        if words is not None:
+            raise Refused(f"{setter.name} refused the value", words=words or None, sent=Sent.YES)

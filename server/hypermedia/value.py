@@ -78,8 +78,8 @@ class Reading:
     `failure` says what happened without a full stop (a getter that hangs, refuses or has vanished; bytes that cannot be
     read), None with a value and where there is simply none yet. `read_ns` (wall clock) is when the value was received
     or answered. `fresh_until` is the loop time until which it may be shown without asking again; None for a topic's,
-    which is good until another message comes. `words` are what the robot said to a failure. Readings are compared by
-    identity: the same object means that nothing changed.
+    which is good until another message comes. `words` are what the robot said to a failure, `about` the URLs of what
+    failed. Readings are compared by identity: the same object means that nothing changed.
     """
 
     name: str
@@ -88,6 +88,7 @@ class Reading:
     read_ns: int | None = None
     fresh_until: float | None = None
     words: str | None = None
+    about: tuple[str, ...] = ()
 
 
 # Parts of messages

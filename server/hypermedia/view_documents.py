@@ -132,6 +132,7 @@ def complex_document(
             else triples_about(own, (rdf.value, said.term))
         )
         values += triples_about(own, (ros.unreadable, said.failure), (ros.words, said.words))
+        values += triples_about(own, *statements(ros.readsFrom, map(NamedNode, member.reading.about)))
         messages += said.messages
         affordances += _property_affordance(one, subject, fragment_of("properties", one.name), space)
     for action in view.actions:

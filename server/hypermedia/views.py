@@ -13,9 +13,17 @@ from typing import TypeAlias
 from pyoxigraph import NamedNode
 
 from rosld.adapters.model import MessageSchema
+from rosld.server.auth.errors import WITHHELD_DETAIL
 from rosld.server.auth.permissions import Permissions
 from rosld.server.hypermedia.value import Reading
 from rosld.shapes.value import ValueShape
+
+
+def _redact_reading(reading: Reading, permissions: Permissions) -> Reading:
+    """Return it without the failure of what the agent may not read."""
+    if reading.failure is None or all(map(permissions.may_read, reading.about)):
+        return reading
+    return replace(reading, failure=WITHHELD_DETAIL.removesuffix("."), words=None, about=())
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,6 +131,7 @@ class PropertyView:
         return replace(
             self,
             affordance=self.affordance.redact(permissions),
+            reading=_redact_reading(self.reading, permissions),
             reads_from=tuple(filter(permissions.may_read, self.reads_from)),
             writes_to=tuple(filter(permissions.may_read, self.writes_to)),
         )
@@ -175,7 +184,11 @@ class ComplexView:
             self,
             warnings=(),
             members=tuple(
-                replace(member, affordance=member.affordance.redact(permissions))
+                replace(
+                    member,
+                    affordance=member.affordance.redact(permissions),
+                    reading=_redact_reading(member.reading, permissions),
+                )
                 for member in self.members
                 if permissions.may_read(member.affordance.url)
             ),

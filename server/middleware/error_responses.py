@@ -67,7 +67,7 @@ class ErrorResponses:
             error = Problem(500, "The server failed on this request; its log says more.")
         error = redact_problem(error, exchange.permissions, enforcement.location_of(scope, self._space))
         self._tell_release(error, exchange)
-        exchange.audit.set_refusal(error.with_quotes)
+        exchange.audit.set_refusal(error.with_quotes, error.about)
         path = quote(scope["raw_path"].lstrip(b"/"), safe="/%:@!$&'()*+,;=~")
         url = redact_tokens(self._space.base + path)
         return self._pages.problem(exchange, error, url) or render(error, exchange.accept, url=url).response()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import time
+from collections.abc import Iterable, Sequence
 from contextvars import ContextVar
 from typing import NamedTuple
 
@@ -81,16 +82,20 @@ class AuditContext:
             return
         if does not in self.plan and len(self.plan) < MAX_STEPS:
             self.plan = (*self.plan, does)
+        self._touch(touches)
+
+    def _touch(self, urls: Iterable[str]) -> None:
         if len(self.touched) < MAX_STEPS:
-            self.touched = (*self.touched, *(url for url in touches if url not in self.touched))
+            self.touched = tuple(dict.fromkeys((*self.touched, *urls)))
 
     def add_receivers(self, matched: int) -> None:
         """A message went to so many subscribers."""
         self.matched = matched + (self.matched or 0)
 
-    def set_refusal(self, words: str) -> None:
-        """Why it was not done."""
+    def set_refusal(self, words: str, about: Sequence[str]) -> None:
+        """Say why it was not done, and the URLs of what that speaks of."""
         self.refusal = words
+        self._touch(about)
 
     def hash_chunk(self, chunk: bytes) -> None:
         """A piece of a body that is not kept whole."""

@@ -155,7 +155,7 @@ async def plan_changes(
         except LoweringError as error:
             broken += _within(names, error).violations
         except Problem as problem:
-            raise Problem(409, f"{names} cannot be written: {problem.detail}") from problem
+            raise Problem(409, f"{names} cannot be written: {problem.detail}", about=problem.about) from problem
     if broken:
         raise LoweringError(*broken)
     return tuple(writes)
@@ -189,7 +189,7 @@ def with_field(own: Property, reading: Reading, name: str, path: str, value: obj
         if reading.value is None:
             why = reading.failure or "it has no value yet"
             detail = f"{name} is a field of {reading.name}, which must be known to be changed: {why}."
-            raise Problem(409, detail, extra={ROBOT_SAID: reading.words})
+            raise Problem(409, detail, extra={ROBOT_SAID: reading.words}, about=reading.about)
         content = parse_json(plain_json(reading.value, WHOLE))
     return _replace_field(content, path, value)
 

@@ -15,6 +15,7 @@ from rosld.adapters.model import RosError
 from rosld.ontology.cockpit import Cockpit, Panel, PanelKind
 from rosld.ontology.urls import Location
 from rosld.server.auth.permissions import Permissions
+from rosld.server.auth.redaction.problems import redact_problem
 from rosld.server.history.history import History
 from rosld.server.html import EditForm, Form, HoldForm, MessageForm, PageResults, forms_of
 from rosld.server.html.labels import capitalize, split_words
@@ -143,7 +144,7 @@ class PanelReader:
             content = WordsContent(f"There was no answer within {_PATIENCE:g} s.")
             version = content.words
         except (Problem, RosError, ValueError) as error:
-            content = WordsContent(_sentence(error))
+            content = WordsContent(_sentence(error, self._permissions))
             version = content.words
         return FilledPanel(panel, content, version)
 
@@ -272,7 +273,7 @@ class PanelReader:
     async def _drive(self, url: str) -> tuple[PanelContent, str]:
         topic = self._topic(url)
         if "POST" not in topic.methods():
-            raise Problem(405, topic.deny_reason("POST"))
+            raise topic.not_allowed("POST")
         if not self._permissions.may("POST", url):
             raise PanelHidden
         if self._session.is_stopped:
@@ -359,7 +360,7 @@ def _with_action(form: Form, url: str, location: Location) -> Form:
     return replace(form, action=url)
 
 
-def _sentence(error: Problem | RosError | ValueError) -> str:
-    if isinstance(error, Problem):
-        return error.with_quotes
-    return problem_of(error).with_quotes if isinstance(error, RosError) else f"{error}."
+def _sentence(error: Problem | RosError | ValueError, permissions: Permissions) -> str:
+    if isinstance(error, RosError):
+        error = problem_of(error)
+    return redact_problem(error, permissions, None).with_quotes if isinstance(error, Problem) else f"{error}."

@@ -229,7 +229,7 @@ class ComplexResource(CommandResource):
         """
         (tree, plan) = await self._plan()
         if "PATCH" not in self.methods() or triples is None:
-            raise Problem(403, self.deny_reason("PATCH" if triples is not None else "DELETE"))
+            raise self.not_allowed("PATCH" if triples is not None else "DELETE", 403)
         snapshot = await read_fresh_state(self.affordances, tree, plan.reads)
         view = self.affordances.complex_view(plan, snapshot)
         body = index_triples(triples)

@@ -173,7 +173,7 @@ class ParameterResource(ParameterBase):
         body = index_triples(triples or ())
         if not body.objects(NamedNode(self.url), ros.value):
             if "DELETE" not in methods:
-                raise Problem(403, self.deny_reason("DELETE"))
+                raise self.not_allowed("DELETE", 403)
             self._require_open(self.session.graph, self.name, {})
 
             async def deleted() -> bool:
@@ -182,7 +182,7 @@ class ParameterResource(ParameterBase):
 
             return RobotWrite(f"delete the parameter {self.name}", deleted)
         if "PUT" not in methods:
-            raise Problem(403, self.deny_reason("PUT"))
+            raise self.not_allowed("PUT", 403)
         value = lower_parameter(body, self.url)
         self._check_place(value, await self._value())
         await self._require_settable({self.name: value})
@@ -213,9 +213,8 @@ class ParameterResource(ParameterBase):
         for depth in range(1, len(parts)):
             above = names.join(parts[:depth])
             if above in known:
-                raise Problem(
-                    409, f"{above} is a parameter with a value, so nothing can lie below it; DELETE it before."
-                )
+                words = f"{above} is a parameter with a value, so nothing can lie below it; DELETE it before."
+                raise Problem(409, words, about=(self.session.space.parameter(above),))
 
     async def patch(self, exchange: Exchange) -> Answer:
         """Set what a patch makes of the value: 204, or 200 with the value where a node made another of it."""
@@ -349,7 +348,9 @@ class ParameterTree(ParameterContainer):
         for name in (*changed, *gone):
             known = graph.parameters.get(name)
             if known is not None and known.node != self.name:
-                raise Problem(409, f"{name} belongs to the node {known.node}: PATCH its own container.")
+                about = () if known.node is None else (self.session.space.node(known.node),)
+                words = f"{name} belongs to the node {known.node}: PATCH its own container."
+                raise Problem(409, words, about=about)
         for name in gone:
             require_not_fixed(graph, name, delete=True)
         with contextlib.suppress(DryRunEnded):

@@ -9,7 +9,6 @@ from rosld.ontology.violations import Violation, violations_text
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import AffordanceService, Snapshot
 from rosld.server.hypermedia.catalogue import Property
-from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.mapping import Condition
 from rosld.server.hypermedia.resource_tree import ActionPlan, PropertyPlan, ResourceTree
 from rosld.server.rest.state import State
@@ -42,7 +41,7 @@ def condition_conflict(space: Space, conditions: Sequence[Condition], snapshot: 
     note_conditions(condition.iri for condition in conditions)
     broken: tuple[Violation, ...] = snapshot.results.violations(conditions)
     if broken:
-        about = [url_of(condition.about, space) for condition in conditions]
+        about = snapshot.results.about(conditions)
         raise Problem(
             409, f"{sentence}: {violations_text(broken)}.", title="Not on offer now", violations=broken, about=about
         )

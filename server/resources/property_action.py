@@ -25,7 +25,13 @@ from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.data_schema import value_schema
 from rosld.server.hypermedia.json_schema import ANYTHING, OBJECT, nullable, patch_schema, read_schema, write_schema
 from rosld.server.hypermedia.message_schemas import MessageSchemas
-from rosld.server.hypermedia.property_writer import PlannedWrite, WriteOutcome, carry_out, not_writable_reason
+from rosld.server.hypermedia.property_writer import (
+    PlannedWrite,
+    WriteOutcome,
+    carry_out,
+    not_writable_about,
+    not_writable_reason,
+)
 from rosld.server.hypermedia.resource_tree import ActionPlan, PropertyPlan, ResourceTree, parent_of
 from rosld.server.hypermedia.value import MessageValue, shape_url
 from rosld.server.hypermedia.value_body import content_from_rdf
@@ -178,6 +184,11 @@ class MemberResource(CommandResource):
         if plan is not None and method in ("PUT", "PATCH"):
             return not_writable_reason(self.session.adapter, self.session.settings, plan.source)
         return f"{self.name} does not answer {method}."
+
+    @property
+    def deny_about(self) -> Sequence[str]:
+        plan = self._tree.property(self.name) if self._tree is not None else None
+        return () if plan is None else not_writable_about(self.session, plan.source)
 
     @property
     def constrained_by(self) -> str | None:
@@ -333,7 +344,7 @@ class MemberResource(CommandResource):
         """
         tree, plan = await self._property()
         if "PUT" not in self.methods():
-            raise Problem(403, self.deny_reason("PUT"))
+            raise self.not_allowed("PUT", 403)
         if triples is None:
             raise Problem(403, f"{self.name} is there for as long as the robot has it: it cannot be dropped.")
         body = index_triples(triples)
@@ -342,7 +353,7 @@ class MemberResource(CommandResource):
         async def carried_out() -> bool:
             return await carry_out(self.session, written) is not WriteOutcome.UNHEARD
 
-        return RobotWrite(f"write {self.name} by {written.writer.name}", carried_out)
+        return RobotWrite(f"write {self.name}", carried_out)
 
     def affected_names(self, tree: ResourceTree) -> tuple[str, ...]:
         """The names that a write through its graph concerns."""
@@ -395,7 +406,7 @@ class MemberResource(CommandResource):
         if view.reading.value is None:
             why = view.reading.failure or "it has no value yet"
             detail = f"{self.name} cannot be patched: {why}; PUT a whole value."
-            raise Problem(409, detail, extra={ROBOT_SAID: view.reading.words})
+            raise Problem(409, detail, extra={ROBOT_SAID: view.reading.words}, about=view.reading.about)
         if exchange.media_type == MERGE_PATCH:
             return merge_patch(parse_json(property_json(view, self.session.lifting.unelided)), parse_json(data))
         before = property_document(view, self.session.space, self.session.lifting.unelided)

@@ -113,7 +113,8 @@ class RecordingTriggers:
             if problem.status in (403, 422):
                 raise
             words = problem.detail.removeprefix("?until= cannot be waited for: ")
-            raise Problem(422, f"The trigger cannot be waited for: {words}", extra=problem.said) from problem
+            words = f"The trigger cannot be waited for: {words}"
+            raise Problem(422, words, extra=problem.said, about=problem.about) from problem
         return followed
 
     async def occurrences(self, one: ArmedRecording) -> AsyncGenerator[MayRecord, None]:
@@ -254,7 +255,8 @@ def _resource(space: Space, url: str, find: Find, permissions: Permissions) -> R
     except ValueError as error:
         raise Problem(422, f"The trigger is about {url[:200]}: {error}.") from error
     except Problem as problem:
-        raise Problem(422, f"The trigger is about {url[:200]}: {problem.detail}") from problem
+        words = f"The trigger is about {url[:200]}: {problem.detail}"
+        raise Problem(422, words, extra=problem.said, about=problem.about) from problem
 
 
 def _mapped_condition(

@@ -88,6 +88,7 @@ def call_problem(space: Space, outcome: CallOutcome) -> Problem | None:
         return None
     url = space.call(outcome.call.id)
     problem = problem_of(error)
+    problem.about += (space.service(outcome.call.service),)
     problem.extra |= {"call": url, "state": outcome.call.state.value}
     if isinstance(error, Refused) and not error.words:
         problem.detail = f"{outcome.call.service} refused the call: {error.sentence}"
@@ -106,5 +107,6 @@ def refusal_problem(space: Space, outcome: CallOutcome) -> Problem | None:
     if words is None:
         return None
     problem = problem_of(Refused(f"{call.service} refused", words=words or None, sent=Sent.YES))
+    problem.about += (space.service(call.service),)
     problem.extra |= {"call": space.call(call.id)}
     return problem

@@ -186,6 +186,10 @@ class TopicResource(CommandResource):
             return f"rosld does not advertise {self.name}, so there is nothing to delete."
         return reason or super().deny_reason(method)
 
+    @property
+    def deny_about(self) -> Sequence[str]:
+        return () if self.topic is None else [self.session.space.node(each.node) for each in self.topic.publishers]
+
     async def state(self) -> State:
         view = self.session.topics.find_view(self.name)
         if view is None:
@@ -403,9 +407,8 @@ class TopicResource(CommandResource):
         return await cloud_response(self, self.session.schemas, self.pictures, self.name, view.newest, exchange)
 
     async def plan_graph_write(self, triples: Sequence[Triple] | None) -> Plan:
-        denied_reason = self.unwritable_reason()
-        if denied_reason is not None:
-            raise Problem(403, denied_reason)
+        if self.unwritable_reason() is not None:
+            raise self.not_allowed("PUT", 403)
         if triples is None:
             raise Problem(403, f"{self.name} is there for as long as a node has it: it cannot be dropped.")
         plan = await self._publishing.plan_graph(triples)

@@ -42,7 +42,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.receipts.journal import Journal, NoSuchReceipt
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.large import LargeDocuments, excerpt_state
-from rosld.server.rest.resource import Resource, allow_field
+from rosld.server.rest.resource import Resource
 from rosld.server.rest.ros_problems import problem_of_body
 from rosld.server.rest.state import State
 from rosld.server.robot.session import Session
@@ -182,7 +182,7 @@ class PageRenderer:
         forms = await resource.forms()
         form = next((form for form in forms if form.method == method and not form.action), None)
         if form is None:
-            raise Problem(405, resource.deny_reason(method or "POST"), headers={"Allow": allow_field(resource)})
+            raise resource.not_allowed(method or "POST")
         query, fields = html.split_query(typed) if isinstance(form, HoldForm | DeleteForm) else ({}, typed)
         try:
             value = _value(form, fields)

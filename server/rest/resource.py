@@ -118,6 +118,16 @@ class Resource:
         """Why a verb is not allowed, in a sentence for a 405."""
         return f"{self.kind} resources do not answer {method}."
 
+    @property
+    def deny_about(self) -> Sequence[str]:
+        """The URLs of the other resources that `deny_reason` may name."""
+        return ()
+
+    def not_allowed(self, method: str, status: int = 405) -> Problem:
+        """Return the Problem of a verb that is not allowed; 403 where what is not allowed is a write of the graph."""
+        headers = {"Allow": allow_field(self)} if status == 405 else {}
+        return Problem(status, self.deny_reason(method), headers=headers, about=self.deny_about)
+
     async def state(self) -> State:
         """What it is like now. Raises a 404 (or 410) Problem where there is nothing."""
         raise NotImplementedError
@@ -230,26 +240,26 @@ class Resource:
         Everything that can be refused is, and nothing moves. Raises Problems (403 where it cannot be written at all),
         LoweringError for what does not fit, and RosError.
         """
-        raise Problem(403, self.deny_reason("PUT"))
+        raise self.not_allowed("PUT", 403)
 
     async def put(self, exchange: Exchange) -> Answer:
         """Carry out a PUT (RFC 9110 9.3.4), which is called only while it is among `methods()`.
 
         Raises Problems (405 unless overridden), BodyError, LoweringError and RosError; so do the other three verbs.
         """
-        raise _not_there(self, "PUT")
+        raise self.not_allowed("PUT")
 
     async def post(self, exchange: Exchange) -> Answer:
         """Carry out a POST (RFC 9110 9.3.3); raises as `put`."""
-        raise _not_there(self, "POST")
+        raise self.not_allowed("POST")
 
     async def patch(self, exchange: Exchange) -> Answer:
         """Carry out a PATCH (RFC 5789); raises as `put`."""
-        raise _not_there(self, "PATCH")
+        raise self.not_allowed("PATCH")
 
     async def delete(self, exchange: Exchange) -> Answer:
         """Carry out a DELETE (RFC 9110 9.3.5); raises as `put`."""
-        raise _not_there(self, "DELETE")
+        raise self.not_allowed("DELETE")
 
 
 @dataclass(frozen=True, slots=True)
@@ -273,10 +283,6 @@ class ShownAnswer:
 
 Answer: TypeAlias = Response | CreatedAnswer | ShownAnswer
 """What a write answers: a finished response, or a resource still to be represented as the request prefers."""
-
-
-def _not_there(resource: Resource, method: str) -> Problem:
-    return Problem(405, resource.deny_reason(method), headers={"Allow": allow_field(resource)})
 
 
 def _heading(title: str, path: str) -> str:

@@ -27,7 +27,7 @@ def problem_of(error: RosError) -> Problem:
     """The Problem that tells of a ROS error: its sentence, the robot's words, whether it may have been done."""
     status = next((status for kind, status in _STATUS if isinstance(error, kind)), 502)
     extra: dict[str, object] = {"sent": error.sent.value}
-    about: tuple[str, ...] = ()
+    about = error.about
     if error.words is not None:
         extra[ROBOT_SAID] = error.words
     match error:
@@ -39,10 +39,10 @@ def problem_of(error: RosError) -> Problem:
             }
             if stop_state.reason is not None:
                 extra[AGENT_SAID] = stop_state.reason
-            about = () if stop_state.url is None else (stop_state.url,)
+            about += () if stop_state.url is None else (stop_state.url,)
         case TopicHeld(holder=holder):
             extra |= {"holder": holder.name, "hold": holder.hold}
-            about = (holder.hold,)
+            about += (holder.hold,)
     headers = {"Retry-After": str(RETRY_AFTER_SECONDS)} if status == 503 and error.sent is Sent.NO else {}
     return Problem(status, error.sentence, title=type(error).__name__, headers=headers, extra=extra, about=about)
 
@@ -57,7 +57,7 @@ def problem_of_out_of_memory(error: BaseException, *, is_write: bool) -> Problem
 def problem_of_body(error: BodyError | LoweringError) -> Problem:
     """400 for a body that cannot be read (413, 415 for its IRIs, its charset), 422 with violations for a misfit."""
     if isinstance(error, LoweringError):
-        return Problem(422, str(error), title="Does not fit", violations=error.violations)
+        return Problem(422, str(error), title="Does not fit", violations=error.violations, about=error.about)
     if isinstance(error, UnsupportedCharset):
         return Problem(415, str(error))
     if isinstance(error, ExpandedBodyError):

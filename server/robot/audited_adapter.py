@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import lru_cache
 
 from rosld.adapters.base import Adapter, Capabilities, Published, Recording, Sink, Subscription, Watch
-from rosld.adapters.model import GoalId, Graph, Operation, ParameterValue, Ref, Sample, Schema, TypeRef
+from rosld.adapters.model import GoalId, Graph, Operation, ParameterValue, Ref, RosError, Sample, Schema, TypeRef
 from rosld.ontology.urls import Space
 from rosld.server.receipts.audit_context import current_audit, record_step
-from rosld.server.robot.interlock import WriteInterlock
+from rosld.server.robot.interlock import Stopped, WriteInterlock
 from rosld.server.runtime.dry_run import is_dry_run
 
 
@@ -34,8 +35,21 @@ class _CountedSubscription:
             self._inner.close()
 
 
+@contextmanager
+def errors_about(*urls: str) -> Iterator[None]:
+    """Have errors of ROS say that they are about these URLs, except that the robot is stopped."""
+    try:
+        yield
+    except RosError as error:
+        if not isinstance(error, Stopped):
+            error.about += urls
+        raise
+
+
 class AuditedAdapter:
     """An `Adapter` behind the interlock that records each write in the audit context of its request.
+
+    Errors of the writes of a request say what they are about.
 
     In a dry run a publish has its likely outcome, and every other write ends the run; nothing is sent.
 
@@ -64,15 +78,16 @@ class AuditedAdapter:
         passes_stop: bool = False,
     ) -> Published:
         """`Adapter.publish`; raises TopicHeld while somebody holds the topic. `passes_stop`: also while stopped."""
-        audit = current_audit.get()
+        audit, url = current_audit.get(), self._topic_url(topic)
         if audit is not None:
-            audit.add_step(f"publish a {type.name} on {topic}", self._topic_url(topic))
-        self._interlock.require_free(topic)
-        if is_dry_run():
-            return self._planned_publish(topic, passes_stop=passes_stop)
-        self.published.add(topic)
-        run = self._interlock.run_always if passes_stop else self._interlock.run
-        published = await run(lambda: self.inner.publish(topic, type, data, latch=latch, deadline=deadline))
+            audit.add_step(f"publish a {type.name} on {topic}", url)
+        with errors_about(url):
+            self._interlock.require_free(topic)
+            if is_dry_run():
+                return self._planned_publish(topic, passes_stop=passes_stop)
+            self.published.add(topic)
+            run = self._interlock.run_always if passes_stop else self._interlock.run
+            published = await run(lambda: self.inner.publish(topic, type, data, latch=latch, deadline=deadline))
         if audit is not None:
             audit.add_receivers(published.matched)
         return published
@@ -121,23 +136,31 @@ class AuditedAdapter:
 
     async def call(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
         """`Adapter.call`."""
-        record_step(f"call {service} ({type.name})", self._space.service(service))
-        return await self._interlock.run(lambda: self.inner.call(service, type, request, deadline=deadline))
+        url = self._space.service(service)
+        record_step(f"call {service} ({type.name})", url)
+        with errors_about(url):
+            return await self._interlock.run(lambda: self.inner.call(service, type, request, deadline=deadline))
 
     async def send_goal(self, action: str, type: TypeRef, goal: bytes, *, deadline: float) -> GoalId:
         """`Adapter.send_goal`."""
-        record_step(f"send a goal to {action} ({type.name})", self._space.action(action))
-        return await self._interlock.run(lambda: self.inner.send_goal(action, type, goal, deadline=deadline))
+        url = self._space.action(action)
+        record_step(f"send a goal to {action} ({type.name})", url)
+        with errors_about(url):
+            return await self._interlock.run(lambda: self.inner.send_goal(action, type, goal, deadline=deadline))
 
     async def cancel_goal(self, goal: GoalId, *, deadline: float) -> None:
         """`Adapter.cancel_goal`, also while the robot is stopped: it ends what moves."""
-        record_step(f"cancel the goal {goal.id} of {goal.action}", self._space.action(goal.action))
-        await self._interlock.run_always(lambda: self.inner.cancel_goal(goal, deadline=deadline))
+        url = self._space.action(goal.action)
+        record_step(f"cancel the goal {goal.id} of {goal.action}", url)
+        with errors_about(url):
+            await self._interlock.run_always(lambda: self.inner.cancel_goal(goal, deadline=deadline))
 
     async def cancel_goals(self, action: str, *, deadline: float) -> None:
         """`Adapter.cancel_goals`, also while the robot is stopped: it ends what moves."""
-        record_step(f"cancel all goals of {action}", self._space.action(action))
-        await self._interlock.run_always(lambda: self.inner.cancel_goals(action, deadline=deadline))
+        url = self._space.action(action)
+        record_step(f"cancel all goals of {action}", url)
+        with errors_about(url):
+            await self._interlock.run_always(lambda: self.inner.cancel_goals(action, deadline=deadline))
 
     async def change_state(self, node: str, transition: str, *, deadline: float) -> None:
         """`Adapter.change_state`."""
@@ -148,7 +171,8 @@ class AuditedAdapter:
         """`Adapter.set_parameters`."""
         for name in values:
             record_step(f"set the parameter {name}", self._space.parameter(name))
-        await self._interlock.run(lambda: self.inner.set_parameters(values, deadline=deadline))
+        with errors_about(*map(self._space.parameter, values)):
+            await self._interlock.run(lambda: self.inner.set_parameters(values, deadline=deadline))
 
     async def delete_parameters(self, names: Sequence[str], *, deadline: float) -> None:
         """`Adapter.delete_parameters`."""

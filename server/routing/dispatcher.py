@@ -24,7 +24,7 @@ from rosld.server.rest.motion import Motion
 from rosld.server.rest.pages import PageRenderer
 from rosld.server.rest.path_item import DRY_RUN
 from rosld.server.rest.raw_response import RawResponse
-from rosld.server.rest.resource import Answer, CreatedAnswer, Resource, ShownAnswer, allow_field
+from rosld.server.rest.resource import Answer, CreatedAnswer, Resource, ShownAnswer
 from rosld.server.rest.resource_headers import rendered, resource_headers
 from rosld.server.rest.state import State
 from rosld.server.robot.session import Session
@@ -118,7 +118,7 @@ class Dispatcher:
         if is_form(exchange, resource):
             return await self._forms.answer(exchange, resource)
         if method not in resource.methods():
-            raise Problem(405, resource.deny_reason(method), headers={"Allow": allow_field(resource)})
+            raise resource.not_allowed(method)
         try:
             refuse_partial_put(exchange)
             check_media_type(exchange, resource)

@@ -8,6 +8,7 @@ from rosld.adapters.model import RosError
 from rosld.ontology.lower import LoweringError
 from rosld.ontology.urls import Space
 from rosld.server.auth import enforcement
+from rosld.server.auth.redaction.problems import redact_problem
 from rosld.server.http import link
 from rosld.server.http.charset import FORM
 from rosld.server.http.problem import Problem
@@ -32,15 +33,11 @@ class FormAnswers:
 
     async def answer(self, exchange: Exchange, resource: Resource) -> Response:
         """A form of one of our pages: the write it means, then the way back to a page (303)."""
+        place = enforcement.location_of(exchange.request.scope, self._pages.space)
         try:
             form = await self._pages.read_form(exchange, resource)
             if not exchange.permissions.is_unrestricted:
-                enforcement.authorize(
-                    exchange.permissions,
-                    form.method,
-                    enforcement.location_of(exchange.request.scope, self._pages.space),
-                    resource,
-                )
+                enforcement.authorize(exchange.permissions, form.method, place, resource)
             if query_string := exchange.request.scope["query_string"]:
                 self._known_parameters.require(form.method, query_string, resource, is_form=True)
             exchange.audit.begin()
@@ -50,12 +47,12 @@ class FormAnswers:
                 expect_status(303)
                 raise
             except (LoweringError, RosError, Problem) as error:
-                problem = problem_of_error(error)
+                problem = redact_problem(problem_of_error(error), exchange.permissions, place)
                 if problem.status not in _SHOWN_ON_THE_PAGE:
                     raise
                 raise InvalidForm(form, exchange.typed, problem) from error
         except InvalidForm as refusal:
-            exchange.audit.set_refusal(refusal.problem.with_quotes)
+            exchange.audit.set_refusal(refusal.problem.with_quotes, refusal.problem.about)
             return await self._pages.form_errors(resource, refusal, exchange.permissions)
         if isinstance(answer, Response) and answer.status_code == 202 and form.method != "DELETE":
             return await self._pages.with_notice(

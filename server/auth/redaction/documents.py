@@ -2,7 +2,8 @@
 
 Removed are triples that mention a URL of this server which the agent may not read, affordances of which it may not use
 any form, and the blank nodes and fragments that only removed triples led to. Every triple that is left is one of the
-document's own, so that it is as true as it was; only lists are closed over the members they lost.
+document's own, so that it is as true as it was; only lists are closed over the members they lost, and a value that
+cannot be read from something hidden is said to be unreadable without the reason.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
 from rosld.ontology.document import Document, LiftedMessage
 from rosld.ontology.vocab import hctl, htv, mapping, rdf, ros, td
+from rosld.server.auth.errors import WITHHELD_DETAIL
 from rosld.server.auth.permissions import Permissions
 
 _Term: TypeAlias = "NamedNode | BlankNode | Literal | Triple"
@@ -26,6 +28,9 @@ _NAMES = frozenset({ros.recordsTopic, ros.silentTopic})
 """Predicates of recordings whose values are names of topics, or globs."""
 _WORDS = frozenset({ros.recordingProblem, ros.triggerCondition})
 """Predicates of an order whose words may name what it records, or waits for."""
+_REASONS = frozenset({ros.unreadable, ros.words})
+"""Predicates of a value that say why it cannot be read, and so name what it is read from."""
+_WITHHELD = Literal(WITHHELD_DETAIL.removesuffix("."))
 _TELLING = frozenset({ros.mappingWarning})
 """Predicates whose words name whatever there is: only who may read everything is told them."""
 
@@ -57,6 +62,7 @@ class _Redaction:
         before = self._document.triples
         parts = self._hidden_parts()
         orders = self._orders_of_hidden()
+        unreadable = self._values_read_from_hidden()
         after = [
             each
             for each in before
@@ -68,7 +74,13 @@ class _Redaction:
                 or (each.predicate in _NAMES and self._is_hidden_topic(each.object))
                 or (each.predicate in _WORDS and each.subject in orders)
                 or (each.predicate in _TELLING and not self._permissions.may_read_all)
+                or (each.predicate in _REASONS and each.subject in unreadable)
             )
+        ]
+        after += [
+            Triple(each.subject, each.predicate, _WITHHELD)
+            for each in before
+            if each.predicate == ros.unreadable and each.subject in unreadable and not self._is_hidden(each.subject)
         ]
         after = self._remove_unusable_forms(after)
         if len(after) == len(before):
@@ -104,6 +116,14 @@ class _Redaction:
             each.subject
             for each in self._document.triples
             if each.predicate in _ABOUT and _is_part(each.subject, self._own) and self._is_hidden(each.object)
+        )
+
+    def _values_read_from_hidden(self) -> frozenset[_Term]:
+        """Return the properties that are read from something hidden."""
+        return frozenset(
+            each.subject
+            for each in self._document.triples
+            if each.predicate == ros.readsFrom and self._is_hidden(each.object)
         )
 
     def _orders_of_hidden(self) -> frozenset[_Term]:

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+from pyoxigraph import NamedNode
+
 from rosld.ontology.urls import Location
+from rosld.ontology.violations import Violation
 from rosld.server.auth.errors import gone, not_found, withhold_reason
 from rosld.server.auth.permissions import Permissions
 from rosld.server.http.problem import Problem
@@ -15,21 +20,26 @@ def redact_problem(problem: Problem, permissions: Permissions, place: Location |
     """Return a problem with what is at `place` as this agent may be told of it.
 
     A 410 remains one only where the agent may know of whatever might be there. A Location that the agent may not read
-    makes it a 404, and a reason that speaks of what the agent may not read is left out.
+    makes it a 404. A reason that speaks of something else that the agent may not read is left out, and so are the IRIs
+    of shapes in such documents.
     """
     if permissions.is_unrestricted:
         return problem
     if problem.status in (404, 410):
         return _redact_absence(problem, permissions, place)
-    if problem.status == 405 and not permissions.may_read_all:  # the reason may name who may not be known
-        words = "What is here does not answer that method, whoever asks; Allow says what you may do."
-        return Problem(405, words, headers=problem.headers)
-    if not all(map(permissions.may_read, problem.about)):
+    if not all(permissions.may_read(url) or permissions.locate(url) == place for url in problem.about):
         return withhold_reason(problem)
+    problem.violations = tuple(_redact_violation(each, permissions) for each in problem.violations)
     target = problem.headers.get("Location")
     if target is not None and problem.status < 400 and not permissions.may_read(target):
         return not_found()
     return problem
+
+
+def _redact_violation(violation: Violation, permissions: Permissions) -> Violation:
+    shape = violation.shape
+    is_hidden = isinstance(shape, NamedNode) and not permissions.may_read(shape.value)
+    return replace(violation, shape=None) if is_hidden else violation
 
 
 def _redact_absence(problem: Problem, permissions: Permissions, place: Location | None) -> Problem:

@@ -123,7 +123,8 @@ class StoredResource(Resource):
 def conflict_problem(space: Space, error: Conflict) -> Problem:
     """The Problem of a write that cannot be done as things are."""
     status = {ConflictCause.GONE: 410, ConflictCause.CHANGED: 412, ConflictCause.MISSING: 404}.get(error.cause, 409)
-    return Problem(status, f"{space.base}{error.path}: {error.words}.")
+    url = space.base + error.path
+    return Problem(status, f"{url}: {error.words}.", about=(url,))
 
 
 def missing_problem(documents: Documents, path: str) -> Problem:

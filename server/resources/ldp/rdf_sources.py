@@ -12,7 +12,6 @@ from pyoxigraph import Triple
 from rosld.server.dataset.base import TripleChanges
 from rosld.server.html import DeleteForm, Form
 from rosld.server.http.multipart import MULTIPART
-from rosld.server.http.problem import Problem
 from rosld.server.patches.patch import TooManyTriples
 from rosld.server.resources.ldp.base import StoredResource
 from rosld.server.resources.ldp.bodies import (
@@ -185,7 +184,7 @@ class RdfSourceResource(StoredResource):
     async def plan_graph_write(self, triples: Sequence[Triple] | None) -> StorageWrite:
         method = "DELETE" if triples is None else "PUT"
         if method not in self.methods():
-            raise Problem(403, self.deny_reason(method))
+            raise self.not_allowed(method, 403)
         if triples is None:
             return StorageWrite(f"delete {self.title}", (Remove(self.path, self.require_record().version),))
         record = self.require_record()
@@ -193,7 +192,7 @@ class RdfSourceResource(StoredResource):
 
     async def plan_graph_change(self, change: TripleChanges) -> StorageWrite | None:
         if "PUT" not in self.methods():
-            raise Problem(403, self.deny_reason("PUT"))
+            raise self.not_allowed("PUT", 403)
         record = self.require_record()
         if has_managed((*change.removed, *change.added), self._subject):
             return None

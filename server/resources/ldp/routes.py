@@ -132,7 +132,7 @@ class AbsentResource(StoredResource):
 
     async def plan_graph_write(self, triples: Sequence[Triple] | None) -> StorageWrite:
         if "PUT" not in self.methods():
-            raise Problem(403, self.deny_reason("PUT"))
+            raise self.not_allowed("PUT", 403)
         if triples is None:
             raise missing_problem(self.documents, self.path)
         return StorageWrite(

@@ -12,8 +12,12 @@ from rosld.server.rest.resource import Answer, CreatedAnswer
 
 
 async def with_warnings(documents: Documents, path: str, exchange: Exchange, answer: Answer) -> Answer:
-    """The answer to a write that put a mapping in force: in words where it names in vain, if no other is preferred."""
-    if not path.startswith(ROUTE) or exchange.prefer.minimal or exchange.prefer.representation:
+    """The answer to a write that put a mapping in force: in words where it names in vain, if no other is preferred.
+
+    The warnings name what is there instead, so they are for those who may read everything.
+    """
+    is_told = exchange.permissions.may_read_all and not (exchange.prefer.minimal or exchange.prefer.representation)
+    if not path.startswith(ROUTE) or not is_told:
         return answer
     url = documents.space.base + path
     warnings = await documents.mapping_warnings(url)

@@ -13,6 +13,8 @@ from starlette.responses import Response
 from rosld.adapters.model import RosError, Sent
 from rosld.ontology.body import BodyError
 from rosld.ontology.lower import LoweringError
+from rosld.server.auth.permissions import Permissions
+from rosld.server.auth.redaction.problems import redact_problem
 from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import members
 from rosld.server.rest.ros_problems import problem_of, problem_of_body
@@ -103,19 +105,18 @@ def _retry_after(problem: Problem) -> dict[str, str]:
     return {name: value for name, value in problem.headers.items() if name == "Retry-After"}
 
 
-def failed_entry(error: RosError | Problem) -> tuple[Outcome, Problem]:
+def failed_outcome(error: RosError | Problem) -> Outcome:
     """What an error in carrying out says of the write."""
-    if isinstance(error, RosError):
-        return Outcome.UNKNOWN if error.sent is Sent.MAYBE else Outcome.FAILED, problem_of(error)
-    return Outcome.UNKNOWN if error.extra.get("sent") == Sent.MAYBE.value else Outcome.FAILED, error
+    sent = error.sent.value if isinstance(error, RosError) else error.extra.get("sent")
+    return Outcome.UNKNOWN if sent == Sent.MAYBE.value else Outcome.FAILED
 
 
-def reason(error: Problem | LoweringError | BodyError | RosError) -> Problem:
-    """Why a graph cannot be written as an update asks."""
+def reason(error: Problem | LoweringError | BodyError | RosError, permissions: Permissions, graph: str) -> Problem:
+    """Why a graph cannot be written as an update asks, as an agent may be told."""
     if isinstance(error, RosError):
-        return problem_of(error)
-    if isinstance(error, LoweringError | BodyError):
-        return problem_of_body(error)
-    if error.status == 405:
-        return Problem(403, error.detail)
-    return error
+        problem = problem_of(error)
+    elif isinstance(error, LoweringError | BodyError):
+        problem = problem_of_body(error)
+    else:
+        problem = Problem(403, error.detail, about=error.about) if error.status == 405 else error
+    return redact_problem(problem, permissions, permissions.locate(graph))

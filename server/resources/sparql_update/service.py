@@ -28,7 +28,7 @@ from rosld.server.resources.sparql_update.report import (
     Outcome,
     RefusedGraphs,
     ReportEntry,
-    failed_entry,
+    failed_outcome,
     partial_failure,
     reason,
     report_response,
@@ -241,10 +241,10 @@ class UpdateService:
         async with self._lock_targets(targets, locked):
             if not await self._is_current(delta, targets):
                 return None
-            plans = await self._plans(targets)
+            plans = await self._plans(targets, permissions)
             if not await self._is_current(delta, targets):
                 return None
-            return await self._carry_out(plans)
+            return await self._carry_out(plans, permissions)
 
     async def _targets(self, changes: Sequence[GraphChange], permissions: Permissions) -> Sequence[Target]:
         """What is written; the Problem of all that cannot be written whatever they are to say, if any is."""
@@ -255,10 +255,10 @@ class UpdateService:
                 await resource.prepare()
                 require_change(permissions, change.graph, resource)
                 if resource.methods() <= READ:
-                    raise Problem(403, resource.deny_reason("PATCH" if {*resource.accepts} == {"PATCH"} else "PUT"))
+                    raise resource.not_allowed("PATCH" if {*resource.accepts} == {"PATCH"} else "PUT", 403)
                 found.append(Target(change, resource))
             except (Problem, RosError) as error:
-                reasons.append((change.graph, reason(error)))
+                reasons.append((change.graph, reason(error, permissions, change.graph)))
         if reasons:
             raise RefusedGraphs(reasons)
         return found
@@ -305,14 +305,14 @@ class UpdateService:
         except (Problem, RosError, ValueError):
             return False
 
-    async def _plans(self, targets: Sequence[Target]) -> Sequence[PlannedGraph]:
+    async def _plans(self, targets: Sequence[Target], permissions: Permissions) -> Sequence[PlannedGraph]:
         """A plan a graph; the Problem of all that are refused, if any is."""
         found, reasons = [], []
         for change, resource in targets:
             try:
                 found.append(PlannedGraph(change.graph, await self._plan(change, resource)))
             except (Problem, LoweringError, BodyError, RosError) as error:
-                reasons.append((change.graph, reason(error)))
+                reasons.append((change.graph, reason(error, permissions, change.graph)))
         if reasons:
             raise RefusedGraphs(reasons)
         return found
@@ -326,7 +326,7 @@ class UpdateService:
             raise _WholeGraphNeeded
         return plan
 
-    async def _carry_out(self, plans: Sequence[PlannedGraph]) -> Response | None:
+    async def _carry_out(self, plans: Sequence[PlannedGraph], permissions: Permissions) -> Response | None:
         """Carry plans out: what is kept in one transaction, then what moves the robot, one after the other."""
         kept = [(graph, plan) for graph, plan in plans if isinstance(plan, StorageWrite)]
         moves = [(graph, plan) for graph, plan in plans if isinstance(plan, RobotWrite)]
@@ -344,9 +344,8 @@ class UpdateService:
             except Conflict as error:
                 if error.cause in _CHANGED:
                     return None
-                raise RefusedGraphs(
-                    [(self._session.space.base + error.path, conflict_problem(self._session.space, error))]
-                ) from error
+                graph, problem = self._session.space.base + error.path, conflict_problem(self._session.space, error)
+                raise RefusedGraphs([(graph, reason(problem, permissions, graph))]) from error
         entries = [ReportEntry(graph, plan.description, Outcome.DONE) for graph, plan in kept]
         for graph, move in moves:
             record_step(move.description, graph)
@@ -356,7 +355,7 @@ class UpdateService:
             except DryRunEnded:
                 continue
             except (RosError, Problem) as error:
-                fate, problem = failed_entry(error)
+                fate, problem = failed_outcome(error), reason(error, permissions, graph)
                 left = [ReportEntry(name, plan.description, Outcome.LEFT) for name, plan in moves[place + 1 :]]
                 raise partial_failure([*entries, ReportEntry(graph, move.description, fate, problem), *left]) from error
             entries.append(ReportEntry(graph, move.description, Outcome.DONE if heard else Outcome.UNHEARD))

@@ -1,7 +1,8 @@
-"""What is denied to a reader is told nowhere: in no route, syntax, query, stream, file or link.
+"""What is denied to a reader is told nowhere: in no route, syntax, query, stream, file or link, and in no refusal.
 
-The robot and everything that an administrator makes of it has names with `zq7`, and the number 7317.25. The reader may
-read all other paths. What the documents of clients (`/data/`, `/mappings/`, `/queries/`, `/cockpit/`, and
+The robot and everything that an administrator makes of it has names with `zq7`, and the number 7317.25; what reads and
+writes the property `/grip` is called otherwise. The reader may read all other paths, the writer may write them as well.
+What the documents of clients (`/data/`, `/mappings/`, `/queries/`, `/cockpit/`, and
 `/shapes/`) literally say is not denied by it: theirs name denied things by URLs, which are left out.
 """
 
@@ -15,7 +16,7 @@ import json
 import re
 import time
 from collections import Counter
-from collections.abc import AsyncIterator, Iterable, Mapping
+from collections.abc import AsyncIterator, Iterable, Mapping, Set
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -39,6 +40,7 @@ from rosld.adapters.model import (
     Node,
     Operation,
     Ref,
+    Refused,
     TypeRef,
     freeze,
 )
@@ -51,7 +53,7 @@ from rosld.server.settings import Settings
 from tests.server.auth.conftest import token, tokens
 from tests.server.robots.made_up import MadeUp
 
-MARKER = re.compile(r"zq7\w*|7317\.25|7\.31725")
+MARKER = re.compile(r"zq7\w*|7317\.25|7\.31725|[gs]et_grip")
 NUMBER = 7317.25
 HOST = "127.0.0.1:8080"
 BASE = f"http://{HOST}/"
@@ -67,9 +69,14 @@ modes = ["read"]
 paths = ["/**"]
 
 [[rule]]
-agents = ["reader"]
-modes = ["read"]
-paths = ["/**/*zq7*", "/**/*zq7*/**"]
+agents = ["writer"]
+modes = ["read", "write", "control"]
+paths = ["/**"]
+
+[[rule]]
+agents = ["reader", "writer"]
+modes = ["read", "write", "control"]
+paths = ["/**/*zq7*", "/**/*zq7*/**", "/services/*et_grip"]
 deny = true
 """
 DENIED_NODE = "/zq7_node"
@@ -176,7 +183,11 @@ class Secretive(MadeUp):
             self.answer(f"/{name}_service", "std_srvs/srv/Trigger", success=True, message=f"{name}answered")
             self.strange(Action(f"/{name}_action", self.turn.ref, ("/robot",)))
         self.strange(Action("/shared_action", self.turn.ref, ("/robot", DENIED_NODE)))
+        self.variable("/grip", "Byte", value=1)
+        for type, name in (("Get", "/get_grip"), ("Set", "/set_grip")):
+            self.offer(name, f"made_up/srv/{type}Byte", _refuse)
         self.parameter("/open/number", 1)
+        self.parameter("/open/limited", 1)
         self.parameter("/zq7_tree/leaf", "zq7leaf")
         self.parameter("/open/zq7_inner", "zq7inner")
         self.topic("/open", "std_msgs/msg/Float64", {"data": 1.5})
@@ -258,6 +269,10 @@ class Secretive(MadeUp):
 
     def _put(self, name: str, publisher: str, data: bytes) -> None:
         super()._put(name, DENIED_NODE if name == "/shared" else publisher, data)
+
+
+def _refuse(_: object) -> Mapping[str, Any]:
+    raise Refused("the gripper refuses", words="zq7said")
 
 
 @dataclass
@@ -406,6 +421,8 @@ KEPT = """<> a ros:Cockpit ; dcterms:title "Kept" ;
 LIMITS = """
 <#limit> a sh:NodeShape ; sh:targetNode </resources/zq7_speed> ;
   sh:property [ sh:path rdf:value ; sh:maxInclusive 7317.25 ] .
+<#limited> a sh:NodeShape ; sh:targetNode </parameters/open/limited> ;
+  sh:property [ sh:path ros:value ; sh:maxInclusive 10 ] .
 """
 ASKED = "# The value of a topic.\nSELECT ?s ?o { GRAPH </topics/zq7_asked> { ?s ?p ?o } }"
 JSON = "application/json"
@@ -443,6 +460,7 @@ async def fill(admin: Client, robot: Secretive) -> list[str]:
     )
     await do("PUT", "/parameters/zq7_refused", 400, "{zq7bad")
     await do("PUT", "/topics/zq7_nothing", 404, "{zq7worse")
+    await do("PUT", "/topics/shared", 405, {"data": 1})
     await do("POST", "/sparql", 204, "INSERT DATA { GRAPH </data/zq7/document> { <#x> <http://e.x/p> 'zq7updated' } }",
              "application/sparql-update")  # fmt: skip
     await do("POST", "/sparql", 204, "INSERT DATA { GRAPH </data/box/open> { <#x> <http://e.x/p> 2 } }",
@@ -479,7 +497,7 @@ async def secretive_app(folder: Path) -> AsyncIterator[tuple[Application, Secret
     robot = Secretive()
     robot.topic("/zq7_asked", "std_msgs/msg/Float64", {"data": NUMBER})
     rules = folder / "auth.toml"
-    rules.write_text(tokens("admin", "reader") + RULES)
+    rules.write_text(tokens("admin", "reader", "writer") + RULES)
     chosen = Settings(
         base_url=BASE, auth=rules, data=folder / "data", history=("*",), subscribe=("*",), max_publish_rate=1e9,
         client_rate=1e9, client_streams=1000, receipt_excerpt=200, versions=5, first_value_wait=0.1,
@@ -713,3 +731,88 @@ async def check_what_may_be_read(reader: Client, admin: Client) -> None:
     assert told == {each for each in there if "zq7" not in each}
     for path in ("/bags/done/at", "/bags/done/file", "/bags/armed/", "/cockpit/default", "/cockpit/kept", "/calls/"):
         assert (await admin("GET", path)).leaks, path
+
+
+# Writes
+
+INSERT = "INSERT DATA {{ GRAPH <{0}> {{ <{0}> <http://www.w3.org/1999/02/22-rdf-syntax-ns#value> 3 }} }}"
+UPDATE, MERGE = "application/sparql-update", "application/merge-patch+json"
+TAKEN = """
+<#car> a map:ComplexResource ; map:path "/car/" ; map:property [ map:predicate ex:open ; map:member "/open" ] .
+"""
+NEAR = TAKEN.replace("/car/", "/cart/").replace("/open", "/zq7_spee")
+REFUSED = (
+    ("PUT", "/topics/shared", '{"data": 1}', JSON),
+    ("POST", "/sparql", INSERT.format("/topics/shared"), UPDATE),
+    ("POST", "/sparql", INSERT.format("/resources/grip"), UPDATE),
+    ("PUT", "/graphs?graph=/topics/shared", "<#x> <http://e.x/p> 1 .", TURTLE),
+    ("PUT", "/resources/grip", "3", JSON),
+    ("PATCH", "/resources/grip", "3", MERGE),
+    ("POST", "/resources/car/act", "{}", JSON),
+    ("POST", "/resources/car/turn", "{}", JSON),
+    ("PATCH", "/resources/car/", '{"nothing": 3}', MERGE),
+    ("PUT", "/parameters/open/limited", "99", JSON),
+    ("PUT", "/mappings/taken", PREFIXES + TAKEN, TURTLE),
+    ("PUT", "/mappings/near", PREFIXES + NEAR, TURTLE),
+    ("POST", "/bags/", '{"topics": ["*"], "trigger": {"resource": "/resources/grip", "condition": "x > 1"}}', JSON),
+)
+"""Writes that something denied is the reason to refuse, or to warn of."""
+
+
+async def described_writes(ask: Client) -> list[tuple[str, str, Set[str]]]:
+    """Method, path and media types of each write that the description lists for an agent, those that delete last."""
+    described = json.loads((await ask("GET", "/openapi.json")).body)
+
+    def resolved(item: dict[str, Any]) -> dict[str, Any]:
+        *_, part, name = item.get("$ref", "//").split("/")
+        return described["components"][part][name] if name else item
+
+    return [
+        (
+            method.upper(),
+            re.sub(r"\{\w+\}", "made", path),
+            resolved(written.get("requestBody", {})).get("content", {}).keys(),
+        )
+        for method in ("put", "post", "patch", "delete")
+        for path, item in described["paths"].items()
+        if (written := resolved(item).get(method)) is not None
+    ]
+
+
+async def bodies_for(ask: Client, path: str, kinds: Set[str]) -> list[tuple[str, bytes]]:
+    """Bodies of these media types, of which some fit what is at a path, and some do not; each after its type."""
+    there = await ask("GET", path, Accept=JSON)
+    texts = [there.body if there.status == 200 else b"{}", b'{"data": 1, "strange": "x"}', b"{nonsense"]
+    found = [(kind, text) for kind in (JSON, MERGE) for text in texts]
+    found += [(TURTLE, b"<> <http://e.x/p> 1 ."), (UPDATE, b"INSERT DATA { <> <http://e.x/p> 1 }")]
+    return [(kind, text) for kind, text in found if kind in kinds] or [("", b"")]
+
+
+def test_no_answer_to_a_write_tells_what_is_denied(tmp_path: Path) -> None:
+    asyncio.run(_write_everywhere(tmp_path))
+
+
+async def _write_everywhere(folder: Path) -> None:
+    async with secretive_app(folder) as (app, _):
+        crawl = Crawl(app, "writer")
+        writes = await described_writes(crawl.ask)
+        known = {("PUT", "/resources/grip"), ("PUT", "/topics/open_words"), ("DELETE", "/data/made")}
+        assert known <= {(method, path) for method, path, _ in writes}
+        for is_dry in (True, False):
+            for method, path, body, kind in REFUSED:
+                query = ("&" if "?" in path else "?") + f"dry-run={is_dry}".lower()
+                for accept in (JSON, TURTLE, "text/html"):
+                    await crawl.request(method, path + query, body.encode(), Content_Type=kind, Accept=accept)
+            for method, path, kinds in writes:
+                for kind, data in await bodies_for(crawl.ask, path, kinds):
+                    sent = {"Content_Type": kind} if kind else {}
+                    sent |= {"If_Match": "*"} if method == "PATCH" else {}
+                    await crawl.request(method, f"{path}?dry-run={is_dry}".lower(), data, **sent)
+        page = (await crawl.ask("GET", "/resources/grip", Accept="text/html")).text
+        (token,) = re.findall(r'name="csrf" value="([^"]*)">\n<input type="hidden" name="method" value="PUT"', page)
+        form = f"csrf={token}&method=PUT&value=3".encode()
+        await crawl.request("POST", "/resources/grip", form, Content_Type="application/x-www-form-urlencoded")
+        print(f"{len(writes)} writes, {crawl.ask.statuses.total()} answers: {dict(crawl.ask.statuses)}")
+        assert {200, 201, 204, 400, 403, 405, 409, 422} <= crawl.ask.statuses.keys()
+        assert not crawl.leaks
+        assert not crawl.failures

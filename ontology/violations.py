@@ -24,7 +24,7 @@ class Violation:
 
     `path` of the field (`linear.x`, "" for the message), what was expected, what was found (shortened, None where there
     was nothing). Where a SHACL shape found it, the rest says what its validation result does (SHACL 1.0 section 3.6.2):
-    `term` is the value itself, `predicate` the result's path.
+    `term` is the value itself, `predicate` the result's path, `said` the shape's own message, which others wrote.
     """
 
     path: str
@@ -36,6 +36,12 @@ class Violation:
     predicate: NamedNode | None = None
     term: NamedNode | BlankNode | Literal | None = None
     severity: NamedNode | None = None
+    said: str | None = None
+
+    @property
+    def with_quote(self) -> str:
+        """What was expected, with the shape's message as a quotation: for people."""
+        return f"{self.message} ({json.dumps(self.said, ensure_ascii=False)})" if self.said else self.message
 
 
 def violations_text(violations: Iterable[Violation]) -> str:

@@ -117,10 +117,10 @@ class Shape:
     def violation(
         self, focus: Term, path: str, constraint: ValueConstraint | SetConstraint, value: Term | None
     ) -> Violation:
-        """A violation of one constraint, with the shape's own words where it has any (SHACL 2.1.5)."""
+        """A violation of one constraint, with the shape's own message where it has any (SHACL 2.1.5)."""
         return Violation(
             path,
-            self.words or constraint.words,
+            constraint.words,
             brief_term(value),
             component=constraint.component,
             shape=self.node if isinstance(self.node, NamedNode) else None,
@@ -128,6 +128,7 @@ class Shape:
             predicate=self.path,
             term=value if isinstance(value, NamedNode | BlankNode | Literal) else None,
             severity=self.severity,
+            said=self.words,
         )
 
 

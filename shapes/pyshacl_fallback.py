@@ -59,7 +59,8 @@ class PyshaclShape:
             yield Violation(above, f"cannot be judged: {report}", shape=_iri(self._node))
             return
         results = report.objects(None, _sh("result"))
-        yield from sorted((_violation(report, each, terms, above) for each in results), key=lambda one: one.path)
+        found = (_violation(report, each, terms, above, self._graph) for each in results)
+        yield from sorted(found, key=lambda one: one.path)
 
     def _shapes_for(self, focus: Node) -> rdflib.Graph:
         if focus not in self._targeted:
@@ -95,7 +96,9 @@ def _iri(term: object) -> NamedNode | None:
     return term if isinstance(term, NamedNode) else NamedNode(str(term)) if isinstance(term, URIRef) else None
 
 
-def _violation(report: rdflib.Graph, result: rdflib.term.Node, terms: dict[Node, Term], above: str) -> Violation:
+def _violation(
+    report: rdflib.Graph, result: rdflib.term.Node, terms: dict[Node, Term], above: str, shapes: rdflib.Graph
+) -> Violation:
     """A result of the report, with the data's terms as they were."""
 
     def said(name: str) -> Node | None:
@@ -105,9 +108,11 @@ def _violation(report: rdflib.Graph, result: rdflib.term.Node, terms: dict[Node,
     value, focus, path = said("value"), said("focusNode"), _iri(said("resultPath"))
     term = terms.get(value) if value is not None else None
     node = terms.get(focus) if focus is not None else None
+    message = said("resultMessage")
+    is_own = (said("sourceShape"), _sh("message"), None) in shapes  # and not pyshacl's
     return Violation(
         above if path is None else join_path(above, path),
-        str(said("resultMessage") or "does not conform"),
+        "does not conform" if is_own or message is None else str(message),
         brief_term(term),
         component=_iri(said("sourceConstraintComponent")),
         shape=_iri(said("sourceShape")),
@@ -115,4 +120,5 @@ def _violation(report: rdflib.Graph, result: rdflib.term.Node, terms: dict[Node,
         predicate=path,
         term=term if isinstance(term, NamedNode | BlankNode | Literal) else None,
         severity=_iri(said("resultSeverity")),
+        said=str(message) if is_own and message is not None else None,
     )

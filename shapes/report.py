@@ -30,7 +30,7 @@ def validation_report(url: str, violations: Sequence[Violation], *, node: str = 
             (sh.resultSeverity, violation.severity or sh.Violation),
             (sh.focusNode, violation.focus or NamedNode(url + node)),
             (ros.fieldPath, text(violation.path) if violation.path else None),
-            (sh.resultMessage, text(violation.message)),
+            (sh.resultMessage, text(violation.said or violation.message)),
             *_source(violation),
         )
     return Document(url, tuple(triples))

@@ -106,8 +106,7 @@ class Lifecycles:
             await self._make_sure(node, one, until)
         transition = _legal(one, label)
         if transition is None:
-            legal = ", ".join(each.label for each in one.lifecycle.transitions) or "none"
-            raise Refused(f"{node} is {_state_of(one)}: {label!r} is no legal transition now; legal is {legal}")
+            raise Refused(f"{label!r} is no legal transition of {node} now")
         wanted = make_message(_TRANSITION, {"id": transition.id, "label": transition.label})
         try:
             answer = await self._call(node, "change_state", _CHANGE, {"transition": wanted}, until)
@@ -118,7 +117,7 @@ class Lifecycles:
         except RosError as error:  # what was asked for is done all the same, or not
             self._silent(one, error)
         if not answer.success:
-            raise Refused(f"{node} did not make the transition {label!r}: it is {_state_of(one)}", sent=Sent.YES)
+            raise Refused(f"{node} did not make the transition {label!r}", sent=Sent.YES)
 
     async def _make_sure(self, node: str, one: _Managed, until: float) -> None:
         """Ask a node how it stands; one that makes a transition may well not answer, and is not waited for."""
@@ -203,7 +202,8 @@ class Lifecycles:
     def _silent(self, one: _Managed, error: Exception) -> None:
         """A node does not answer: as long as it makes a transition, that is all there is to be told."""
         if not one.is_underway:
-            words = f"it does not tell the state of its lifecycle: {error}"
+            why = error.sentence if isinstance(error, RosError) else error
+            words = f"it does not tell the state of its lifecycle: {why}"
             one.lifecycle = replace(one.lifecycle, transitions=(), unknown=words)
 
     async def _learn(self, node: str, one: _Managed, until: float) -> None:
@@ -262,9 +262,3 @@ def _state(message: Any) -> LifecycleState:
 
 def _legal(one: _Managed, label: str) -> Transition | None:
     return next((each for each in one.lifecycle.transitions if each.label == label), None)
-
-
-def _state_of(one: _Managed) -> str:
-    """How a node stands, in a word."""
-    state = one.lifecycle.state
-    return "in no state that it tells" if state is None else state.label

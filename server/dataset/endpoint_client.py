@@ -6,6 +6,7 @@ Redirects are not followed and proxies not asked: what is sent arrives at the UR
 from __future__ import annotations
 
 import contextlib
+import json
 import socket
 import ssl
 import threading
@@ -21,7 +22,12 @@ _WORDS = 300
 
 
 class StoreError(Exception):
-    """The store did not do what it was asked: its words say why, in a sentence."""
+    """The store did not do what it was asked: a sentence says why, and apart from it stand the endpoint's `words`."""
+
+    def __init__(self, sentence: str, words: str | None = None) -> None:
+        super().__init__(f"{sentence} It said: {json.dumps(words, ensure_ascii=False)}." if words else sentence)
+        self.sentence = sentence
+        self.words = words
 
 
 class StoreUnreachable(StoreError):
@@ -31,8 +37,8 @@ class StoreUnreachable(StoreError):
 class StoreRefused(StoreError):
     """The endpoint answered that it did not do it; `status` is that of HTTP."""
 
-    def __init__(self, sentence: str, status: int) -> None:
-        super().__init__(sentence)
+    def __init__(self, sentence: str, status: int, words: str | None = None) -> None:
+        super().__init__(sentence, words)
         self.status = status
 
 
@@ -110,6 +116,8 @@ class Endpoint:
         self._drop()
         if isinstance(error, TimeoutError):
             return StoreUnreachable(f"{self.url} did not answer within {self.seconds:g} s.")
+        if isinstance(error, HTTPException):  # which has in it what came
+            return StoreUnreachable(f"{self.url} gave no answer that can be read.", _words(str(error)))
         return StoreUnreachable(f"{self.url} gave no answer: {_words(str(error) or type(error).__name__)}.")
 
     def _exchange(self, method: str, body: bytes | None, headers: dict[str, str]) -> Response:
@@ -146,11 +154,12 @@ class Endpoint:
         if answer.will_close or not answer.isclosed():
             self._drop()
         if 300 <= answer.status < 400:
-            location = _words(answer.getheader("Location") or "another place")
-            said = f"{self.url} redirects to {location}, where nothing is sent: name the URL that answers itself."
+            words = _words(answer.getheader("Location") or "")
+            sentence = f"{self.url} redirects, and nothing is sent elsewhere: name the URL that answers itself."
         else:
-            said = f"{self.url} answers {answer.status}: {words or _words(answer.reason)}"
-        return StoreRefused(said, answer.status)
+            words = words or _words(answer.reason)
+            sentence = f"{self.url} answers {answer.status}."
+        return StoreRefused(sentence, answer.status, words)
 
     def _drop(self) -> None:
         connection, self._connection, self._socket = self._connection, None, None

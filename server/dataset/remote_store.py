@@ -115,8 +115,8 @@ class RemoteStore:
                 graph.load(answer.body, pyoxigraph.RdfFormat.N_TRIPLES)
                 return graph.query("CONSTRUCT WHERE { ?s ?p ?o }")
         except (SyntaxError, ValueError, OSError) as error:
-            raise StoreUnreachable(f"{self.url} answers with malformed results: {error}.") from error
-        raise StoreUnreachable(f"{self.url} answers with {answer.media_type or 'no media type'} instead of results.")
+            raise StoreUnreachable(f"{self.url} answers with malformed results.", str(error)) from error
+        raise StoreUnreachable(f"{self.url} answers with something else than results.", answer.media_type)
 
 
 def _parse(body: bytes) -> Results:

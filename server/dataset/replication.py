@@ -97,8 +97,9 @@ class ReplicationSource(Protocol):
 class ReplicationStatus:
     """The progress of a mirror. `lag` is the age, in seconds, of the oldest change that is not there yet; 0 for none.
 
-    `failure` says why the store cannot be told now, None where it can. `pending` graphs wait, `refused` ones were not
-    taken. `updated_ns` is when it last took something, in nanoseconds since the epoch.
+    `failure` says why the store cannot be told now, None where it can, and `words` what it said to that. `pending`
+    graphs wait, `refused` ones were not taken. `updated_ns` is when it last took something, in nanoseconds since the
+    epoch.
     """
 
     url: str
@@ -106,6 +107,7 @@ class ReplicationStatus:
     pending: int
     refused: int
     failure: str | None
+    words: str | None
     updated_ns: int | None
 
 
@@ -159,7 +161,7 @@ class Mirror:
         self._refused: dict[str, float] = {}
         self._on_its_way: float | None = None
         self._told_ns: int | None = None
-        self._failure: str | None = None
+        self._failure: StoreError | None = None
         self._failures = 0
         self._moments: list[str] = []  # what the heartbeat may say of when: one line unless requests failed
         self._whole = False  # whether everything was noted since this server began
@@ -180,9 +182,9 @@ class Mirror:
         """How far it is; from any thread."""
         oldest = [moment for moment in (self._on_its_way, self._pending.since) if moment is not None]
         lag = time.monotonic() - min(oldest) if oldest else 0.0
-        return ReplicationStatus(
-            self._target.url, lag, len(self._pending), len(self._refused), self._failure, self._told_ns
-        )
+        pending, refused, failure = len(self._pending), len(self._refused), self._failure
+        sentence, words = (None, None) if failure is None else (failure.sentence, failure.words)
+        return ReplicationStatus(self._target.url, lag, pending, refused, sentence, words, self._told_ns)
 
     async def run(self) -> None:
         """Tell the other store what changes, for ever: to be cancelled."""
@@ -237,7 +239,7 @@ class Mirror:
         self._seen = -1
         if self._failure is None:
             _log.warning("the store is behind from now on: %s It is tried again.", error)
-        self._failure = str(error)
+        self._failure = error
 
     def _note_success(self) -> None:
         if self._failure is not None:

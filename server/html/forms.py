@@ -288,12 +288,12 @@ def _filling(typed: Pairs | None, violations: Iterable[Violation]) -> InputValue
     errors: dict[str, str] = {}
     for violation in violations:
         known = errors.get(violation.path)
-        errors[violation.path] = f"{known}; {violation.message}" if known else violation.message
+        errors[violation.path] = f"{known}; {violation.with_quote}" if known else violation.with_quote
     return InputValues(None if typed is None else dict(typed), errors)
 
 
 def _errors(violations: Iterable[Violation]) -> Mapping[str, str]:
-    text = "; ".join(violation.message for violation in violations)
+    text = "; ".join(violation.with_quote for violation in violations)
     return {VALUE_FIELD: text} if text else {}
 
 
@@ -306,7 +306,7 @@ def _open_controls(value: Json, pairs: Pairs | None, violations: Iterable[Violat
     typed = None if pairs is None else dict(pairs)
     kind = parameter_type_of(value) if typed is None else typed.get(TYPE_FIELD, "string")
     text = _parameter_text(value) if typed is None else typed.get(VALUE_FIELD, "")
-    error = escape_controls("; ".join(violation.message for violation in violations))
+    error = escape_controls("; ".join(violation.with_quote for violation in violations))
     return (
         Input(TYPE_FIELD, "type", "select", kind, options=PARAMETER_TYPES),
         replace(_parameter_input(kind, text), error=error),

@@ -36,7 +36,8 @@ class Problem(Exception):
 
     `detail` names the value and the next step; `title` is the status's phrase where none is given; `headers` go into
     the response; `extra` holds further members (RFC 9457 3.2); `violations` say field by field what does not fit.
-    Words of the robot or of another agent stand in members of their own (`quoted`), never in `detail` or `title`.
+    Words of the robot or of another agent stand in members of their own (`quoted`), never in `detail` or `title`; those
+    of the shapes that were broken are taken from the violations.
     `about` are URLs of what the reason speaks of: one who may not read them all is not told it. `near` are URLs of what
     is there, where the one that was asked for is not and is spelt much like them.
     """
@@ -60,8 +61,10 @@ class Problem(Exception):
         self.title = title or reason_phrase(status)
         self.type = type
         self.headers = dict(headers)
+        self.violations = tuple(map(_cleaned, violations))
+        said = "; ".join(dict.fromkeys(each.said for each in self.violations if each.said))
+        extra = {AGENT_SAID: said} | dict(extra) if said else extra
         self.extra = {name: redact_tokens_in(value) for name, value in _with_quotations(extra).items()}
-        self.violations = tuple(map(_without_tokens, violations))
         self.about = tuple(about)
         self.near = tuple(near)
 
@@ -135,8 +138,10 @@ def reason_phrase(status: int) -> str:
         return f"Status {status}"
 
 
-def _without_tokens(violation: Violation) -> Violation:
+def _cleaned(violation: Violation) -> Violation:
+    """Return it without tokens, and with the shape's message fit to be quoted."""
     value = None if violation.value is None else redact_tokens(violation.value)
     path, message = redact_tokens(violation.path), redact_tokens(violation.message)
-    same = (path, message, value) == (violation.path, violation.message, violation.value)
-    return violation if same else replace(violation, path=path, message=message, value=value)
+    said = None if violation.said is None else redact_tokens(one_line(violation.said)) or None
+    same = (path, message, value, said) == (violation.path, violation.message, violation.value, violation.said)
+    return violation if same else replace(violation, path=path, message=message, value=value, said=said)

@@ -83,7 +83,10 @@ def members(problem: Problem) -> dict[str, object]:
     }
     if problem.violations:
         cleaned = map(_cleaned, problem.violations)
-        found["violations"] = [{"path": one.path, "message": one.message, "value": one.value} for one in cleaned]
+        found["violations"] = [
+            {"path": one.path, "message": one.message, "value": one.value} | ({"said": one.said} if one.said else {})
+            for one in cleaned
+        ]
     if problem.near:
         found["near"] = list(problem.near)
     return found
@@ -133,7 +136,7 @@ def _rdf(problem: Problem, syntax: Syntax, url: str) -> bytes:
 def _page(problem: Problem) -> str:
     title = html.escape(f"{problem.status} {problem.title}")
     rows = "".join(
-        f"<tr><td><code>{html.escape(_clean(one.path))}</code></td><td>{html.escape(_clean(one.message))}</td></tr>"
+        f"<tr><td><code>{html.escape(_clean(one.path))}</code></td><td>{html.escape(_clean(one.with_quote))}</td></tr>"
         for one in problem.violations
     )
     quotes = "".join(f"<p>{who}: <q>{html.escape(words)}</q></p>" for who, words in problem.quotes)

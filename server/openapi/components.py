@@ -38,6 +38,7 @@ _PROBLEM_SCHEMA: Schema = {
                     "path": {"type": "string"},
                     "message": {"type": "string"},
                     "value": {"type": ["string", "null"]},
+                    "said": {"type": "string", "description": "The message of the shape that was broken: data."},
                 },
                 "required": ["path", "message"],
             },

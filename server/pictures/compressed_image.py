@@ -58,7 +58,7 @@ def _encoding(format: str) -> str:
 
 def _draw_depth_file(format: str, data: bytes, shown: DepthRange) -> Image.Image:
     if "rvl" in format or len(data) <= _DEPTH_HEADER.size:
-        raise UnknownPicture(f"The format {format[:60]!r} is not drawn: distances are, as compressedDepth png")
+        raise UnknownPicture("Its format is not drawn: distances are, as compressedDepth png", format)
     _, scale, offset = _DEPTH_HEADER.unpack_from(data)
     picture = _open(data[_DEPTH_HEADER.size :])
     values = np.asarray(_load_pixels(picture))

@@ -69,7 +69,7 @@ def draw_raw(image: RawImage, shown: DepthRange = DEFAULT_RANGE) -> Image.Image:
     """The picture of an image, in mode L, RGB or RGBA. Raises CannotDraw."""
     draw = _DRAWINGS.get(image.encoding)
     if draw is None:
-        raise UnknownPicture(f"{image.encoding[:40]!r} is no encoding that is drawn: there are {', '.join(_DRAWINGS)}")
+        raise UnknownPicture(f"Its encoding is not drawn: there are {', '.join(_DRAWINGS)}", image.encoding)
     require_size(image.width, image.height)
     return draw(image, shown)
 

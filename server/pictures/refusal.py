@@ -11,7 +11,14 @@ _PER_PIXEL = 24
 
 
 class CannotDraw(ValueError):
-    """A message that is no picture, or none that is drawn here; its text is a sentence without its full stop."""
+    """A message that is no picture, or none that is drawn here; its text is a sentence without its full stop.
+
+    `words` are what the message says of itself, such as its encoding: they are not in the sentence.
+    """
+
+    def __init__(self, sentence: str, words: str | None = None) -> None:
+        super().__init__(sentence)
+        self.words = words
 
 
 class UnknownPicture(CannotDraw):

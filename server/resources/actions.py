@@ -347,7 +347,7 @@ class GoalResource(Resource):
             "sentBy": None if goal.sender is None else goal.sender.agent,
             "ended": None if goal.ended_ns is None else date_time(0, goal.ended_ns),
             "status": goal.status.value,
-            "words": None if goal.words is None else goal.words.encode("utf-8", "replace").decode(),
+            "words": goal.words,
         }
         schema = goal.schema
         messages = {

@@ -53,6 +53,7 @@ def replication_document(url: str, status: ReplicationStatus) -> Document:
                 (ros.store, NamedNode(status.url)),
                 (ros.state, ros.Live if status.failure is None else ros.Stale),
                 (ros.reason, text(status.failure)),
+                (ros.words, text(status.words)),
                 (ros.lag, double(round(status.lag, 3))),
                 (ros.pending, integer(status.pending)),
                 (ros.refusedGraphs, integer(status.refused)),
@@ -67,6 +68,7 @@ def _plain(status: ReplicationStatus) -> bytes:
         {
             "store": status.url,
             "failure": status.failure,
+            "words": status.words,
             "lag": round(status.lag, 3),
             "pending": status.pending,
             "refused": status.refused,

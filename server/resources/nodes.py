@@ -16,7 +16,7 @@ from rosld.ontology.lower import lowerer, parse_json
 from rosld.ontology.violations import LoweringError, Violation
 from rosld.ontology.vocab import ros
 from rosld.server.html import ChoiceForm, Form
-from rosld.server.http.problem import Problem
+from rosld.server.http.problem import Problem, one_line
 from rosld.server.hypermedia.json_schema import TEXT
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.command import CommandResource
@@ -183,8 +183,8 @@ class NodeResource(CommandResource):
         problem.status, problem.title = 409, "Not done"
         if lifecycle is not None:
             problem.extra |= {
-                "state": None if lifecycle.state is None else lifecycle.state.label,
-                "transitions": [each.label for each in lifecycle.transitions],
+                "state": None if lifecycle.state is None else one_line(lifecycle.state.label),
+                "transitions": [one_line(each.label) for each in lifecycle.transitions],
             }
         return problem
 

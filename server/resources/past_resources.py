@@ -18,7 +18,7 @@ from rosld.server.history.history import History
 from rosld.server.html import Form
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import AffordanceService, Snapshot
-from rosld.server.hypermedia.catalogue import Getter, ParameterSource, Property, TopicSource
+from rosld.server.hypermedia.catalogue import Getter, ParameterSource, Property, TopicSource, source_url
 from rosld.server.hypermedia.resource_tree import ComplexPlan, PropertyPlan
 from rosld.server.hypermedia.source_reader import decode_value
 from rosld.server.hypermedia.value import Reading
@@ -43,7 +43,6 @@ from rosld.server.resources.things import ThingDescriptions
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.resource import READ, Resource
 from rosld.server.rest.state import State
-from rosld.server.robot.schemas import Schemas
 from rosld.server.robot.session import Session
 from rosld.server.runtime.version_cache import VersionCache
 
@@ -53,8 +52,8 @@ _NOT_KEPT = "Nothing is recorded: rosld serve --history records topics."
 class PastReadings:
     """The readings of properties at a time."""
 
-    def __init__(self, schemas: Schemas, affordances: AffordanceService[State], history: History, at_ns: int) -> None:
-        self._schemas = schemas
+    def __init__(self, session: Session, affordances: AffordanceService[State], history: History, at_ns: int) -> None:
+        self._session = session
         self._affordances = affordances
         self._history = history
         self._at_ns = at_ns
@@ -66,17 +65,19 @@ class PastReadings:
 
     async def _reading(self, property: Property) -> Reading:
         recorded = _recorded_topic(self._history, property)
+        about = tuple(source_url(each, self._session.space) for each in property.readers)
         if recorded is None:
-            return Reading(property.name, None, _unknown(property))
+            return Reading(property.name, None, _unknown(property), about=about)
         sample = await read_history(lambda: self._history.writer.latest_at(recorded, self._at_ns))
         if sample is None:
-            return Reading(property.name, None, f"nothing is recorded of {recorded} until then")
+            return Reading(property.name, None, f"nothing is recorded of {recorded} until then", about=about)
         try:
-            schema = await self._schemas.message(sample.schema)
+            schema = await self._session.schemas.message(sample.schema)
         except RosError as error:
-            return Reading(property.name, None, f"the message of {recorded} cannot be read: {error.sentence}")
+            words = f"the message of {recorded} cannot be read: {error.sentence}"
+            return Reading(property.name, None, words, about=about)
         found = decode_value(recorded, sample, schema, property.name)
-        return Reading(property.name, found.value, found.failure, found.read_ns)
+        return Reading(property.name, found.value, found.failure, found.read_ns, about=about if found.failure else ())
 
 
 class _PastResource(Resource):
@@ -123,7 +124,7 @@ class PastMember(_PastResource, MemberResource):
         plan = tree.property(self.name)
         if plan is None:
             raise Problem(404, f"{self.name} is an action: nothing is recorded of it.")
-        readings = PastReadings(self.session.schemas, self.affordances, self._history, self._at_ns)
+        readings = PastReadings(self.session, self.affordances, self._history, self._at_ns)
         snapshot = await readings.snapshot(plan.reads)
         return _settle(self._as_it_was(replace(plan, exists_when=()), snapshot), self._at_ns)
 
@@ -149,7 +150,7 @@ class PastComplex(_PastResource, ComplexResource):
 
     async def state(self) -> State:
         _, plan = await self._plan()
-        readings = PastReadings(self.session.schemas, self.affordances, self._history, self._at_ns)
+        readings = PastReadings(self.session, self.affordances, self._history, self._at_ns)
         snapshot = await readings.snapshot(plan.reads)
         return _settle(self._as_it_was(replace(plan, exists_when=()), snapshot), self._at_ns)
 

@@ -11,7 +11,7 @@ from rosld.adapters.base import Watch
 from rosld.adapters.model import MessageSchema, RosError, Sample, TypeRef
 from rosld.server.http import negotiation
 from rosld.server.http.conditional import ETag, check_preconditions, digest
-from rosld.server.http.problem import Problem
+from rosld.server.http.problem import ROBOT_SAID, Problem
 from rosld.server.pictures.form import (
     DEFAULT_RANGE,
     DRAWN_TYPES,
@@ -153,9 +153,9 @@ async def _draw(pictures: PictureCache, name: str, schema: MessageSchema, sample
     try:
         return await pictures.picture(name, schema, sample, form)
     except UnknownPicture as error:
-        raise Problem(406, f"{error}.") from error
+        raise Problem(406, f"{error}.", extra={ROBOT_SAID: error.words}) from error
     except CannotDraw as error:
-        raise Problem(422, f"{error}.") from error
+        raise Problem(422, f"{error}.", extra={ROBOT_SAID: error.words}) from error
     except ValueError as error:
         raise Problem(406, f"The message cannot be read: {error}.") from error
 

@@ -10,7 +10,7 @@ from starlette.responses import Response
 from rosld.adapters.model import RosError, Sample, TypeRef
 from rosld.server.http import negotiation
 from rosld.server.http.conditional import ETag
-from rosld.server.http.problem import Problem
+from rosld.server.http.problem import ROBOT_SAID, Problem
 from rosld.server.pictures.picture_cache import PictureCache
 from rosld.server.pictures.refusal import CannotDraw
 from rosld.server.resources.pictures import VERSION, sample_identity
@@ -73,7 +73,7 @@ async def cloud_response(
         draw = partial(draw_cloud, most=most)
         data = await files.file(name, schema, sample, ("ply", most), draw)
     except CannotDraw as error:
-        raise Problem(422, f"{error}.") from error
+        raise Problem(422, f"{error}.", extra={ROBOT_SAID: error.words}) from error
     except (RosError, ValueError) as error:
         raise Problem(406, f"The message cannot be read: {error}.") from error
     headers = {

@@ -12,6 +12,7 @@ from enum import Enum
 
 from rosld.adapters.base import Adapter
 from rosld.adapters.model import Message, Refused, RosError, Sent, ServiceSchema, TimedOut
+from rosld.server.http.problem import one_line
 from rosld.server.receipts.audit_context import Sender, record_step
 from rosld.server.runtime.dry_run import end_dry_run, is_dry_run
 from rosld.server.runtime.identifiers import new_identifier
@@ -198,13 +199,13 @@ class Calls:
             return UnreadableResponse(f"the answer of {call.service} cannot be read: {error}", sent=Sent.YES)
         failed = getattr(response, "success", True) is False
         words = getattr(response, "message", None) if failed else None
-        self._replace(call, CallState.FAILED if failed else CallState.SUCCEEDED, response, words or None)
+        self._replace(call, CallState.FAILED if failed else CallState.SUCCEEDED, response, words)
         return None
 
-    def _replace(self, call: Call, state: CallState, response: Message | None = None, words: str | None = None) -> None:
+    def _replace(self, call: Call, state: CallState, response: Message | None = None, words: object = None) -> None:
         if call.id in self._calls:
             self._calls[call.id] = replace(
-                call, state=state, response=response, answered_ns=time.time_ns(), words=words
+                call, state=state, response=response, answered_ns=time.time_ns(), words=one_line(words) or None
             )
             self._revise()
 

@@ -24,6 +24,7 @@ from rosld.adapters.model import (
     Refused,
     RosError,
 )
+from rosld.server.http.problem import one_line
 from rosld.server.receipts.audit_context import Sender, record_step
 from rosld.server.robot.calls import IdempotencyKeyReused
 from rosld.server.robot.goal_follower import GoalFollower
@@ -125,7 +126,7 @@ class Goals:
         except RosError as error:
             if not isinstance(error, Refused):
                 return GoalSubmission(None, error)
-            words = error.words or error.sentence
+            words = one_line(error.words or error.sentence)
             goal = Goal(
                 new_identifier(), action, None, now, now, GoalStatus.REJECTED, schema, message, words=words,
                 ended_ns=time.time_ns(), is_own=True, sender=sender,
@@ -252,7 +253,7 @@ class Goals:
         schema = goal.schema or self._schemas(goal.action)
         changed = replace(goal, status=status, schema=schema, is_own=goal.is_own or event.own)
         if event.words is not None and (status is event.status or event.status is None):
-            changed = replace(changed, words=event.words or None)
+            changed = replace(changed, words=one_line(event.words) or None)
         if schema is not None:
             changed = self._with_messages(changed, schema, event, count)
         if status is not goal.status and status.is_final:

@@ -19,7 +19,7 @@ from typing import NamedTuple
 from rosld.adapters.model import Encoding, Kind, Message, MessageSchema, RosError
 from rosld.ontology.neutral_message import is_unstamped, with_stamp
 from rosld.server.auth.agent import Agent
-from rosld.server.http.problem import Problem
+from rosld.server.http.problem import Problem, one_line
 from rosld.server.robot.audited_adapter import AuditedAdapter
 from rosld.server.robot.hold_notes import HoldNote, HoldNotes
 from rosld.server.robot.interlock import Holder
@@ -391,7 +391,7 @@ class _Running:
         try:
             await self.publish(self._loop.time() + min(self._schedule.period, _LONGEST_PUBLISH))
         except (RosError, ValueError) as error:
-            trouble = str(error)
+            trouble = one_line(str(error))
         except Exception:
             _log.exception("the message of a hold on %s was not published", self.hold.topic)
             trouble = "The server failed to publish; its log says more."

@@ -151,9 +151,8 @@ def _refusal(session: Session, note: HoldNote) -> str | None:
     topic = session.graph.topics.get(note.topic)
     if topic is None:
         return None
-    others = [node for node in _other_publishers(topic, note, session.graph) if not _is_rosld(node)]
-    if others:
-        return f"{', '.join(others[:3])} publishes there"
+    if not all(map(_is_rosld, _other_publishers(topic, note, session.graph))):
+        return "another node publishes there"  # which, is not for everybody who may read of the hold
     if topic.type is not None and topic.type.name != note.type:
         return f"its type is {topic.type.name} now, not {note.type}"
     return None

@@ -13,6 +13,7 @@ from functools import partial
 from rosld.adapters.model import Action, Graph, Kind, Message, MessageSchema, RosError, Topic
 from rosld.ontology.lower import LoweringError, lowerer, parse_json
 from rosld.server.auth.agent import Agent
+from rosld.server.http.problem import one_line
 from rosld.server.receipts.audit_context import record_step
 from rosld.server.robot.goal_store import Goal
 from rosld.server.robot.hold_store import Hold, Holds
@@ -273,10 +274,11 @@ class SoftwareStop:
             reached = await work
             words = _missed_subscribers(reached)
         except (RosError, LoweringError, ValueError) as error:
+            said = one_line(str(error))  # the robot's words may be among them
             if is_at_rest is not None and await is_at_rest():
-                words = f"it is at rest already: {error}"
+                words = f"it is at rest already: {said}"
             else:
-                fate, words = StepStatus.FAILED, str(error)
+                fate, words = StepStatus.FAILED, said
                 _log.error("while the robot was stopped: %s: %s", does, words)
         except Exception as error:
             fate, words = StepStatus.FAILED, "the server failed; its log says more"

@@ -90,8 +90,7 @@ def read_cloud(message: Fields, most: int = DEFAULT_POINTS) -> Cloud:
         return Cloud(frame, stamp, np.zeros((0, 3), np.float32), 0)
     for axis in "xyz":
         if axis not in layout.fields:
-            there = ", ".join(layout.fields)[:200] or "none"
-            raise CannotDraw(f"The points have no field {axis!r}; of fields there are: {there}")
+            raise CannotDraw(f"The points have no field {axis!r}", ", ".join(layout.fields))
     count = layout.height * layout.width
     PROCESS_MEMORY.require(count * _PER_POINT, f"a cloud of {count:,} points")
     with np.errstate(all="ignore"):  # signalling NaN, and float64 beyond float32

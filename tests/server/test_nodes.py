@@ -116,7 +116,7 @@ def test_a_transition_that_is_not_legal_or_not_made_is_told_with_the_state(http:
     assert refused.status_code == 409
     told = refused.json()
     assert (told["state"], told["transitions"], told["sent"]) == ("unconfigured", ["configure", "shutdown"], "no")
-    assert "is unconfigured" in told["detail"]
+    assert told["detail"] == "'activate' is no legal transition of /camera now"
     assert not camera.asked
     camera.fails["configure"] = False
     failed = post(http, "configure").json()

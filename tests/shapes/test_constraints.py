@@ -319,11 +319,13 @@ def test_a_violation_is_a_sentence_with_everything_for_a_report() -> None:
     assert one.severity == sh.Warning
 
 
-def test_the_shapes_own_message_is_told_in_english_where_there_is_one() -> None:
-    shape = compiled(
-        ':shape sh:property [ sh:path ex:p ; sh:maxInclusive 0 ; sh:message "zu schnell"@de, "too fast"@en ] .'
-    )
-    assert [each.message for each in shape.violations(FOCUS, of_p("1"))] == ["too fast"]
+@pytest.mark.parametrize(
+    ("demand", "message"), [("maxInclusive 0", "must be at most 0"), ("lessThan ex:p", "does not conform")]
+)
+def test_the_shapes_own_message_is_apart_and_in_english_where_there_is_one(demand: str, message: str) -> None:
+    said = '"zu schnell"@de, "too fast"@en' if "max" in demand else '"too fast"'
+    shape = compiled(f":shape sh:property [ sh:path ex:p ; sh:{demand} ; sh:message {said} ] .")
+    assert [(each.message, each.said) for each in shape.violations(FOCUS, of_p("1"))] == [(message, "too fast")]
 
 
 @pytest.mark.parametrize(

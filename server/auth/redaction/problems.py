@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
 
 from pyoxigraph import NamedNode
@@ -29,7 +30,10 @@ def redact_problem(problem: Problem, permissions: Permissions, place: Location |
         return _redact_absence(problem, permissions, place)
     if not all(permissions.may_read(url) or permissions.locate(url) == place for url in problem.about):
         return withhold_reason(problem)
-    problem.violations = tuple(_redact_violation(each, permissions) for each in problem.violations)
+    violations = tuple(_redact_violation(each, permissions) for each in problem.violations)
+    if violations != problem.violations:
+        problem = copy(problem)  # others may be told the same
+        problem.violations = violations
     target = problem.headers.get("Location")
     if target is not None and problem.status < 400 and not permissions.may_read(target):
         return not_found()

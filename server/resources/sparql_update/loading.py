@@ -11,7 +11,7 @@ from rosld.ontology.body import MEDIA_TYPES, parse_triples
 from rosld.server.dataset.endpoint_client import Endpoint, StoreError
 from rosld.server.http import media
 from rosld.server.http.charset import to_utf8
-from rosld.server.http.problem import Problem
+from rosld.server.http.problem import AGENT_SAID, Problem
 from rosld.server.sparql.update.operations import Load, Modify, Operation, QuadTemplate
 
 
@@ -56,10 +56,10 @@ def _read(document: str, seconds: float, limit: int) -> Sequence[Triple]:
         body = to_utf8(answer.body, media.parse(answer.content_type))
         triples = parse_triples(body, answer.media_type, document)
     except StoreError as error:
-        raise Problem(502, f"LOAD: {error}") from error
-    except (Problem, ValueError) as error:  # a BodyError is one
+        raise Problem(502, f"LOAD: {error.sentence}", extra={AGENT_SAID: error.words}) from error
+    except (Problem, ValueError) as error:  # a BodyError is one, and may quote what was read
         words = error.detail if isinstance(error, Problem) else f"{error}."
-        raise Problem(422, f"LOAD: <{document}> cannot be read: {words}") from error
+        raise Problem(422, f"LOAD: <{document}> cannot be read.", extra={AGENT_SAID: words}) from error
     finally:
         endpoint.close()
     return triples

@@ -27,7 +27,7 @@ from rosld.server.dataset.base import Function, Results, TripleChanges
 from rosld.server.dataset.encoding import decode_term
 from rosld.server.dataset.memory_store import MemoryStore
 from rosld.server.dataset.shared_triples import Lookup
-from rosld.server.http.problem import Problem
+from rosld.server.http.problem import AGENT_SAID, Problem
 from rosld.server.sparql import results, row_limit
 from rosld.server.sparql.past_source import PastMessages
 from rosld.server.sparql.process.cost import JoinPlan, may_take_long
@@ -176,7 +176,7 @@ def _reaching_others() -> Iterator[None]:
     except BrokenPipeError:
         raise
     except OSError as error:
-        raise Problem(502, f"Another endpoint that the query asks failed: {error}.") from error
+        raise Problem(502, "Another endpoint that the query asks failed.", extra={AGENT_SAID: str(error)}) from error
 
 
 def _never_stop() -> None:

@@ -788,6 +788,7 @@ async def bodies_for(ask: Client, path: str, kinds: Set[str]) -> list[tuple[str,
     return [(kind, text) for kind, text in found if kind in kinds] or [("", b"")]
 
 
+@pytest.mark.slow
 def test_no_answer_to_a_write_tells_what_is_denied(tmp_path: Path) -> None:
     asyncio.run(_write_everywhere(tmp_path))
 
@@ -803,6 +804,9 @@ async def _write_everywhere(folder: Path) -> None:
                 query = ("&" if "?" in path else "?") + f"dry-run={is_dry}".lower()
                 for accept in (JSON, TURTLE, "text/html"):
                     await crawl.request(method, path + query, body.encode(), Content_Type=kind, Accept=accept)
+            for path in ("/resources/grip", "/resources/grip?at=-0.01", "/resources/?at=-0.01"):
+                for accept in (JSON, TURTLE, "text/html"):
+                    await crawl.request("GET", path, Accept=accept)
             for method, path, kinds in writes:
                 for kind, data in await bodies_for(crawl.ask, path, kinds):
                     sent = {"Content_Type": kind} if kind else {}

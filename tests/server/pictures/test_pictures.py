@@ -142,7 +142,7 @@ def test_every_encoding_that_is_drawn_is_compared_here() -> None:
 def test_what_is_no_picture_is_refused_in_words() -> None:
     good = image("rgb8", random("u1", (4, 6, 3), 1))
     for changes, words in (
-        ({"encoding": "8UC2"}, "is no encoding that is drawn: there are rgb8, bgr8"),
+        ({"encoding": "8UC2"}, "encoding is not drawn: there are rgb8, bgr8"),
         ({"step": 17}, "a row of 6 pixels of rgb8 takes 18 bytes, and step is 17"),
         ({"height": 5}, "cut off: it takes 90 bytes, and data has 72"),
         ({"width": 0}, "0 by 4 pixels, so there is nothing to be seen"),

@@ -83,7 +83,7 @@ async def create_hold(
     if rate is None and not publishing.commands_velocity:
         raise Problem(400, f"Say how often the message is to be published: ?rate=10 for ten times a second ({_RATES}).")
     rate = rate or min(RATE, session.limiter.rate)
-    _, schema, message = await publishing.read_message(exchange)
+    schema, message = await publishing.read_message(exchange)
     await publishing.require_within_limits(schema, message)
     asked = _command(session, publishing.name, schema, message, restamp=False)
     then, then_asked = await _then(

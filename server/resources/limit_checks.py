@@ -73,8 +73,11 @@ class LimitChecks:
         self, kind: Kind, name: str, schema: MessageSchema, message: Message, url: str, node: str
     ) -> None:
         """Raise LoweringError where a message breaks a limit; it is about to be sent to what is called `name`."""
-        if self._takes_finite(kind, name, schema.ref.name):
+        try:
             require_finite_message(schema, message, any_number_hint(name))
+        except LoweringError:
+            if self._takes_finite(kind, name, schema.ref.name):
+                raise
         limits = self.limits
         if not limits:
             return

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 from pyoxigraph import NamedNode, Triple
 from starlette.responses import Response
@@ -44,14 +43,6 @@ def goes_on_response(exchange: Exchange, topic: str, topic_url: str) -> Response
     return render(goes_on_problem(topic, topic_url), exchange.accept).response()
 
 
-@dataclass(frozen=True, slots=True)
-class PlannedPublish:
-    """A planned publish: everything that could be refused has been looked at."""
-
-    publication: Publication
-    creates: bool
-
-
 class Publisher:
     """Publishes on one topic. `plan` and `plan_patch` parse, find the type, lower and encode: nothing moves."""
 
@@ -72,13 +63,13 @@ class Publisher:
         topic = self.topic
         return topic is not None and topic.type is not None and topic.type.name in COMMANDS
 
-    async def plan(self, exchange: Exchange) -> PlannedPublish:
+    async def plan(self, exchange: Exchange) -> Publication:
         """What a PUT asks to be published. Raises LoweringError, BodyError, and Problems for all that is refused."""
-        topic, schema, message = await self.read_message(exchange)
-        return await self._publish(schema, message, exchange.query_flag("latch"), creates=topic is None)
+        schema, message = await self.read_message(exchange)
+        return await self._publication(schema, message, latch=exchange.query_flag("latch"))
 
-    async def read_message(self, exchange: Exchange) -> tuple[Topic | None, MessageSchema, Message]:
-        """The topic, the schema and the message in a body that was sent to it. Raises LoweringError, and Problems."""
+    async def read_message(self, exchange: Exchange) -> tuple[MessageSchema, Message]:
+        """The schema and the message in a body that was sent to the topic. Raises LoweringError, and Problems."""
         data, topic = await exchange.body(), self.topic
         if exchange.media_type == JSON:
             if topic is None:
@@ -86,10 +77,10 @@ class Publisher:
                     404, f"There is no topic {self.name}; to make it, PUT RDF that states the message's type."
                 )
             schema = await self._schema(topic)
-            return topic, schema, self._from_json(exchange, schema, data)
+            return schema, self._from_json(exchange, schema, data)
         body = parse_body(data, exchange.media_type, self.url)
         schema = await self._schema_for(topic, body)
-        return topic, schema, await self._lower(topic, schema, body)
+        return schema, await self._lower(topic, schema, body)
 
     async def message_of(self, exchange: Exchange, schema: MessageSchema, url: str) -> Message:
         """The message of a schema in a body that was sent to `url`. Raises LoweringError, and Problems."""
@@ -108,7 +99,7 @@ class Publisher:
         """Raise a LoweringError where a message is outside the limits on what is published here."""
         await self.limit_checks.require_message(Kind.TOPIC, self.name, schema, message, self.url, "#message")
 
-    async def plan_graph(self, triples: Sequence[Triple]) -> PlannedPublish:
+    async def plan_graph(self, triples: Sequence[Triple]) -> Publication:
         """What the graph of the topic asks to be published, if it is to say these triples.
 
         An update may name `#message` without its type: that is the topic's.
@@ -119,9 +110,9 @@ class Publisher:
             class_ = NamedNode(self.session.space.class_of(schema.ref.name))
             body = index_triples([*triples, Triple(node, rdf.type, class_)])
         message = await self._lower(topic, schema, body)
-        return await self._publish(schema, message, latch=False, creates=topic is None)
+        return await self._publication(schema, message)
 
-    async def plan_patch(self, exchange: Exchange, description: Sequence[Triple]) -> PlannedPublish:
+    async def plan_patch(self, exchange: Exchange, description: Sequence[Triple]) -> Publication:
         """What a PATCH of the latest message asks to be published; `description` is said of the topic beside it.
 
         Raises a 409 Problem where there is no message to patch, other Problems for the patch, and LoweringError.
@@ -140,14 +131,13 @@ class Publisher:
         else:
             before = [*description, *whole.triples(base.message, self.url, "#message")]
             message = await self._lower(topic, base.schema, apply_update(data, before, self.url, by_value=True))
-        return await self._publish(base.schema, message, exchange.query_flag("latch"), creates=topic is None)
+        return await self._publication(base.schema, message, latch=exchange.query_flag("latch"))
 
-    async def _publish(self, schema: MessageSchema, message: Message, latch: bool, *, creates: bool) -> PlannedPublish:
+    async def _publication(self, schema: MessageSchema, message: Message, *, latch: bool = False) -> Publication:
         await self.require_within_limits(schema, message)
         data = schema.codec.encode(message, self.session.adapter.capabilities.encoding)
         # By the stop and the graph of now: the robot may have been stopped while the body was read.
-        publication = replace(prepare(self.session, self.name, schema, message, data), latch=latch)
-        return PlannedPublish(publication, creates=creates)
+        return prepare(self.session, self.name, schema, message, data, latch=latch)
 
     async def _lower(self, topic: Topic | None, schema: MessageSchema, body: RdfBody) -> Message:
         self._check_stable(topic, body)
@@ -196,16 +186,17 @@ class Publisher:
                     raise Problem(422, f"{error.sentence}.") from error
         raise Problem(422, f"{self.name} has no type yet, and the body states none: give the message a type of {base}.")
 
-    async def carry_out(self, plan: PlannedPublish, exchange: Exchange) -> Response:
+    async def carry_out(self, publication: Publication, exchange: Exchange) -> Response:
         """Publish: 201 where that makes the topic, 202 where it has no subscriber, else 204. Raises RosError.
 
         A velocity that goes on is 200 with a warning where the client accepts a type in particular.
         """
-        published = await publish(self.session, plan.publication)
-        if plan.creates:
+        is_new = self.topic is None
+        published = await publish(self.session, publication)
+        if is_new:
             return Response(status_code=201, headers={"Location": self.url})
         if published.matched == 0:
             return render(no_subscriber_problem(self.name), exchange.accept).response()
-        if plan.publication.goes_on:
+        if publication.goes_on:
             return goes_on_response(exchange, self.name, self.url)
         return Response(status_code=204)

@@ -411,12 +411,12 @@ class TopicResource(CommandResource):
             raise self.not_allowed("PUT", 403)
         if triples is None:
             raise Problem(403, f"{self.name} is there for as long as a node has it: it cannot be dropped.")
-        plan = await self._publishing.plan_graph(triples)
+        publication = await self._publishing.plan_graph(triples)
 
         async def carried_out() -> bool:
-            return (await publish(self.session, plan.publication)).matched > 0
+            return (await publish(self.session, publication)).matched > 0
 
-        return RobotWrite(f"publish a {plan.publication.type.name} on {self.name}", carried_out)
+        return RobotWrite(f"publish a {publication.type.name} on {self.name}", carried_out)
 
     async def put(self, exchange: Exchange) -> Answer:
         """Publish the message in the body: 204, 202 where no subscriber is there, 201 where this made the topic."""
@@ -435,8 +435,8 @@ class TopicResource(CommandResource):
         """Publish the latest message with the changes of a patch. Raises a 428 Problem without If-Match."""
         require_if_match(exchange.header("if-match"), "PATCH changes the latest message, which changes often.")
         description = (await self.state()).document.triples
-        plan = await self._publishing.plan_patch(exchange, description)
-        return await self._publishing.carry_out(plan, exchange)
+        publication = await self._publishing.plan_patch(exchange, description)
+        return await self._publishing.carry_out(publication, exchange)
 
     async def delete(self, exchange: Exchange) -> Answer:
         """Advertise the topic no more."""

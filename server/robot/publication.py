@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from rosld.adapters.base import Published
 from rosld.adapters.model import Kind, Message, MessageSchema, TypeRef
@@ -16,8 +16,7 @@ from rosld.server.runtime.dry_run import is_dry_run
 from rosld.server.runtime.loop_time import loop_time
 
 
-@dataclass(frozen=True, slots=True)
-class Publication:
+class Publication(NamedTuple):
     """A message for a topic: nothing about it can be refused any more but by the robot.
 
     `passes_stop`: it is published also while the robot is stopped. `goes_on`: it sets the robot in motion, which goes
@@ -32,14 +31,17 @@ class Publication:
     goes_on: bool = False
 
 
-def prepare(session: Session, topic: str, schema: MessageSchema, message: Message, data: bytes) -> Publication:
+def prepare(
+    session: Session, topic: str, schema: MessageSchema, message: Message, data: bytes, *, latch: bool = False
+) -> Publication:
     """Return the publication of a message, with what the stop and the graph of now say of it."""
     return Publication(
         topic,
         schema.ref,
         data,
-        passes_stop=passes_stop(session, topic, schema, message),
-        goes_on=goes_on(session, topic, schema, message),
+        latch,
+        passes_stop(session, topic, schema, message),
+        goes_on(session, topic, schema, message),
     )
 
 

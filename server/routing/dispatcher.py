@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Awaitable, Callable, Sequence
 
 from starlette.responses import Response
 
@@ -65,11 +65,11 @@ class Dispatcher:
         self._keyed_lock = keyed_lock
         self._near = near
 
-    async def answer(self, exchange: Exchange, resource: Resource) -> Response:
+    def answer(self, exchange: Exchange, resource: Resource) -> Awaitable[Response]:
         """The response to a request on a resource; raises Problems. Either says what it is (LDP 4.2.1.4)."""
         if exchange.request.scope["query_string"] and exchange.method in VERBS and exchange.query_flag(DRY_RUN.name):
-            return await answer_dry_run(exchange, resource, self._session, lambda: self._respond(exchange, resource))
-        return await self._respond(exchange, resource)
+            return answer_dry_run(exchange, resource, self._session, lambda: self._respond(exchange, resource))
+        return self._respond(exchange, resource)
 
     async def _respond(self, exchange: Exchange, resource: Resource) -> Response:
         query_string, asked = exchange.request.scope["query_string"], resource

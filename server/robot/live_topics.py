@@ -19,7 +19,7 @@ from rosld.server.runtime.woken_task import end_tasks
 _SWEEP = 0.5
 """Seconds between sweeps, which fold what came and give back what nobody looks at any more."""
 _MEASURE = 2.5
-"""Seconds after which a topic is looked at to measure its rate, where nobody else looks."""
+"""Seconds between looks at all topics, by which their rates are measured where nobody else looks."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,6 @@ class _Look:
     folded: FoldedTopic | None = None
     rates: RateEstimator = field(default_factory=RateEstimator)
     latest: Sequence[Sample] | None = None
-    refreshed_at: float = 0.0
     view: TopicView = field(default_factory=TopicView)
     awaited: tuple[Endpoint, ...] = ()
     insisted: bool = False
@@ -227,7 +226,6 @@ class LiveTopics:
             watch.close()
 
     def _refresh(self, look: _Look) -> TopicView:
-        look.refreshed_at = loop_time()
         latest = look.subscription.latest()
         if latest is look.latest:
             return look.view
@@ -275,11 +273,14 @@ class LiveTopics:
             look.subscription.close()
 
     async def _sweep_for_ever(self) -> None:
+        measured = loop_time()
         while True:
             await asyncio.sleep(_SWEEP)
             await self._follow_recorded()
             now = loop_time()
             horizon = now - self._settings.idle
+            if measures := now - measured >= _MEASURE:
+                measured = now
             for topic, look in list(self._looks.items()):
                 is_gone = topic not in self._adapter.graph.topics
                 if not look.is_kept and (look.looked_at < horizon or is_gone):
@@ -289,7 +290,7 @@ class LiveTopics:
                     look.awaited = tuple(one for one in look.awaited if one in self._publishers(topic))
                 if look.folded is not None:
                     await self._know_types(look)
-                if look.folded is not None or look.view.rate is None or look.refreshed_at < now - _MEASURE:
+                if measures or look.folded is not None or look.view.rate is None:
                     self._refresh(look)
 
     async def _follow_recorded(self) -> None:

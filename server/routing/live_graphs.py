@@ -133,15 +133,16 @@ class RobotGraphs:
 
     def _resources(self, graph: Graph, needs: Needs) -> Sequence[Resource]:
         """The resources that needs ask for, kept while they are the same: where needs name what they are about."""
+        named = self._named_resources(needs.documents)
         if any(demand.is_anything for demand in needs.demands):
-            return list(self._needed_resources(graph, needs))
+            return [*self._needed_resources(graph, needs), *named]
         version = (graph.revision, self._session.schemas.count)
         known = self._found.get(needs)
         if known is None or known[0] != version:
             if len(self._found) >= _KEPT:
                 self._found.clear()
             known = self._found[needs] = (version, list(self._needed_resources(graph, needs)))
-        return known[1]
+        return [*known[1], *named]
 
     def _needed_resources(self, graph: Graph, needs: Needs) -> Iterator[Resource]:
         session = self._session
@@ -164,7 +165,6 @@ class RobotGraphs:
         yield from self._named_listings(needs.graph_names)
         anything = any(demand.is_anything for demand in needs.demands)
         yield from (one for url, one in self._live.items() if anything or url in needs.documents)
-        yield from self._named_resources(needs.documents)
 
     def _named_listings(self, graph_names: frozenset[str]) -> Iterator[Resource]:
         """The listings that are named as graphs: only there they tell what their members say of themselves, too."""

@@ -7,6 +7,7 @@ import contextlib
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
+from math import inf
 
 from rosld.adapters.base import Adapter, Subscription, Watch
 from rosld.adapters.model import Endpoint, Graph, Message, MessageSchema, RosError, Sample
@@ -44,7 +45,7 @@ class _Look:
     """
 
     subscription: Subscription
-    looked_at: float
+    looked_at: float = -inf
     eager: bool = False
     recorded: bool = False
     watches: int = 0
@@ -109,6 +110,11 @@ class LiveTopics:
         """The topics subscribed to now."""
         return list(self._looks)
 
+    def looked_at(self) -> Sequence[str]:
+        """The topics subscribed to now, but for those that are recorded and that nobody has looked at lately."""
+        horizon = loop_time() - self._settings.idle
+        return [topic for topic, look in self._looks.items() if look.eager or look.watches or look.looked_at >= horizon]
+
     def always_subscribed(self) -> Sequence[str]:
         """The topics that stay subscribed to whether anybody looks or not, as far as they have a value."""
         there = self._adapter.graph.topics
@@ -160,6 +166,7 @@ class LiveTopics:
         if topic not in self._adapter.graph.topics:
             return EMPTY_VIEW
         look = await self._open(topic)
+        look.looked_at = loop_time()
         await self._know_types(look)
         view = self._refresh(look)
         publishers = self._publishers(topic)
@@ -203,8 +210,7 @@ class LiveTopics:
         names = {ref.name for ref in entry.types} if entry else set()
         fold = next((FOLDS[name] for name in names if name in FOLDS), None)
         subscription = await self._adapter.subscribe(topic, depth=QUEUE_DEPTH if fold else 1)
-        now = loop_time()
-        return _Look(subscription, now, folded=FoldedTopic(fold) if fold else None)
+        return _Look(subscription, folded=FoldedTopic(fold) if fold else None)
 
     async def _know_types(self, look: _Look) -> None:
         """See that the schemas needed to fold are at hand."""

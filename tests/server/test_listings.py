@@ -73,7 +73,7 @@ def test_values_and_rates_are_told_of_what_is_subscribed_to(robot: MadeUp, http:
     assert json.loads(said(http, "/topics/", "topics/speed")["briefValue"]) == {"data": 4.0}
 
 
-def test_what_is_recorded_has_values_and_rates_in_lists_and_queries_and_no_rate_is_told_that_was_not_measured(
+def test_what_is_recorded_has_values_in_lists_and_rates_in_queries_and_no_rate_is_told_that_was_not_measured(
     robot: MadeUp, serving: Serving
 ) -> None:
     robot.topic("/speed", "std_msgs/msg/Float64", {"data": 1.5})
@@ -93,6 +93,14 @@ def test_what_is_recorded_has_values_and_rates_in_lists_and_queries_and_no_rate_
     assert float(row["rate"]["value"]) > 0
     [fastest] = http.get("/queries/fastest-topics", headers=RESULTS).json()["results"]["bindings"]
     assert fastest["name"]["value"] == "/speed"
+
+    def latest() -> list[object]:
+        asked = {"query": f"SELECT ?m {{ ?t <{ros.latest.value}> ?m }}"}
+        return list(http.post("/sparql", data=asked, headers=RESULTS).json()["results"]["bindings"])
+
+    assert latest() == []
+    http.get("/topics/speed")
+    assert until(latest, "the message of a topic that somebody looks at")
 
 
 def test_json_says_the_same_with_another_entity_tag_when_a_value_comes(robot: MadeUp, http: httpx.Client) -> None:

@@ -59,7 +59,7 @@ class Fanout(NamedTuple):
     each: float
     per_cpu_second: float
     median: float
-    limit: float
+    longest: float
 
 
 class Reader(asyncio.Protocol):
@@ -148,7 +148,7 @@ def main() -> None:
     print(f"{'':10}{'Hz each':>10}{'events/CPU s':>14}{'median lag ms':>15}{'longest ms':>12}")
     for name, rounds in rows.items():
         each, per, median, _ = (statistics.median(column) for column in zip(*rounds, strict=True))
-        print(f"{name:10}{each:10.1f}{per:14.0f}{median:15.1f}{max(one.most for one in rounds):12.1f}")
+        print(f"{name:10}{each:10.1f}{per:14.0f}{median:15.1f}{max(one.longest for one in rounds):12.1f}")
     pairs = zip(rows["rosld"], rows["bare"], strict=True)
     print(f"ratio {statistics.median(ours.per_cpu_second / theirs.per_cpu_second for ours, theirs in pairs):.2f}")
 

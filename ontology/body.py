@@ -32,6 +32,8 @@ _LEAST_EXPANDED, _EXPANSION = 16 * 1024 * 1024, 150
 Each use of a prefix of 100 kB stands for 100 kB. An RDF list of digits, the tersest legitimate body, comes to 132 for
 each byte.
 """
+_SHORT = 2000
+"""Bytes of a body that cannot have longer terms. To write its quads out takes half as long as to parse them."""
 
 _FORMATS = {
     "text/turtle": RdfFormat.TURTLE,
@@ -202,7 +204,8 @@ def _quads(data: bytes, form: RdfFormat, base: str, *, relabelled: bool = False)
         _check_xml(data)
     else:
         _check_depth(data, _TURTLE_TOKENS, b"[({<")
-    return _limited(parse(data, form, base_iri=base, rename_blank_nodes=relabelled), len(data))
+    quads = parse(data, form, base_iri=base, rename_blank_nodes=relabelled)
+    return quads if len(data) < _SHORT else _limited(quads, len(data))
 
 
 def _limited(quads: Iterable[Quad], size: int) -> Iterator[Quad]:

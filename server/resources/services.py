@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 
 import orjson
 from starlette.responses import Response
@@ -211,14 +210,17 @@ class CallResource(Resource):
 
     def state_of(self, call: Call) -> State:
         """The state of this call as it stood."""
-        shapes = self.session.space.shapes_of(call.schema)
-        has_ended = call.state not in (CallState.RUNNING, CallState.UNKNOWN)
-        kind = EndedState if has_ended else State
-        return kind(lambda: self.document(call), lambda: self._plain(call), shapes=shapes)
+        return self._state(call, self._plain)
 
     def response_state_of(self, call: Call) -> State:
         """The same with the response alone as plain JSON, which is what the caller asked for."""
-        return replace(self.state_of(call), plain=lambda: self._response_json(call), part="response")
+        return self._state(call, self._response_json, "response")
+
+    def _state(self, call: Call, plain: Callable[[Call], bytes], part: str = "") -> State:
+        has_ended = call.state not in (CallState.RUNNING, CallState.UNKNOWN)
+        kind = EndedState if has_ended else State
+        shapes = self.session.space.shapes_of(call.schema)
+        return kind(lambda: self.document(call), lambda: plain(call), shapes=shapes, part=part)
 
     def _response_json(self, call: Call) -> bytes:
         if call.response is None:

@@ -80,18 +80,13 @@ class Dispatcher:
                 self._authorize(exchange, resource)
                 exchange.answering = resource
             if query_string and exchange.method != "OPTIONS" and not is_form(exchange, resource):
-                self._require_known_parameters(exchange.method, query_string, asked, resource)
+                self._known_parameters.require(exchange.method, query_string, asked, resource)
             response = await self._answer(exchange, resource)
         except (BodyError, LoweringError, RosError, Problem) as error:
             raise self._with_near(exchange, resource, with_type_links(resource, problem_of_error(error))) from error
         if response.status_code == 204 and resource.links and b"link" not in dict(response.raw_headers):
             response.raw_headers = [*response.raw_headers, (b"link", rendered(resource.links).encode("latin-1"))]
         return response
-
-    def _require_known_parameters(self, method: str, query_string: bytes, asked: Resource, resource: Resource) -> None:
-        """Raise a 400 Problem for unknown parameters; a method that the resource does not answer is 404 or 405."""
-        if method in resource.methods():
-            self._known_parameters.require(method, query_string, asked, resource)
 
     def _with_near(self, exchange: Exchange, resource: Resource, problem: Problem) -> Problem:
         """A 404 with the URLs that are near; who may not read everything is not told what there is in its place."""

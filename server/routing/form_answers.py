@@ -39,7 +39,7 @@ class FormAnswers:
             if not exchange.permissions.is_unrestricted:
                 enforcement.authorize(exchange.permissions, form.method, place, resource)
             if query_string := exchange.request.scope["query_string"]:
-                self._known_parameters.require(form.method, query_string, resource, is_form=True)
+                self._known_parameters.require(form.method, query_string, resource, resource, is_form=True)
             exchange.audit.begin()
             try:
                 answer = await VERBS[form.method](resource, exchange)

@@ -52,6 +52,9 @@ def test_an_unknown_parameter_is_refused_with_the_nearest_one(http: httpx.Client
         assert f"the nearest is ?{nearest}." in answer.json()["detail"]
     for path in ("/data/?_=1", "/data/kept?v=3&v=4", "/sparql?query=ASK+%7B%7D&infer=no", "/style.css?v=1"):
         assert http.get(path).status_code == 200, "browsers, caches and SPARQL clients add such"
+    for name, status in (("topics/aircraft/engine/speed", 200), ("nodes/aircraft", 400)):
+        graph = http.get("/graphs", params={"graph": f"{http.base_url}{name}", "field": "data"})
+        assert graph.status_code == status, "what one graph takes is not what another takes"
 
 
 def test_a_repeated_parameter_is_refused_unless_it_is_a_list(robot: MadeUp, serving: Serving) -> None:

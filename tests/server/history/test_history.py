@@ -15,6 +15,7 @@ from tests.adapters.recording.recorder import lines, write_rosbag1
 from tests.server.disks.server import Server, server_on
 from tests.server.disks.test_full_disk import disk
 from tests.server.history.mcap_files import decode, finished, profile, read
+from tests.server.sparql.processes import until_ready
 from tests.waiting import until
 
 pytestmark = pytest.mark.slow
@@ -79,13 +80,14 @@ def number_of_first(http: Any) -> int:
 
 
 def test_a_query_reads_messages_of_the_history_it_names_once_they_are_there(serve: Callable[..., Any]) -> None:
-    served = serve("aircraft", "--history", SPEED)
+    served = until_ready(serve("aircraft", "--history", SPEED))
     graph = f"{served.url}bags/history/messages/{number(served.http, 'count') + 20}"
     query = f"""PREFIX ros: <https://w3id.org/rosld#>
     SELECT ?topic {{ GRAPH <{graph}> {{ ?r ros:onTopic ?topic ; ros:recordedAt ?at }} }}"""
 
     def topics() -> list[str]:
         answer = served.http.get("/sparql", params={"query": query}, headers={"Accept": "text/csv"})
+        assert answer.status_code == 200, answer.text
         return answer.text.split()[1:]
 
     assert topics() == []

@@ -118,6 +118,7 @@ def test_receipts_and_the_guide_quote_them_and_say_so(http: httpx.Client) -> Non
     assert "`robotSaid` and `agentSaid`" in guide
 
 
+@pytest.mark.slow
 def test_what_conditions_and_limits_say_of_themselves_is_quoted_with_what_they_demand(http: httpx.Client) -> None:
     said, turtle = json.dumps(HOSTILE), {"Content-Type": "text/turtle"}
     assert http.put("/mappings/arm", content=PREFIXES + MAPPING % said, headers=turtle).status_code == 201

@@ -81,6 +81,7 @@ def number_of_first(http: Any) -> int:
 
 def test_a_query_reads_messages_of_the_history_it_names_once_they_are_there(serve: Callable[..., Any]) -> None:
     served = until_ready(serve("aircraft", "--history", SPEED))
+    until(lambda: number(served.http, "count") >= 5, "messages")
     graph = f"{served.url}bags/history/messages/{number(served.http, 'count') + 20}"
     query = f"""PREFIX ros: <https://w3id.org/rosld#>
     SELECT ?topic {{ GRAPH <{graph}> {{ ?r ros:onTopic ?topic ; ros:recordedAt ?at }} }}"""

@@ -16,6 +16,7 @@ from rosld.server.cli.failure import user_errors
 from rosld.server.robot.hold_notes import HoldNote, HoldNotes
 from rosld.server.robot.interrupted_holds import end_interrupted
 from rosld.server.robot.session import Session
+from rosld.server.runtime.woken_task import end_tasks
 from rosld.server.serving import http_server
 from rosld.server.serving.end_signals import end_signals
 from rosld.server.settings import Settings
@@ -50,10 +51,9 @@ async def _guarded(adapter: Adapter, folder: Path, *, once: bool) -> None:
         watching = asyncio.ensure_future(_watch(session, notes, folder, once=once))
         ending = asyncio.ensure_future(ended.wait())
         await asyncio.wait([watching, ending], return_when=asyncio.FIRST_COMPLETED)
-        ending.cancel()
-        watching.cancel()
-        with contextlib.suppress(asyncio.CancelledError):
-            await watching
+        await end_tasks((watching, ending))
+        if not watching.cancelled():
+            watching.result()  # which raises what ended the watch
     finally:
         await session.close()
 

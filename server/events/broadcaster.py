@@ -20,6 +20,7 @@ from rosld.server.rest.resource import Resource
 from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import State
 from rosld.server.runtime.signals import Signal, call_every
+from rosld.server.runtime.woken_task import end_tasks
 
 MAX_READERS = 2000
 """Streams and waiting requests at a time; one more is answered 503."""
@@ -246,9 +247,7 @@ class Broadcasters:
         finally:
             self._held.discard(working)
             done = working.done() and not working.cancelled()
-            for task in (working, listening):
-                task.cancel()
-            await asyncio.wait({working, listening})
+            await end_tasks((working, listening))
         if done:
             working.result()
         return done

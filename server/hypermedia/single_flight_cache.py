@@ -8,6 +8,8 @@ from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass
 from typing import Generic, TypeAlias, TypeVar
 
+from rosld.server.runtime.woken_task import end_tasks
+
 K = TypeVar("K", bound=Hashable)
 V = TypeVar("V")
 
@@ -91,10 +93,7 @@ class SingleFlightCache(Generic[K, V]):
 
     async def stop(self) -> None:
         """Cancel all fetches."""
-        tasks = list(self._tasks)
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
+        await end_tasks(self._tasks)
 
     def _begin(self, keys: Sequence[K], start: Fetch[K, V], slot: Slot) -> PendingFetch[K, V]:
         pending: PendingFetch[K, V] = PendingFetch(keys)

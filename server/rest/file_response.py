@@ -21,6 +21,7 @@ from starlette.types import Receive, Scope, Send
 from rosld.server.http import header_syntax, media, ranges
 from rosld.server.http.problem import Problem
 from rosld.server.rest.raw_response import RawResponse
+from rosld.server.runtime.woken_task import end_tasks
 
 CHUNK = 128 * 1024
 """Bytes read at a time; answers of no more are read at once."""
@@ -109,9 +110,7 @@ async def unless_gone(receive: Receive, work: Coroutine[object, object, _T]) -> 
             raise Problem(503, "The client has gone.")
         return working.result()
     finally:
-        for task in (working, listening):
-            task.cancel()
-        await asyncio.wait({working, listening})
+        await end_tasks((working, listening))
 
 
 class _FileStream(Response):
@@ -138,9 +137,7 @@ class _FileStream(Response):
                 if self._sent == sent:
                     break
         finally:
-            for task in (working, listening):
-                task.cancel()
-            await asyncio.wait({working, listening})
+            await end_tasks((working, listening))
             self._close()
         if not working.cancelled():
             working.result()

@@ -17,6 +17,7 @@ from rosld.server.receipts.audit_context import Sender, record_step
 from rosld.server.runtime.dry_run import end_dry_run, is_dry_run
 from rosld.server.runtime.identifiers import new_identifier
 from rosld.server.runtime.signals import Signal
+from rosld.server.runtime.woken_task import end_tasks
 
 
 class CallState(Enum):
@@ -176,9 +177,7 @@ class Calls:
 
     async def stop(self) -> None:
         """Wait for nothing more: calls that still run are left to the robot."""
-        for task in list(self._running):
-            task.cancel()
-        await asyncio.gather(*self._running, return_exceptions=True)
+        await end_tasks(self._running)
 
     async def _settle(self, call: Call, data: bytes, deadline: float) -> RosError | None:
         """Take the answer, whenever it comes; the error where there is none."""

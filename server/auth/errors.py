@@ -17,7 +17,7 @@ CHALLENGE = f"Bearer {_REALM}, {_BASIC}"
 """What may be sent in Authorization (RFC 6750 3, RFC 7617 2.1): the password of Basic is a token."""
 NOT_VISIBLE_DETAIL = "There is nothing here that you may know of."
 GONE_DETAIL = "What was here is gone: it was deleted, or it has ended."
-WITHHELD_DETAIL = "The reason speaks of what you may not read."
+WITHHELD = "The reason speaks of what you may not read"
 _DONE = frozenset({"sent", "members"})
 """The members of a problem that say what became of a write: they name nothing but what the client asked for."""
 
@@ -58,7 +58,7 @@ def withhold_reason(problem: Problem) -> Problem:
         found = cast("Sequence[Mapping[str, object]]", extra["members"])
         extra["members"] = [{name: each[name] for name in ("name", "status")} for each in found]
     return Problem(
-        problem.status, WITHHELD_DETAIL, title=problem.title, type=problem.type, headers=problem.headers, extra=extra
+        problem.status, f"{WITHHELD}.", title=problem.title, type=problem.type, headers=problem.headers, extra=extra
     )
 
 

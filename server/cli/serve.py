@@ -64,7 +64,7 @@ def opened(
 
 
 def _announce(url: str) -> None:
-    """Print the one line on stdout; a reader that has gone is no reason to stop."""
+    """Freeze what is loaded, and print the URL; the server goes on if nobody reads it."""
     gc.collect()
     gc.freeze()  # what is loaded now stays: each collection that looks through it would hold up all requests
     with contextlib.suppress(OSError):

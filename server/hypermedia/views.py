@@ -13,17 +13,17 @@ from typing import TypeAlias
 from pyoxigraph import NamedNode
 
 from rosld.adapters.model import MessageSchema
-from rosld.server.auth.errors import WITHHELD_DETAIL
+from rosld.server.auth.errors import WITHHELD
 from rosld.server.auth.permissions import Permissions
 from rosld.server.hypermedia.value import Reading
 from rosld.shapes.value import ValueShape
 
 
 def _redact_reading(reading: Reading, permissions: Permissions) -> Reading:
-    """Return it without the failure of what the agent may not read."""
+    """Return a reading without the failure of what the agent may not read."""
     if reading.failure is None or all(map(permissions.may_read, reading.about)):
         return reading
-    return replace(reading, failure=WITHHELD_DETAIL.removesuffix("."), words=None, about=())
+    return replace(reading, failure=WITHHELD, words=None, about=())
 
 
 @dataclass(frozen=True, slots=True)

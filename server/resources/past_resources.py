@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import replace
+from functools import partial
 from urllib.parse import quote
 
 from starlette.responses import Response
@@ -66,16 +67,16 @@ class PastReadings:
     async def _reading(self, property: Property) -> Reading:
         recorded = _recorded_topic(self._history, property)
         about = tuple(source_url(each, self._session.space) for each in property.readers)
+        unreadable = partial(Reading, property.name, None, about=about)
         if recorded is None:
-            return Reading(property.name, None, _unknown(property), about=about)
+            return unreadable(_unknown(property))
         sample = await read_history(lambda: self._history.writer.latest_at(recorded, self._at_ns))
         if sample is None:
-            return Reading(property.name, None, f"nothing is recorded of {recorded} until then", about=about)
+            return unreadable(f"nothing is recorded of {recorded} until then")
         try:
             schema = await self._session.schemas.message(sample.schema)
         except RosError as error:
-            words = f"the message of {recorded} cannot be read: {error.sentence}"
-            return Reading(property.name, None, words, about=about)
+            return unreadable(f"the message of {recorded} cannot be read: {error.sentence}")
         found = decode_value(recorded, sample, schema, property.name)
         return Reading(property.name, found.value, found.failure, found.read_ns, about=about if found.failure else ())
 

@@ -37,7 +37,7 @@ class _CountedSubscription:
 
 @contextmanager
 def errors_about(*urls: str) -> Iterator[None]:
-    """Have errors of ROS say that they are about these URLs, except that the robot is stopped."""
+    """Add these URLs to what a ROS error is about, unless the error is that the robot is stopped."""
     try:
         yield
     except RosError as error:
@@ -46,10 +46,18 @@ def errors_about(*urls: str) -> Iterator[None]:
         raise
 
 
+@contextmanager
+def _step(does: str, url: str) -> Iterator[None]:
+    """Record a step of a write, whose ROS errors are about its URL."""
+    record_step(does, url)
+    with errors_about(url):
+        yield
+
+
 class AuditedAdapter:
     """An `Adapter` behind the interlock that records each write in the audit context of its request.
 
-    Errors of the writes of a request say what they are about.
+    ROS errors of a write carry the URLs of what they are about.
 
     In a dry run a publish has its likely outcome, and every other write ends the run; nothing is sent.
 
@@ -136,30 +144,22 @@ class AuditedAdapter:
 
     async def call(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
         """`Adapter.call`."""
-        url = self._space.service(service)
-        record_step(f"call {service} ({type.name})", url)
-        with errors_about(url):
+        with _step(f"call {service} ({type.name})", self._space.service(service)):
             return await self._interlock.run(lambda: self.inner.call(service, type, request, deadline=deadline))
 
     async def send_goal(self, action: str, type: TypeRef, goal: bytes, *, deadline: float) -> GoalId:
         """`Adapter.send_goal`."""
-        url = self._space.action(action)
-        record_step(f"send a goal to {action} ({type.name})", url)
-        with errors_about(url):
+        with _step(f"send a goal to {action} ({type.name})", self._space.action(action)):
             return await self._interlock.run(lambda: self.inner.send_goal(action, type, goal, deadline=deadline))
 
     async def cancel_goal(self, goal: GoalId, *, deadline: float) -> None:
         """`Adapter.cancel_goal`, also while the robot is stopped: it ends what moves."""
-        url = self._space.action(goal.action)
-        record_step(f"cancel the goal {goal.id} of {goal.action}", url)
-        with errors_about(url):
+        with _step(f"cancel the goal {goal.id} of {goal.action}", self._space.action(goal.action)):
             await self._interlock.run_always(lambda: self.inner.cancel_goal(goal, deadline=deadline))
 
     async def cancel_goals(self, action: str, *, deadline: float) -> None:
         """`Adapter.cancel_goals`, also while the robot is stopped: it ends what moves."""
-        url = self._space.action(action)
-        record_step(f"cancel all goals of {action}", url)
-        with errors_about(url):
+        with _step(f"cancel all goals of {action}", self._space.action(action)):
             await self._interlock.run_always(lambda: self.inner.cancel_goals(action, deadline=deadline))
 
     async def change_state(self, node: str, transition: str, *, deadline: float) -> None:

@@ -17,7 +17,7 @@ from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
 from rosld.ontology.document import Document, LiftedMessage
 from rosld.ontology.vocab import hctl, htv, mapping, rdf, ros, td
-from rosld.server.auth.errors import WITHHELD_DETAIL
+from rosld.server.auth.errors import WITHHELD
 from rosld.server.auth.permissions import Permissions
 
 _Term: TypeAlias = "NamedNode | BlankNode | Literal | Triple"
@@ -30,7 +30,7 @@ _WORDS = frozenset({ros.recordingProblem, ros.triggerCondition})
 """Predicates of an order whose words may name what it records, or waits for."""
 _REASONS = frozenset({ros.unreadable, ros.words})
 """Predicates of a value that say why it cannot be read, and so name what it is read from."""
-_WITHHELD = Literal(WITHHELD_DETAIL.removesuffix("."))
+_WITHHELD = Literal(WITHHELD)
 _TELLING = frozenset({ros.mappingWarning})
 """Predicates whose words name whatever there is: only who may read everything is told them."""
 

@@ -30,7 +30,7 @@ from pathlib import Path
 import pytest
 
 PACKAGES = ("adapters", "ontology", "server", "shapes")
-PYTEST = ("-m", "pytest", "-q", "-p", "no:cacheprovider", "--timeout", "60")
+PYTEST = ("-m", "pytest", "-q", "--timeout", "60")
 KINDS = ("comparison turned round", "constant changed", "statement left out", "branch always taken")
 OPPOSITE = {"==": "!=", "!=": "==", "<": ">=", ">=": "<", ">": "<=", "<=": ">", "is": "is not", "in": "not in"}
 RECORD = """\
@@ -178,7 +178,7 @@ def record(tree: Path, arguments: Sequence[str]) -> None:
     given = ("-p", "tests.mutants", *arguments)
     configured = f"--rcfile={folder / 'coveragerc'}"
     environment = {**os.environ, "PYTHONPATH": str(tree)}
-    subprocess.run([*coverage, "run", configured, *PYTEST[:3], *PYTEST[5:], *given], cwd=tree, env=environment)
+    subprocess.run([*coverage, "run", configured, *PYTEST, *given], cwd=tree, env=environment)
     subprocess.run([*coverage, "combine", configured, "--quiet"], cwd=tree, check=True)
 
 
@@ -250,7 +250,7 @@ def _failed(tests: Sequence[str], tree: Path, limit: float) -> list[str] | None:
     """Run tests up to the first that fails; return it, `-` where there is no telling which, None if all pass."""
     environment = {**os.environ, "PYTHONPATH": str(tree), "HYPOTHESIS_STORAGE_DIRECTORY": str(tree / ".hypothesis")}
     process = subprocess.Popen(
-        [sys.executable, *PYTEST, "-x", "-rfE", *tests],
+        [sys.executable, *PYTEST, "-p", "no:cacheprovider", "-x", "-rfE", *tests],
         cwd=tree, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True,
     )  # fmt: skip
     try:

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import asyncio
 import signal
 import subprocess
 import sys
-import threading
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import Future
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from typing import Any, TypeAlias
 
 import httpx
@@ -18,62 +15,11 @@ from pyoxigraph import RdfFormat, Triple, parse
 
 from rosld.adapters.base import AdapterOptions
 from rosld.adapters.registry import adapter_for
-from rosld.server.cli.main import serve as command
-from rosld.server.cli.main import settings_of
-from rosld.server.cli.serve import Serving, opened
-from rosld.server.serving import http_server
 from tests.forked import ForkedCommand
 from tests.server.robots.made_up import robot, served, serving
+from tests.serving_thread import ServingThread
 
 __all__ = ["robot", "serving"]
-
-
-class ServingThread:
-    """`rosld serve ARGUMENTS` on a thread of the tests' process, with what is used of `subprocess.Popen`."""
-
-    def __init__(self, *arguments: str) -> None:
-        self._url: Future[str] = Future()
-        self._serving: Serving | None = None
-        self._loop: asyncio.AbstractEventLoop | None = None
-        self._thread = threading.Thread(target=self._run, args=arguments, daemon=True)
-        self._thread.start()
-
-    def url(self) -> str:
-        """Wait until the server listens; raise what it raised if it does not."""
-        return self._url.result(60)
-
-    def poll(self) -> int | None:
-        """Return None while the server runs."""
-        return None if self._thread.is_alive() else 0
-
-    def wait(self, timeout: float) -> int:
-        """Wait until the server has ended."""
-        self._thread.join(timeout)
-        assert not self._thread.is_alive(), "the server did not end"
-        return 0
-
-    def send_signal(self, number: signal.Signals) -> None:
-        """Stop the server as this signal would."""
-        assert number in (signal.SIGTERM, signal.SIGINT)
-        if self._thread.is_alive() and self._loop and self._serving:
-            with suppress(RuntimeError):  # the loop has just ended
-                self._loop.call_soon_threadsafe(self._serving.stop)
-
-    def _run(self, *arguments: str) -> None:
-        try:
-            given = command.make_context("serve", list(arguments)).params
-            source, base_url = given.pop("source"), given["base_url"]
-            settings = settings_of(given.pop("others"), given.pop("base_url"), **given)
-            with opened(source, settings, self._url.set_result, base_given=base_url is not None) as serving:
-                http_server.run(self._serve(serving))
-        except BaseException as error:
-            if self._url.done():
-                raise
-            self._url.set_exception(error)
-
-    async def _serve(self, serving: Serving) -> None:
-        self._serving, self._loop = serving, asyncio.get_running_loop()
-        await serving.until_ended()
 
 
 Running: TypeAlias = "ServingThread | subprocess.Popen[str] | ForkedCommand"
@@ -107,7 +53,7 @@ def start(
     """
     words = ["serve", "--port", "0", *arguments]
     if environment is None and not process:
-        thread = ServingThread(*words[1:])
+        thread = ServingThread.of_command(*words[1:])
         return Served(thread, thread.url())
     running: subprocess.Popen[str] | ForkedCommand
     if environment is None:

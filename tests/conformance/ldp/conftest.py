@@ -16,7 +16,7 @@ from pyoxigraph import NamedNode, RdfFormat, Triple, parse
 from rosld.ontology.vocab import ldp
 from rosld.server.http import link
 from rosld.server.http.link import Link
-from tests.server.conftest import ServingThread
+from tests.serving_thread import ServingThread
 
 TURTLE = "text/turtle"
 ROBOT = (
@@ -129,7 +129,7 @@ def models(answer: httpx.Response) -> set[str]:
 @contextmanager
 def running(*arguments: str) -> Iterator[Served]:
     """A server that ends afterwards, and in order."""
-    server = ServingThread(*arguments, "--port", "0")
+    server = ServingThread.of_command(*arguments, "--port", "0")
     try:
         with httpx.Client(timeout=15) as http:
             yield Served(server.url(), http)

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import httpx
 
-from tests.server.conftest import ServingThread
+from tests.serving_thread import ServingThread
 
 
 @contextmanager
 def running(folder: Path, port: int) -> Iterator[httpx.Client]:
     """A server on a folder of data, at the one port that the folder's URLs have."""
-    server = ServingThread("aircraft", "--data", str(folder), "--port", str(port))
+    server = ServingThread.of_command("aircraft", "--data", str(folder), "--port", str(port))
     try:
         with httpx.Client(base_url=server.url(), timeout=15) as client:
             yield client

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import inspect
 import json
+import signal
 import threading
 import time
 from collections import Counter
@@ -50,10 +51,7 @@ from rosld.adapters.ros2.descriptors import operations_on
 from rosld.adapters.slots import Slot
 from rosld.ontology.lift import LiftSettings, lifter
 from rosld.ontology.lower import lowerer
-from rosld.server.app import create_app
-from rosld.server.serving import http_server
-from rosld.server.serving.run_lifespan import lifespan
-from rosld.server.settings import Settings, address
+from tests.serving_thread import ServingThread
 
 T = TypeVar("T")
 
@@ -394,47 +392,14 @@ class Counted:
 
 @contextmanager
 def served(adapter: Adapter, **settings: Any) -> Iterator[httpx.Client]:
-    """A client of `rosld serve` on this adapter, on a free port and a thread of its own."""
-    sock = http_server.bind("127.0.0.1", 0)
-    port = sock.getsockname()[1]
-    made = Settings(base_url=address("127.0.0.1", port), port=port, **settings)
-    listens, failed = threading.Event(), []
-    ending: list[Callable[[], None]] = []
-
-    async def serve() -> None:
-        app = create_app(adapter, made)
-        server = http_server.Server(app, listens.set)
-        loop = asyncio.get_running_loop()
-
-        def end() -> None:
-            app.end_streams()
-            server.should_exit = True
-
-        ending.append(lambda: loop.call_soon_threadsafe(end))
-        async with lifespan(app):
-            await server.serve(sockets=[sock])
-
-    def run() -> None:
-        try:
-            http_server.run(serve())
-        except BaseException as error:
-            failed.append(error)
-            listens.set()
-
-    thread = threading.Thread(target=run)
-    thread.start()
+    """Yield a client of a server of this adapter, on a free port and a thread of its own."""
+    server = ServingThread.of_adapter(adapter, **settings)
     try:
-        assert listens.wait(PATIENCE)
-        assert not failed, failed
-        with httpx.Client(base_url=made.base_url, timeout=PATIENCE) as client:
+        with httpx.Client(base_url=server.url(), timeout=PATIENCE) as client:
             yield client
     finally:
-        for one in ending:
-            one()
-        thread.join(PATIENCE)
-        sock.close()
-    assert not thread.is_alive(), "the server did not end"
-    assert not failed, failed
+        server.send_signal(signal.SIGTERM)
+        server.wait(PATIENCE)
 
 
 Serving: TypeAlias = Callable[..., httpx.Client]

@@ -21,11 +21,10 @@ demo: $(INSTALLED)
 # A test runs once: one that fails on a busy machine is to be mended.
 WORKERS ?= 3
 PYTEST := -m pytest --quiet --timeout 900
-quick: export PYTHONDONTWRITEBYTECODE =
+quick test: export PYTHONDONTWRITEBYTECODE =
 quick: $(READY)
-	$(BIN)/python $(PYTEST) --quick -n 2 --dist loadfile
+	$(BIN)/python $(PYTEST) --quick -n $(WORKERS) --dist loadfile
 
-test: export PYTHONDONTWRITEBYTECODE =
 test: $(READY) debian
 	@$(MAKE) --no-print-directory ros2 & making=$$!; trap "kill $$making" INT TERM; \
 		$(BIN)/python $(PYTEST) -n $(WORKERS) --dist loadfile --no-loadscope-reorder; failed=$$?; wait $$making; exit $$failed

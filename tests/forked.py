@@ -21,7 +21,6 @@ from typing import Any, TextIO, cast
 from rosld.server.dataset.encoding import NAMESPACE, VARIABLE
 from rosld.server.sparql.process.child import SpawnedProcess
 from rosld.server.sparql.process.frames import SharedStatus
-from tests.mutants import attribute_to
 
 os.environ[VARIABLE] = NAMESPACE  # the private namespace of the server is that of its query process
 _CONTEXT = multiprocessing.get_context("forkserver")
@@ -51,7 +50,6 @@ def _run(arguments: tuple[str, ...], output: _Descriptor, errors: _Descriptor, e
     os.environ.clear()
     os.environ.update(environment)
     sys.argv = ["rosld", *arguments]
-    attribute_to(environment.get("PYTEST_CURRENT_TEST", ""))
     main(prog_name="rosld")
 
 
@@ -61,7 +59,7 @@ def _run_query_process(connection: _Descriptor, status: _Descriptor, concurrency
     os.setsid()
     os.dup2(connection.number, 0)
     os.close(connection.number)
-    attribute_to(test)
+    os.environ["PYTEST_CURRENT_TEST"] = test
     sys.argv = ["-c", str(status.number), str(concurrency), str(queue)]
     main()
 

@@ -1,7 +1,7 @@
 """Small faults at random places of the product, and how many of them the tests notice.
 
-    python -m tests.mutants record          # run all tests; which test runs which line goes to .mutants/
-    python -m tests.mutants                 # make 80 faults one by one, run the tests of each line
+    python -m tests.mutants record -n 3     # run all tests; which of them come by a fault's place goes to .mutants/
+    python -m tests.mutants                 # make 80 faults one by one, run the tests of each
     python -m tests.mutants --tree OTHER    # the same faults in another checkout, which has a .mutants/ of its own
 
 A place is chosen by the hash of its seed, file and line, not by its position: the same seed chooses the same places in
@@ -21,39 +21,41 @@ import subprocess
 import sys
 import tempfile
 from collections import Counter, defaultdict
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
-
-import pytest
 
 PACKAGES = ("adapters", "ontology", "server", "shapes")
 PYTEST = ("-m", "pytest", "-q", "--timeout", "60")
 KINDS = ("comparison turned round", "constant changed", "statement left out", "branch always taken")
 OPPOSITE = {"==": "!=", "!=": "==", "<": ">=", ">=": "<", ">": "<=", "<=": ">", "is": "is not", "in": "not in"}
-RECORD = """\
-[run]
-data_file = {folder}/data
-parallel = true
-patch = subprocess, _exit
-context = ${{PYTEST_CURRENT_TEST-}}
-include =
-{include}
+HITS = """\
+import os
+
+SEEN = set()
+
+
+def hit(fault):
+    test = os.environ.get("PYTEST_CURRENT_TEST", "").partition(" ")[0]
+    if test and (fault, test) not in SEEN:
+        SEEN.add((fault, test))
+        with open({file!r}, "a") as hits:
+            hits.write(f"{{fault}}\\t{{os.environ['PYTEST_CURRENT_TEST']}}\\n")
 """
-"""What a process runs is attributed to the test that started it by pytest's variable, in forks by `tests/forked.py`."""
+"""The module of a recording. A process knows its test by pytest's variable; forks take it over in `tests/forked.py`."""
 
 Position = tuple[int, int]
 
 
 @dataclass(frozen=True)
 class Fault:
-    """A change of some characters of a file; `lines` are those of the statement around them."""
+    """A change of some characters of a file; `place` is the expression or the statement around them."""
 
     file: str
     kind: str
-    lines: range
+    place: tuple[Position, Position]
     start: Position
     end: Position
     text: str
@@ -78,17 +80,17 @@ def faults_of(file: str, source: str) -> Iterator[Fault]:
         encoded[0] = encoded[0][start[1] :]
         return b"".join(encoded).decode()
 
-    def visit(node: ast.AST, around: range) -> Iterator[Fault]:
+    def visit(node: ast.AST) -> Iterator[Fault]:
         if id(node) in skipped:
             return
-        if isinstance(node, ast.stmt):
-            around = range(node.lineno, (_header_end(node) or node.lineno) + 1)
         for kind, start, end, new in _changes(node, text):
-            yield Fault(file, kind, around, start, end, new)
+            place = node.test if isinstance(node, ast.If) else node
+            assert isinstance(place, ast.expr | ast.stmt)
+            yield Fault(file, kind, ((place.lineno, place.col_offset), _end(place)), start, end, new)
         for child in ast.iter_child_nodes(node):
-            yield from visit(child, around)
+            yield from visit(child)
 
-    yield from visit(tree, range(0))
+    yield from visit(tree)
 
 
 def _not_run(node: ast.AST) -> Iterator[ast.AST]:
@@ -97,17 +99,14 @@ def _not_run(node: ast.AST) -> Iterator[ast.AST]:
         yield node
     elif isinstance(node, ast.JoinedStr):
         yield from node.values
-    elif isinstance(node, ast.AnnAssign) or (isinstance(node, ast.arg) and node.annotation):
+    elif isinstance(node, ast.AnnAssign):
+        yield node.annotation
+    elif isinstance(node, ast.arg) and node.annotation:
         yield node.annotation
     elif isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and node.returns:
         yield node.returns
     elif isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
         yield node
-
-
-def _header_end(node: ast.stmt) -> int | None:
-    body = getattr(node, "body", None)
-    return body[0].lineno - 1 if isinstance(body, list) and body and body[0].lineno > node.lineno else node.end_lineno
 
 
 def _end(node: ast.expr | ast.stmt) -> Position:
@@ -164,58 +163,64 @@ def changed(source: str, fault: Fault) -> str:
     return b"".join([*lines[: first - 1], joined, *lines[last:]]).decode()
 
 
-# Which tests run a line
+# Which tests run the place of a fault
 
 
-def record(tree: Path, arguments: Sequence[str]) -> None:
-    """Run all the tests with coverage.py, and keep which test ran which line."""
-    folder = tree / ".mutants"
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir()
-    include = "\n".join(f"  {tree}/{package}/*" for package in PACKAGES)
-    (folder / "coveragerc").write_text(RECORD.format(folder=folder, include=include))
-    coverage = [sys.executable, "-m", "coverage"]
-    given = ("-p", "tests.mutants", *arguments)
-    configured = f"--rcfile={folder / 'coveragerc'}"
-    environment = {**os.environ, "PYTHONPATH": str(tree)}
-    subprocess.run([*coverage, "run", configured, *PYTEST, *given], cwd=tree, env=environment)
-    subprocess.run([*coverage, "combine", configured, "--quiet"], cwd=tree, check=True)
+def record(tree: Path, faults: Sequence[Fault], arguments: Sequence[str]) -> dict[str, list[str]]:
+    """Run all the tests of a copy of the tree that notes each run of a place; return the tests of each fault."""
+    with tempfile.TemporaryDirectory() as folder:
+        copy = _copied(tree, Path(folder) / "tree")
+        hits = Path(folder) / "hits"
+        hits.touch()
+        (copy / "adapters" / "mutant_hits.py").write_text(HITS.format(file=str(hits)))
+        for file in {fault.file for fault in faults}:
+            source = (copy / file).read_text()
+            notes = [note for n, fault in enumerate(faults) if fault.file == file for note in _notes(source, n, fault)]
+            (copy / file).write_text(_with(source, notes))
+        subprocess.run([sys.executable, *PYTEST, *arguments], cwd=copy, env={**os.environ, "PYTHONPATH": str(copy)})
+        found: dict[int, list[str]] = defaultdict(list)
+        for line in hits.read_text().splitlines():
+            number, _, test = line.partition("\t")
+            found[int(number)].append(test)
+    return {str(fault): spread(found[number]) for number, fault in enumerate(faults)}
 
 
-@pytest.hookimpl(wrapper=True, tryfirst=True)
-def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
-    """Attribute the lines that run from now on to this test."""
-    os.environ["PYTEST_CURRENT_TEST"] = item.nodeid
-    attribute_to(item.nodeid)
-    return (yield)
+def _notes(source: str, number: int, fault: Fault) -> list[tuple[Position, str]]:
+    """Return the insertions that note a run of a place, of any function of its file where it runs at import."""
+    call = f"__import__('rosld.adapters.mutant_hits', fromlist=['hit']).hit({number})"
+    start, end = fault.place
+    functions = [
+        node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+    ]
+    if any((one.body[0].lineno, one.body[0].col_offset) <= start and end <= _end(one) for one in functions):
+        notes = [(start, f"{call}; ")] if fault.kind == KINDS[2] else [(start, f"({call} or ("), (end, "))")]
+        with suppress(SyntaxError):  # a pattern of `match`
+            ast.parse(_with(source, notes))
+            return notes
+    first = [one.body[0] for one in functions if one.body[0].lineno > one.lineno]
+    return [((one.lineno, one.col_offset), f"{call}\n{' ' * one.col_offset}") for one in first]
 
 
-def attribute_to(test: str) -> None:
-    """Attribute the lines that this process runs to a test, where coverage is recorded."""
-    if (module := sys.modules.get("coverage")) and (current := module.Coverage.current()):
-        current.switch_context(test)
+def _with(source: str, insertions: Iterable[tuple[Position, str]]) -> str:
+    lines = [line.encode() for line in source.splitlines(keepends=True)]
+    for (line, column), text in sorted(insertions, reverse=True):
+        lines[line - 1] = lines[line - 1][:column] + text.encode() + lines[line - 1][column:]
+    return b"".join(lines).decode()
 
 
-TEST = re.compile(r"(?:^|\|)(tests/(?:(?!\|tests/).)*?)(?: \((setup|call|teardown)\))?$", re.DOTALL)
+def _copied(tree: Path, copy: Path) -> Path:
+    ignored = shutil.ignore_patterns(".git", ".venv", ".mutants", ".mypy_cache", "node_modules", "target")
+    shutil.copytree(tree, copy, symlinks=True, ignore=ignored)
+    return copy
 
 
-@cache
-def _test(context: str) -> tuple[str, str] | None:
-    """Return the file and the test, or the file twice, that a context is about; None for an import."""
-    if not (match := TEST.search(context)):
-        return None
-    file = match[1].partition("::")[0]
-    return file, file if match[2] == "setup" else match[1]  # a fixture may serve all tests of its file
-
-
-def tests_of(fault: Fault, contexts: Mapping[int, Iterable[str]]) -> list[str]:
-    """Return the tests that run the line of a fault, spread over files."""
-    here = {found for line in fault.lines for context in contexts.get(line, ()) if (found := _test(context))}
-    if not here:  # the line runs when its module is imported
-        here = {found for line in contexts for context in contexts[line] if (found := _test(context))}
+def spread(contexts: Iterable[str]) -> list[str]:
+    """Return the tests that ran a place, spread over their files."""
     by_file: dict[str, set[str]] = defaultdict(set)
-    for file, test in here:
-        by_file[file].add(test)
+    for context in contexts:
+        test, phase = context.rsplit(" ", 1)
+        file = test.partition("::")[0]
+        by_file[file].add(file if phase == "(setup)" else test)  # a fixture may serve all tests of its file
     turns = [[file] if file in tests else sorted(tests) for file, tests in by_file.items()]
     turns.sort(key=lambda tests: ("::" not in tests[0], tests))
     return [tests[turn] for turn in range(max(map(len, turns), default=0)) for tests in turns if turn < len(tests)]
@@ -275,30 +280,20 @@ def main() -> None:
     parser.add_argument("--limit", type=float, default=180, help="seconds for the tests of one fault at most")
     given, others = parser.parse_known_args()
     tree: Path = given.tree.resolve()
+    faults, recorded = chosen(tree, given.seed, given.count), tree / ".mutants" / f"{given.seed}.json"
     if given.command == "record":
-        record(tree, others)
+        recorded.parent.mkdir(exist_ok=True)
+        recorded.write_text(json.dumps(record(tree, faults, others), indent=1))
         return
-    from coverage import CoverageData
-
-    data = CoverageData(str(tree / ".mutants" / "data"))
-    data.read()
-    recorded = {Path(file): file for file in data.measured_files()}
-    contexts = {}
-    faults = chosen(tree, given.seed, given.count)
-    for file in {fault.file for fault in faults}:
-        contexts[file] = data.contexts_by_lineno(recorded.get(tree / file, ""))
+    tests = json.loads(recorded.read_text())
     results: list[tuple[Fault, str]] = []
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(given.jobs) as pool:
-        copies = [Path(folder) / str(number) for number in range(given.jobs)]
-        for copy in copies:
-            ignored = shutil.ignore_patterns(".git", ".venv", ".mutants", ".mypy_cache", "node_modules", "target")
-            shutil.copytree(tree, copy, symlinks=True, ignore=ignored)
+        copies = [_copied(tree, Path(folder) / str(number)) for number in range(given.jobs)]
 
         def judge(fault: Fault) -> tuple[Fault, str]:
             copy = copies.pop()
             try:
-                tests = tests_of(fault, contexts[fault.file])[: given.tests]
-                return fault, judged(fault, tests, copy, given.limit)
+                return fault, judged(fault, tests.get(str(fault), [])[: given.tests], copy, given.limit)
             finally:
                 copies.append(copy)
 

@@ -99,9 +99,7 @@ def _not_run(node: ast.AST) -> Iterator[ast.AST]:
         yield node
     elif isinstance(node, ast.JoinedStr):
         yield from node.values
-    elif isinstance(node, ast.AnnAssign):
-        yield node.annotation
-    elif isinstance(node, ast.arg) and node.annotation:
+    elif isinstance(node, ast.AnnAssign | ast.arg) and node.annotation:
         yield node.annotation
     elif isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and node.returns:
         yield node.returns
@@ -209,8 +207,10 @@ def _with(source: str, insertions: Iterable[tuple[Position, str]]) -> str:
 
 
 def _copied(tree: Path, copy: Path) -> Path:
-    ignored = shutil.ignore_patterns(".git", ".venv", ".mutants", ".mypy_cache", "node_modules", "target")
+    ignored = shutil.ignore_patterns(".git", ".venv*", ".crawl", ".mutants", ".mypy_cache", "node_modules", "target")
     shutil.copytree(tree, copy, symlinks=True, ignore=ignored)
+    for venv in tree.glob(".venv-ros2-*"):
+        (copy / venv.name).symlink_to(venv)
     return copy
 
 

@@ -16,7 +16,7 @@ import json
 import re
 import time
 from collections import Counter
-from collections.abc import AsyncIterator, Iterable, Mapping, Set
+from collections.abc import AsyncIterator, Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -492,14 +492,16 @@ async def fill(admin: Client, robot: Secretive) -> list[str]:
 
 
 @contextlib.asynccontextmanager
-async def secretive_app(folder: Path) -> AsyncIterator[tuple[Application, Secretive]]:
-    """The robot behind the rules, with all that an administrator made of it."""
+async def secretive_app(
+    folder: Path, rules: str = RULES, agents: Sequence[str] = ("admin", "reader", "writer")
+) -> AsyncIterator[tuple[Application, Secretive]]:
+    """The robot behind these rules, with all that an administrator made of it."""
     robot = Secretive()
     robot.topic("/zq7_asked", "std_msgs/msg/Float64", {"data": NUMBER})
-    rules = folder / "auth.toml"
-    rules.write_text(tokens("admin", "reader", "writer") + RULES)
+    file = folder / "auth.toml"
+    file.write_text(tokens(*agents) + rules)
     chosen = Settings(
-        base_url=BASE, auth=rules, data=folder / "data", history=("*",), subscribe=("*",), max_publish_rate=1e9,
+        base_url=BASE, auth=file, data=folder / "data", history=("*",), subscribe=("*",), max_publish_rate=1e9,
         client_rate=1e9, client_streams=1000, receipt_excerpt=200, versions=5, first_value_wait=0.1,
     )  # fmt: skip
     app = create_app(robot, chosen)

@@ -52,14 +52,6 @@ def test_what_may_not_be_read_is_neither_found_nor_counted(guarded: Guarded) -> 
     assert names(guarded, "reader", "speed") == ["topics/aircraft/engine/speed"]
 
 
-def test_no_form_of_the_results_speaks_of_anything_else(guarded: Guarded) -> None:
-    for format in ("ttl", "jsonld", "nt", "rdf", "json", "html"):
-        told = guarded["reader"].get("/find", params={"q": "speed", "format": format}).text
-        assert "topics/aircraft/engine/speed" in told
-        assert "resources/" not in told
-        assert "services/" not in told
-
-
 def test_who_may_not_search_sees_no_box_and_no_link(guarded: Guarded) -> None:
     answer = guarded["anybody"].get("/find?q=speed", headers=JSON)
     assert answer.status_code == 401

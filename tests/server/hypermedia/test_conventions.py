@@ -5,15 +5,12 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from random import Random
 from typing import TypeVar
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rosld.adapters.aircraft import Aircraft
-from rosld.adapters.base import AdapterOptions
 from rosld.adapters.model import (
     Array,
     Field,
@@ -35,7 +32,6 @@ from rosld.adapters.model import (
 from rosld.adapters.model.library import TypeLibrary
 from rosld.ontology.lift import lifter
 from rosld.ontology.lower import lowerer
-from rosld.ontology.namespaces import Members
 from rosld.server.hypermedia.catalogue import (
     Catalogue,
     Getter,
@@ -152,25 +148,6 @@ def _told(source: object) -> str:
 FLOAT = "std_msgs/msg/Float64"
 
 
-class TestListings:
-    """Listing 1 becomes Listing 2 with no configuration at all."""
-
-    def test_the_embedded_aircraft_has_these_and_its_lone_topics_and_parameters(self) -> None:
-        whole = Aircraft(AdapterOptions()).graph
-        listing = catalogue(whole, known)
-        named = {"/aircraft/power", "/aircraft/engine/speed", "/aircraft/engine/direction"}
-        pursued = {f"/aircraft/fly/{part}" for part in ("status", "goal", "feedback", "result")}
-        assert listing.properties.keys() == named | pursued | whole.topics.keys() | whole.parameters.keys()
-        assert list(listing.actions) == ["/aircraft/fly", "/aircraft/start", "/aircraft/stop"]
-        assert listing.by_service == {
-            "/aircraft/get_power": "/aircraft/power",
-            "/aircraft/set_power": "/aircraft/power",
-            "/aircraft/engine/set_speed": "/aircraft/engine/speed",
-            "/aircraft/engine/get_direction": "/aircraft/engine/direction",
-            "/aircraft/engine/set_direction": "/aircraft/engine/direction",
-        }
-
-
 class TestNames:
     def test_the_names_of_services_say_which_property_they_read_and_write(self) -> None:
         read = {
@@ -194,12 +171,6 @@ class TestNames:
             assert (list(listing.properties), list(listing.actions)) == ([], [name])
         listing = found(services={"/a/set_x": "SetFloat", "/a/setSpeed": "SetFloat", "/a/z/set": "SetFloat"})
         assert listing.by_service == {"/a/set_x": "/a/x", "/a/setSpeed": "/a/speed", "/a/z/set": "/a/z"}
-
-    def test_a_name_may_be_a_property_and_a_namespace(self) -> None:
-        listing = found({"/arm/joint/state": FLOAT}, {"/arm/joint/get": "GetFloat", "/arm/joint/set": "SetFloat"})
-        assert list(listing.properties) == ["/arm/joint", "/arm/joint/state"]
-        assert listing.namespaces[("arm",)] == Members(("joint",), ("joint",))
-        assert listing.namespaces[("arm", "joint")] == Members(("state",), ())
 
 
 class TestGetters:
@@ -280,11 +251,6 @@ class TestSetters:
             assert sources(listing.properties["/a/x"]) == (["topic /a/x"], ["topic /a/x"])
             assert list(listing.actions) == ["/a/set_x"]
 
-    def test_the_first_that_takes_the_value_is_the_setter(self) -> None:
-        listing = found(services={"/get_x": "GetFloat", "/set_x": "SetText", "/setX": "SetFloat", "/x/set": "SetFloat"})
-        assert sources(listing.properties["/x"]) == (["getter /get_x"], ["setter /setX"])
-        assert list(listing.actions) == ["/set_x", "/x/set"]
-
 
 class TestTopics:
     def test_a_topic_of_no_known_type_can_only_be_read(self) -> None:
@@ -312,17 +278,6 @@ class TestTopics:
 
 
 class TestParameters:
-    def test_a_parameter_joins_whatever_has_its_name(self) -> None:
-        alone = ParameterSource("/x")
-        assert found(parameters=["/x"]).properties == {"/x": Property("/x", OpenKind(), (alone,), (alone,))}
-        listing = found({"/x": FLOAT}, {"/get_x": "GetFloat", "/set_x": "SetFloat"}, ["/x"])
-        assert sources(listing.properties["/x"]) == (
-            ["topic /x", "getter /get_x", "parameter /x"],
-            ["setter /set_x", "parameter /x", "topic /x"],
-        )
-        assert listing.properties["/x"].kind == ScalarKind(Primitive("float64"))
-        assert found({}, {"/set_x": "SetInt"}, ["/x"]).properties["/x"].kind == ScalarKind(Primitive("int64"))
-
     def test_parameters_that_ros_2_gives_every_node_are_left_out(self) -> None:
         for name in ("use_sim_time", "start_type_description_service", "qos_overrides./cmd_vel.publisher.depth"):
             assert found(parameters=[Parameter(f"/talker/{name}", node="/talker")]) == found()
@@ -354,18 +309,6 @@ class TestExcluded:
 
 
 class TestExtended:
-    def test_more_getters_and_setters_can_be_named(self) -> None:
-        conventions = CONVENTIONS.extend(getters=["read{Name}", "query/{name}/now"], setters=["{name}_cmd"])
-        listing = found(
-            services={"/a/readSpeed": "GetInt", "/a/query/x/now": "GetInt", "/a/x_cmd": "SetInt", "/a/get_y": "GetInt"},
-            conventions=conventions,
-        )
-        assert {name: sources(one) for name, one in listing.properties.items()} == {
-            "/a/speed": (["getter /a/readSpeed"], []),
-            "/a/x": (["getter /a/query/x/now"], ["setter /a/x_cmd"]),
-            "/a/y": (["getter /a/get_y"], []),
-        }
-
     def test_more_services_can_be_excluded_and_there_need_be_no_conventions(self) -> None:
         services = {"/secret/get_x": "GetInt", "/a/self_test": None, "/a/get_x": "GetInt", "/a/get_loggers": None}
         listing = found(services=services, conventions=CONVENTIONS.extend(excluded=["/secret/*", "*/self_test"]))
@@ -419,14 +362,6 @@ def test_services_of_real_robots_fall_where_people_expect_them() -> None:
     listing = found(topics, {name: kind for name, kind, _ in REAL})
     assert listing.by_service == {name: read for name, _, read in REAL if read}
     assert set(listing.actions) == {name for name, _, read in REAL if read is None}
-
-
-def test_the_types_needed_are_those_of_all_topics_and_of_services_in_resources_each_once() -> None:
-    whole = graph(
-        {"/a": FLOAT, "/b": (FLOAT, "std_msgs/msg/String"), "/c": ()},
-        {"/n/get_loggers": "roscpp/srv/GetLoggers", "/get_a": "GetFloat", "/get_b": "GetFloat", "/x": None},
-    )
-    assert needed_types(whole) == (TypeRef(FLOAT), TypeRef("std_msgs/msg/String"), TypeRef("demo/srv/GetFloat"))
 
 
 # Any robot at all
@@ -494,27 +429,6 @@ def test_every_resource_comes_from_something_and_lies_in_its_namespace(whole: Gr
         assert leaf in listing.namespaces[tuple(namespace)].leaves
     leaves = sum(len(members.leaves) for members in listing.namespaces.values())
     assert leaves == len({*listing.properties, *listing.actions})
-
-
-@given(GRAPHS, st.randoms())
-@settings(deadline=None)
-def test_the_order_in_which_a_graph_was_made_means_nothing(whole: Graph, random: Random) -> None:
-    shuffled = Graph(
-        2,
-        topics=_shuffled(whole.topics, random),
-        services=_shuffled(whole.services, random),
-        parameters=_shuffled(whole.parameters, random),
-    )
-    one, other = catalogue(whole, known), catalogue(shuffled, known)
-    assert one == other
-    assert list(one.properties) == list(other.properties)
-    assert list(one.actions) == list(other.actions)
-
-
-def _shuffled(mapping: Mapping[str, _V], random: Random) -> Mapping[str, _V]:
-    items = list(mapping.items())
-    random.shuffle(items)
-    return freeze(dict(items))
 
 
 @given(GRAPHS)

@@ -17,13 +17,11 @@ from rosld.adapters.model import (
     Endpoint,
     Graph,
     MessageSchema,
-    NotFound,
     Refused,
     RosError,
     Sample,
     Schema,
     ServiceSchema,
-    TimedOut,
     Topic,
     TypeRef,
     UnknownType,
@@ -220,25 +218,6 @@ def benched(test: Callable[[Bench, Clock], Awaitable[None]], **how: float) -> No
     run(main)
 
 
-def test_two_hundred_readers_share_one_call_a_period_and_get_the_very_same_reading() -> None:
-    async def main(bench: Bench, loop: Clock) -> None:
-        for period in (1, 2):
-            bench.fake.hangs = True
-            bench.fake.release.clear()
-            readers = [asyncio.ensure_future(bench.read()) for _ in range(200)]
-            await turns()
-            assert len(bench.fake.calls) == period
-            bench.fake.release.set()
-            readings = await asyncio.gather(*readers)
-            assert {id(each) for each in readings} == {id(readings[0])}
-            assert plain(readings[0]) == f"{float(period)}"
-            assert await bench.read() is readings[0]
-            loop.skip(FRESHNESS)
-        assert bench.fake.deadlines[-1] == pytest.approx(loop.time() - FRESHNESS + PATIENCE, abs=0.2)
-
-    benched(main)
-
-
 def test_a_reader_that_is_cancelled_takes_the_call_from_nobody() -> None:
     async def main(bench: Bench, loop: Clock) -> None:
         bench.fake.hangs = True
@@ -268,65 +247,11 @@ def test_a_call_goes_on_when_all_its_readers_have_gone_and_its_answer_is_kept() 
     benched(main)
 
 
-def test_a_getter_that_hangs_costs_each_reader_no_more_than_its_own_deadline_and_is_called_once() -> None:
-    async def main(bench: Bench, loop: Clock) -> None:
-        bench.fake.hangs = True
-        for within in (2.0, 3.0):
-            reader = asyncio.ensure_future(bench.read(within=within))
-            await turns()
-            loop.skip(within)
-            reading = await reader
-            assert plain(reading) == f"{ASKED} has not answered within {within:g} s"
-            assert bench.readings.cached(bench.property()) is None
-        assert len(bench.fake.calls) == 1
-        loop.skip(PATIENCE - 5.0)
-        await turns()
-        assert bench.fake.running == 0
-        given_up = await bench.read()
-        assert plain(given_up) == f"{ASKED} has not answered within {PATIENCE:g} s"
-        assert await bench.read() is given_up, "a dead getter is not hammered"
-        assert len(bench.fake.calls) == 1
-        loop.skip(FRESHNESS)
-        bench.fake.release.set()
-        assert plain(await bench.read()) == "2.0"
-
-    benched(main)
-
-
 def refuses(error: RosError | Exception) -> Callable[[int], bytes]:
     def answer(turn: int) -> bytes:
         raise error
 
     return answer
-
-
-@pytest.mark.parametrize(
-    ("error", "failure"),
-    [
-        (Refused("the node said no", words="no fuel"), f"{ASKED} refused"),
-        (Refused("the node said no"), f"{ASKED} refused: the node said no"),
-        (NotFound("there is no service /robot/get_x"), f"{ASKED} cannot be read: there is no service /robot/get_x"),
-        (Unreachable("the node does not answer"), f"{ASKED} cannot be read: the node does not answer"),
-        (TimedOut("no answer"), f"{ASKED} has not answered within 10 s"),
-        (KeyError("a bug"), f"{ASKED} cannot be read"),
-    ],
-)
-def test_a_getter_that_fails_is_told_by_name_and_not_asked_again_for_a_while(error: Exception, failure: str) -> None:
-    async def main(bench: Bench, loop: Clock) -> None:
-        bench.fake.answers = refuses(error)
-        reading = await bench.read()
-        assert (plain(reading), reading.value) == (failure, None)
-        assert await bench.read() is reading
-        assert len(bench.fake.calls) == 1
-        bench.fake.answers = lambda turn: b"\x01"
-        unreadable = str(plain(await bench.read(refresh=True)))
-        assert unreadable.startswith(f"the answer of {ASKED} cannot be read: 1 bytes are no ")
-        bench.fake.answers = number
-        anew = await bench.read(refresh=True)
-        assert plain(anew) == "3.0"
-        assert await bench.read() is anew
-
-    benched(main)
 
 
 def test_a_reading_anew_shares_only_calls_that_began_after_it() -> None:
@@ -430,22 +355,6 @@ def test_a_parameter_that_has_vanished_or_cannot_be_had_is_told() -> None:
 TOPIC = TopicSource("/robot/x", None)
 
 
-def test_a_topic_without_a_message_gives_way_to_the_getter_until_one_comes() -> None:
-    async def main(bench: Bench, loop: Clock) -> None:
-        bench.fake.advertise("/robot/x", TypeRef("std_msgs/msg/Float64"))
-        sources = (TOPIC, getter(ASKED), ParameterSource("/robot/x"))
-        reading = await bench.read(*sources)
-        assert plain(reading) == "1.0"
-        assert bench.readings.cached(bench.property(*sources)) is reading
-        bench.fake.say("/robot/x", "std_msgs/msg/Float64", {"data": 7})
-        assert bench.readings.cached(bench.property(*sources)) is None
-        assert plain(await bench.read(*sources)) == "7.0"
-        assert len(bench.fake.calls) == 1
-        assert bench.fake.fetched == []
-
-    benched(main)
-
-
 def test_where_all_sources_fail_all_failures_are_told() -> None:
     async def main(bench: Bench, loop: Clock) -> None:
         bench.fake.say("/robot/x", "std_msgs/msg/Float64", b"\x00")
@@ -485,19 +394,6 @@ def test_a_topic_that_is_silent_is_waited_for_once() -> None:
         assert plain(await bench.read(TOPIC)) == "7.0"
 
     benched(main, first=3.0)
-
-
-def test_readers_of_a_new_message_share_what_one_of_them_decoded() -> None:
-    async def main(bench: Bench, loop: Clock) -> None:
-        bench.fake.say("/robot/x", "std_msgs/msg/Float64", {"data": 7})
-        readings = await asyncio.gather(*(bench.read(TOPIC) for _ in range(50)))
-        bench.fake.say("/robot/x", "std_msgs/msg/Float64", {"data": 8}, 2)
-        again = await asyncio.gather(*(bench.read(TOPIC) for _ in range(50)))
-        assert len({id(each) for each in readings}) == 1
-        assert len({id(each) for each in again}) == 1
-        assert plain(again[0]) == "8.0"
-
-    benched(main)
 
 
 def test_stopping_cancels_what_runs_and_tells_who_waits() -> None:

@@ -29,7 +29,7 @@ from rosld.ontology.lift import LiftSettings
 from rosld.ontology.literals import DTYPES, STRINGS
 from rosld.ontology.vocab import av, xsd
 from rosld.server.hypermedia.data_schema import DataSchema, message_schema, value_schema
-from rosld.server.hypermedia.thing_description import MEDIA_TYPE, ThingLink, thing_description
+from rosld.server.hypermedia.thing_description import ThingLink, thing_description
 from rosld.server.hypermedia.value import MessageValue, plain_json
 from rosld.server.hypermedia.views import ActionAffordance, PropertyAffordance
 from rosld.shapes.value import Bounds, Measure, MessageShape, OpenShape, ScalarShape, ValueShape
@@ -170,48 +170,6 @@ def test_what_can_only_be_read_or_only_be_written_says_so_and_the_rest_is_left_o
     plain, elided = properties["image"]["properties"]["data"]["oneOf"]
     assert plain == {"type": "string", "contentEncoding": "base64"}
     assert elided["required"] == ["elided", "length", "href"]
-
-
-def test_an_action_says_what_to_send_unless_that_is_nothing() -> None:
-    start, lights = thing()["actions"]["start"], thing()["actions"]["lights"]
-    assert start == {
-        "title": "Start",
-        "output": {"type": "object"},
-        "safe": False,
-        "idempotent": False,
-        "synchronous": True,
-        "map:relation": {"@id": av.start.value},
-        "forms": [
-            {
-                "href": URL + "start",
-                "op": "invokeaction",
-                "htv:methodName": "POST",
-                "contentType": "application/json",
-            }
-        ],
-    }
-    assert lights["input"] == {
-        "type": "object",
-        "properties": {"data": {"type": "boolean", "default": False}},
-    }
-
-
-def test_a_thing_says_who_it_is_where_it_leads_and_that_it_is_open() -> None:
-    found = thing(whole=True)
-    assert found["@context"][0] == "https://www.w3.org/2022/wot/td/v1.1"
-    assert found["id"] == URL
-    assert (found["title"], found["description"]) == ("Aircraft", "It flies.")
-    assert found["securityDefinitions"] == {"nosec_sc": {"scheme": "nosec"}}
-    assert found["security"] == ["nosec_sc"]
-    assert found["links"] == [
-        {"rel": "collection", "href": "http://127.0.0.1:8080/resources/", "type": MEDIA_TYPE},
-        {"rel": av.engine.value, "href": URL + "engine/", "type": MEDIA_TYPE},
-        {"rel": "type", "href": "https://w3id.org/rosld"},
-    ]
-    assert found["forms"] == [
-        {"href": URL, "op": "readallproperties", "htv:methodName": "GET", "contentType": "application/json"}
-    ]
-    assert "forms" not in thing()
 
 
 SCALARS: list[tuple[ValueShape, DataSchema]] = (

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Awaitable, Callable, Iterable
+from collections.abc import Awaitable, Iterable
 from dataclasses import replace
 from typing import Any, TypeVar, cast
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from pyoxigraph import Literal
 
 from rosld.adapters.aircraft import Aircraft
@@ -32,12 +30,10 @@ from rosld.adapters.model import (
     TypeRef,
 )
 from rosld.adapters.model.library import TypeLibrary
-from rosld.ontology.lift import LiftSettings
 from rosld.ontology.lower import LoweringError
-from rosld.ontology.vocab import rdf, xsd
+from rosld.ontology.vocab import xsd
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.catalogue import (
-    Catalogue,
     OpenKind,
     ParameterSource,
     Property,
@@ -46,13 +42,10 @@ from rosld.server.hypermedia.catalogue import (
     TopicSource,
     Writer,
 )
-from rosld.server.hypermedia.conventions import catalogue
 from rosld.server.hypermedia.property_writer import (
-    PlannedWrite,
     WriteOutcome,
     carry_out,
     current_writer,
-    lower_content,
     not_writable_reason,
     plan_write,
 )
@@ -63,10 +56,6 @@ from rosld.server.robot.session import Session
 from rosld.server.settings import Settings
 
 T = TypeVar("T")
-
-LIFTING = LiftSettings()
-LIBRARY = TypeLibrary(ros_version=1)
-POWER, SPEED, SEATS, DISPLAY = "/aircraft/power", "/aircraft/engine/speed", "/aircraft/seats", "/cockpit/display"
 
 
 def run(main: Awaitable[T]) -> T:
@@ -79,90 +68,6 @@ def writer_of(robot: Session, own: Property) -> Writer | None:
 
 def reason_of(robot: Session, own: Property) -> str:
     return not_writable_reason(robot.adapter, robot.settings, own)
-
-
-class Flight:
-    """The embedded aircraft as a robot, with what was written to it."""
-
-    def __init__(self, **settings: Any) -> None:
-        self.adapter = Aircraft(AdapterOptions())
-        self.robot = Session(self.adapter, Settings(**settings))
-        self.written: list[tuple[Kind, str]] = []
-        self.robot.add_write_listener(lambda kind, name: self.written.append((kind, name)))
-        self.catalogue: Catalogue = catalogue(self.adapter.graph, LIBRARY.find)
-
-    def property(self, name: str) -> Property:
-        return self.catalogue.properties[name]
-
-    def plan(self, name: str, content: object) -> PlannedWrite:
-        return plan_write(self.robot, self.property(name), content)
-
-
-def flown(test: Callable[[Flight], Awaitable[None]], **settings: Any) -> None:
-    async def main() -> None:
-        flight = Flight(**settings)
-        await flight.robot.open()
-        try:
-            await test(flight)
-        finally:
-            await flight.robot.close()
-
-    run(main())
-
-
-def violations(error: LoweringError) -> list[tuple[str, str]]:
-    return [(each.path, each.message) for each in error.violations]
-
-
-def test_what_does_not_fit_is_refused_before_anything_moves() -> None:
-    async def main(flight: Flight) -> None:
-        for content in (5, None, {"data": "on", "more": 1}, ["on"], Literal(5)):
-            with pytest.raises(LoweringError) as caught:
-                flight.plan(POWER, content)
-            assert violations(caught.value) == [("", "expected a string")]
-        with pytest.raises(LoweringError, match="expected a string without a language"):
-            flight.plan(POWER, Literal("on", language="en"))
-        for content in (None, [None], Literal("x", datatype=xsd.anyURI), Literal("x", language="en")):
-            with pytest.raises(LoweringError):
-                flight.plan(SEATS, content)
-
-    flown(main)
-
-
-def test_a_parameter_takes_whatever_parameters_can_be() -> None:
-    async def main(flight: Flight) -> None:
-        values = [
-            (Literal("7", datatype=xsd.short), 7),
-            (Literal("0.1", datatype=xsd.double), 0.1),
-            (Literal("INF", datatype=xsd.float), math.inf),
-            (Literal('["a",1]', datatype=rdf.JSON), ["a", 1]),
-            (["a", 1], ["a", 1]),
-            ({"@value": "NaN", "@type": "xsd:string"}, "NaN"),
-            ({"a": {"b": True}}, {"a": {"b": True}}),
-        ]
-        for content, stored in values:
-            plan = flight.plan(SEATS, content)
-            assert isinstance(plan.value, StoredValue)
-            assert (plan.value.value, type(plan.value.value)) == (stored, type(stored))
-        assert (plan.writer, plan.data) == (ParameterSource(SEATS), b"")
-        assert await carry_out(flight.robot, plan) is WriteOutcome.DONE
-        assert flight.written == [(Kind.PARAMETER, SEATS)]
-
-    flown(main)
-
-
-def test_each_property_of_the_aircraft_has_the_writer_it_should() -> None:
-    async def main(flight: Flight) -> None:
-        writers = {name: writer_of(flight.robot, own) for name, own in flight.catalogue.properties.items()}
-        assert {name: writer.name for name, writer in writers.items() if writer is not None} == {
-            **{name: name for name in flight.catalogue.by_parameter},
-            POWER: "/aircraft/set_power",
-            SPEED: "/aircraft/engine/set_speed",
-            "/aircraft/engine/direction": "/aircraft/engine/set_direction",
-            DISPLAY: DISPLAY,
-        }
-
-    flown(main)
 
 
 class Fake:
@@ -315,40 +220,3 @@ def test_a_parameter_beside_something_typed_keeps_to_that_type() -> None:
     with pytest.raises(LoweringError) as caught:
         plan_write(own, whole, {"x": 1})
     assert [each.path for each in caught.value.violations] == ["y"]
-
-
-FLOAT, INTEGER = message_schema("float64 data"), message_schema("int64 data")
-
-
-def test_a_message_takes_the_object_of_its_fields_and_no_literal() -> None:
-    schema = message_schema("float64 x\nfloat64 y")
-    message = lower_content(schema, {"x": 1, "y": "NaN"}, LIFTING)
-    assert getattr(message, "x") == 1.0  # noqa: B009
-    for content in (Literal(1), 1, [1, 2], "x", None):
-        with pytest.raises(LoweringError) as caught:
-            lower_content(schema, content, LIFTING)
-        assert [each.path for each in caught.value.violations] == [""]
-    with pytest.raises(LoweringError) as caught:
-        lower_content(schema, {"x": "far", "z": 1}, LIFTING)
-    assert {each.path for each in caught.value.violations} == {"x", "y", "z"}
-
-
-def test_a_literal_counts_by_its_own_datatype() -> None:
-    whole = message_schema("int64 data")
-    with pytest.raises(LoweringError):
-        lower_content(whole, Literal("5"), LIFTING)
-    assert getattr(lower_content(whole, Literal("5", datatype=xsd.decimal), LIFTING), "data") == 5  # noqa: B009
-    number = message_schema("float64 data")
-    with pytest.raises(LoweringError):
-        lower_content(number, Literal("NaN"), LIFTING)
-
-
-@settings(deadline=None)
-@given(st.floats(), st.integers(-(2**63), 2**63 - 1))
-def test_numbers_arrive_exactly(number: float, whole: int) -> None:
-    lexical = "NaN" if math.isnan(number) else repr(number).replace("inf", "INF")
-    message = lower_content(FLOAT, Literal(lexical, datatype=xsd.double), LIFTING)
-    data = getattr(message, "data")  # noqa: B009
-    assert data == number or (math.isnan(data) and math.isnan(number))
-    for content in (whole, str(whole), Literal(str(whole), datatype=xsd.integer)):
-        assert getattr(lower_content(INTEGER, content, LIFTING), "data") == whole  # noqa: B009

@@ -6,37 +6,9 @@ from datetime import datetime
 from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from rosld.adapters.model import NotFound, Refused
-from rosld.adapters.parameters import Tree, check, deep_copy, leaves, read_name, with_value, without_name
-
-names = st.lists(st.sampled_from("abc"), min_size=1, max_size=4).map(lambda steps: "/" + "/".join(steps))
-values = st.one_of(st.integers(-9, 9), st.booleans(), st.text(max_size=3), st.lists(st.integers(0, 9), max_size=2))
-
-
-@given(st.lists(st.tuples(names, values), min_size=1, max_size=8))
-def test_what_was_set_last_is_read_and_nothing_given_is_changed(settings: list[tuple[str, Any]]) -> None:
-    tree: Tree = {}
-    for name, value in settings:
-        before = deep_copy(tree)
-        changed = with_value(tree, name, value)
-        assert tree == before
-        tree = changed
-        assert read_name(tree, name) == value
-    assert all(read_name(tree, name) is not None for name in leaves(tree))
-
-
-@given(st.lists(st.tuples(names, values), min_size=1, max_size=8))
-def test_what_is_deleted_is_gone_with_all_below_it(settings: list[tuple[str, Any]]) -> None:
-    tree: Tree = {}
-    for name, value in settings:
-        tree = with_value(tree, name, value)
-    name = settings[-1][0]
-    tree = without_name(tree, name)
-    assert read_name(tree, name) is None
-    assert not any(leaf == name or leaf.startswith(name + "/") for leaf in leaves(tree))
+from rosld.adapters.parameters import check, leaves, read_name, with_value, without_name
 
 
 def test_names_and_trees_are_those_of_the_master() -> None:

@@ -132,17 +132,16 @@ def ros1(folder: Path) -> Iterator[httpx.Client]:
 def ros2(folder: Path) -> Iterator[httpx.Client]:
     """A real ROS 2: managed nodes, parameters that are declared, qualities of service, goals and holds."""
     with ros2_system.running("jazzy") as system, servers() as start:
-        for script in ("rover.py", "aircraft.py", "managed.py"):
+        for script in ("rover.py", "pilot.py", "managed.py"):
             system.node(script)
         http = start(system.source, python=system.python, environment=system.environment).http
-        for path in ("/topics/rover/drive", "/services/rover/brake", "/actions/aircraft/fly", "/nodes/camera"):
+        for path in ("/topics/rover/drive", "/services/rover/brake", "/actions/fly", "/nodes/camera"):
             until(lambda path=path: http.get(path).status_code == 200, path)
         until(lambda: "unconfigured" in http.get("/nodes/camera").text, "the state of the camera")
         http.post("/nodes/camera", json={"transition": "configure"})
         _refused(http.post("/nodes/camera", json={"transition": "leap"}))
-        for service in ("rover/brake", "aircraft/start"):
-            _done(http.post(f"/services/{service}", json={}))
-        _done(http.post("/actions/aircraft/fly", json={"distance": 90000}))
+        _done(http.post("/services/rover/brake", json={}))
+        _done(http.post("/actions/fly", json={"distance": 90000}))
         _done(http.put("/topics/rover/drive", json=AHEAD))
         _done(http.post("/topics/rover/drive", params=HELD, json=AHEAD))
         _refused(http.post("/topics/rover/drive", params=HELD, json=AHEAD))

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from rosld.adapters.rover import camera, scan
-from rosld.adapters.rover.topics import CMD_VEL, DOCK, LATCHED, PERIODIC, SET_LIGHTS
+from rosld.adapters.rover.topics import CMD_VEL, DOCK, LATCHED, PERIODIC
 from tests.rover.conftest import StartRover
 from tests.rover.rovers import Rover
 from tests.waiting import until
@@ -29,43 +29,6 @@ def test_its_topics_have_messages_of_the_types_of_the_standard_packages(rover: R
     for topic in PUBLISHED:
         assert rover.hear(topic)
     assert "ldp:contains" not in rover.http.get("/mappings/", headers=TURTLE).text
-
-
-def test_it_drives_on_as_it_was_told_last_until_it_is_told_to_stand(rover: Rover) -> None:
-    rover.drive(0.2, 0.8)
-    until(lambda: rover.velocity() == (0.2, 0.8), "the velocity")
-    stamp = rover.hear("/odom")["header"]["stamp"]
-    until(lambda: rover.hear("/odom")["header"]["stamp"]["sec"] > stamp["sec"] + 1, "a second without a command")
-    assert rover.velocity() == (0.2, 0.8)
-    rover.drive(0.0)
-    rover.stands()
-    there = rover.place()
-    rover.drive(0.0)
-    assert rover.place() == there
-
-
-def test_a_goal_is_reached_aborted_rejected_or_canceled(start_rover: StartRover) -> None:
-    rover = start_rover("rate=4")
-    told = rover.end_of(rover.send(0.5, -1.0).headers["location"])
-    assert (told["status"], told["result"]["message"]) == ("succeeded", "arrived")
-    assert told["feedback"]["distance_remaining"] < 5
-    assert math.dist(rover.place(), (0.5, -1.0)) < 0.1
-    for place, words in (((30.0, 0.0), "outside the map"), ((0.0, 2.6), "an obstacle stands at")):
-        told = rover.end_of(rover.send(*place).headers["location"])
-        assert (told["status"], words in told["result"]["message"]) == ("aborted", True)
-    assert rover.send(1.0, 0.0, frame="moon").status_code == 409
-    goal = rover.send(4.4, -3.4).headers["location"]
-    until(lambda: rover.velocity() != (0.0, 0.0), "motion")
-    assert rover.http.delete(goal).status_code == 202
-    assert rover.end_of(goal)["status"] == "canceled"
-    rover.stands()
-
-
-def test_the_lights_are_switched_by_a_service_and_told_by_a_latched_topic(rover: Rover) -> None:
-    for on in (True, False):
-        answer = rover.http.post(f"/services{SET_LIGHTS}", json={"data": on})
-        assert answer.status_code == 201, answer.text
-        until(lambda wanted=on: rover.hear("/lights") == {"data": wanted}, "the lights")
 
 
 def test_without_power_it_neither_drives_nor_pursues_a_goal(start_rover: StartRover) -> None:
@@ -129,14 +92,3 @@ def test_its_parts_say_how_they_are(rover: Rover) -> None:
     assert levels.keys() == {"rover: battery", "rover: drive", "rover: laser", "rover: camera"}
     assert (levels["rover: laser"], levels["rover: camera"]) == ("OK", "OK")
     assert all(each["values"] for each in states)
-
-
-def test_a_parameter_that_is_set_takes_effect_and_none_beyond_its_range_is(rover: Rover) -> None:
-    limit = "/parameters/rover/max_speed"
-    assert rover.http.put(limit, json=1.5).status_code == 422
-    assert rover.http.put(limit, json=0.2).status_code == 204
-    rover.drive(0.4, 1.0)
-    until(lambda: rover.velocity() == (0.2, 1.0), "the speed within the limit")
-    assert rover.http.put(limit, json=0.5).status_code == 204
-    rover.drive(0.0)
-    rover.stands()

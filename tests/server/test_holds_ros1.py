@@ -111,22 +111,6 @@ def test_the_robot_stands_still_when_a_signal_ends_the_server(
     hears(wheels, STILL)
 
 
-def test_the_robot_stands_still_when_another_node_begins_to_publish(
-    ros: RosSystem, wheels: Process, served: Any
-) -> None:
-    hold = held(served.http, 6)
-    hears(wheels, ahead(6))
-    other = ros.publish("/cmd_vel", "geometry_msgs/Twist", "{linear: {x: 0.5}}", rate=1)
-    try:
-        hears(wheels, STILL)
-        waiting.until(lambda: served.http.get(hold).status_code == 410, "the hold has ended")
-        assert "is published by /rostopic" in served.http.get(hold).json()["detail"]
-        hears(wheels, ahead(0.5))
-        assert json.dumps(ahead(6)) not in " ".join(wheels.seen[-3:])
-    finally:
-        other.stop()
-
-
 def held_and_killed(server: Server, wheels: Process, x: float, **how: Any) -> str:
     """Hold the topic, and kill the server when the base drives; the URL of the hold."""
     waiting.until(lambda: "POST" in server.http.options(TOPIC).headers.get("allow", ""), "the base")

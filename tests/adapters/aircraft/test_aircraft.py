@@ -105,30 +105,6 @@ async def test_what_does_not_fit_a_service_or_a_topic_is_refused() -> None:
             await aircraft.publish("/x", TypeRef("std_srvs/srv/Trigger"), b"", deadline=soon())
 
 
-async def test_a_latched_publish_says_so_in_the_graph_and_in_the_sample() -> None:
-    async with fly() as aircraft:
-        ref, data = await text(aircraft, "hello")
-        await aircraft.publish("/cockpit/display", ref, data, deadline=soon())
-        subscription = await aircraft.subscribe("/cockpit/display")
-        (plain,) = subscription.latest()
-        await aircraft.publish("/cockpit/display", ref, data, latch=True, deadline=soon())
-        (latched,) = subscription.latest()
-        assert (plain.latched, latched.latched) == (False, True)
-        assert latched.epoch > plain.epoch
-        assert [each.latched for each in aircraft.graph.topics["/cockpit/display"].publishers] == [True]
-
-
-async def test_what_was_advertised_and_given_up_is_no_longer_shown() -> None:
-    async with fly() as aircraft:
-        ref, data = await text(aircraft, "hello")
-        await aircraft.publish("/cockpit/display", ref, data, deadline=soon())
-        subscription = await aircraft.subscribe("/cockpit/display")
-        await aircraft.unadvertise("/cockpit/display")
-        assert subscription.latest() == ()
-        await aircraft.publish("/cockpit/display", ref, data, deadline=soon())
-        assert [(sample.epoch, sample.sequence) for sample in subscription.latest()] == [(2, 1)]
-
-
 def test_the_source_names_nothing_but_the_aircraft() -> None:
     assert adapter("aircraft", AdapterOptions()).capabilities.system == "aircraft"
     with pytest.raises(ValueError, match="only one aircraft"):

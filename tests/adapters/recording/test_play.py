@@ -15,7 +15,7 @@ import pytest
 from rosbags.rosbag1 import Writer
 
 from rosld.adapters.base import AdapterOptions
-from rosld.adapters.recording import RecordingAdapter, adapter
+from rosld.adapters.recording import RecordingAdapter
 
 Play = Callable[..., AbstractAsyncContextManager[Any]]
 
@@ -69,18 +69,6 @@ async def test_a_loop_begins_anew_with_the_next_epoch(chatter: Path, play: Play,
         assert subscription.latest()[0].epoch == 101
 
 
-async def test_played_once_it_rests_at_the_end(chatter: Path, play: Play, clock: Any) -> None:
-    async with play(chatter, once=True) as playing:
-        subscription = await playing.subscribe("/chatter")
-        clock.forward(1000)
-        last = subscription.latest()
-        assert texts(last) == ["9"]
-        clock.forward(1000)
-        assert subscription.latest() is last
-        assert playing.age_ns(last[0]) == 0, "it grows no older"
-        subscription.watch(lambda: pytest.fail("nothing comes after the end"))
-
-
 async def test_the_age_of_a_message_is_counted_by_the_clock_of_the_playing(
     chatter: Path, play: Play, clock: Any
 ) -> None:
@@ -96,11 +84,6 @@ async def test_the_age_of_a_message_is_counted_by_the_clock_of_the_playing(
         (again,) = subscription.latest()
         assert again.epoch == 1
         assert playing.age_ns(second) == 1_000_000_000
-
-
-def test_a_rate_that_is_none_is_refused_before_any_file_is_read() -> None:
-    with pytest.raises(ValueError, match="rate"):
-        adapter("/nowhere.bag", AdapterOptions(rate=0.0))
 
 
 async def test_latched_messages_survive_a_loop_and_others_do_not(
@@ -155,12 +138,6 @@ async def test_each_publisher_of_a_topic_has_its_newest_shown_in_order_of_play(
         assert texts(deep.latest()) == ["3", "4", "5", "6"]
 
 
-async def test_a_depth_of_nothing_is_refused(chatter: Path, play: Play) -> None:
-    async with play(chatter) as playing:
-        with pytest.raises(ValueError, match="depth of 0"):
-            await playing.subscribe("/chatter", depth=0)
-
-
 def test_a_watch_wakes_for_each_message_and_into_the_next_loop(recorder: ModuleType, tmp_path: Path) -> None:
     path = recorder.write_rosbag1(tmp_path / "run.bag", recorder.lines(count=4, every=0.05))
     seen: list[tuple[int, str]] = []
@@ -206,9 +183,3 @@ def test_two_definitions_of_one_name_live_side_by_side(tmp_path: Path, opened: A
             values[each.sample.publisher] = schema.codec.decode(each.sample.data, each.sample.encoding).x
         assert values == {"/old": 1.5, "/new": 1.5}
         assert [ref.hash for ref in bag.types()] == md5s
-
-
-async def test_a_recording_that_cannot_be_written_to_says_so_in_its_capabilities(chatter: Path, play: Play) -> None:
-    async with play(chatter) as playing:
-        can = playing.capabilities
-        assert (can.system, can.writes, can.creates_topics) == ("recording", False, False)

@@ -93,17 +93,6 @@ async def test_an_action_is_five_topics_of_types_that_go_together(acting: RosSys
         ]
 
 
-async def test_a_goal_is_pursued_with_feedback_and_ends_with_its_result(acting: RosSystem, opened: Opening) -> None:
-    async with opened(acting) as session:
-        goal = await send(session, SUCCEED)
-        events = await ended(session, goal, GoalStatus.SUCCEEDED)
-        assert [event.result for event in events if event.result] == [struct.pack("<i", 42)]
-        assert [event.feedback for event in events if event.feedback] == [struct.pack("<i", n) for n in (1, 2, 3)]
-        assert all(event.own for event in events)
-        assert "there" in [event.words for event in events]
-        assert states(session, goal)[-2:] == [GoalStatus.EXECUTING, GoalStatus.SUCCEEDED]
-
-
 async def test_a_goal_ends_in_every_way_with_the_servers_words(acting: RosSystem, opened: Opening) -> None:
     async with opened(acting) as session:
         for number, words in ((REJECT, "the arm is folded"), (REJECT_LATE, "thought twice")):

@@ -89,24 +89,6 @@ async def test_a_late_subscriber_hears_what_was_latched_and_nothing_else(ros: Ro
             assert ("kept" if latch else "new") in await asyncio.to_thread(listener.line, "heard")
 
 
-async def test_what_rosld_publishes_is_a_sample_of_its_own_at_once(ros: RosSystem, opened: Opening) -> None:
-    async with opened(ros) as session:
-        before = await session.adapter.subscribe("/own", depth=2)
-        woken = asyncio.Event()
-        before.watch(woken.set)
-        for words in ("one", "two", "three"):
-            await session.publish("/own", STRING, text(words), seconds=0.5)
-        after = await session.adapter.subscribe("/own")
-        assert [sample.publisher for sample in after.latest()] == [session.graph.own_node]
-        assert [(await session.decoded(sample)).data for sample in before.latest()] == ["two", "three"]
-        assert [sample.sequence for sample in before.latest()] == [2, 3]
-        assert after.latest()[0] is before.latest()[-1]
-        assert after.latest() is after.latest()
-        await asyncio.wait_for(woken.wait(), 60)
-        subscribers = dict(ros.master.getSystemState("/test")[2][1])
-        assert "/own" not in subscribers
-
-
 async def test_an_address_that_does_not_answer_is_never_registered(ros: RosSystem, opened: Opening) -> None:
     async with opened(ros, ros_ip="192.0.2.77") as session:
         with pytest.raises(Refused, match="--ros-ip"):

@@ -107,46 +107,6 @@ async def test_the_graph_is_what_the_master_says_and_reading_leaves_no_trace_the
 
 
 @pytest.mark.usefixtures("speaker")
-async def test_the_revision_rises_by_one_a_change_and_unchanged_entries_are_shared(
-    ros: RosSystem, opened: Opening
-) -> None:
-    async with opened(ros) as session:
-        await session.until(lambda: all(each.uri for each in session.graph.nodes.values()), "addresses")
-        before = session.graph
-        node = await asyncio.to_thread(ros.node, "latched_node.py", "second", "/second", "hello")
-        after = await session.until(lambda: "/second" in session.graph.topics and session.graph)
-        assert after.topics["/both"] is before.topics["/both"]
-        assert after.parameters is before.parameters
-        revisions = [graph.revision for graph in session.told.graphs]
-        assert revisions == list(range(revisions[0], revisions[0] + len(revisions)))
-        await asyncio.to_thread(node.stop)
-
-
-@pytest.mark.usefixtures("speaker")
-async def test_two_publishers_are_two_samples_and_deeper_subscriptions_see_more(
-    ros: RosSystem, opened: Opening
-) -> None:
-    async with opened(ros) as session:
-        subscription = await session.adapter.subscribe("/both")
-        deep = await session.adapter.subscribe("/both", depth=3)
-        samples = await session.first(subscription, 2)
-        assert {sample.publisher for sample in samples} == {"/speaker", "/other"}
-        assert {(await session.decoded(sample)).data for sample in samples} == {"one", "other"}
-        deepest = await session.first(deep, 6)
-        assert len(deepest) == 6
-        assert len(subscription.latest()) == 2
-        assert [each.received_ns for each in deepest] == sorted(each.received_ns for each in deepest)
-        mine = [each.sequence for each in deepest if each.publisher == "/speaker"]
-        assert mine == list(range(mine[0], mine[0] + 3))
-        identities = {(each.publisher, each.epoch, each.sequence): each.received_ns for each in deepest}
-        for closed in (subscription, deep, deep):
-            closed.close()
-        for each in await session.first(await session.adapter.subscribe("/both"), 2):
-            identity = (each.publisher, each.epoch, each.sequence)
-            assert identities.get(identity, each.received_ns) == each.received_ns, "one identity, one sample"
-
-
-@pytest.mark.usefixtures("speaker")
 async def test_two_types_on_one_topic_are_both_shown_and_it_is_not_writable(ros: RosSystem, opened: Opening) -> None:
     async with opened(ros) as session:
         samples = await session.first(await session.adapter.subscribe("/types"), 2)

@@ -6,7 +6,6 @@ import pytest
 from pyoxigraph import Literal, NamedNode
 
 from rosld.adapters.model import (
-    Action,
     Endpoint,
     Graph,
     Master,
@@ -14,22 +13,16 @@ from rosld.adapters.model import (
     Node,
     Qos,
     Service,
-    ServiceSchema,
-    Stale,
     Topic,
     TypeRef,
 )
 from rosld.adapters.model.library import TypeLibrary
 from rosld.ontology.describe import (
-    SECTIONS,
     Members,
     Receipt,
     activity_document,
-    entry_document,
     members_of,
     namespace_document,
-    node_document,
-    node_views,
     topic_document,
     type_container_document,
     type_document,
@@ -37,7 +30,7 @@ from rosld.ontology.describe import (
 from rosld.ontology.document import Document, Envelope, LiftedMessage
 from rosld.ontology.lift import lifter
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import cora, foaf, ldp, prov, rdf, rdfs, ros, schema_org, sosa, xsd
+from rosld.ontology.vocab import foaf, ldp, prov, rdf, ros, schema_org, xsd
 
 SPACE = Space("http://127.0.0.1:8080/")
 LIBRARY = TypeLibrary(ros_version=1)
@@ -81,69 +74,7 @@ def lifted(publisher: str | None, sequence: int) -> LiftedMessage:
     return LiftedMessage("#message", lifter(point()), message, envelope)
 
 
-# The entry point and nodes
-
-
-def test_the_entry_point_links_to_every_section_the_master_and_the_machine() -> None:
-    document, machine = entry_document(GRAPH, SPACE, "ROS 1", name="arm"), url("#robot")
-    assert own(document, ldp.contains) == [url(f"{section}/") for section in SECTIONS]
-    assert own(document, ros.state) == [ros.Live]
-    assert said(document, url("#master"), ros.uri) == [Literal("http://localhost:11311/", datatype=xsd.anyURI)]
-    assert said(document, url("topics/"), ros.count) == [Literal("3", datatype=xsd.integer)]
-    assert own(document, ros.robot) == [machine]
-    assert said(document, machine, rdf.type) == [sosa.Platform, cora.Robot]
-    assert said(document, machine, rdfs.label) == [Literal("arm")]
-    assert said(document, machine, sosa.hosts) == [NamedNode(SPACE.base)]
-
-
-def test_a_stale_graph_has_the_time_and_the_reason() -> None:
-    document = entry_document(Graph(1, Stale(1_700_000_000_500_000_000, "the master does not answer")), SPACE)
-    assert own(document, ros.state) == [ros.Stale]
-    assert own(document, ros.staleSince) == [Literal("2023-11-14T22:13:20.5Z", datatype=xsd.dateTime)]
-    assert own(document, ros.reason) == [Literal("the master does not answer")]
-
-
-def test_a_node_lists_its_action_without_the_topics_and_services_that_ros_2_makes_it_of() -> None:
-    inner = Topic("/fly/_action/status", publishers=(Endpoint("/pilot"),))
-    service = Service("/fly/_action/send_goal", providers=("/pilot",))
-    action = Action("/fly", servers=("/pilot",))
-    graph = Graph(
-        1,
-        nodes={"/pilot": Node("/pilot")},
-        topics={inner.name: inner},
-        services={service.name: service},
-        actions={action.name: action},
-    )
-    document = node_document(node_views(graph)["/pilot"], SPACE)
-    assert own(document, ros.publishes) == []
-    assert own(document, ros.provides) == [url("actions/fly")]
-
-
 # Topics
-
-
-def test_a_topic_that_is_also_a_namespace_links_to_its_container_and_back() -> None:
-    document = topic_document(GRAPH.topics["/chatter"], SPACE, GRAPH)
-    assert own(document, ros.namespace) == [url("topics/chatter/")]
-    members = members_of(GRAPH.topics)[("chatter",)]
-    container = namespace_document("topics", ("chatter",), members, SPACE, is_name=True)
-    assert own(container, rdfs.seeAlso) == [url("topics/chatter")]
-    lonely = topic_document(GRAPH.topics["/lonely"], SPACE, GRAPH)
-    absent = {ros.namespace, ros.rate, ros.latest, ros.hasEndpoint, ros.hasQos, ros.hasQosMismatch}
-    assert not absent & {each.predicate for each in lonely.triples}
-
-
-def test_the_newest_message_is_the_latest_and_that_of_each_publisher_is_linked() -> None:
-    messages = [lifted("/listener", 1), lifted("/a.b", 2), lifted("/talker", 3)]
-    document = topic_document(GRAPH.topics["/chatter"], SPACE, GRAPH, 1.0, messages)
-    nodes = ["#from/listener", "#from/a%2Eb", "#message"]
-    assert own(document, ros.latest) == [url("topics/chatter#message")]
-    assert own(document, ros.latestFrom) == [url(f"topics/chatter{node}") for node in nodes]
-    assert [message.node for message in document.messages] == nodes
-    assert document.messages[-1].message.z == 3.0  # type: ignore[attr-defined]
-    alone = topic_document(GRAPH.topics["/chatter"], SPACE, GRAPH, 1.0, messages[-1:])
-    assert own(alone, ros.latest) == [url("topics/chatter#message")]
-    assert own(alone, ros.latestFrom) == []
 
 
 def test_no_two_messages_of_a_topic_share_a_node() -> None:
@@ -154,24 +85,6 @@ def test_no_two_messages_of_a_topic_share_a_node() -> None:
     assert len(set(nodes)) == len(publishers)
     assert nodes[-1] == "#message"
     assert not any("." in node for node in nodes)
-
-
-def test_conflicting_types_are_linked_as_variants_and_there_is_no_type() -> None:
-    one, other = TypeRef("a/msg/B", "11"), TypeRef("a/msg/B", "22")
-    topic = Topic("/t", (one, other), (Endpoint("/x", one), Endpoint("/y", other)), unreadable="\udcff: two types")
-    document = topic_document(topic, SPACE, GRAPH)
-    assert own(document, ros.conflictingType) == [url("types/a/msg/B?hash=11"), url("types/a/msg/B?hash=22")]
-    assert own(document, ros.hasMessageType) == []
-    assert own(document, ros.unreadable) == [Literal("���: two types")]
-    assert said(document, url("topics/t#publisher/y"), ros.conflictingType) == [url("types/a/msg/B?hash=22")]
-    assert own(topic_document(topic, SPACE, GRAPH, unreadable="new"), ros.unreadable) == [Literal("new")]
-
-
-def test_an_unreachable_or_latched_publisher_is_an_endpoint() -> None:
-    topic = Topic("/t", (POINT,), (Endpoint("/a/b", latched=True), Endpoint("/c", unreachable="no such host")))
-    document = topic_document(topic, SPACE, GRAPH)
-    assert own(document, ros.hasEndpoint) == [url("topics/t#publisher/a/b"), url("topics/t#publisher/c")]
-    assert said(document, url("topics/t#publisher/c"), ros.unreachable) == [Literal("no such host")]
 
 
 SECONDS = 1_000_000_000
@@ -261,16 +174,6 @@ def test_a_message_type_has_its_fields_in_order() -> None:
     assert said(document, NamedNode(f"{kind.value}#A"), ros.value) == [Literal("3", datatype=xsd.byte)]
     assert said(document, NamedNode(f"{kind.value}#B"), ros.value) == [Literal("x y")]
     assert said(document, kind, ros.definition) == [Literal(schema.definition)]
-
-
-def test_a_service_type_describes_both_halves() -> None:
-    schema = LIBRARY.find(TRIGGER)
-    assert isinstance(schema, ServiceSchema)
-    document, kind = type_document(schema, SPACE), "https://w3id.org/rosld/types/std_srvs/srv/Trigger"
-    response = NamedNode(f"{kind}_Response")
-    assert said(document, NamedNode(kind), ros.responseType) == [response]
-    fields = [NamedNode(f"{response.value}#{name}") for name in ("success", "message")]
-    assert said(document, response, ros.hasField) == fields
 
 
 def test_variants_of_a_type_have_their_own_urls_and_link_to_each_other() -> None:

@@ -285,16 +285,6 @@ def test_no_message_or_too_many_is_told(turtle: str, count: str) -> None:
 # Plain JSON
 
 
-def test_json_with_every_field_is_a_message() -> None:
-    schema = schema_of("int64 n\nfloat32 f\nuint8[] o\nstring s\nbool b\nstring[] t\nuint8[] p")
-    text = '{"n":"9223372036854775807","f":0.1,"o":"AQI=","s":"x","b":true,"t":["y"],"p":[1,2]}'
-    message = vars(lowerer(schema).from_json(parse_json(text.encode())))
-    assert message["n"] == 2**63 - 1
-    assert message["f"] == 0.10000000149011612
-    assert message["o"].tolist() == message["p"].tolist() == [1, 2]
-    assert (message["s"], message["b"], message["t"]) == ("x", True, ["y"])
-
-
 @pytest.mark.parametrize(
     ("kind", "text"),
     [

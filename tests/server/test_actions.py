@@ -175,13 +175,6 @@ def test_a_goal_may_be_sent_as_rdf_and_must_fit_its_type_and_its_limits(plane: h
     assert answer.json()["goal"] == {"distance": 20.0}
 
 
-def test_the_same_idempotency_key_is_the_same_goal(plane: httpx.Client) -> None:
-    first = sent(plane, 100_000, **{"Idempotency-Key": "a"})
-    again = sent(plane, 100_000, **{"Idempotency-Key": "a"})
-    assert (again.status_code, again.headers["location"]) == (201, first.headers["location"])
-    assert sent(plane, 5, **{"Idempotency-Key": "a"}).status_code == 422
-
-
 @pytest.mark.parametrize("closed", [{"read_only": True}, {"resources_only": ("/aircraft/*",)}])
 def test_a_closed_action_takes_no_goals(closed: dict[str, Any]) -> None:
     with served(adapter_for("aircraft", AdapterOptions()), **closed) as http:

@@ -245,19 +245,6 @@ def test_server_side_requests(target: Target) -> None:
     assert target.http.get("/data/inside").status_code in (404, 410)
 
 
-def test_entities_that_multiply(target: Target) -> None:
-    entities = "".join(f'<!ENTITY e{n} "{f"&e{n - 1};" * 10}">' for n in range(1, 12))
-    bomb = (
-        f'<?xml version="1.0"?><!DOCTYPE r [<!ENTITY e0 "aaaaaaaaaa">{entities}]>'
-        '<rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#"><rdf:Description rdf:about="">'
-        "<rdf:value>&e11;</rdf:value></rdf:Description></rdf:RDF>"
-    )
-    for path in (DISPLAY, SEATS, "/data/bomb"):
-        answer = target.http.put(path, content=bomb, headers={"Content-Type": "application/rdf+xml"})
-        assert 400 <= answer.status_code < 500, answer.text
-    assert target.http.get("/").status_code == 200
-
-
 TAGS = ("<script>alert(1)</script>", "\"'><img src=x onerror=alert(1)>", "</title><svg/onload=alert(1)>")
 
 

@@ -189,16 +189,6 @@ def test_calls_are_told_as_they_are_made_and_the_stream_of_one_that_is_deleted_e
     assert [(event.name, event.json["status"]) for event in rest] == [("gone", 410)]
 
 
-def test_a_foreign_page_is_shared_with_as_with_any_read(serve: Callable[..., Any]) -> None:
-    served = serve("aircraft", "--cors-origin", "https://app.example")
-    with served.http.stream("GET", SPEED, headers=STREAM | {"Origin": "https://app.example"}) as stream:
-        assert stream.headers["access-control-allow-origin"] == "https://app.example"
-        assert stream.headers["vary"] == "Accept, Origin"
-        assert next(events(stream)).json == {"data": 0.0}
-    with served.http.stream("GET", SPEED, headers=STREAM | {"Origin": "https://other.example"}) as stream:
-        assert "access-control-allow-origin" not in stream.headers
-
-
 def test_waiting_ends_with_the_change_or_in_vain_with_304(aircraft: Any) -> None:
     read = aircraft.http.get(NIGHT, headers=JSON)
     etag, value = read.headers["etag"], read.json()

@@ -20,7 +20,6 @@ import rosld.server
 from rosld.adapters.model import ActionSchema, Encoding, GoalEvent, GoalId, GoalStatus, Schema, TypeRef
 from rosld.adapters.model.library import TypeLibrary
 from rosld.ontology.urls import locate
-from rosld.server.robot.calls import Gone
 from rosld.server.robot.goal_store import Feedback, Goal
 from rosld.server.robot.goals import Goals
 
@@ -175,26 +174,3 @@ def test_ids_are_safe_in_urls_and_no_two_goals_share_one() -> None:
         assert "x" in ids
 
     keeping(scenario)
-
-
-def test_the_oldest_that_has_ended_goes_first_and_is_not_learnt_again() -> None:
-    async def scenario(goals: Goals) -> None:
-        await hear(goals, "a", status(GoalStatus.EXECUTING))
-        await hear(goals, "b", status(GoalStatus.SUCCEEDED))
-        await hear(goals, "c", status(GoalStatus.EXECUTING))
-        assert [goal.id for goal in goals.all()] == ["a", "c"]
-        await hear(goals, "b", status(GoalStatus.SUCCEEDED))
-        goals.delete("a")
-        for id, error in (("b", Gone), ("a", Gone), ("d", KeyError)):
-            with pytest.raises(error):
-                goals.find(id)
-
-    async def long_ago(goals: Goals) -> None:
-        goals.on_event(GoalId("/fly", "a"), status(GoalStatus.SUCCEEDED, at=1))
-        await asyncio.sleep(0)
-        await asyncio.sleep(0)
-        with pytest.raises(Gone):
-            goals.find("a")
-
-    keeping(scenario, limit=2)
-    keeping(long_ago, age=1.0)

@@ -8,11 +8,9 @@ from pathlib import Path
 
 import httpx
 import pytest
-from click.testing import CliRunner
 from pyoxigraph import NamedNode, Triple
 
 from rosld.ontology.vocab import dcterms, ldp, rdf, ros
-from rosld.server.cli.main import main
 from rosld.server.storage import Model, Put, open_records
 from tests.server.robots.durable import running
 
@@ -136,18 +134,6 @@ def test_a_parameter_that_must_be_given_may_be_a_path_of_the_server(shared: http
     assert shared.get("/queries/called", headers=CSV).status_code == 400
     answer = shared.get("/queries/called", params={"thing": "/nodes/aircraft"}, headers=CSV)
     assert answer.text.splitlines() == ["name", "/aircraft"]
-
-
-def test_results_and_graphs_come_in_every_format_and_not_as_a_stream(shared: httpx.Client) -> None:
-    text = "# Topics.\nCONSTRUCT { ?t a <http://ex.org/Topic> } WHERE { ?t a ros:Topic }"
-    assert put(shared, "graph-of-mine", text).status_code == 201
-    formats = {"mine": ("json", "xml", "csv", "tsv", "html"), "graph-of-mine": ("ttl", "nt", "jsonld", "rdf")}
-    for name, wanted in formats.items():
-        for each in wanted:
-            answer = shared.get(f"/queries/{name}", params={"format": each})
-            assert answer.status_code == 200
-            assert ("/aircraft/engine" if name == "mine" else "ex.org/") in answer.text, each
-        assert shared.get(f"/queries/{name}", headers={"Accept": "text/event-stream"}).status_code == 406
 
 
 def test_its_page_has_its_purpose_its_fields_and_links(shared: httpx.Client) -> None:
@@ -324,25 +310,6 @@ def test_what_comes_with_rosld_stays_as_it_is(http: httpx.Client) -> None:
     assert "How many" in http.get("/queries/inventory", headers=TEXT).text
 
 
-def test_preconditions_guard_a_query_which_is_gone_once_deleted_until_it_is_put_again(stored: httpx.Client) -> None:
-    url = "/queries/mine"
-    assert stored.put(url, content=ONE, headers={**QUERY, "If-None-Match": "*"}).status_code == 412
-    for accept in (TEXT, CSV, NT):
-        etag = stored.get(url, headers=accept).headers["etag"]
-        assert stored.get(url, headers={**accept, "If-None-Match": etag}).status_code == 304
-        assert stored.put(url, content=TOPICS, headers={**QUERY, "If-Match": etag}).status_code == 204
-        assert stored.put(url, content=ONE, headers={**QUERY, "If-Match": etag}).status_code == 412
-        assert stored.delete(url, headers={"If-Match": etag}).status_code == 412
-    assert stored.delete(url).status_code == 204
-    for method in ("GET", "DELETE"):
-        assert stored.request(method, url).status_code == 410
-    assert stored.get("/queries/mine.meta").status_code == 410
-    assert "mine" not in contained(stored)
-    assert put(stored, "mine", ONE).status_code == 201
-    assert stored.get(url, headers=TEXT).text == ONE
-    assert stored.delete("/queries/").status_code == 405
-
-
 def test_queries_survive_a_restart(tmp_path: Path) -> None:
     with running(tmp_path, 0) as client:
         port = client.base_url.port
@@ -357,22 +324,6 @@ def test_queries_survive_a_restart(tmp_path: Path) -> None:
         assert client.get("/queries/gone").status_code == 410
         assert client.get("/queries/", headers=NT).headers["etag"] != listed
         assert [f"{client.base_url}queries/mine"] in ask(client, "SELECT ?q { ?q a ros:Query }")
-
-
-def test_queries_are_dumped_and_loaded_into_a_server_that_runs(tmp_path: Path) -> None:
-    archive, folder = str(tmp_path / "dump"), tmp_path / "data"
-    with running(folder, 0) as client:
-        assert put(client, "mine", ONE).status_code == 201
-        assert client.get("/queries/mine", headers=CSV).text.splitlines() == ["x", "1"]
-        assert CliRunner().invoke(main, ["dump", str(folder), "-o", archive]).exit_code == 0
-        assert put(client, "mine", TWO).status_code == 204
-        assert put(client, "other", TWO).status_code == 201
-        assert client.get("/queries/mine", headers=CSV).text.splitlines() == ["x", "2"]
-        loaded = CliRunner().invoke(main, ["load", archive, str(folder)])
-        assert loaded.exit_code == 0, loaded.output
-        assert client.get("/queries/mine", headers=CSV).text.splitlines() == ["x", "1"]
-        assert "other" not in contained(client)
-        assert ["One number."] in ask(client, "SELECT ?d { ?q a ros:Query ; dcterms:description ?d }")
 
 
 def test_a_query_that_is_none_any_more_is_listed_and_says_why(tmp_path: Path) -> None:

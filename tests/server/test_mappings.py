@@ -32,7 +32,6 @@ COCKPIT = (
     map:property [ map:predicate av:power ; map:member "night" ] .
 """
 )
-SECOND = COCKPIT.replace("av:power", "av:speed").replace('"night"', '"brightness"')
 BAD = COCKPIT.replace('"/cockpit/"', '"/cockpit"')
 SHIPPED = Path(str(files("rosld.adapters.aircraft"))) / "mapping.ttl"
 
@@ -93,15 +92,6 @@ def test_a_mapping_is_the_very_rdf_that_was_put_and_can_be_put_back(stored: http
     assert stored.get("/mappings/", headers={"Accept": "text/html"}).status_code == 200
 
 
-def test_post_to_the_container_creates_with_the_name_of_slug(own_aircraft: httpx.Client) -> None:
-    made = own_aircraft.post("/mappings/", content=COCKPIT, headers={**TURTLE, "Slug": "my cockpit"})
-    assert (made.status_code, made.headers["location"]) == (201, f"{own_aircraft.base_url}mappings/my-cockpit")
-    other = SECOND.replace('"/cockpit/"', '"/elsewhere/"')
-    again = own_aircraft.post("/mappings/", content=other, headers={**TURTLE, "Slug": "my cockpit"})
-    assert again.status_code == 201
-    assert again.headers["location"].startswith(f"{own_aircraft.base_url}mappings/my-cockpit-")
-
-
 def test_a_mapping_is_patched_by_a_sparql_update_that_keeps_it_one(stored: httpx.Client) -> None:
     prefix = "PREFIX map: <https://w3id.org/rosld/mapping#> "
     before = stored.get("/mappings/cockpit").text
@@ -117,22 +107,6 @@ def test_a_mapping_is_patched_by_a_sparql_update_that_keeps_it_one(stored: httpx
     assert stored.patch("/mappings/cockpit", content=change, headers=UPDATE).status_code == 204
     assert "brightness" in stored.get("/mappings/cockpit").text
     assert stored.patch("/mappings/none", content=change, headers=UPDATE).status_code == 404
-
-
-def test_preconditions_guard_a_mapping_which_is_gone_once_it_is_deleted(stored: httpx.Client) -> None:
-    url, etag = "/mappings/cockpit", stored.get("/mappings/cockpit").headers["etag"]
-    assert stored.put(url, content=COCKPIT, headers={**TURTLE, "If-None-Match": "*"}).status_code == 412
-    assert stored.put(url, content=SECOND, headers={**TURTLE, "If-Match": etag}).status_code == 204
-    assert stored.put(url, content=COCKPIT, headers={**TURTLE, "If-Match": etag}).status_code == 412
-    assert stored.delete(url, headers={"If-Match": etag}).status_code == 412
-    assert "brightness" in stored.get(url).text
-    assert stored.delete(url).status_code == 204
-    assert stored.get(url).status_code == 410
-    assert stored.delete(url).status_code == 410
-    assert stored.get("/resources/cockpit/").text.count("av:speed") == 0
-    assert "cockpit" not in stored.get("/mappings/").text
-    assert stored.put(url, content=COCKPIT, headers=TURTLE).status_code == 201
-    assert "cockpit" in stored.get("/mappings/").text
 
 
 def test_a_bad_mapping_is_422_with_a_shacl_report_and_the_old_one_stays(stored: httpx.Client) -> None:

@@ -25,20 +25,6 @@ def plane() -> Iterator[httpx.Client]:
         yield client
 
 
-def test_a_parameter_is_created_read_updated_and_deleted(plane: httpx.Client) -> None:
-    url = "/parameters/test/value"
-    for value in (True, 7, -1.5, "text", "", [1, 2.5, "x", [True]], "\u00e9\n\"'<", {"a": {"b": 1}}):
-        assert plane.get(url).status_code == 404
-        created = plane.put(url, json=value)
-        assert created.status_code == 201, created.text
-        assert plane.get(created.headers["location"], headers=JSON).json() == value
-        assert plane.put(url, json="other").status_code == (409 if isinstance(value, dict) else 204)
-        assert plane.delete(created.headers["location"]).status_code == 204
-        assert plane.get(created.headers["location"]).status_code == 404
-    answer = plane.put(url, content="null", headers={"Content-Type": "application/json"})
-    assert (answer.status_code, plane.get(url).status_code) == (422, 404)
-
-
 def test_a_parameter_has_no_past_and_says_so(plane: httpx.Client) -> None:
     assert plane.put("/parameters/present", json=4).status_code == 201
     for query in ("at=-5", "timemap", "series=value"):

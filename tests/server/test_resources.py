@@ -339,20 +339,6 @@ def test_a_write_by_any_way_ends_the_freshness_of_its_namespace(robot: MadeUp, s
     assert robot.calls["/leg/get_grip"] == 1
 
 
-def test_a_server_that_only_reads_offers_no_write(robot: MadeUp, serving: Serving) -> None:
-    robot.variable("/arm/grip", "Byte", value=1)
-    robot.answer("/arm/home", TRIGGER, success=True)
-    http = serving(read_only=True)
-    for method, path in (("PUT", "arm/grip"), ("PATCH", "arm/grip"), ("PATCH", "arm/"), ("POST", "arm/home")):
-        answer = http.request(method, f"/resources/{path}", json={})
-        assert "read-only" in detail(answer, 405)
-        assert answer.headers["allow"] == "GET, HEAD, OPTIONS"
-    said = http.get("/resources/arm/").text
-    assert "writeProperty" not in said
-    assert "invokeAction" not in said
-    assert robot.calls.keys() == {"/arm/get_grip"}
-
-
 def test_names_may_be_written_under_resources_only(robot: MadeUp, serving: Serving) -> None:
     robot.variable("/arm/grip", "Byte", value=1)
     robot.parameter("/arm/name", "Bob")
@@ -409,17 +395,6 @@ def test_names_without_a_namespace_lie_in_the_root(robot: MadeUp, serving: Servi
     assert http.post(f"{here}home", headers=JSON).json() == {"grip": 2}
     assert http.patch(here, json={"grip": 3}, headers=MERGE).status_code == 204
     assert value(http, f"{here}grip") == 3
-
-
-def test_safe_methods_never_move_the_robot(robot: MadeUp, serving: Serving) -> None:
-    robot.variable("/arm/grip", "Byte", value=1)
-    robot.answer("/arm/home", TRIGGER, success=True)
-    http = serving()
-    for method in ("GET", "HEAD", "OPTIONS"):
-        for path in ("arm/", "arm/grip", "arm/home", "arm/set_grip", "arm/get_grip"):
-            for accept in ("text/html", "text/turtle", "application/json"):
-                http.request(method, f"/resources/{path}", headers={"Accept": accept})
-    assert robot.calls.keys() <= {"/arm/get_grip"}
 
 
 HOSTILE = (
@@ -511,57 +486,3 @@ def test_head_is_get_without_the_body_and_what_has_not_changed_is_not_sent_again
                 assert "accept" in again.headers["vary"].lower()
                 for name in ("etag", "cache-control"):
                     assert again.headers[name] == get.headers[name]
-
-
-def test_a_representation_is_chosen_by_accept_or_by_format(robot: MadeUp, serving: Serving) -> None:
-    robot.variable("/arm/span", "Range", low=0, high=1)
-    http = serving(freshness=60)
-    for path in ("/resources/arm/", "/resources/arm/span"):
-        same = [triples(http.get(path, params={"format": one})) for one in ("ttl", "jsonld", "nt", "rdf", "n3", "nq")]
-        assert all(one == same[0] for one in same)
-        plain = http.get(path, params={"format": "json"}, headers={"Accept": "text/html"})
-        assert plain.headers["content-type"] == "application/json"
-    thing = http.get("/resources/arm/", headers={"Accept": "application/td+json, application/json;q=0.9"})
-    assert thing.headers["content-type"] == "application/td+json"
-    assert thing.json()["properties"].keys() == {"span"}
-    browser = "text/html,application/xhtml+xml,application/xml;q=0.9,*/*;q=0.8"
-    assert "text/html" in http.get("/resources/arm/", headers={"Accept": browser}).headers["content-type"]
-
-
-def asked(http: httpx.Client, query: str) -> list[dict[str, str]]:
-    """The rows of a query."""
-    answer = http.post(
-        "/sparql",
-        content=query,
-        headers={"Content-Type": "application/sparql-query", "Accept": "application/sparql-results+json"},
-    )
-    assert answer.status_code == 200, answer.text
-    return [{k: v["value"] for k, v in row.items()} for row in answer.json()["results"]["bindings"]]
-
-
-def test_a_query_sees_the_resources_that_it_names_and_asks_no_other(robot: MadeUp, serving: Serving) -> None:
-    robot.variable("/arm/grip", "Byte", value=3)
-    robot.variable("/arm/span", "Range", low=0.5, high=1)
-    robot.variable("/leg/grip", "Byte", value=4)
-    robot.answer("/arm/home", TRIGGER, success=True)
-    http = serving(freshness=60)
-    here = f"{http.base_url}resources/"
-    assert asked(http, "SELECT (COUNT(*) AS ?n) { ?s ?p ?o }")
-    assert asked(http, "SELECT ?g (COUNT(*) AS ?n) { GRAPH ?g { ?s ?p ?o } } GROUP BY ?g")
-    assert asked(http, f"SELECT ?v {{ ?s <{ROS}value> ?v }}") == []
-    assert robot.calls == {}
-    found = asked(
-        http,
-        f"SELECT ?m ?v {{ GRAPH <{here}arm/> {{ ?arm <{LDP}contains> ?m OPTIONAL {{ ?m <{RDF}value> ?v }} }} }}",
-    )
-    assert sorted((one["m"].removeprefix(here), one.get("v")) for one in found) == [
-        ("arm/grip", "3"), ("arm/home", None), ("arm/span", f"{here}arm/#span")
-    ]  # fmt: skip
-    assert robot.calls == {"/arm/get_grip": 1, "/arm/get_span": 1}
-    assert asked(http, f"SELECT ?v {{ GRAPH <{here}arm/grip> {{ ?s <{RDF}value> ?v }} }}") == [{"v": "3"}]
-    assert http.put("/resources/arm/grip", json=9).status_code == 204
-    assert asked(http, f"SELECT ?v {{ GRAPH <{here}arm/grip> {{ ?s <{RDF}value> ?v }} }}") == [{"v": "9"}]
-    assert robot.calls["/leg/get_grip"] == 0
-    assert asked(http, f"SELECT ?v {{ GRAPH <{here}none/> {{ ?s ?p ?v }} }}") == []
-    low = f"<{TYPES}made_up/srv/GetRange_Response#low>"
-    assert asked(http, f"SELECT ?v FROM NAMED <{here}arm/span> {{ GRAPH ?g {{ ?s {low} ?v }} }}") == [{"v": "0.5"}]

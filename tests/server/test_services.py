@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-
 import httpx
 import pytest
 
@@ -33,19 +31,6 @@ def test_a_call_is_201_with_its_location_and_the_answer_as_json(plane: httpx.Cli
     assert plane.get("/calls/never-was").status_code == 404
 
 
-def test_the_request_may_be_rdf(plane: httpx.Client) -> None:
-    plane.post("/services/aircraft/start")
-    request = f"{TYPES}rosld_aircraft/srv/SetNumber_Request"
-    body = json.dumps(
-        {"@type": request, f"{request}#data": {"@value": "200", "@type": "http://www.w3.org/2001/XMLSchema#integer"}}
-    )
-    answer = plane.post(
-        "/services/aircraft/engine/set_speed", content=body, headers={"Content-Type": "application/ld+json", **JSON}
-    )
-    assert answer.status_code == 201, answer.text
-    assert answer.json()["success"] is True
-
-
 def test_a_request_that_does_not_fit_is_422_naming_the_field_and_nothing_is_called(plane: httpx.Client) -> None:
     json_body = {"Content-Type": "application/json"}
     for body, path in (
@@ -61,13 +46,3 @@ def test_a_request_that_does_not_fit_is_422_naming_the_field_and_nothing_is_call
     assert f"{TYPES}rosld_aircraft" not in plane.get("/calls/").text
     for method in ("GET", "POST"):
         assert plane.request(method, "/services/aircraft/eject").status_code == 404
-
-
-def test_the_same_idempotency_key_calls_once(plane: httpx.Client) -> None:
-    headers = {"Idempotency-Key": "take-off-1", **JSON}
-    first = plane.post("/services/aircraft/start", headers=headers)
-    second = plane.post("/services/aircraft/start", headers=headers)
-    assert first.json() == second.json() == {"success": True, "message": first.json()["message"]}
-    assert first.headers["location"] == second.headers["location"]
-    other = plane.post("/services/aircraft/start", json={}, headers=headers)
-    assert other.status_code == 422

@@ -46,24 +46,6 @@ def test_a_query_sees_what_was_published_just_before(http: httpx.Client) -> None
         ]
 
 
-def test_results_come_in_every_format_by_the_names_that_other_endpoints_use_too(http: httpx.Client) -> None:
-    construct = "CONSTRUCT { ?t ros:name ?n } WHERE { ?t a ros:Topic ; ros:name ?n }"
-    for media_type in ("text/turtle", "application/ld+json", "application/n-triples", "application/rdf+xml", "text/n3"):
-        for query in (construct, f"DESCRIBE <{http.base_url.join(DISPLAY)}>"):
-            answer = http.get("/sparql", params={"query": query}, headers={"Accept": media_type})
-            assert answer.headers["content-type"].startswith(media_type)
-            assert "/cockpit/display" in answer.text
-    for name, media_type in {"turtle": "text/turtle", "json-ld": "application/ld+json"}.items():
-        answer = http.get("/sparql", params={"query": construct, "format": name}, headers={"Accept": "*/*"})
-        assert answer.headers["content-type"].startswith(media_type)
-    select = {"query": "SELECT ?name WHERE { ?t a ros:Topic ; ros:name ?name }"}
-    for media_type in ("application/sparql-results+xml", "text/csv", "text/tab-separated-values"):
-        answer = http.get("/sparql", params=select, headers={"Accept": media_type})
-        assert answer.headers["content-type"].startswith(media_type)
-        assert "/cockpit/display" in answer.text
-    assert http.get("/sparql", params=select).headers["content-type"] == "application/sparql-results+json"
-
-
 def test_every_resource_is_found_once_and_as_it_is_now(http: httpx.Client) -> None:
     query = {"query": "SELECT ?t WHERE { ?t a ros:Topic ; ros:name ?n ; ros:hasMessageType ?y }"}
     found = [row[0] for row in rows(http.get("/sparql", params=query, headers=CSV))]

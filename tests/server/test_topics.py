@@ -19,7 +19,6 @@ SPEED = "/topics/aircraft/engine/speed"
 DISPLAY = "/topics/cockpit/display"
 JSON = {"Accept": "application/json"}
 TURTLE = {"Content-Type": "text/turtle"}
-RDF = "http://www.w3.org/1999/02/22-rdf-syntax-ns#"
 STRING = f"{TYPES}std_msgs/msg/String"
 SYNTAXES = (
     "text/turtle",
@@ -71,28 +70,6 @@ def test_the_latest_message_has_its_type_time_number_and_publisher(http: httpx.C
     assert about[f"{TYPES}std_msgs/msg/Float64#data"].datatype.value.endswith("#double")
 
 
-def test_put_publishes_and_is_the_latest_before_it_is_answered(http: httpx.Client) -> None:
-    url = http.base_url.join(DISPLAY)
-    for media_type, body in (
-        ("text/turtle", message("hello")),
-        (
-            "application/n-triples",
-            f'<{url}#message> <{RDF}type> <{STRING}> .\n<{url}#message> <{STRING}#data> "hello" .',
-        ),
-        ("application/ld+json", json.dumps({"@id": "#message", "@type": STRING, f"{STRING}#data": "hello"})),
-        ("application/json", '{"data": "hello"}'),
-        (
-            "application/rdf+xml",
-            f'<rdf:RDF xmlns:rdf="{RDF}" xmlns:s="{STRING}#"><rdf:Description rdf:about="#message">'
-            f'<rdf:type rdf:resource="{STRING}"/><s:data>hello</s:data></rdf:Description></rdf:RDF>',
-        ),
-    ):
-        http.put(DISPLAY, json={"data": "before"})
-        answer = http.put(DISPLAY, content=body, headers={"Content-Type": media_type})
-        assert answer.status_code == 204, answer.text
-        assert http.get(DISPLAY, headers=JSON).json() == {"data": "hello"}
-
-
 def test_put_answers_with_the_representation_where_it_is_preferred(http: httpx.Client) -> None:
     headers = {"Prefer": "return=representation", **JSON}
     answer = http.put(DISPLAY, json={"data": "echo"}, headers=headers)
@@ -107,16 +84,6 @@ def test_a_message_without_a_subscriber_is_202_and_says_so(serve: Callable[..., 
     answer = http.put("/topics/lonely", content=message("2"), headers=TURTLE)
     assert answer.status_code == 202
     assert "no subscriber" in answer.json()["detail"]
-
-
-def test_a_new_topic_is_made_by_rdf_that_states_its_type_and_unmade_by_delete(own_aircraft: httpx.Client) -> None:
-    assert own_aircraft.put("/topics/new", json={"data": "x"}).status_code == 404
-    made = own_aircraft.put("/topics/new", content=message("x"), headers=TURTLE)
-    assert made.status_code == 201
-    assert made.headers["location"] == f"{own_aircraft.base_url}topics/new"
-    assert "DELETE" in own_aircraft.options("/topics/new").headers["allow"]
-    assert own_aircraft.delete("/topics/new").status_code == 204
-    assert own_aircraft.get("/topics/new").status_code == 404
 
 
 def test_a_sensor_of_the_robot_is_not_writable_and_allow_says_so(http: httpx.Client) -> None:
@@ -177,14 +144,6 @@ def test_more_publishes_than_the_limit_are_429_with_retry_after(serve: Callable[
     assert codes.count(204) >= 3
     assert {answer.headers["retry-after"] for answer in answers if answer.status_code == 429} == {"1"}
     assert served.http.get(DISPLAY).status_code == 200
-
-
-def test_a_read_only_server_offers_nothing_to_write(serve: Callable[..., Served]) -> None:
-    served = serve("aircraft", "--read-only")
-    assert served.http.put(DISPLAY, json={"data": "x"}).status_code == 405
-    assert served.http.options(DISPLAY).headers["allow"] == "GET, HEAD, OPTIONS"
-    assert served.http.post("/services/aircraft/start").status_code == 405
-    assert served.http.put("/parameters/aircraft/name", json="x").status_code == 405
 
 
 def test_age_is_a_header_and_the_rate_is_in_the_rdf(http: httpx.Client, triples_of: Triples) -> None:

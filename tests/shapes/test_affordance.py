@@ -54,28 +54,6 @@ def of(*values: Literal, path: NamedNode = rdf.value) -> list[Triple]:
     return [Triple(NamedNode(URL), path, value) for value in values]
 
 
-def test_a_bounded_scalar_is_of_its_datatype_and_within_its_bounds() -> None:
-    shape = ScalarShape(
-        Primitive("float64"), Bounds(minimum=typed("0", xsd.integer), exclusive_maximum=typed("1000", xsd.integer))
-    )
-    assert conforms(shape, of(typed("0.0")))
-    assert not conforms(shape, of(typed("1000.0")))
-    assert not conforms(shape, of(typed("-1.0")))
-    assert not conforms(shape, of(typed("5", xsd.integer)))
-    assert not conforms(shape, of())
-    assert not conforms(shape, of(typed("1.0"), typed("2.0")))
-
-
-def test_an_integer_is_within_the_range_of_its_type_where_nothing_is_narrower() -> None:
-    assert not conforms(ScalarShape(Primitive("int64")), of(typed("9223372036854775808", xsd.long)))
-    shape = ScalarShape(Primitive("int8"), Bounds(minimum=typed("0", xsd.integer)))
-    assert conforms(shape, of(typed("127", xsd.byte)))
-    assert not conforms(shape, of(typed("-1", xsd.byte)))
-    wider = ScalarShape(Primitive("int8"), Bounds(maximum=typed("1000", xsd.integer)))
-    said = [t.object for t in value_shape_triples(wider, SHAPE, rdf.value, SPACE) if t.predicate == sh.maxInclusive]
-    assert said == [typed("127", xsd.integer)]
-
-
 def test_a_mapped_property_is_by_its_predicate_and_tells_its_unit() -> None:
     unit = NamedNode("http://qudt.org/vocab/unit/KN")
     shape = ScalarShape(Primitive("float64"), measure=Measure(unit=unit))

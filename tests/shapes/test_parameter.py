@@ -4,21 +4,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import pyshacl
 import pytest
 import rdflib
-from hypothesis import given
 from hypothesis import strategies as st
 from pyoxigraph import Literal, NamedNode
 from rdflib.namespace import RDF, SH
 
-from rosld.adapters.model import Descriptor, ParameterType, ParameterValue, Range, coerce
+from rosld.adapters.model import Descriptor, ParameterType, ParameterValue, Range
 from rosld.ontology.document import Document
 from rosld.ontology.parameters import parameter_document
 from rosld.ontology.serialize import Syntax, serialize
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import dcterms, ros, sh
-from rosld.shapes.components import component
 from rosld.shapes.parameter import constraint_url, declared_triples, violations
 
 SPACE = Space("http://127.0.0.1:8080/")
@@ -34,12 +31,6 @@ def graph_of(value: ParameterValue, descriptor: Descriptor) -> rdflib.Graph:
     document = parameter_document(NAME, value, SPACE)
     whole = Document(document.url, (*document.triples, *declared_triples(descriptor, URL, SPACE)))
     return rdflib.Graph().parse(serialize(whole, Syntax.N_TRIPLES), format="nt")
-
-
-def conforms(value: ParameterValue, descriptor: Descriptor) -> bool:
-    """What pyshacl says of the document of a parameter, which holds its own shape."""
-    graph = graph_of(value, descriptor)
-    return bool(pyshacl.validate(graph, shacl_graph=graph)[0])
 
 
 def broken(descriptor: Descriptor, value: ParameterValue) -> tuple[str, ...]:
@@ -88,48 +79,6 @@ def test_what_does_not_fit_is_told_with_the_value_and_the_bound(
     assert broken(descriptor, value) == (words,)
 
 
-def test_a_violation_says_what_shacl_says_of_one() -> None:
-    (found,) = violations(FREQUENCY, NAME, URL, 5)
-    assert (found.path, found.focus, found.predicate) == (NAME, NamedNode(URL), ros.value)
-    assert (found.shape, found.component) == (NamedNode(f"{URL}#constraint.value"), component(sh.minInclusive))
-    assert found.term is not None
-    assert found.term.value == "5"
-    (step,) = violations(FREQUENCY, NAME, URL, 15)
-    assert step.component == ros.StepConstraintComponent
-
-
-@pytest.mark.parametrize("value", [10, 20.0, 60])
-def test_what_fits_in_another_form_fits(value: ParameterValue) -> None:
-    assert broken(FREQUENCY, value) == ()
-
-
-integers = st.builds(
-    lambda least, length, step: Descriptor(ParameterType.INTEGER, range=Range(least, least + length, step)),
-    st.integers(-50, 50),
-    st.integers(0, 60),
-    st.none() | st.integers(2, 70),
-)
-doubles = st.builds(
-    lambda least, length: Descriptor(ParameterType.DOUBLE, range=Range(least, least + length)),
-    st.floats(-50, 50),
-    st.floats(0, 60),
-)
-plain_types = st.sampled_from([*ParameterType]).map(Descriptor)
 values = st.one_of(
     st.integers(-100, 120), st.floats(-100, 120), st.booleans(), st.text("ab1", max_size=3), st.binary(max_size=3)
 )
-
-
-@pytest.mark.slow
-@given(integers | doubles | plain_types, values | st.lists(st.integers(0, 3), max_size=2))
-def test_the_shape_and_the_check_agree_about_every_value_that_a_node_would_have(
-    descriptor: Descriptor, value: ParameterValue
-) -> None:
-    assert descriptor.type is not None
-    fit = coerce(value, descriptor.type)
-    if fit is None:
-        assert broken(descriptor, value)
-        if not isinstance(value, list):  # the elements of a list are none of the datatype's business
-            assert not conforms(value, descriptor)
-        return
-    assert conforms(fit, descriptor) is (not broken(descriptor, value))

@@ -49,10 +49,6 @@ def drawn(found: Graph, below: str = "", *, everything: bool = False, hidden: st
     return draw_graph(found, SPACE, Selection(below, everything), lambda _: Traffic(), lambda url: hidden not in url)
 
 
-def edges(diagram: Diagram) -> set[str]:
-    return {f"{each.source} -> {each.target}" for each in diagram.edges}
-
-
 def problems(diagram: Diagram) -> dict[str, str]:
     return {each.key: each.problem for each in diagram.vertices if each.problem} | {
         f"{each.source} -> {each.target}": each.problem for each in diagram.edges if each.problem
@@ -71,27 +67,6 @@ ROBOT = graph(
 )  # fmt: skip
 
 
-def test_everything_is_connected_the_way_that_messages_calls_and_goals_go() -> None:
-    assert edges(drawn(ROBOT)) == {
-        "node /laser -> topic /scan", "topic /scan -> node /map", "topic /scan -> node /nav",
-        "node /laser -> topic /lonely", "topic /wished -> node /nav",
-        "node /camera -> topic /camera/image", "topic /camera/image -> node /nav",
-        "service /map/save -> node /map", "node /boss -> action /go", "action /go -> node /nav",
-    }  # fmt: skip
-    assert len(edges(drawn(ROBOT, everything=True))) == 15
-    assert "rosout" not in str(edges(drawn(ROBOT)))
-
-
-def test_what_is_wrong_is_said_in_words() -> None:
-    assert problems(drawn(ROBOT)) == {
-        "topic /wished": "silent: nobody publishes",
-        "topic /camera/image -> node /nav":
-            "does not hear /camera: reliability best_effort is offered, reliable requested",
-    }  # fmt: skip
-    assert [each.name for each in drawn(ROBOT).vertices if each.is_unheard] == ["/lonely"]
-    assert "/camera:" not in str(problems(drawn(ROBOT, hidden="/nodes/camera")))
-
-
 def test_the_topics_of_an_action_of_ros_1_are_drawn_as_the_action_alone() -> None:
     inner = [topic(f"/dock/{part}", [], ["/nav"]) for part in ("goal", "cancel")]
     inner += [topic(f"/dock/{part}", ["/nav"], []) for part in ("status", "feedback", "result")]
@@ -100,19 +75,6 @@ def test_the_topics_of_an_action_of_ros_1_are_drawn_as_the_action_alone() -> Non
     service = Service("/dock/cancel", None, ("/nav",))
     assert "service /dock/cancel" in {each.key for each in drawn(graph(*inner, services=[service])).vertices}
     assert "topic /dock/goal" in problems(drawn(graph(*inner[:4], actions=[docking]))), "four of them are no action"
-
-
-def test_a_part_is_what_lies_below_a_name_with_its_neighbours() -> None:
-    assert {each.key for each in drawn(ROBOT, "/camera").vertices} == {
-        "node /camera", "topic /camera/image", "node /nav"
-    }  # fmt: skip
-    assert edges(drawn(ROBOT, "/map/")) == {"topic /scan -> node /map", "service /map/save -> node /map"}
-    assert not drawn(ROBOT, "/cam").vertices
-
-
-def test_what_may_not_be_read_is_not_there() -> None:
-    found = drawn(ROBOT, hidden="/nodes/nav")
-    assert "nav" not in str(edges(found)) + str([each.key for each in found.vertices])
 
 
 def large(count: int, spread: int) -> Graph:

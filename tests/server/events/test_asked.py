@@ -10,20 +10,8 @@ from hypothesis import strategies as st
 
 from rosld.server.events import query_params
 from rosld.server.http.problem import Problem
-from rosld.server.rest.formats import OFFERS
 
-STREAM = (
-    "text/event-stream", "Text/Event-Stream", "text/event-stream, */*;q=0.1", "text/event-stream;charset=utf-8",
-)  # fmt: skip
-NO_STREAM = (
-    None, "", "*/*", "text/*", "text/html,*/*;q=0.8", "text/event-stream;q=0", "text/event-streams",
-    "application/json, text/event-stream", "text/event-stream;q=0.5, text/turtle", "application/event-stream",
-)  # fmt: skip
 NO_RATES = ("", "0", "-1", "nan", "inf", "0x10", "10Hz", "١٠", "1_0", " 1", "1;2", "9" * 21, "0.0001", "%00")
-
-
-def test_only_clients_that_prefer_a_stream_get_one() -> None:
-    assert [each for each in (*STREAM, *NO_STREAM) if query_params.stream_is_preferred(each, OFFERS)] == [*STREAM]
 
 
 def test_rates_and_timeouts_have_defaults_and_upper_bounds() -> None:
@@ -50,9 +38,3 @@ def test_any_text_is_refused_or_within_the_bounds(text: str) -> None:
     ):
         with suppress(Problem):
             assert least <= read({name: text}) <= most
-
-
-def test_a_state_is_known_by_its_event_id_or_by_any_of_its_entity_tags() -> None:
-    same = ("boot-1", '"boot-1.ttl"', "boot-1.json", 'W/"boot-1.json"', ' "boot-1" ')
-    others = (None, "", "boot-2", '"boot-11.ttl"', "boot", '"', ".")
-    assert [each for each in (*same, *others) if query_params.is_state(each, "boot-1")] == [*same]

@@ -174,28 +174,6 @@ def test_a_receiver_that_stands_still_gets_the_latest_and_nothing_piles_up() -> 
     asyncio.run(run())
 
 
-def test_a_change_is_written_once_however_many_channels_tell_it() -> None:
-    async def run() -> None:
-        one = Set()
-        tolds = [Told() for _ in range(20)]
-        tasks = []
-        for told in tolds:
-            channel = await one.open()
-            tasks.append(asyncio.create_task(Delivery(one.channels, one.broadcasters, channel, told.send, None).run()))
-        await asyncio.sleep(0.05)
-        looks = one.things.looks
-        one.things.become("a")
-        for told in tolds:
-            await told.until(1)
-        assert one.things.looks == looks + 1
-        assert len({id(told.chunks[0]) for told in tolds}) == 1
-        for task in tasks:
-            task.cancel()
-        await asyncio.wait(tasks)
-
-    asyncio.run(run())
-
-
 def test_nothing_is_told_before_the_start() -> None:
     async def run() -> None:
         one, told = Set(), Told()

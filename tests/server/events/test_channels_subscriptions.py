@@ -25,16 +25,11 @@ TYPE = "http://www.w3.org/ns/solid/notifications#WebSocketChannel2023"
 TOPIC = "http://robot.example/topics/speed"
 WISH = {"@context": [CONTEXT], "type": TYPE, "topic": TOPIC}
 NOW = 1_800_000_000 * 10**9
-LATER = NOW + 3600 * 10**9
 
 
 def read(wish: Any, media_type: str = "application/ld+json") -> ChannelRequest:
     data = wish if isinstance(wish, bytes) else json.dumps(wish).encode()
     return read_subscription(data, media_type, SERVICE, "WebSocketChannel2023", NOW)
-
-
-def test_type_and_topic_are_enough() -> None:
-    assert read(WISH) == ChannelRequest(TOPIC)
 
 
 def test_types_and_contexts_may_be_spelt_as_the_drafts_do() -> None:
@@ -51,13 +46,6 @@ def test_types_and_contexts_may_be_spelt_as_the_drafts_do() -> None:
         assert read(WISH | {"@context": context, "extra": 1}).topic == TOPIC
     plain = {"type": "WebSocketChannel2023", "topic": TOPIC, "state": "x"}
     assert read(plain, "application/json") == ChannelRequest(TOPIC, state="x")
-
-
-def test_expanded_jsonld_and_turtle_say_the_same() -> None:
-    ns = "http://www.w3.org/ns/solid/notifications#"
-    assert read([{"@type": [TYPE], f"{ns}topic": [{"@id": TOPIC}]}]) == ChannelRequest(TOPIC)
-    turtle = f'[] a <{TYPE}> ; <{ns}topic> </topics/speed> ; <{ns}rate> "PT1S" .'
-    assert read(turtle.encode(), "text/turtle") == ChannelRequest(TOPIC, interval=1.0)
 
 
 def test_all_features_are_read() -> None:

@@ -97,34 +97,6 @@ def test_a_stream_tells_a_topic_of_50_hz_whole_and_a_slower_one_says_how_many_me
     asyncio.run(main())
 
 
-def test_who_hangs_up_leaves_nothing_behind(opened: Any, reader: Any) -> None:
-    async def main() -> None:
-        async with opened() as app:
-            before = asyncio.all_tasks()
-            broadcasters = app.broadcasters
-            slow, stuck, waiting = (
-                reader(app, SPEED),
-                reader(app, DISPLAY),
-                reader(app, f"/parameters/cockpit/night?after={await tag(app, reader)}", "application/json"),
-            )
-            await slow.until(lambda one: bool(one.events))
-            await stuck.until(lambda one: bool(one.events))
-            stuck.takes.clear()
-            await show(app, "for one that takes nothing")
-            assert len(broadcasters.resources) == broadcasters.readers == 3
-            await slow.leave()
-            await waiting.leave()
-            stuck.left.set()
-            stuck.takes.set()
-            await stuck.leave()
-            assert not broadcasters.resources
-            assert not broadcasters.readers
-            assert not app.session.topics.always_subscribed()
-            assert asyncio.all_tasks() <= before
-
-    asyncio.run(main())
-
-
 async def tag(app: Any, reader: Any) -> str:
     """The entity tag of a parameter as it is."""
     read = reader(app, "/parameters/cockpit/night", "application/json")

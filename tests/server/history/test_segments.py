@@ -48,18 +48,6 @@ def files(folder: Path) -> list[Path]:
     return sorted(folder.glob("*.mcap"))
 
 
-def test_a_finished_segment_is_read_by_mcap_with_every_message_under_its_number(tmp_path: Path) -> None:
-    writer = open_writer(tmp_path)
-    add(writer, 1200)
-    writer.add("/b", sample(2400, publisher="/other"))
-    writer.close()
-    (path,) = files(tmp_path)
-    found = sorted(read(path), key=lambda one: one.sequence)
-    assert [one.sequence for one in found] == list(range(2401))
-    assert [one.data for one in found] == [sample(number).data for number in range(2401)]
-    assert [one.time_ns for one in found] == [sample(number).received_ns for number in range(2401)]
-
-
 def test_a_message_is_found_by_its_number_before_and_after_it_is_written(tmp_path: Path) -> None:
     writer = open_writer(tmp_path)
     add(writer, 20)
@@ -136,21 +124,6 @@ def test_a_file_that_ends_anywhere_is_completed_and_loses_only_the_chunk_it_ends
         assert len(messages) == sum(len(chunk.numbers) for chunk in found.chunks)
         assert all(one.data == sample(one.sequence).data for one in messages)
         assert len(messages) >= 10 * sum(end <= size for end in ends)
-
-
-def test_a_file_that_was_never_finished_is_completed_when_the_history_is_opened(tmp_path: Path) -> None:
-    writer = open_writer(tmp_path / "one")
-    add(writer, 300)
-    writer.write_due(time.monotonic() + 2)
-    shutil.copytree(tmp_path / "one", tmp_path / "two")  # as a kill leaves it
-    with files(tmp_path / "two")[0].open("ab") as file:
-        file.write(b"\x06\xff\x00\x00\x00\x00\x00\x00\x00 torn")
-    again = open_writer(tmp_path / "two")
-    assert again.next == 600
-    assert len(read(files(tmp_path / "two")[0])) == 600
-    add(again, 5)
-    again.close()
-    assert [len(read(path)) for path in files(tmp_path / "two")] == [600, 10]
 
 
 @pytest.mark.parametrize("on_disk", [True, False])

@@ -138,16 +138,6 @@ def test_a_pointer_drives_where_it_points_and_letting_go_is_zero(base: Base, htt
     assert len(base.told()) == count + 1, "nothing else came"
 
 
-def test_a_command_that_does_not_change_goes_on_for_as_long_as_it_is_pressed(
-    base: Base, http: httpx.Client, pad: Any
-) -> None:
-    press(pad)
-    command = base.drives()
-    until(lambda: base.speeds().count(command) >= 120, "six seconds of commands, more than a lease")
-    mouse(pad, "mouseReleased", 0.0, 1.0)
-    base.stands()
-
-
 def test_keys_drive_while_the_pad_has_the_focus(base: Base, pad: Any) -> None:
     up, left = "KeyW", "ArrowLeft"
     key(pad, "keyDown", up)

@@ -337,22 +337,6 @@ def test_a_parameter_form_sent_untouched_means_the_present_value(value: object) 
         assert (read, type(read)) == (value, type(value))
 
 
-def test_a_parameter_that_does_not_fit_its_type_is_refused() -> None:
-    refused: tuple[list[tuple[str, str]], ...] = (
-        [("type", "number"), ("value", "many")],
-        [("type", "boolean"), ("value", "yes")],
-        [("type", "JSON"), ("value", "{")],
-        [("type", "colour"), ("value", "red")],
-        [("type", "string"), ("value", "a"), ("value", "b")],
-        [("type", "string"), ("value", "a"), ("other", "b")],
-        [],
-    )
-    for pairs in refused:
-        with pytest.raises(LoweringError) as refusal:
-            parse_parameter(pairs)
-        assert page(ParameterForm(1).with_submitted(pairs, refusal.value.violations)).forms == 1
-
-
 def test_violations_of_the_elements_of_an_array_stand_beside_the_array() -> None:
     kind = schema("sensor_msgs/msg/JointState")
     pairs = sent(MessageForm(kind))

@@ -217,14 +217,6 @@ def test_what_is_typed_stays_with_its_focus_and_the_others_follow(tab: Any, site
     assert tab.run("document.querySelector('[name=csrf]').value") == "new"
 
 
-def test_a_focused_field_does_not_change(tab: Any, site: Site) -> None:
-    shown(tab, site, f"<ul>{form('/a', text('1'))}</ul><p>1</p>")
-    tab.run("document.querySelector('[name=data]').focus()")
-    site.tell_page(f"<ul>{form('/a', text('2'))}</ul><p>2</p>")
-    tab.until("document.querySelector('main p').textContent === '2'")
-    assert tab.run("document.querySelector('[name=data]').value") == "1"
-
-
 def test_choices_and_checks_follow_until_they_are_made(tab: Any, site: Site) -> None:
     def both(on: bool) -> str:
         options = f"<option{'' if on else ' selected'}>off</option><option{' selected' if on else ''}>on</option>"

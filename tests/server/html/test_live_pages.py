@@ -60,28 +60,6 @@ def test_start_is_replaced_by_stop_when_another_client_starts(tab: Any, served: 
     tab.until(f"{buttons} === 'Start'")
 
 
-def test_what_is_typed_survives_the_values_that_come(tab: Any, served: Any) -> None:
-    start(served)
-    watch(tab, served.url + ENGINE)
-    tab.run("document.querySelector('form[action$=speed] input[type=number]').select()")
-    tab.type("12")
-    served.http.put(f"{ENGINE}speed", json=500).raise_for_status()
-    tab.until(f"{SPEED} > 40")
-    assert tab.run("document.activeElement.value") == "12"
-    tab.type("3")
-    assert tab.run("document.activeElement.value") == "123"
-    served.http.put(f"{ENGINE}speed", json=0).raise_for_status()
-    tab.until(f"{SPEED} === 0")
-    served.http.post(f"{AIRCRAFT}stop").raise_for_status()
-    tab.until("document.querySelector('#live-notice')")
-    assert "not on offer now" in tab.run("document.querySelector('#live-notice').textContent")
-    assert tab.run("document.activeElement.value") == "123"
-    start(served)
-    tab.until("!document.querySelector('#live-notice')")
-    assert tab.run("document.activeElement.value") == "123"
-    assert tab.run("sameLoad")
-
-
 def test_a_topic_shows_each_message_as_text(tab: Any, served: Any) -> None:
     watch(tab, served.url + DISPLAY)
     hostile = "</main><script>window.broken = 1</script><img src=x onerror='window.broken = 1'>"

@@ -9,25 +9,21 @@ from dataclasses import replace
 import pytest
 from pyoxigraph import Literal
 
-from rosld.adapters.base import AdapterOptions
 from rosld.adapters.model import Primitive
-from rosld.adapters.registry import adapter_for
 from rosld.ontology.lift import LiftSettings
 from rosld.ontology.urls import Space
 from rosld.server.html import Csrf, Page, Site, ValueForm, forms_of, render_page
 from rosld.server.hypermedia.value import MessageValue, Reading
-from rosld.server.hypermedia.view_documents import action_document, complex_document
+from rosld.server.hypermedia.view_documents import action_document
 from rosld.server.hypermedia.views import (
     ActionAffordance,
     ActionView,
     ComplexView,
     Member,
     PropertyAffordance,
-    PropertyView,
 )
 from rosld.shapes.value import Bounds, ScalarShape
 from tests.server.html.messages import BASE, NOW, message, schema
-from tests.server.robots.made_up import served
 
 pytestmark = pytest.mark.slow
 
@@ -81,37 +77,6 @@ def below_header(body: str) -> str:
     return body.partition("<main")[2]
 
 
-def test_a_complex_resource_shows_what_can_be_done_now_and_nothing_else(pages: Mapping[str, bytes]) -> None:
-    stopped, started = pages["aircraft_stopped"].decode(), pages["aircraft_started"].decode()
-    assert forms(stopped).keys() == {("/resources/aircraft/power", "PUT"), ("/resources/aircraft/start", "POST")}
-    assert forms(started).keys() == {("/resources/aircraft/power", "PUT"), ("/resources/aircraft/stop", "POST")}
-    start = forms(stopped)[("/resources/aircraft/start", "POST")]
-    assert '<button type="submit">Start</button>' in start
-    assert len(re.findall("<input", start)) == 2, "an action that takes nothing is a button"
-    assert "/resources/aircraft/engine/" not in stopped
-    assert '<a class="way" href="/resources/aircraft/engine/">' in started
-
-
-def test_each_form_carries_the_token_of_where_it_posts() -> None:
-    view = ComplexView(AIRCRAFT, "/aircraft/", (POWER,), (START,))
-    document = complex_document(view, Space(BASE), LiftSettings())
-    page = Page(SITE, "Complex resource", "/aircraft/", document, ("GET",), forms_of(view), offer=view)
-    found = forms(drawn(replace(page, csrf=lambda action: f"token of {action}")))
-    assert len(found) == 2
-    for (action, _), form in found.items():
-        assert f'name="csrf" value="token of http://127.0.0.1:8080{action}"' in form
-    (own,) = forms(drawn(action_page(lambda action: f"token of {action or 'itself'}"))).values()
-    assert 'value="token of itself"' in own
-    assert "action=" not in own
-
-
-def test_a_read_only_server_offers_no_forms() -> None:
-    with served(adapter_for("aircraft", AdapterOptions()), read_only=True) as http:
-        body = http.get("/resources/aircraft/", headers={"Accept": "text/html"}).text
-    assert "<form" not in below_header(body)
-    assert "/resources/aircraft/start" in body
-
-
 def test_values_have_their_units_and_limits(pages: Mapping[str, bytes]) -> None:
     wing, body = pages["wing"].decode(), pages["engine"].decode()
     assert re.search(r'5</bdi>\s*<a class="unit" href="http://qudt.org/vocab/unit/REV-PER-MIN"', wing)
@@ -147,13 +112,6 @@ def test_what_cannot_be_read_says_why_and_only_single_scalars_are_set_in_place(p
     assert 'href="/resources/turtle1/dance"' in body
 
 
-def test_a_property_that_must_not_be_written_now_has_no_form() -> None:
-    view = PropertyView(POWER.affordance, POWER.reading, (), (), AIRCRAFT)
-    assert len(forms_of(view)) == 1
-    locked = replace(view, affordance=replace(view.affordance, write=False))
-    assert forms_of(locked) == ()
-
-
 def test_a_resource_links_what_is_behind_it_and_folds_its_rdf(pages: Mapping[str, bytes]) -> None:
     number, engine = pages["number"].decode(), pages["engine"].decode()
     behind = number[number.index("In ROS") :]
@@ -165,13 +123,6 @@ def test_a_resource_links_what_is_behind_it_and_folds_its_rdf(pages: Mapping[str
     assert "affordance" not in before
     assert "<details open" not in body
     assert ('href="?format=td"' in engine, 'href="?format=td"' in number) == (True, False)
-
-
-def test_a_refused_value_stands_beside_its_reason(pages: Mapping[str, bytes]) -> None:
-    (form,) = forms(pages["limited"].decode()).values()
-    assert 'value="1200"' in form
-    assert "must be at most 1000" in form
-    assert 'aria-invalid="true"' in form
 
 
 def test_a_namespace_of_thousands_has_forms_for_some_and_a_scalar_without_a_value_is_asked_for_empty() -> None:

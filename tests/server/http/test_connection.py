@@ -5,10 +5,8 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-import socket
 from collections.abc import Awaitable, Callable
 from typing import TypeVar, cast
-from urllib.parse import urlsplit
 
 import pytest
 from starlette.requests import Request
@@ -21,7 +19,6 @@ from rosld.server.http.problem_details import render
 from rosld.server.serving import http_server
 from rosld.server.serving.connection import ConnectionBounds
 from rosld.server.serving.transport import CoalescingTransport
-from tests.server.conftest import servers
 
 _V = TypeVar("_V")
 
@@ -231,21 +228,6 @@ def test_requests_before_a_broken_chunk_are_answered_first_and_what_follows_it_i
     assert app.bodies == [b"1", b"2"]
 
 
-@pytest.mark.slow
-def test_a_put_with_a_broken_chunk_over_http_changes_nothing_and_is_told() -> None:
-    with servers() as serve:
-        served = serve("aircraft")
-        port = urlsplit(served.url).port
-        head = (
-            b"PUT /data/broken HTTP/1.1\r\nHost: a\r\nContent-Type: text/turtle\r\nTransfer-Encoding: chunked\r\n\r\n"
-        )
-        with socket.create_connection(("127.0.0.1", port), timeout=60) as client:
-            client.sendall(head + b"10\r\n<x:a> <x:b> 1 .\n\r\nzz\r\n")
-            answer = b"".join(iter(lambda: client.recv(4096), b""))
-        assert answer.startswith(b"HTTP/1.1 400 ")
-        assert served.http.get("/data/broken").status_code == 404
-
-
 SOON = ConnectionBounds(head_seconds=0.05)
 
 
@@ -314,23 +296,6 @@ def test_a_second_head_that_never_ends_is_408() -> None:
             writer.close()
 
     assert with_server(talk, SOON).startswith(b"HTTP/1.1 408")
-
-
-def test_a_large_body_is_no_large_head() -> None:
-    status, head, body = answer(
-        b"PUT / HTTP/1.1\r\nHost: a\r\nConnection: close\r\nContent-Length: 200000\r\n\r\n", *[b"x" * 10_000] * 20
-    )
-    assert status == 413
-    assert b"server:" not in head
-    assert json.loads(body)["status"] == 413
-
-
-def test_requests_in_a_row_are_answered_in_a_row() -> None:
-    one = b"PUT / HTTP/1.1\r\nHost: a\r\nContent-Length: 1\r\n\r\n"
-    last = b"PUT / HTTP/1.1\r\nHost: a\r\nConnection: close\r\nContent-Length: 1\r\n\r\n3"
-    _, _, rest = answer(one + b"1" + one + b"2" + last)
-    assert [part[-1:] for part in rest.split(b"HTTP/1.1 200 OK")][:1] == [b"1"]
-    assert rest.endswith(b"3")
 
 
 class Sent:

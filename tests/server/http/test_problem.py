@@ -8,14 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pyoxigraph import RdfFormat, parse
 
-from rosld.ontology.violations import Violation
 from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import JSON, render
-
-
-def unfit() -> Problem:
-    misfits = [Violation("linear.x", "must be a float64", '"<b>"'), Violation("angular", "is missing", None)]
-    return Problem(422, "The message does not fit.", violations=misfits)
 
 
 def test_problem_json_is_also_for_who_accepts_nothing_else_that_there_is() -> None:
@@ -23,41 +17,6 @@ def test_problem_json_is_also_for_who_accepts_nothing_else_that_there_is() -> No
         rendered = render(Problem(400, "No."), accept)
         assert rendered.headers["content-type"] == JSON
         assert json.loads(rendered.body)["detail"] == "No."
-
-
-def test_each_violation_is_told() -> None:
-    told = json.loads(render(unfit()).body)["violations"]
-    assert told == [
-        {"path": "linear.x", "message": "must be a float64", "value": '"<b>"'},
-        {"path": "angular", "message": "is missing", "value": None},
-    ]
-
-
-def test_rdf_holds_the_status_and_a_validation_report() -> None:
-    for accept, syntax in (
-        ("text/turtle", RdfFormat.TURTLE),
-        ("application/ld+json", RdfFormat.JSON_LD),
-        ("application/n-triples", RdfFormat.N_TRIPLES),
-        ("application/rdf+xml", RdfFormat.RDF_XML),
-    ):
-        rendered = render(unfit(), accept)
-        assert str(rendered.headers["content-type"]).startswith(accept)
-        objects = [str(quad.object) for quad in parse(rendered.body, format=syntax)]
-        assert '"422"^^<http://www.w3.org/2001/XMLSchema#integer>' in objects
-        assert objects.count("<http://www.w3.org/ns/shacl#ValidationResult>") == 2
-
-
-def test_rdf_is_about_the_resource_that_the_problem_is_with() -> None:
-    body = render(unfit(), "application/n-triples", url="http://127.0.0.1:8080/topics/cmd_vel").body
-    assert b"<http://127.0.0.1:8080/topics/cmd_vel#report>" in body
-    assert b"about:blank" not in body
-
-
-def test_a_page_escapes_what_was_sent() -> None:
-    rendered = render(Problem(404, 'There is no <script>alert("x")</script>.'), "text/html")
-    assert rendered.headers["content-type"] == "text/html; charset=utf-8"
-    assert b"<script" not in rendered.body
-    assert b"&lt;script&gt;" in rendered.body
 
 
 def test_headers_are_sent_and_those_that_would_inject_are_not() -> None:

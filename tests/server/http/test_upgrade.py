@@ -127,22 +127,6 @@ MESSAGES: dict[str, tuple[bytes, Seen]] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", MESSAGES)
-def test_an_upgrade_is_ignored_wherever_the_bytes_are_cut(name: str) -> None:
-    message, expected = MESSAGES[name]
-
-    async def work(talk: Talk) -> None:
-        whole = message + message + NEXT
-        for cut in (*range(0, len(message), 7), *range(len(message) - 6, len(message) + 2)):
-            seen, answers = await talk(whole[:cut], whole[cut:])
-            assert seen == [*expected, *expected, LAST], (cut, answers)
-            assert answers.count(b"HTTP/1.1 200 OK") == len(seen)
-        seen, answers = await talk(*(whole[at : at + 1] for at in range(len(whole))))
-        assert seen == [*expected, *expected, LAST]
-
-    with_listener(work)
-
-
 def test_an_upgrade_over_tls_is_ignored(tmp_path: Path) -> None:
     async def work(talk: Talk) -> None:
         for name in ("a body of known length", "a body in chunks", "a WebSocket with chunks"):
@@ -161,18 +145,6 @@ def test_a_client_that_upgrades_is_told_to_continue() -> None:
         seen, answers = await talk(head + b"Content-Length: 3\r\n\r\n", b"abc" + NEXT)
         assert seen == [("PUT", "/data/a", b"abc"), LAST]
         assert answers.startswith(b"HTTP/1.1 100 Continue\r\n\r\nHTTP/1.1 200 OK")
-
-    with_listener(work)
-
-
-def test_a_request_in_http_1_0_that_upgrades_is_read_and_ends_the_connection() -> None:
-    head = b"PUT /data/a HTTP/1.0\r\nHost: a\r\nExpect: 100-continue\r\n" + H2C
-
-    async def work(talk: Talk) -> None:
-        seen, answers = await talk(head + LENGTH, NEXT)
-        assert seen == [PUT]
-        assert answers.startswith(b"HTTP/1.1 200 OK")
-        assert b"connection: close" in answers
 
     with_listener(work)
 

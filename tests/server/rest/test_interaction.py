@@ -7,7 +7,7 @@ from pyoxigraph import Triple
 
 from rosld.ontology.body import parse_body
 from rosld.ontology.vocab import ldp, rdf
-from rosld.server.http.link import Link, parse
+from rosld.server.http.link import Link
 from rosld.server.http.problem import Problem
 from rosld.server.rest.interaction import (
     parse_membership,
@@ -31,33 +31,6 @@ def put(url: str, media_type: str | None, *names: str) -> Model:
 
 def post(media_type: str | None, *names: str) -> Model:
     return requested_model(types(*names), ROOT, media_type, container_hint=False)
-
-
-def test_the_media_type_and_the_slash_decide_the_model_unless_the_links_say_more() -> None:
-    for media_type in (TURTLE, "application/ld+json", "application/n-triples", "application/rdf+xml"):
-        assert put(LEAF, media_type) is post(media_type) is put(LEAF, media_type, "Resource") is Model.RDF_SOURCE
-    for media_type in (IMAGE, "application/json", "text/html", "application/octet-stream"):
-        assert put(LEAF, media_type) is post(media_type) is Model.NON_RDF_SOURCE
-        assert put(LEAF, media_type, "Resource", "NonRDFSource") is Model.NON_RDF_SOURCE
-    assert put(LEAF, TURTLE, "NonRDFSource") is post(TURTLE, "NonRDFSource") is Model.NON_RDF_SOURCE
-    assert put(BOX, TURTLE) is put(BOX, None) is post(TURTLE, "Container") is Model.BASIC_CONTAINER
-
-
-def test_only_types_of_ldp_in_links_of_the_resource_itself_count() -> None:
-    links = parse(
-        f'<{EX}Robot>; rel="type", <{ldp.iri}BasicContainer>; rel="up", '
-        f'<{ldp.iri}BasicContainer>; rel="type"; anchor="{EX}other"'
-    )
-    assert requested_model(links, LEAF, TURTLE, container_hint=False) is Model.RDF_SOURCE
-    links = parse(f'<{ldp.iri}DirectContainer>; rel="describes TYPE"; anchor="{ROOT}"')
-    assert requested_model(links, ROOT, TURTLE, container_hint=False) is Model.DIRECT_CONTAINER
-
-
-def test_an_unknown_model_is_refused_by_name() -> None:
-    for name in ("Page", "BasicCOntainer", "", "Sequence"):
-        with pytest.raises(Problem, match=f"ldp#{name}> is no interaction model") as refused:
-            post(TURTLE, name)
-        assert refused.value.status == 400
 
 
 def test_models_that_exclude_each_other_are_refused() -> None:

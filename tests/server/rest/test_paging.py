@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from urllib.parse import parse_qsl, urlsplit
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rosld.ontology.urls import encode_segment
 from rosld.server.http import prefer
 from rosld.server.http.problem import Problem
 from rosld.server.rest.paging import (
@@ -19,7 +16,6 @@ from rosld.server.rest.paging import (
     last_position,
     page_of,
     page_of_names,
-    page_url,
     parse_named_position,
     parse_position,
     redirect_to_first,
@@ -33,12 +29,6 @@ def asked(text: str) -> prefer.Preferences:
     return prefer.parse(text)
 
 
-def test_a_token_names_a_place_and_back() -> None:
-    for token, place in (("0", PagePosition()), ("4711", PagePosition(4711)), ("20-5", PagePosition(20, 5))):
-        assert parse_position(token) == place
-        assert place.token == token
-
-
 def test_a_token_that_names_no_place_is_404_and_says_where_to_begin() -> None:
     for token in ("", "-1", "x", "1.5", "01", "5-0", "5-1001", "5-", "²", "9" * 30, "1-2-3", " 1"):
         with pytest.raises(Problem, match=r"from [?]page=0") as refused:
@@ -46,29 +36,11 @@ def test_a_token_that_names_no_place_is_404_and_says_where_to_begin() -> None:
         assert refused.value.status == 404
 
 
-def test_a_token_names_a_place_among_names_and_back() -> None:
-    for token, place in (
-        ("0", PagePosition()),
-        ("0-5", PagePosition(0, 5)),
-        (":camera/", PagePosition("camera/")),
-        ("5:1:2", PagePosition("1:2", 5)),
-    ):
-        assert parse_named_position(token) == place
-        assert place.token == token
-
-
 def test_a_token_that_names_no_place_among_names_is_404() -> None:
     for token in ("", "1", "7-5", ":", "0:a", "1001:a", ":a b", ":\u00e9", "x", ":" + "a" * 5000):
         with pytest.raises(Problem, match=r"from [?]page=0") as refused:
             parse_named_position(token)
         assert refused.value.status == 404
-
-
-@given(st.text(min_size=1).filter(lambda text: not any(0xD800 <= ord(each) < 0xE000 for each in text)))
-def test_every_name_has_a_url_that_leads_back(name: str) -> None:
-    place = PagePosition(encode_segment(name), 7)
-    query = parse_qsl(urlsplit(page_url(ROOT, place.token)).query)
-    assert parse_named_position(dict(query)["page"]) == place
 
 
 def test_a_container_of_many_members_redirects_to_its_first_page() -> None:
@@ -148,27 +120,3 @@ def test_names_are_walked_both_ways_and_none_is_missed_that_was_there_all_the_wh
         page, told = page_of_names(ROOT, parse_named_position(page.prev), names)
         back = [*told, *back]
     assert list(back) == names
-
-
-@given(
-    st.sets(st.integers(1, 60), max_size=40),
-    st.integers(1, 10),
-    st.lists(st.tuples(st.booleans(), st.integers(1, 60)), max_size=8),
-)
-def test_whoever_follows_next_meets_all_that_was_there_all_the_while_once(
-    numbers: set[int], limit: int, changes: list[tuple[bool, int]]
-) -> None:
-    there, lasting, newest = set(numbers), set(numbers), 1000
-    met: list[int] = []
-    token: str | None = PagePosition(0, limit).token
-    while token is not None:
-        place = parse_position(token)
-        found = sorted(each for each in there if each > place.after)[: limit + 1]
-        met += found[:limit]
-        token = page_of(ROOT, place, found).next
-        if changes:
-            is_made, number = changes.pop()
-            newest += 1
-            there, lasting = (there | {newest}, lasting) if is_made else (there - {number}, lasting - {number})
-    assert len(met) == len(set(met))
-    assert lasting <= set(met)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import os
 from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractAsyncContextManager
 from pathlib import Path
@@ -42,22 +41,6 @@ async def receive(records: SqliteRecords, *parts: bytes, limit: int = 10**8) -> 
 def files(records: SqliteRecords, blob: Blob) -> list[str]:
     """All files where this blob is."""
     return sorted(path.name for path in records.file(blob).parent.iterdir())
-
-
-def test_bytes_come_back_as_they_were_sent(records: Opened) -> None:
-    async def run() -> None:
-        async with records() as kept:
-            for parts in ((), (b"",), (b"abc", b"", b"def"), (os.urandom(100_000),) * 20, (os.urandom(2_000_000),)):
-                blob = await receive(kept, *parts)
-                path = f"data/{blob.id}"
-                (record,) = await kept.write(Put(path, FILE, blob=blob))
-                assert record is not None
-                assert record.blob == blob == Blob(blob.id, len(b"".join(parts)), TYPE)
-                assert kept.file(blob).read_bytes() == b"".join(parts)
-                kept.clear_cache()
-                assert kept.get(path) == record
-
-    asyncio.run(run())
 
 
 def test_more_bytes_than_are_allowed_leave_nothing_behind(records: Opened) -> None:

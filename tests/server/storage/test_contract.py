@@ -57,25 +57,6 @@ def paths(changed: Sequence[RecordChange]) -> list[str]:
     return [one.path for one in changed]
 
 
-def test_what_is_replaced_keeps_when_it_was_made_and_what_stands_for_it(records: Opened) -> None:
-    async def run() -> None:
-        async with records() as kept:
-            assert kept.get("data/a") is None
-            made = await put(kept, "data/a", TRIPLE, member="http://a/it")
-            assert kept.get("data/a") is made
-            assert (made.triples, made.model, made.blob) == (TRIPLE, RDF, None)
-            assert made.created_ns == made.modified_ns > 0
-            again = await put(kept, "data/a", b"", expected=made.version)
-            assert (again.created_ns, again.member, again.triples) == (made.created_ns, "http://a/it", b"")
-            assert again.version > made.version
-            assert again.modified_ns >= made.modified_ns
-            assert kept.get("data/a") is again
-            kept.clear_cache()
-            assert kept.get("data/a") == again
-
-    asyncio.run(run())
-
-
 def test_what_is_replaced_twice_at_once_has_two_versions(records: Opened) -> None:
     async def run() -> None:
         async with records() as kept:
@@ -96,58 +77,6 @@ def test_what_is_replaced_twice_at_once_has_two_versions(records: Opened) -> Non
     asyncio.run(run())
 
 
-def test_the_same_object_comes_back_until_something_of_it_changes(records: Opened) -> None:
-    async def run() -> None:
-        async with records() as kept:
-            await put(kept, "data/a")
-            a, container = kept.get("data/a"), kept.get("data/")
-            await put(kept, "queries/b")
-            assert kept.get("data/a") is a
-            assert kept.get("data/") is container
-            await put(kept, "data/a", TRIPLE)
-            assert kept.get("data/a") is not a
-            assert kept.get("data/") is container  # its list is the same
-
-    asyncio.run(run())
-
-
-def test_a_container_counts_and_lists_its_members_in_the_order_they_were_made(records: Opened) -> None:
-    async def run() -> None:
-        async with records() as kept:
-            empty = kept.get("data/")
-            assert empty is not None
-            assert (empty.listed, empty.count) == (0, 0)
-            for name in ("c", "a", "b/"):
-                await put(kept, f"data/{name}")
-            await put(kept, "data/b/inner")
-            full = kept.get("data/")
-            assert full is not None
-            assert full.count == 3
-            assert full.listed > empty.listed
-            assert full.version == empty.version
-            assert full.modified_ns > empty.modified_ns
-            members = kept.members("data/")
-            assert [(one.path, one.model, one.member) for one in members] == [
-                ("data/c", RDF, None),
-                ("data/a", RDF, None),
-                ("data/b/", BASIC, None),
-            ]
-            assert kept.members("data/", after=members[0].number, limit=1) == [members[1]]
-            await put(kept, "data/c", TRIPLE)
-            assert kept.members("data/") == members
-            assert kept.get("data/") is full
-            await kept.write(Remove("data/a"))
-            assert kept.members("data/") == [members[0], members[2]]
-            less = kept.get("data/")
-            assert less is not None
-            assert less.count == 2
-            assert less.listed > full.listed
-            assert not kept.members("data/a")
-            assert not kept.members("nowhere/")
-
-    asyncio.run(run())
-
-
 def test_the_numbers_of_members_are_told_from_the_last_one_on(records: Opened) -> None:
     async def run() -> None:
         async with records() as kept:
@@ -163,20 +92,6 @@ def test_the_numbers_of_members_are_told_from_the_last_one_on(records: Opened) -
             assert not kept.last_member_numbers("data/", up_to=0)
             assert not kept.last_member_numbers("data/a")
             assert not kept.last_member_numbers("nowhere/")
-
-    asyncio.run(run())
-
-
-def test_what_stands_for_a_member_is_kept_until_it_is_told_anew(records: Opened) -> None:
-    async def run() -> None:
-        async with records() as kept:
-            await put(kept, "data/a", member="http://x/1")
-            await put(kept, "data/a", TRIPLE)
-            assert [one.member for one in kept.members("data/")] == ["http://x/1"]
-            container = kept.get("data/")
-            await put(kept, "data/a", TRIPLE, member="http://x/2")
-            assert [one.member for one in kept.members("data/")] == ["http://x/2"]
-            assert kept.get("data/") != container  # its membership triples changed
 
     asyncio.run(run())
 
@@ -243,23 +158,6 @@ def test_conflicts_say_why(records: Opened) -> None:
                 assert (conflict.path, conflict.cause) == (write.path, cause)
                 assert words in conflict.words
             await kept.write(Put("data/a", RDF, TRIPLE, expected=version), Put("data/b", RDF, expected=0))
-
-    asyncio.run(run())
-
-
-def test_writes_are_done_all_or_none(records: Opened) -> None:
-    async def run() -> None:
-        async with records() as kept:
-            conflict = await refused(kept, Put("data/a/", BASIC), Put("data/a/b", RDF), Put("data/no/b", RDF))
-            assert conflict.path == "data/no/b"
-            assert kept.get("data/a/") is None
-            a, b = await kept.write(Put("data/a/", BASIC), Put("data/a/b", RDF))
-            assert a is not None
-            assert a.count == 1
-            assert kept.get("data/a/") is a
-            assert kept.get("data/a/b") is b
-            assert await kept.write(Remove("data/a/b"), Remove("data/a/")) == [None, None]
-            assert await kept.write() == []
 
     asyncio.run(run())
 

@@ -16,7 +16,6 @@ import pytest
 from rosld.server.storage import (
     Model,
     Put,
-    Remove,
     SqliteRecords,
     StorageError,
     durability,
@@ -64,27 +63,6 @@ class Disk:
         assert self.let.wait(60)
         if self.failure is not None:
             raise self.failure
-
-
-def test_what_was_written_is_there_when_they_are_opened_again(kept: Opened) -> None:
-    async def run() -> None:
-        async with kept() as records:
-            identity, version = records.identity, records.version
-            await records.write(Put("data/a", RDF, b"x"), Put("data/b", RDF), Put("data/c/", Model.BASIC_CONTAINER))
-            await records.write(Remove("data/b"))
-            assert records.version > version
-            found, container = records.get("data/a"), records.get("data/")
-            version, changed = records.version, records.changes_since(0)
-        async with kept() as records:
-            assert records.identity == identity
-            assert records.get("data/a") == found
-            assert records.get("data/") == container
-            assert records.is_tombstone("data/b")
-            assert records.changes_since(0) == changed
-            assert records.version > version  # also where a power failure took what was not durable yet
-            assert records.changes_since(records.version) == []
-
-    asyncio.run(run())
 
 
 def test_a_write_is_acknowledged_only_when_it_has_reached_the_disk(

@@ -72,33 +72,6 @@ def test_blank_nodes_of_what_is_kept_are_matched_and_removed(plane: httpx.Client
     assert len([line for line in lines(plane.get("/data/blank")) if "urn:has" in line]) == 1
 
 
-def test_where_without_a_graph_sees_the_union_as_a_query_does(plane: httpx.Client) -> None:
-    plane.put("/data/union", content=b"<> <urn:union> 'here' .", headers=TURTLE)
-    done(update(plane, "INSERT { GRAPH </data/union2> { ?s <urn:saw> ?o } } WHERE { ?s <urn:union> ?o }"))
-    assert says(plane, "/data/union2", "?s <urn:saw> 'here'")
-
-
-def test_graphs_that_are_kept_are_copied_moved_added_cleared_and_dropped(plane: httpx.Client) -> None:
-    plane.put("/data/a", content=b"<> <urn:v> 'a' .", headers=TURTLE)
-    done(update(plane, "COPY </data/a> TO </data/b>"))
-    assert says(plane, "/data/b", "?s <urn:v> 'a'")
-    done(update(plane, "INSERT DATA { GRAPH </data/b> { <urn:x> <urn:v> 'b' } } ; ADD </data/b> TO </data/a>"))
-    assert says(plane, "/data/a", "<urn:x> <urn:v> 'b'")
-    done(update(plane, "MOVE </data/b> TO </data/c>"))
-    assert plane.get("/data/b").status_code == 410
-    assert says(plane, "/data/c", "<urn:x> <urn:v> 'b'")
-    done(update(plane, "CLEAR GRAPH </data/c>"))
-    assert not says(plane, "/data/c", "?s <urn:v> ?o")
-    assert plane.get("/data/c").status_code == 200
-    done(update(plane, "DROP GRAPH </data/c>"))
-    assert plane.get("/data/c").status_code == 410
-    assert update(plane, "DROP GRAPH </data/none>").status_code == 409
-    done(update(plane, "DROP SILENT GRAPH </data/none>"))
-    done(update(plane, "CREATE GRAPH </data/created>"))
-    assert plane.get("/data/created").status_code == 200
-    assert update(plane, "CREATE GRAPH </data/created>").status_code == 409
-
-
 def test_containment_cannot_be_forged(plane: httpx.Client) -> None:
     plane.put("/data/box/", content=b"", headers=TURTLE)
     ldp = "http://www.w3.org/ns/ldp#contains"
@@ -215,21 +188,6 @@ def test_what_cannot_be_done_is_refused_with_its_reason(plane: httpx.Client) -> 
     answers = [(text, status, update(plane, text)) for text, status in REFUSED]
     assert not [(text, answer.text) for text, status, answer in answers if answer.status_code != status]
     assert all(answer.json()["detail"] for _, _, answer in answers)
-
-
-def test_a_dry_run_tells_the_plan_and_does_nothing(plane: httpx.Client) -> None:
-    plane.put("/parameters/dry", json=1)
-    answer = update(
-        plane,
-        "INSERT DATA { GRAPH </data/dry> { <urn:a> <urn:b> 1 } } ; "
-        "DELETE WHERE { GRAPH </parameters/dry> { ?s ros:value ?v } }",
-        **{"dry-run": "true"},
-    )
-    assert answer.status_code == 200
-    told = {(each["url"].removeprefix(str(plane.base_url)), each["does"]) for each in answer.json()["steps"]}
-    assert told == {("data/dry", "store /data/dry"), ("parameters/dry", "delete the parameter /dry")}
-    assert plane.get("/data/dry").status_code == 404
-    assert plane.get("/parameters/dry", headers={"Accept": "application/json"}).json() == 1
 
 
 def test_no_update_of_many_at_once_is_lost(plane: httpx.Client) -> None:

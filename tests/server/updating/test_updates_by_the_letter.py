@@ -174,12 +174,6 @@ def test_graphs_that_were_sent_alike_share_no_blank_nodes(plane: httpx.Client, r
     assert answer.json()["boolean"] is False
 
 
-def test_what_is_copied_upon_itself_stays(plane: httpx.Client, room: str) -> None:
-    put(plane, f"{room}a", "<urn:a> <urn:p> 1 .")
-    done(plane, f"MOVE <{room}a> TO <{room}a> ; COPY <{room}a> TO <{room}a> ; ADD <{room}a> TO <{room}a>")
-    assert len(said(plane, f"{room}a")) == 1
-
-
 # SILENT
 
 

@@ -242,14 +242,6 @@ def test_a_value_beyond_its_limits_is_422_with_its_violations(arm: MadeUp, servi
     assert [seen(http, path) for path in GRIPS] == [["1"]] * 3
 
 
-def test_a_value_that_does_not_fit_is_422(arm: MadeUp, serving: Serving) -> None:
-    http = serving()
-    for wrong in (1000, "'seven'", "7.5", "<urn:x>", "1 , 2"):
-        answer = update(http, to(GRIPS[0], wrong))
-        assert answer.status_code == 422, (wrong, answer.text)
-    assert arm.calls["/arm/set_first"] == 0
-
-
 def test_the_members_of_a_complex_resource_are_written_through_its_graph(robot: MadeUp, serving: Serving) -> None:
     robot.variable("/door/lock", "Words", words="shut")
     robot.variable("/door/light", "Byte", value=1)
@@ -301,14 +293,6 @@ def test_the_publish_rate_holds_for_updates(robot: MadeUp, serving: Serving) -> 
     assert fates(answer) == {"/topics/lamp": "failed"}
     assert [each["data"] for each in robot.sent["/lamp"]] == [str(each) for each in range(turn)]
     assert value(http, "/topics/lamp") == {"data": str(turn - 1)}
-
-
-def test_a_read_only_server_takes_no_updates(arm: MadeUp, serving: Serving) -> None:
-    http = serving(read_only=True)
-    for text in (ALL, "INSERT DATA { }"):
-        assert "read-only" in detail(update(http, text), 403)
-    form = http.post("/sparql", data={"update": "INSERT DATA { }"})
-    assert "read-only" in detail(form, 403)
 
 
 # What is kept beside it

@@ -75,7 +75,7 @@ async def restricted(anna: Permissions, count: int, small: str) -> None:
 
     async def ask(query: str) -> None:
         found = analyser.analyse(query)
-        work = AnswerWork(QueryWork(found.text, SPACE.base, found.prefixes, (), (), found.plan), "text/csv", 1_000_000)
+        work = AnswerWork(QueryWork(found.text, SPACE.base, found.prefixes, (), ()), "text/csv", 1_000_000)
         await process.answer(work, limits, time.monotonic() + 60, None, await caught_up())
 
     started = time.perf_counter()

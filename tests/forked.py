@@ -19,7 +19,7 @@ from multiprocessing.context import get_spawning_popen
 from typing import Any, TextIO, cast
 
 from rosld.server.dataset.encoding import NAMESPACE, VARIABLE
-from rosld.server.sparql.process.child import SpawnedProcess
+from rosld.server.sparql.process.connection import SpawnedProcess
 from rosld.server.sparql.process.frames import SharedStatus
 
 os.environ[VARIABLE] = NAMESPACE  # the private namespace of the server is that of its query process
@@ -53,14 +53,14 @@ def _run(arguments: tuple[str, ...], output: _Descriptor, errors: _Descriptor, e
     main(prog_name="rosld")
 
 
-def _run_query_process(connection: _Descriptor, status: _Descriptor, concurrency: int, queue: int, test: str) -> None:
+def _run_query_process(connection: _Descriptor, status: _Descriptor, test: str) -> None:
     from rosld.server.sparql.process.main import main
 
     os.setsid()
     os.dup2(connection.number, 0)
     os.close(connection.number)
     os.environ["PYTEST_CURRENT_TEST"] = test
-    sys.argv = ["-c", str(status.number), str(concurrency), str(queue)]
+    sys.argv = ["-c", str(status.number)]
     main()
 
 
@@ -120,13 +120,13 @@ class ForkedCommand(ForkedProcess):
         return code
 
 
-def fork_query_process(concurrency: int, queue: int) -> SpawnedProcess:
-    """In place of `rosld.server.sparql.process.child.spawn`."""
+def fork_query_process() -> SpawnedProcess:
+    """In place of `rosld.server.sparql.process.connection.spawn`."""
     ours, theirs = socket.socketpair()
     with theirs, tempfile.TemporaryFile() as file:
         file.truncate(SharedStatus.SIZE)
         test = os.environ.get("PYTEST_CURRENT_TEST", "")
-        given = (_Descriptor(theirs.fileno()), _Descriptor(file.fileno()), concurrency, queue, test)
+        given = (_Descriptor(theirs.fileno()), _Descriptor(file.fileno()), test)
         process = ForkedProcess(_CONTEXT.Process(target=_run_query_process, args=given, daemon=True))
         status = SharedStatus(file.fileno())
     ours.setblocking(False)

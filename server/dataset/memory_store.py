@@ -9,26 +9,23 @@ from contextlib import suppress
 from itertools import count, islice
 from typing import NamedTuple, cast
 
-from pyoxigraph import BlankNode, DefaultGraph, Literal, NamedNode, Quad, RdfFormat, Store, Triple, parse
+from pyoxigraph import BlankNode, DefaultGraph, NamedNode, Quad, RdfFormat, Store, Triple, parse
 
-from rosld.server.dataset.base import Edit, Function, QueryError, Results, Term
+from rosld.server.dataset.base import Edit, Function, QueryError, Results
 from rosld.server.dataset.encoding import decode_ntriples, decode_triple, encode_ntriples, encode_triple
 from rosld.server.dataset.garbage_estimate import GarbageEstimate
 from rosld.server.dataset.private_functions import FUNCTIONS
-from rosld.server.dataset.shared_triples import Lookup, SharedTriples, may_share
 from rosld.server.runtime.process_memory import trim
 
 _LARGE = 1024 * 1024
-"""Characters from which on a text is read twice rather than held as quads, which take ten times its memory.
-
-Without blank nodes, which it would rename, the store reads it the second time: in a third of the time.
-"""
+"""Characters from which on a text is read twice rather than held as quads, which take ten times its memory."""
 _REMEMBERED_GRAPH = 8 * 1024 * 1024
 """Characters of a graph whose lines are remembered, so that the next text of it costs what differs."""
 _REMEMBERED = 32 * 1024 * 1024
 """Characters of all graphs that are remembered; the one that was replaced longest ago goes first."""
 _SLICE = 1000
-"""Quads copied at a time to a new store: about two milliseconds."""
+"""Quads added or copied at a time: about two milliseconds."""
+_DEFAULT = DefaultGraph()
 _LABEL = re.compile(r'"(?:[^"\\]|\\.)*"|<[^>]*>|_:(?![a-f][0-9a-f]{23,31}(?:[\s.]|$))')
 """Where a label begins that other graphs may have for other nodes.
 
@@ -38,7 +35,7 @@ graph shares its blank nodes with it.
 
 
 class _Step(NamedTuple):
-    """What is done to one graph: it is dropped, then some quads go, then others come."""
+    """A change of one graph that has been checked; `lost` and `gained` count its triples, roughly."""
 
     graph: NamedNode
     drop: bool
@@ -46,12 +43,22 @@ class _Step(NamedTuple):
     added: Callable[[], Iterable[Quad]]
     lost: int
     gained: int
-    text: bytes | None = None
-    """What is added, where the store can read it itself."""
+
+
+class _Write(NamedTuple):
+    """A change of one graph as the store is given it: drop it, remove quads, add quads."""
+
+    graph: NamedNode | DefaultGraph
+    drop: bool
+    removed: Sequence[Quad]
+    added: Sequence[Quad]
 
 
 class MemoryStore:
-    """The built-in `Store`. It copies itself, in slices, whenever it holds too much for triples that were removed.
+    """The built-in `Store`. It copies itself, in slices, when it holds too much for triples that were removed.
+
+    The default graph holds each triple of the named graphs once (SPARQL 1.1 Query, 13.1): the union that Oxigraph makes
+    by itself has a triple once for each graph (https://github.com/oxigraph/oxigraph/issues/1919).
 
     A graph that is replaced is changed by the lines that differ. Blank nodes keep their labels within a graph, so that
     edits may name them.
@@ -62,13 +69,16 @@ class MemoryStore:
         self._versions = count(1)
         self._version = 0
         self._wear = GarbageEstimate()
-        self._shared = SharedTriples()
+        self._shared: dict[Triple, int] = {}
+        """The number of graphs of each triple that more than one graph has."""
         self._lines: dict[str, frozenset[str]] = {}
         self._new_lines: dict[str, frozenset[str]] = {}
         self._size = 0
         self._numbers: dict[str, int] = {}
         self._renewal: _Renewal | None = None
         self._functions: tuple[Mapping[str, Function] | None, dict[NamedNode, Function]] = (None, {})
+        self.is_spoiled = False
+        """Whether it was changed for one piece of work, and is to be thrown away after that."""
 
     @property
     def version(self) -> int:
@@ -79,50 +89,21 @@ class MemoryStore:
         """Whether the same graphs in a new store would take less than half the memory."""
         return self._wear.is_mostly_garbage
 
-    @property
-    def dataset(self) -> Store:
-        """The dataset itself. Whoever changes it must be a process that ends afterwards."""
-        self._shared.give_up()
-        return self._store
+    def add(self, quad: Quad) -> None:
+        """Add a quad, as it is stored, for one piece of work."""
+        self.is_spoiled = True
+        self._forget_graph(quad)
+        self._add([quad])
 
-    def may_repeat(self, lookups: Iterable[Lookup]) -> bool:
-        """Whether patterns of the default graph may match a triple that several graphs have, once for each."""
-        return self._shared.may_match(lookups)
+    def remove(self, quad: Quad) -> None:
+        """Remove a quad, as it is stored, for one piece of work."""
+        self.is_spoiled = True
+        self._forget_graph(quad)
+        self._remove([quad])
 
-    def merge(self, default_graphs: Sequence[str], *, keep_names: bool) -> bool:
-        """Have the union of these graphs (none: of all) be a set for the next query; whether it is `is_merged`.
-
-        `keep_names`: what is told of named graphs is as before. Whoever calls this must be a process that ends
-        afterwards.
-        """
-        store = self._store
-        if not keep_names and not default_graphs and self._shared.is_known:
-            for quad in [*self._shared.copies(store)]:
-                store.remove(quad)
-            return False
-        store.remove_graph(DefaultGraph())
-        for graph in [*map(NamedNode, default_graphs)] or (None,):
-            store.extend(Quad(*quad.triple) for quad in store.quads_for_pattern(None, None, None, graph))
-        return True
-
-    def add_past(self, text: bytes, messages: Iterable[str]) -> None:
-        """Add N-Triples about recorded messages to the default graph, without what graphs of single `messages` say.
-
-        Whoever calls this must be a process that ends afterwards. Raises ValueError.
-        """
-        store = self._store
-        try:
-            store.load(encode_ntriples(text.decode()).encode(), RdfFormat.N_TRIPLES)
-        except SyntaxError as error:
-            raise ValueError(f"no N-Triples about the past: {error}") from error
-        for message in messages:
-            for quad in [*store.quads_for_pattern(None, None, None, NamedNode(message))]:
-                store.remove(Quad(*quad.triple))
-
-    def lookup(self, subject: Term | None, predicate: NamedNode | None, object: Term | None, limit: int) -> list[Quad]:
-        """At most so many statements with this subject, predicate and object."""
-        place = cast("NamedNode | None", subject)
-        return [*islice(self._store.quads_for_pattern(place, predicate, object, None), limit)]
+    def _forget_graph(self, quad: Quad) -> None:
+        assert isinstance(quad.graph_name, NamedNode)
+        self._forget(quad.graph_name.value)
 
     def graphs(self) -> Collection[str]:
         return [graph.value for graph in self._store.named_graphs() if isinstance(graph, NamedNode)]
@@ -209,14 +190,6 @@ class MemoryStore:
         """Found by walking past all that are gone: the lines of a graph that was replaced often are read faster."""
         return self._store.quads_for_pattern(None, None, None, NamedNode(graph))
 
-    def extent(self, graph: NamedNode, limit: int) -> tuple[int, int]:
-        """The number of triples of a graph, at most so many, and about the characters of their literals."""
-        lines = self._lines.get(graph.value)
-        if lines is not None:
-            return len(lines), sum(len(line) - start for line in lines if (start := line.find('"')) >= 0)
-        quads = [*islice(self._quads(graph.value), limit)]
-        return len(quads), sum(len(quad.object.value) for quad in quads if isinstance(quad.object, Literal))
-
     def query(
         self,
         text: str,
@@ -226,27 +199,38 @@ class MemoryStore:
         functions: Mapping[str, Function] = {},
         default_graphs: Sequence[str] = (),
         named_graphs: Sequence[str] = (),
-        is_merged: bool = False,
-        has_past: bool = False,
+        past: bytes | None = None,
     ) -> Results:
-        chosen = bool(default_graphs or named_graphs)
+        """Begin to answer a query, as `Store.query`. `past` are N-Triples that the default graph has, too."""
+        source = self._store
         default: list[NamedNode | BlankNode | DefaultGraph] = [*map(NamedNode, default_graphs)]
-        if is_merged:
-            default = [DefaultGraph()]
-        elif has_past:
-            default.append(DefaultGraph())
+        named: list[NamedNode | BlankNode] = [*map(NamedNode, named_graphs)]
         try:
-            return self._store.query(
+            if len(default) > 1 or (past is not None and (default or named)):
+                source, default = self._copy(default_graphs, named_graphs), [_DEFAULT]
+            if past is not None:
+                self.is_spoiled |= source is self._store
+                source.load(encode_ntriples(past.decode()).encode(), RdfFormat.N_TRIPLES)
+            is_chosen = bool(default or named)
+            return source.query(
                 text,
                 base_iri=base,
                 prefixes=dict(prefixes),
-                use_default_graph_as_union=not chosen and not is_merged,
-                default_graph=default if chosen else None,
-                named_graphs=[*map(NamedNode, named_graphs)] if chosen else None,
+                default_graph=default if is_chosen else None,
+                named_graphs=named if is_chosen else None,
                 custom_functions=self._functions_by_node(functions),
             )
         except (SyntaxError, ValueError, RuntimeError) as error:
             raise QueryError(str(error)) from error
+
+    def _copy(self, default_graphs: Iterable[str], named_graphs: Iterable[str]) -> Store:
+        """A store of these graphs: as Oxigraph merges default graphs, a triple is found once for each."""
+        copy = Store()
+        for graph in default_graphs:
+            copy.extend(Quad(*quad.triple) for quad in self._quads(graph))
+        for graph in named_graphs:
+            copy.extend(self._quads(graph))
+        return copy
 
     def _functions_by_node(self, functions: Mapping[str, Function]) -> dict[NamedNode, Function]:
         """The functions by node; the last mapping asked for is kept, as it is nearly always the same."""
@@ -266,8 +250,7 @@ class MemoryStore:
             return _Step(graph, True, (), tuple, self._wear.size(name), 0)
         before = self._lines.get(name)
         if before is None:
-            added, data = self._reader(graph, text)
-            return _Step(graph, True, (), added, self._wear.size(name), text.count("\n"), data)
+            return _Step(graph, True, (), self._reader(graph, text), self._wear.size(name), text.count("\n"))
         now = self._new_lines[name] = _lines(text)
         gone, come = before - now, now - before
         removed = [*self._read(graph, "\n".join(gone))]
@@ -278,17 +261,17 @@ class MemoryStore:
         """Raises ValueError."""
         graph = NamedNode(edit.graph)
         removed = [*self._read(graph, edit.removed)]
-        added, data = self._reader(graph, edit.added)
-        return _Step(graph, False, removed, added, len(removed), edit.added.count("\n"), data)
+        added = self._reader(graph, edit.added)
+        return _Step(graph, False, removed, added, len(removed), edit.added.count("\n"))
 
-    def _reader(self, graph: NamedNode, text: str) -> tuple[Callable[[], Iterable[Quad]], bytes | None]:
-        """What reads a text that has been checked, and what the store may read itself. Raises ValueError."""
+    def _reader(self, graph: NamedNode, text: str) -> Callable[[], Iterable[Quad]]:
+        """What reads a text that has been checked. Raises ValueError."""
         if len(text) < _LARGE:
             quads = [*self._read(graph, text)]
-            return lambda: quads, None
+            return lambda: quads
         data = self._encode(graph, text)
         deque(_parse(graph, data), maxlen=0)
-        return lambda: _quads(graph, data), None if "_:" in text else data
+        return lambda: _quads(graph, data)
 
     def _read(self, graph: NamedNode, text: str) -> Iterator[Quad]:
         """The quads of N-Triples within a graph. Raises ValueError."""
@@ -309,17 +292,49 @@ class MemoryStore:
         return _LABEL.sub(lambda match: label if match[0] == "_:" else match[0], text)
 
     def _carry_out(self, step: _Step) -> None:
-        shared, store = self._shared, self._store
         if step.drop:
-            shared.drop(step.graph, store)
-        shared.remove(step.removed, store)
-        _take(store, step)
-        if step.text is None or may_share(step.text, store):
-            shared.add(step.added(), store, is_new=step.drop)
-        _give(store, step)
+            self._remove([*self._quads(step.graph.value)], drop=step.graph)
+        self._remove(step.removed)
+        added = iter(step.added())
+        while part := [*islice(added, _SLICE)]:
+            self._add(part)
         self._wear.note(step.graph.value, step.lost, step.gained)
+
+    def _add(self, quads: Iterable[Quad]) -> None:
+        """Add quads of one graph, and their triples to the default graph."""
+        added = [quad for quad in dict.fromkeys(quads) if quad not in self._store]
+        new: list[Quad] = []
+        for quad in added:
+            triple = quad.triple
+            if (default := Quad(*triple)) in self._store:
+                self._shared[triple] = self._shared.get(triple, 1) + 1
+            else:
+                new.append(default)
+        if added:
+            self._write(_Write(cast("NamedNode", added[0].graph_name), False, (), added))
+            self._write(_Write(_DEFAULT, False, (), new))
+
+    def _remove(self, quads: Iterable[Quad], drop: NamedNode | None = None) -> None:
+        """Remove quads of one graph, and from the default graph their triples that no other graph has."""
+        removed = [quad for quad in dict.fromkeys(quads) if quad in self._store]
+        gone: list[Quad] = []
+        for quad in removed:
+            triple = quad.triple
+            number = self._shared.pop(triple, 1)
+            if number > 2:
+                self._shared[triple] = number - 1
+            elif number == 1:
+                gone.append(Quad(*triple))
+        if drop is not None:
+            self._write(_Write(drop, True, (), ()))
+        elif removed:
+            self._write(_Write(cast("NamedNode", removed[0].graph_name), False, removed, ()))
+        self._write(_Write(_DEFAULT, False, gone, ()))
+
+    def _write(self, write: _Write) -> None:
+        _apply(self._store, write)
         if self._renewal is not None:
-            self._renewal.note(step)
+            self._renewal.note(write)
 
     def _remember(self, name: str, text: str | None) -> None:
         self._forget(name)
@@ -340,9 +355,10 @@ class _Renewal:
     def __init__(self, old: Store) -> None:
         self.store = Store()
         self._old = old
-        self._left = dict.fromkeys(graph for graph in old.named_graphs() if isinstance(graph, NamedNode))
+        named = (graph for graph in old.named_graphs() if isinstance(graph, NamedNode))
+        self._left: dict[NamedNode | DefaultGraph, None] = dict.fromkeys((*named, _DEFAULT))
         self._copied: Iterator[Quad] | None = None
-        self._later: list[_Step] = []
+        self._later: list[_Write] = []
 
     def advance(self) -> bool:
         """Copy a slice; whether there is more."""
@@ -351,44 +367,34 @@ class _Renewal:
             graph = next(iter(self._left))
             if self._copied is None:  # it sees the graph as it is now, whatever changes while it is copied
                 self._copied = self._old.quads_for_pattern(None, None, None, graph)
-                if self._old.contains_named_graph(graph):
+                if isinstance(graph, NamedNode) and self._old.contains_named_graph(graph):
                     self.store.add_graph(graph)
             part = [*islice(self._copied, _SLICE)]
             self.store.extend(part)
             copied += len(part) + 1
             if len(part) < _SLICE:
-                for step in self._later:
-                    _apply(self.store, step)
+                for write in self._later:
+                    _apply(self.store, write)
                 self._later.clear()
                 self._copied = None
                 del self._left[graph]
         return bool(self._left)
 
-    def note(self, step: _Step) -> None:
+    def note(self, write: _Write) -> None:
         """This was done to the old store."""
-        if step.graph not in self._left:
-            _apply(self.store, step)
-        elif self._copied is not None and step.graph == next(iter(self._left)):
-            self._later.append(step)
+        if write.graph not in self._left:
+            _apply(self.store, write)
+        elif self._copied is not None and write.graph == next(iter(self._left)):
+            self._later.append(write)
 
 
-def _apply(store: Store, step: _Step) -> None:
-    _take(store, step)
-    _give(store, step)
-
-
-def _take(store: Store, step: _Step) -> None:
-    if step.drop:
-        store.remove_graph(step.graph)
-    for quad in step.removed:
+def _apply(store: Store, write: _Write) -> None:
+    if write.drop:
+        store.remove_graph(write.graph)
+    for quad in write.removed:
         store.remove(quad)
-
-
-def _give(store: Store, step: _Step) -> None:
-    if step.text is None:
-        store.extend(step.added())
-    else:
-        store.load(step.text, RdfFormat.N_TRIPLES, to_graph=step.graph)
+    if write.added:
+        store.extend(write.added)
 
 
 def _parse(graph: NamedNode, data: bytes) -> Iterator[Quad]:

@@ -10,13 +10,10 @@ from functools import lru_cache
 from rosld.ontology.vocab import PREFIXES, hctl, htv, td
 from rosld.server.dataset import QueryError
 from rosld.server.dataset.encoding import NAMESPACE
-from rosld.server.dataset.shared_triples import Lookup
 from rosld.server.http.problem import Problem
-from rosld.server.sparql.default_graph import default_lookups, names_graphs
 from rosld.server.sparql.narrowing import needs_of
 from rosld.server.sparql.needs import Needs
 from rosld.server.sparql.past import PastQuery, past_query
-from rosld.server.sparql.process.cost import JoinPlan, join_plan
 from rosld.server.sparql.rewriting import rewrite
 from rosld.server.sparql.ros_functions import AGE
 from rosld.server.sparql.syntax.lexer import (
@@ -45,10 +42,9 @@ class Analysis:
 
     `form` is SELECT, ASK, CONSTRUCT or DESCRIBE. `needs` are over all graphs, its FROM and FROM NAMED being
     `default_graphs` and `named_graphs`. `prefixes`: those of the server that its names use. `is_enclosed` are the
-    graphs that all its patterns stand in (GRAPH), None where one may match in others. `plan` is how to find out whether
-    it takes long over a dataset, None where it may. `asks_age`: it calls ros:age, as far as is known. `functions` are
-    those that it calls by IRI, `lookups` what its patterns look for in the default graph. `names_graphs`: there is a
-    GRAPH. `past` is what it asks of recorded messages. `finds_offers`: its patterns may match affordances and forms.
+    graphs that all its patterns stand in (GRAPH), None where one may match in others. `asks_age`: it calls ros:age, as
+    far as is known. `functions` are those that it calls by IRI. `past` is what it asks of recorded messages.
+    `finds_offers`: its patterns may match affordances and forms.
     """
 
     text: str
@@ -58,11 +54,8 @@ class Analysis:
     default_graphs: tuple[str, ...] = ()
     named_graphs: tuple[str, ...] = ()
     is_enclosed: frozenset[str] | None = None
-    plan: JoinPlan | None = None
     asks_age: bool = True
     functions: frozenset[str] = frozenset()
-    lookups: tuple[Lookup, ...] = ()
-    names_graphs: bool = False
     past: PastQuery | None = None
     finds_offers: bool = True
 
@@ -112,7 +105,6 @@ class Analyser:
         query = parse_query(checked, self.prefixes, self.base, AGE, self._bounds)
         terms = VocabularyView(self._types, self.base, self._known)
         past = past_query(query, terms)
-        words = [token.text.upper() for token in checked.tokens if token.kind is Kind.WORD]
         return Analysis(
             rewrite(checked.text, query.literals, query.expressions),
             query.form,
@@ -121,11 +113,8 @@ class Analyser:
             query.default,
             query.named,
             _enclose(query),
-            join_plan(query.where, words, len(checked.tokens)),
             AGE in query.functions,
             query.functions,
-            default_lookups(query),
-            names_graphs(query.where),
             past,
             query.form == "DESCRIBE" or _finds_offers(query.where),
         )

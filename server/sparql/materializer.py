@@ -89,11 +89,6 @@ class Materializer:
         self._applying = asyncio.Lock()
 
     @property
-    def recorded_messages(self) -> Sequence[str]:
-        """The graphs of single recorded messages that are in the dataset for some query."""
-        return [iri for iri in self._state.extras if "/messages/" in iri]
-
-    @property
     def source_graphs(self) -> Sequence[str]:
         """The graphs in the dataset that come from the source: all but those that clients keep."""
         return list(self._state.held)

@@ -12,13 +12,6 @@ MAX_TEXT = 256 * 1024 * 1024
 """Characters of N-Triples that one query may have of them."""
 
 
-class PastMessages(NamedTuple):
-    """What is said of recorded messages, as N-Triples, and the graphs of single `messages` that are in the dataset."""
-
-    text: bytes
-    messages: tuple[str, ...] = ()
-
-
 class PastText(NamedTuple):
     """What is said of recorded messages, as N-Triples; `is_whole`: of all that were asked for."""
 

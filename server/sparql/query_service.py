@@ -21,7 +21,7 @@ from rosld.server.sparql.disconnect import Disconnected
 from rosld.server.sparql.intervals import Interval
 from rosld.server.sparql.materializer import Materializer, SeenVersions
 from rosld.server.sparql.needs import Needs
-from rosld.server.sparql.past_source import PastMessages, PastSource
+from rosld.server.sparql.past_source import PastSource
 from rosld.server.sparql.process.client import QueryProcess
 from rosld.server.sparql.process.work import AnswerWork, QueryWork, Work
 from rosld.server.sparql.process.work import TableWork as FirstRows
@@ -137,7 +137,7 @@ class QueryService:
         body: bytes | AsyncIterator[bytes] = b""
         async for past, least in self._read_past(analysis, request, permissions, limits, until, is_counted):
             async with self._sync(needs, limits, _scope(analysis, request)):
-                query = self._query(analysis, request, permissions, self._hiding(past))
+                query = self._query(analysis, request, permissions, past)
                 work = AnswerWork(query, media_type, limits.rows, least)
                 body = await self._run_work(work, analysis, limits, until, disconnected, permissions)
             if not least or (body := await _whole(body)):
@@ -159,7 +159,7 @@ class QueryService:
         whole = b""
         async for past, least in self._read_past(analysis, request, permissions, limits, until, True):
             async with self._sync(needs, limits, _scope(analysis, request)):
-                query = self._query(analysis, request, permissions, self._hiding(past))
+                query = self._query(analysis, request, permissions, past)
                 work = FirstRows(query, limit, least)
                 whole = await _whole(await self._run_work(work, analysis, limits, until, disconnected, permissions))
             if whole:
@@ -193,7 +193,7 @@ class QueryService:
     def prepare(self, text: str, default_graphs: tuple[str, ...] = (), named_graphs: tuple[str, ...] = ()) -> QueryWork:
         """A query as the process takes it now: the ages of topics are of this moment. Raises Problem 400."""
         request = QueryRequest(text, default_graphs, named_graphs)
-        return self._query(self._analyser.analyse(text), request, ALLOW_ALL)._replace(names_graphs=True)
+        return self._query(self._analyser.analyse(text), request, ALLOW_ALL)
 
     def _limits_of(self, request: QueryRequest) -> tuple[Limits, float]:
         """The limits of a request, and when its time is over."""
@@ -260,18 +260,12 @@ class QueryService:
         found = await self._past.read(analysis.past, graphs, permissions, moments, until)
         yield found.text, 0
 
-    def _hiding(self, past: bytes | None) -> PastMessages | None:
-        """The past, with the graphs of single messages that are there: what they say twice would be found twice."""
-        if past is None:
-            return None
-        return PastMessages(past, tuple(self._materializer.recorded_messages))
-
     def _query(
         self,
         analysis: Analysis,
         request: QueryRequest,
         permissions: Permissions,
-        past: PastMessages | None = None,
+        past: bytes | None = None,
     ) -> QueryWork:
         default, named = _dataset(analysis, request)
         ages = None
@@ -284,11 +278,8 @@ class QueryService:
             prefixes,
             default,
             named,
-            analysis.plan,
             ages,
             analysis.functions,
-            analysis.lookups,
-            analysis.names_graphs,
             past,
         )
 

@@ -1,28 +1,22 @@
-"""The server's end of the query process: sends it changes and work, and starts it again where it dies."""
+"""The server's end of the query process: sends it changes, has work done by its workers, starts it again if it dies."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
 import logging
-import os
-import pickle
-import signal
 import time
-from collections import deque
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
-from functools import partial
 from itertools import count
-from typing import cast
 
 from rosld.server.dataset.base import Edit
 from rosld.server.http.problem import Problem
 from rosld.server.runtime.process_memory import DATASET_PER_CHARACTER, DATASET_PER_TRIPLE
 from rosld.server.sparql.disconnect import Disconnected
-from rosld.server.sparql.process.child import ChildProcess, spawn
-from rosld.server.sparql.process.evaluation import Aborted, Evaluation, PendingJob, crash_reason
-from rosld.server.sparql.process.fork import ExitStatus
-from rosld.server.sparql.process.frames import Cancel, Change, Drop, Job, Kind, Reply, pack
+from rosld.server.sparql.process.connection import ChildProcess, spawn
+from rosld.server.sparql.process.evaluation import Aborted, Evaluation
+from rosld.server.sparql.process.frames import Change, Drop, Ended, Job, Refused, pack
+from rosld.server.sparql.process.pool import WorkerPool
 from rosld.server.sparql.process.work import Work
 from rosld.server.sparql.query_limits import Limits, process_restarting
 
@@ -40,19 +34,17 @@ _LONGEST_PAUSE = 30.0
 
 
 class QueryProcess:
-    """The process. Belongs to one loop; `start` and `close` it there.
+    """The process and its workers. Belongs to one loop; `start` and `close` it there.
 
-    `version` changes with each change of a dataset, `generation` with each start: a new process holds nothing, which is
-    told to the listeners of `on_start`.
+    The process holds the datasets and makes changes; its workers, which are forks of it, do the work: at most
+    `concurrency` at a time, for which at most `queue` jobs wait. `generation` changes with each start: a new process
+    holds nothing, which the listeners of `on_start` are told.
     """
 
     def __init__(self, concurrency: int, queue: int) -> None:
-        self._spawn = partial(spawn, concurrency, queue)
-        self._numbers = count(1)
         self._datasets = count(1)
-        self.version = 0
         self.generation = 0
-        self._jobs: dict[int, PendingJob] = {}
+        self._pool = WorkerPool(concurrency, queue)
         self._child: ChildProcess | None = None
         self._up = asyncio.Event()
         self._restart: asyncio.Task[None] | None = None
@@ -76,15 +68,15 @@ class QueryProcess:
     async def start(self) -> None:
         """Start the process; it need not be waited for. Raises OSError."""
         self._loop = asyncio.get_running_loop()
-        spawned = await self._loop.run_in_executor(None, self._spawn)
+        spawned = await self._loop.run_in_executor(None, spawn)
         if self._closed:
             popen, connection, _ = spawned
             popen.kill()
             connection.close()
             return
         self._child = ChildProcess(spawned, self._loop, self._take, self._lost)
+        self._pool.start(self._child, self._loop)
         self.generation += 1
-        self.version += 1
         for told in self._on_start:
             told()
         self._up.set()
@@ -100,12 +92,12 @@ class QueryProcess:
             child.close()
             child.popen.kill()
             await self._loop.run_in_executor(None, child.popen.wait)
-        self._fail_all(process_restarting(1))
+        self._pool.stop()
 
     @property
     def _running(self) -> ChildProcess:
         """The process. Raises Problem 503 where it is not there."""
-        if self._child is None:
+        if self._child is None or not self._child.is_open:
             raise process_restarting(1)
         return self._child
 
@@ -128,14 +120,16 @@ class QueryProcess:
         """
         if not graphs and not edits:
             return
+        process = self._running
         added = [*filter(None, graphs.values()), *(edit.added for edit in edits if edit.added)]
         characters = sum(map(len, added))
         needed = characters * DATASET_PER_CHARACTER + sum(text.count("\n") for text in added) * DATASET_PER_TRIPLE
         if needed:
-            self._running.require_memory(needed, f"the dataset, for changes of {characters} characters,")
-        self._running.send_change(pack(Change(dataset, dict(graphs), [*edits])), needed)
+            process.require_memory(needed, f"the dataset, for changes of {characters} characters,")
+        data = pack(Change(dataset, dict(graphs), [*edits]))
+        process.send_change(data, needed)
+        self._pool.note(data)
         if dataset == 0:
-            self.version += 1
             for told in self._on_change:
                 told(graphs, edits)
 
@@ -146,7 +140,9 @@ class QueryProcess:
     def drop(self, dataset: int) -> None:
         """Let go of another dataset."""
         with contextlib.suppress(Problem):
-            self._running.send(pack(Drop(dataset)))
+            data = pack(Drop(dataset))
+            self._running.send(data)
+            self._pool.note(data)
 
     async def answer(
         self,
@@ -162,7 +158,10 @@ class QueryProcess:
         work ended. Raises what the work raises, and Problems: 503 where a limit is reached, too much is being done or
         the process must be started again, 500 where the work ended the process that did it.
         """
-        return await Evaluation(self, work, limits, until, disconnected).run(dataset)
+        data = pack(Job(dataset, work, max(0.0, until - time.monotonic()), limits.memory))
+        if len(data) > _LARGE:
+            self._running.require_memory(len(data) * _PER_BYTE, f"a request of {len(data)} bytes")
+        return await Evaluation(data, work, limits, until, self._pool.cancel).run(self._pool.begin, disconnected)
 
     async def result(self, work: Work, limits: Limits, until: float, disconnected: Disconnected | None = None) -> bytes:
         """All that the work writes. Raises as `answer` does."""
@@ -181,81 +180,32 @@ class QueryProcess:
         )
         return coming.result(seconds + 1)
 
-    def begin(self, work: Work, limits: Limits, dataset: int, on_wait: Callable[[], None]) -> tuple[int, PendingJob]:
-        """Have work begun. For `Evaluation`."""
-        number, pending = next(self._numbers), PendingJob(self._loop, work, on_wait)
-        data = pack(Job(number, dataset, work, limits.seconds, limits.memory))
-        if len(data) > _LARGE:
-            self._running.require_memory(len(data) * _PER_BYTE, f"a request of {len(data)} bytes")
-        self._running.send(data)
-        self._jobs[number] = pending
-        return number, pending
-
-    @property
-    def is_behind(self) -> bool:
-        """Whether the process is still to make changes that it was sent. For `Evaluation`."""
-        return self._child is not None and self._child.is_behind
-
-    def cancel(self, number: int) -> None:
-        """End a job that is not wanted any more. For `Evaluation`."""
-        pending = self._jobs.get(number)
-        if pending is not None and not pending.is_over:
-            pending.is_over = True
-            with contextlib.suppress(Problem):
-                self._running.send(pack(Cancel(number)))
-
-    def forget(self, number: int) -> None:
-        """Nothing more is expected of a job. For `Evaluation`."""
-        self._jobs.pop(number, None)
-
     async def wait_drained(self) -> None:
         """Return when the process has taken most of what it was sent, or is gone."""
         if self._child is not None:
             await self._child.wait_drained()
 
-    # --- what it tells
+    # --- what it tells, and its death
 
-    def _take(self, reply: Reply, descriptors: deque[int]) -> None:
-        kind, number, value = reply
-        if kind is Kind.REFUSED:
-            graph, why = cast("tuple[str, str]", value)
-            _log.error("%s is left out of the dataset: %s", graph, why)
-            return
-        descriptor = descriptors.popleft() if kind is Kind.FORKED else -1
-        pending = self._jobs.get(number)
-        if pending is None or (pending.first.done() and kind is not Kind.ENDED):
-            if descriptor >= 0:
-                os.close(descriptor)
-            return
-        pending.is_over |= kind in (Kind.DONE, Kind.RAISED, Kind.ENDED)
-        match kind:
-            case Kind.DONE:
-                pending.first.set_result(cast("bytes", value))
-            case Kind.RAISED:
-                pending.first.set_exception(pickle.loads(cast("bytes", value)))  # from our own process
-            case Kind.FORKED:
-                pending.ended = self._loop.create_future()
-                pending.ended.add_done_callback(_looked_at)
-                pending.first.set_result(descriptor)
-            case Kind.WAITING:
-                pending.on_wait()
-            case Kind.ENDED:
-                if pending.ended is not None and not pending.ended.done():
-                    pending.ended.set_result(cast("ExitStatus", value))
-
-    # --- its death
+    def _take(self, message: object) -> None:
+        match message:
+            case Refused(graph, reason):
+                _log.error("%s is left out of the dataset: %s", graph, reason)
+            case Ended():
+                self._pool.take_ended(message)
 
     def _lost(self) -> None:
         self._up.clear()
+        self._pool.stop()
         if not self._closed:
             self._restart = self._loop.create_task(self._start_again())
 
     async def _start_again(self) -> None:
-        """Tell of the death to whom it concerns, and start the process again."""
         child = self._child
         assert child is not None
         status = await self._loop.run_in_executor(None, child.popen.wait)
-        self._blame(status, child.at_work.number)
+        how = f"signal {-status}" if status < 0 else f"exit {status}"
+        _log.error("the query process was ended (%s); it is started again", how)
         pause = 0.0 if time.monotonic() - child.started > _AT_ONCE else 0.1
         while not self._closed:
             await asyncio.sleep(pause)
@@ -266,32 +216,3 @@ class QueryProcess:
                 pause = min(_LONGEST_PAUSE, max(0.5, 2 * pause))
             else:
                 return
-
-    def _blame(self, status: int, number: int) -> None:
-        """Fail all jobs: the one of this number, which it was at, where that ended it, all others with a 503."""
-        guilty = None if status == -signal.SIGKILL else self._jobs.get(number)
-        what = "" if guilty is None else f" by {_brief_work(guilty.work)}"
-        how = f"signal {-status}" if status < 0 else f"exit {status}"
-        _log.error("the query process was ended%s (%s); it is started again", what, how)
-        if guilty is not None and not guilty.first.done():
-            guilty.first.set_exception(crash_reason(status))
-        self._fail_all(process_restarting(1))
-
-    def _fail_all(self, problem: Problem) -> None:
-        for pending in self._jobs.values():
-            if not pending.first.done():
-                pending.first.set_exception(problem)
-            elif pending.ended is not None and not pending.ended.done():
-                pending.ended.set_exception(problem)
-        self._jobs.clear()
-
-
-def _looked_at(future: asyncio.Future[ExitStatus]) -> None:
-    """Nobody may ask for it."""
-    if not future.cancelled():
-        future.exception()
-
-
-def _brief_work(work: Work) -> str:
-    text = repr(work)
-    return text if len(text) <= 2000 else text[:2000] + "..."

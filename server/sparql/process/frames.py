@@ -1,4 +1,4 @@
-"""What the server and the query process send each other: pickled tuples, each after its length."""
+"""Messages between the server, the query process and its workers: pickled tuples, each after its length."""
 
 from __future__ import annotations
 
@@ -6,14 +6,15 @@ import mmap
 import pickle
 import struct
 from collections.abc import Iterator, Mapping, Sequence
-from enum import IntEnum
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 from rosld.server.dataset.base import Edit
 from rosld.server.sparql.process.work import Work
 
 _LENGTH = struct.Struct("<I")
 _NUMBER = struct.Struct("<Q")
+
+# --- to the query process and to workers
 
 
 class Change(NamedTuple):
@@ -24,74 +25,120 @@ class Change(NamedTuple):
     edits: Sequence[Edit]
 
 
+class Drop(NamedTuple):
+    """Forget a dataset."""
+
+    dataset: int
+
+
+# --- to the query process
+
+
+class Fork(NamedTuple):
+    """Fork a worker of this number; its end of a socket pair comes with the message."""
+
+    number: int
+
+
+class Kill(NamedTuple):
+    """Kill a worker."""
+
+    number: int
+
+
+class ReduceMemory(NamedTuple):
+    """Return memory to the system; end if a new process would need less than half of it."""
+
+
+# --- to a worker
+
+
 class Job(NamedTuple):
     """Do work over a dataset, within so many seconds and bytes of memory."""
 
-    number: int
     dataset: int
     work: Work
     seconds: float
     memory: int
 
 
-class Cancel(NamedTuple):
-    """The result of a job is not wanted any more."""
+# --- from the query process
+
+
+class Refused(NamedTuple):
+    """A graph cannot be stored, and is left out of its dataset."""
+
+    graph: str
+    reason: str
+
+
+class ExitStatus(NamedTuple):
+    """How a worker ended: its status as `os.waitpid` has it, and what native code wrote last, if anything."""
+
+    status: int
+    words: str
+
+
+class Ended(NamedTuple):
+    """A worker has ended, or could not be forked because of a pickled exception."""
 
     number: int
+    why: ExitStatus | bytes
 
 
-class Drop(NamedTuple):
-    """A dataset is not wanted any more."""
-
-    dataset: int
+# --- from a worker
 
 
-class ReduceMemory(NamedTuple):
-    """Memory is short: return what can be returned, and end where a new process would need less than half of it."""
+class Ready(NamedTuple):
+    """The worker exists: the query process has made all changes that were sent before the order to fork."""
 
 
-Request: TypeAlias = "Change | Job | Cancel | Drop | ReduceMemory"
+class Data(NamedTuple):
+    """Bytes of a result."""
+
+    data: bytes
 
 
-class Kind(IntEnum):
-    """What the process says of a job, or of a change."""
+class Done(NamedTuple):
+    """The last bytes of a result. After `is_last` the worker ends."""
 
-    DONE = 0
-    """The result, which is bytes."""
-    RAISED = 1
-    """The exception that the work raised."""
-    FORKED = 2
-    """It is done in a fork, whose pipe comes with this."""
-    WAITING = 3
-    """As many forks are at work as may be: it waits for its turn."""
-    ENDED = 4
-    """The fork has ended: how (`fork.ExitStatus`)."""
-    REFUSED = 5
-    """A graph cannot be stored, and is left out: why."""
+    data: bytes
+    is_last: bool
 
 
-class Reply(NamedTuple):
-    """What the process says. `value` depends on the kind."""
+class Raised(NamedTuple):
+    """The pickled exception that a job raised."""
 
-    kind: Kind
-    number: int
-    value: object = None
+    error: bytes
+    is_last: bool
 
 
-def pack(message: Request | Reply) -> bytes:
-    """A message as a frame. Exceptions that cannot be pickled raise what pickle raises."""
+def pack(message: object) -> bytes:
+    """Return a message as a frame."""
     data = pickle.dumps(message, protocol=5)
     return _LENGTH.pack(len(data)) + data
 
 
+def pickle_error(error: Exception) -> bytes:
+    """Return an exception as bytes, without its traceback; one that cannot be pickled, in words."""
+    bare = error.with_traceback(None)
+    bare.__cause__ = bare.__context__ = None
+    try:
+        data = pickle.dumps(bare, protocol=5)
+        pickle.loads(data)
+    except Exception:
+        return pickle.dumps(RuntimeError(f"{type(error).__name__}: {error}"))
+    return data
+
+
 class FrameBuffer:
-    """Bytes as they come, cut into the messages that they are."""
+    """Bytes as they come, cut into messages."""
 
     def __init__(self) -> None:
         self._bytes = bytearray()
 
-    def feed(self, data: bytes) -> Iterator[Request | Reply]:
-        """Take bytes; the messages that are whole by now."""
+    def feed(self, data: bytes) -> Iterator[object]:
+        """Take bytes; yield the messages that are complete."""
         self._bytes += data
         at = 0
         try:
@@ -107,30 +154,20 @@ class FrameBuffer:
 
 
 class SharedStatus:
-    """What the process does just now, in memory that survives it: a job, and how many changes it has made."""
+    """The number of changes that the query process has made, in memory shared with the server."""
+
+    SIZE = _NUMBER.size
 
     def __init__(self, descriptor: int) -> None:
-        """A file of `SIZE` bytes, which may be closed then."""
+        """Map a file of `SIZE` bytes, which may be closed then."""
         self._memory = mmap.mmap(descriptor, self.SIZE)
 
-    SIZE = 2 * _NUMBER.size
-
-    def set_job(self, number: int) -> None:
-        """It is at this job from now on, 0 for none."""
-        _NUMBER.pack_into(self._memory, 0, number)
-
     def count_change(self) -> None:
-        """It has made another change."""
-        _NUMBER.pack_into(self._memory, _NUMBER.size, self.changes + 1)
+        """Count one more."""
+        _NUMBER.pack_into(self._memory, 0, self.changes + 1)
 
     @property
     def changes(self) -> int:
-        """The changes that it has made, of those that it was sent."""
-        found: int = _NUMBER.unpack_from(self._memory, _NUMBER.size)[0]
-        return found
-
-    @property
-    def number(self) -> int:
-        """The job that it is at, or was at when it ended."""
+        """The number of changes made."""
         found: int = _NUMBER.unpack_from(self._memory)[0]
         return found

@@ -1,4 +1,4 @@
-"""What the query process is asked to do, each a value that is sent to it and carried out there."""
+"""The work of query workers: values that are sent to a worker and carried out there over its copy of a dataset."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pickle
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import partial
 from itertools import compress
 from typing import BinaryIO, NamedTuple, Protocol, cast
 
@@ -26,31 +26,20 @@ from pyoxigraph import (
 from rosld.server.dataset.base import Function, Results, TripleChanges
 from rosld.server.dataset.encoding import decode_term
 from rosld.server.dataset.memory_store import MemoryStore
-from rosld.server.dataset.shared_triples import Lookup
 from rosld.server.http.problem import AGENT_SAID, Problem
 from rosld.server.sparql import results, row_limit
-from rosld.server.sparql.past_source import PastMessages
-from rosld.server.sparql.process.cost import JoinPlan, may_take_long
 from rosld.server.sparql.ros_functions import functions, unknown_functions
 from rosld.server.sparql.update.evaluate import (
     GraphChange,
     Row,
     StagingDataset,
     evaluate,
-    has_copy,
     has_dependent_where,
-    named_graphs,
 )
-from rosld.server.sparql.update.operations import ManageGraph, Modify, Operation, QuadTemplate, TemplateVariable, Where
+from rosld.server.sparql.update.operations import Modify, Operation, QuadTemplate, TemplateVariable, Where
 
-_MAX_GRAPHS = 8
-"""Graphs of a dataset that is chosen for a query which does not take long."""
-_MAX_ROWS = 1024
-"""Rows that every answer has room for which does not take long."""
 _MAX_TRIPLES = 2000
-"""Triples of a graph that an update may change at once."""
-_MAX_UPDATE = 64 * 1024
-"""Bytes of an update that does not take long."""
+"""Triples of a graph from which on an update is evaluated by what changes."""
 _MAX_TEMPLATES = 64
 """Quads of an operation that are sent as they are."""
 _LASTING = functions(lambda topic: None)
@@ -59,21 +48,16 @@ _LASTING = functions(lambda topic: None)
 class Work(Protocol):
     """Writes its result to `output`. Raises QueryError and Problems, and what `output` raises."""
 
-    def may_take_long(self, store: MemoryStore) -> bool:
-        """Whether it is to be done in a fork."""
-        ...
-
     def __call__(self, store: MemoryStore, output: BinaryIO) -> None:
         """Do it."""
         ...
 
 
 class QueryWork(NamedTuple):
-    """A query as the store takes it. `ages` are the seconds since the newest message of topics, where it asks.
+    """A query as the store takes it. `functions` are those that it calls by IRI.
 
-    `plan` tells how to find out whether it takes long, None where it may. `functions` are those that it calls by IRI,
-    `lookups` what it looks for in the default graph. `names_graphs`: it is also told of named graphs. `past` are the
-    recorded messages that it is about: they are in the default graph of a fork, which nobody else asks.
+    `ages` are the seconds since the newest message of topics, for a query that asks; `past` are N-Triples about
+    recorded messages, which the default graph has for this query only.
     """
 
     text: str
@@ -81,18 +65,12 @@ class QueryWork(NamedTuple):
     prefixes: Mapping[str, str]
     default_graphs: tuple[str, ...]
     named_graphs: tuple[str, ...]
-    plan: JoinPlan | None
     ages: Mapping[str, float] | None = None
     functions: frozenset[str] = frozenset()
-    lookups: tuple[Lookup, ...] = ()
-    names_graphs: bool = True
-    past: PastMessages | None = None
+    past: bytes | None = None
 
     def results(self, store: MemoryStore) -> Results:
         """Its results. Raises QueryError."""
-        is_merged = self._may_repeat(store) and store.merge(self.default_graphs, keep_names=self.names_graphs)
-        if self.past is not None:
-            store.add_past(self.past.text, self.past.messages)
         return store.query(
             self.text,
             base=self.base,
@@ -100,8 +78,7 @@ class QueryWork(NamedTuple):
             functions=self._callable_functions(),
             default_graphs=self.default_graphs,
             named_graphs=self.named_graphs,
-            is_merged=is_merged,
-            has_past=self.past is not None,
+            past=self.past,
         )
 
     def _callable_functions(self) -> Mapping[str, Function]:
@@ -109,18 +86,6 @@ class QueryWork(NamedTuple):
         known = _LASTING if self.ages is None else functions(self.ages.get)
         more = unknown_functions(self.functions) if self.functions else {}
         return {**known, **more} if more else known
-
-    def may_take_long(self, store: MemoryStore) -> bool:
-        """Whether it may look at more than some hundred statements."""
-        if self.past is not None:
-            return True
-        many = len(self.default_graphs) + len(self.named_graphs) > _MAX_GRAPHS
-        return many or self._may_repeat(store) or may_take_long(self.plan, store)
-
-    def _may_repeat(self, store: MemoryStore) -> bool:
-        """Whether a triple that several graphs have might be found once for each: one graph, or none, is a set."""
-        is_union = len(self.default_graphs) > 1 or not (self.default_graphs or self.named_graphs)
-        return is_union and store.may_repeat(self.lookups)
 
 
 class AnswerWork(NamedTuple):
@@ -133,9 +98,6 @@ class AnswerWork(NamedTuple):
     media_type: str
     limit: int
     least: int = 0
-
-    def may_take_long(self, store: MemoryStore) -> bool:
-        return self.limit < _MAX_ROWS or self.query.may_take_long(store)
 
     def __call__(self, store: MemoryStore, output: BinaryIO) -> None:
         with _reaching_others():
@@ -158,9 +120,6 @@ class TableWork(NamedTuple):
     limit: int
     least: int = 0
 
-    def may_take_long(self, store: MemoryStore) -> bool:
-        return self.query.may_take_long(store)
-
     def __call__(self, store: MemoryStore, output: BinaryIO) -> None:
         with _reaching_others():
             table = results.result_rows(self.query.results(store), self.limit, _never_stop)
@@ -180,7 +139,7 @@ def _reaching_others() -> Iterator[None]:
 
 
 def _never_stop() -> None:
-    """Nothing has to be looked at: a fork is killed in time."""
+    """Do nothing: a worker is killed when the time of its work is over."""
 
 
 class WhereWork(NamedTuple):
@@ -189,10 +148,6 @@ class WhereWork(NamedTuple):
     where: Where
     query: QueryWork
     home: QueryWork | None
-
-    def may_take_long(self, store: MemoryStore) -> bool:
-        """Whether its query may; that of WITH has all graphs in its dataset."""
-        return self.query.may_take_long(store) or self._chosen(store) is not self.query
 
     def solutions(self, store: MemoryStore) -> Iterator[Row]:
         """What the holes are filled with. Raises QueryError."""
@@ -225,25 +180,13 @@ class EvaluateUpdate(NamedTuple):
     update: bytes
     documents: str | None
 
-    def may_take_long(self, store: MemoryStore) -> bool:
-        if len(self.update) > _MAX_UPDATE:
-            return True
-        operations, asked = _open(self.update)
-        if has_dependent_where(operations) or has_copy(operations) or any(one.may_take_long(store) for one in asked):
-            return True
-        has_whole = any(isinstance(each, ManageGraph) for each in operations)
-        return any(
-            _is_large(store, graph) and (has_whole or not self._is_told_by_change(store, graph))
-            for graph in named_graphs(operations)
-        )
-
     def _is_told_by_change(self, store: MemoryStore, graph: str) -> bool:
         return self.documents is not None and graph.startswith(self.documents) and _is_large(store, graph)
 
     def __call__(self, store: MemoryStore, output: BinaryIO) -> None:
         operations, asked = _open(self.update)
         by_where = {id(one.where): one for one in asked}
-        dataset = store.dataset if has_dependent_where(operations) else None
+        dataset = store if has_dependent_where(operations) else None
         staging = StagingDataset(store, dataset, partial(self._is_told_by_change, store))
         evaluate(operations, staging, lambda where: by_where[id(where)].solutions(store))
         output.write(pickle.dumps([_write(change) for change in staging.changes()]))
@@ -282,9 +225,7 @@ def _split(quads: Sequence[QuadTemplate]) -> tuple[bytes, tuple[QuadTemplate, ..
     return text.encode(), tuple(quad for quad, is_constant in zip(quads, constant, strict=True) if not is_constant)
 
 
-@lru_cache(maxsize=1)
 def _open(update: bytes) -> _Update:
-    """What was sent; the last, for it is looked at before it is done."""
     compact, asked = pickle.loads(update)  # from our own server
     return _Update([_expand(each) if isinstance(each, _Compact) else each for each in compact], asked)
 
@@ -336,18 +277,12 @@ class DumpGraphs(NamedTuple):
 
     graphs: tuple[str, ...]
 
-    def may_take_long(self, store: MemoryStore) -> bool:
-        return False
-
     def __call__(self, store: MemoryStore, output: BinaryIO) -> None:
         output.write(pickle.dumps({graph: store.ntriples(graph) for graph in self.graphs}))
 
 
 class ListGraphs(NamedTuple):
     """The names of all graphs, pickled."""
-
-    def may_take_long(self, store: MemoryStore) -> bool:
-        return False
 
     def __call__(self, store: MemoryStore, output: BinaryIO) -> None:
         output.write(pickle.dumps([*store.graphs()]))

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple, Protocol, TypeAlias
 
-import pyoxigraph
 from pyoxigraph import BlankNode, Literal, NamedNode, Quad, Triple
 
 from rosld.server.dataset.base import Term, TripleChanges
@@ -79,6 +78,18 @@ class _LargeGraph:
             self.added[triple] = None
 
 
+class ScratchDataset(Protocol):
+    """A dataset that is thrown away after an update."""
+
+    def add(self, quad: Quad) -> None:
+        """Add a quad."""
+        ...
+
+    def remove(self, quad: Quad) -> None:
+        """Remove a quad."""
+        ...
+
+
 class StagingDataset:
     """Graphs being changed, as copies; and with them those of a `dataset` that is thrown away afterwards, if given.
 
@@ -88,7 +99,7 @@ class StagingDataset:
     def __init__(
         self,
         graphs: Graphs,
-        dataset: pyoxigraph.Store | None = None,
+        dataset: ScratchDataset | None = None,
         is_large: Callable[[str], bool] = lambda graph: False,
     ) -> None:
         self._graphs = graphs
@@ -206,11 +217,6 @@ def has_dependent_where(operations: Sequence[Operation]) -> bool:
     return any(isinstance(each, Modify) and each.where is not None for each in operations[1:])
 
 
-def has_copy(operations: Sequence[Operation]) -> bool:
-    """Whether one graph is copied to another."""
-    return any(isinstance(each, ManageGraph) and each.source is not None for each in operations)
-
-
 def named_graphs(operations: Sequence[Operation]) -> frozenset[str]:
     """The graphs that operations change, or take triples from, by their names."""
     return frozenset(_named_graphs(operations))
@@ -303,7 +309,7 @@ def _manage(operation: ManageGraph, staging: StagingDataset) -> None:
 
 
 def _copy(verb: GraphVerb, source: str, target: str, staging: StagingDataset) -> None:
-    # What it needs has threads of its own, which the query process must not have: copies are evaluated in forks of it.
+    # What it needs has threads of its own, which the process that workers are forked from must not have.
     from rosld.server.sparql.update.copying import unmanaged_triples
 
     triples = unmanaged_triples(source, [quad.triple for quad in staging.quads(source)])

@@ -133,8 +133,7 @@ async def answer(process: QueryProcess, case: Case) -> tuple[str, bytes]:
     media_type = MEDIA_TYPES.get(case.result.suffix, "application/sparql-results+json")
     if analysis.form == "CONSTRUCT":
         media_type = "application/n-triples"
-    plan, functions = analysis.plan, analysis.functions
-    query = QueryWork(analysis.text, BASE, analysis.prefixes, default, named, plan, None, functions)
+    query = QueryWork(analysis.text, BASE, analysis.prefixes, default, named, functions=analysis.functions)
     limits = Limits(20.0)
     return media_type, await process.result(AnswerWork(query, media_type, 10_000), limits, time.monotonic() + 20)
 

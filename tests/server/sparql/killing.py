@@ -32,7 +32,7 @@ _VALUE = "<http://h/v>"
 _LAST = "the last"
 _LOADED, _PATCHED, _DISPLAY = "/data/load", "/data/patched", "/topics/cockpit/display"
 STREAMS = {"stream of a document": _LOADED, "stream of a topic": _DISPLAY}
-OF_SPARQL = frozenset({"SELECT", "SELECT in a fork", "stored query", "page of a query", "update"})
+OF_SPARQL = frozenset({"SELECT", "SELECT of much", "stored query", "page of a query", "update"})
 """The kinds of requests that need the query process."""
 
 
@@ -88,7 +88,7 @@ REQUESTS: Mapping[str, Send] = {
     "PATCH": _patch,
     "graph store": _graph,
     "SELECT": _select,
-    "SELECT in a fork": _select_much,
+    "SELECT of much": _select_much,
     "stored query": _stored,
     "page of a query": _page,
     "update": _update,
@@ -179,7 +179,7 @@ def kill(served: Served, load: Load, times: int) -> Iterator[float]:
     """
     last: int | None = None
     for _ in range(times):
-        before = {kind: load.statuses[kind, 200] for kind in ("SELECT", "SELECT in a fork")}
+        before = {kind: load.statuses[kind, 200] for kind in ("SELECT", "SELECT of much")}
         begun = time.monotonic()
         while not (running := query_processes(served) - {last}) or any(
             load.statuses[kind, 200] == count for kind, count in before.items()

@@ -30,6 +30,17 @@ def command_of(pid: int) -> str:
         return ""
 
 
+def is_running(pid: int) -> bool:
+    """Whether a thread of a process uses the processor now, or waits for it."""
+    states = list[str]()
+    for file in Path(f"/proc/{pid}/task").glob("*/stat"):
+        try:
+            states.append(file.read_text().rpartition(")")[2].split()[0])
+        except (FileNotFoundError, ProcessLookupError):
+            continue
+    return "R" in states
+
+
 def query_processes(served: Served) -> set[int]:
     """The query process of a server, if it has one now."""
     return {pid for pid in children_of(served.process.pid) if "sparql.process" in command_of(pid)}

@@ -1,4 +1,4 @@
-"""The query process and the server's end of it, where a test over HTTP cannot bring them: stopped, and misjudged."""
+"""The query process, its workers and the server's end of them, in states that a test over HTTP cannot bring about."""
 
 from __future__ import annotations
 
@@ -14,28 +14,26 @@ from typing import BinaryIO, NamedTuple
 
 import pytest
 import uvloop
+from pyoxigraph import Literal, NamedNode, Quad
 
 from rosld.server.dataset import MemoryStore
 from rosld.server.http.problem import Problem
-from rosld.server.sparql.process.child import ChildProcess
 from rosld.server.sparql.process.client import QueryProcess
-from rosld.server.sparql.process.frames import Cancel, Kind, Reply, SharedStatus, pack
+from rosld.server.sparql.process.connection import ChildProcess
+from rosld.server.sparql.process.frames import Drop, Refused, SharedStatus, pack
 from rosld.server.sparql.query_limits import Limits
 
 pytestmark = pytest.mark.slow
 
 LIMITS = Limits(20.0, 256 * 1024 * 1024)
 G, P = "http://h/g", "<http://h/p>"
+MUCH = 16_000_000
 
 
 class Do(NamedTuple):
     """Work that calls a function of this module."""
 
     what: Callable[[MemoryStore, BinaryIO], object]
-    may_fork: bool = True
-
-    def may_take_long(self, store: MemoryStore) -> bool:
-        return self.may_fork
 
     def __call__(self, store: MemoryStore, output: BinaryIO) -> None:
         self.what(store, output)
@@ -47,6 +45,21 @@ def endless(store: MemoryStore, output: BinaryIO) -> None:
 
 def count(store: MemoryStore, output: BinaryIO) -> None:
     output.write(str(store.count(G, 1000)).encode())
+
+
+def pid(store: MemoryStore, output: BinaryIO) -> None:
+    output.write(str(os.getpid()).encode())
+
+
+def add(store: MemoryStore, output: BinaryIO) -> None:
+    store.add(Quad(NamedNode("http://h/s"), NamedNode("http://h/p"), Literal("2"), NamedNode(G)))
+    assert store.count(G, 1000) == 2
+    pid(store, output)
+
+
+def much(store: MemoryStore, output: BinaryIO) -> None:
+    for _ in range(MUCH // 1_000_000):
+        output.write(bytes(1_000_000))
 
 
 def running(scenario: Callable[[QueryProcess], Awaitable[None]]) -> Callable[[], None]:
@@ -83,20 +96,32 @@ async def test_work_that_waits_for_changes_for_too_long_is_to_come_again(process
     os.kill(process.pid, signal.SIGSTOP)
     try:
         process.change({G: f'<http://h/s> {P} "1" .\n'})
+        assert await done(process, Do(count)) == b"1", "a worker makes changes itself"
+        process.change({f"{G}{number}": f'<http://h/s> {P} "{number}" .\n' for number in range(10_000)})
         late = await refused(process, Do(count), 0.2)
     finally:
         os.kill(process.pid, signal.SIGCONT)
     assert (late.status, late.headers["Retry-After"], late.extra["reason"]) == (503, "1", "starting")
     assert await done(process, Do(count)) == b"1"
-    assert not process.is_behind
     assert (await refused(process, Do(endless), 0.3)).extra["reason"] == "time"
 
 
 @running
-async def test_work_that_was_thought_to_be_short_cannot_hold_the_process_for_long(process: QueryProcess) -> None:
-    assert (await refused(process, Do(endless, may_fork=False))).status in (500, 503)
-    await process.wait_ready(time.monotonic() + 20)
+async def test_a_worker_is_used_again_and_replaced_after_work_that_changed_its_dataset(process: QueryProcess) -> None:
+    first = await done(process, Do(pid))
+    process.change({G: f'<http://h/s> {P} "1" .\n'})
+    assert await done(process, Do(count)) == b"1"
+    assert await done(process, Do(add)) == first
+    assert await done(process, Do(count)) == b"1"
+    assert await done(process, Do(pid)) != first
+
+
+@running
+async def test_a_small_result_is_not_kept_waiting_by_a_reader_who_stops(process: QueryProcess) -> None:
+    unread = await process.answer(Do(much), LIMITS, time.monotonic() + 20)
+    assert not isinstance(unread, bytes)
     assert await done(process, Do(count)) == b"0"
+    assert len(b"".join([part async for part in unread])) == MUCH
 
 
 def test_a_death_is_noticed_also_with_requests_unread_and_replies_on_their_way(tmp_path: Path) -> None:
@@ -112,9 +137,9 @@ def test_a_death_is_noticed_also_with_requests_unread_and_replies_on_their_way(t
 
     with (tmp_path / "at-work").open("r+b") as file, subprocess.Popen(["true"]) as popen:
         spawned = (popen, ours, SharedStatus(file.fileno()))
-        child = ChildProcess(spawned, loop, lambda reply, descriptors: seen.append(reply), on_lost)
-        child.send(pack(Cancel(1)))
-        theirs.sendall(pack(Reply(Kind.WAITING, 2)))
+        child = ChildProcess(spawned, loop, seen.append, on_lost)
+        child.send(pack(Drop(1)))
+        theirs.sendall(pack(Refused("http://h/g", "why")))
         theirs.close()
 
         try:
@@ -122,4 +147,4 @@ def test_a_death_is_noticed_also_with_requests_unread_and_replies_on_their_way(t
         finally:
             child.close()
             loop.close()
-    assert seen == [Reply(Kind.WAITING, 2), "lost"]
+    assert seen == [Refused("http://h/g", "why"), "lost"]

@@ -1,0 +1,247 @@
+"""The query workers, as the server sees them: which is idle, what each has not been told, who waits for one."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+import socket
+from collections import deque
+from itertools import count
+
+from rosld.server.sparql.process.connection import ChildProcess, Connection
+from rosld.server.sparql.process.evaluation import Evaluation
+from rosld.server.sparql.process.frames import Data, Done, Ended, ExitStatus, Fork, Kill, Raised, Ready, pack
+from rosld.server.sparql.query_limits import process_restarting, too_many_queries
+
+_log = logging.getLogger("rosld.sparql")
+
+_MAX_BEHIND = 200
+"""Changes after which a worker is replaced rather than told: making them takes longer than a fork, of about 3 ms."""
+_MAX_BYTES_BEHIND = 256 * 1024
+"""Bytes of changes for which the same holds."""
+_MAX_CHANGES = 4000
+"""Changes that a worker makes in its life: its store keeps what they removed."""
+_TRIAL_SECONDS = 0.5
+"""Seconds that a job may take in the one worker beyond the limit: so short ones need not wait for others to end."""
+_IDLE_SECONDS = 10.0
+"""Seconds after which an idle worker ends that is not the only one."""
+
+
+class _Worker:
+    """A worker: `unsent` are the changes that it has not been sent, `job` is what it does."""
+
+    def __init__(self, number: int) -> None:
+        self.number = number
+        self.connection: Connection
+        self.job: Evaluation | None = None
+        self.unsent: list[bytes] = []
+        self.is_outdated = False
+        self.is_ready = False
+        self.ended: ExitStatus | bytes | None = None
+        self.turns = 0
+        self._behind = 0
+        self._changes = 0
+
+    def note(self, change: bytes) -> None:
+        """Note a change that the worker is to make before its next job."""
+        self._changes += 1
+        self._behind += len(change)
+        self.unsent.append(change)
+        if len(self.unsent) > _MAX_BEHIND or self._behind > _MAX_BYTES_BEHIND or self._changes > _MAX_CHANGES:
+            self.is_outdated = True
+            self.unsent.clear()
+
+    def pause(self) -> None:
+        """Receive nothing until `resume`."""
+        self.connection.pause()
+
+    def resume(self) -> None:
+        """Receive again."""
+        self.connection.resume()
+
+    def begin(self, job: Evaluation) -> None:
+        """Send the changes and the job."""
+        self.job, job.worker = job, self
+        for data in (*self.unsent, job.data):
+            self.connection.send(data)
+        self.unsent.clear()
+        self._behind = 0
+        self.turns += 1
+        self.connection.flush()
+
+
+class WorkerPool:
+    """Workers of a query process, of which at most `concurrency` work, and at most `waiting` jobs that wait for them.
+
+    While all work one more tries each job that comes: what is not done soon waits, and is begun again in its turn.
+    """
+
+    def __init__(self, concurrency: int, waiting: int) -> None:
+        self._concurrency = concurrency
+        self._waiting = waiting
+        self._numbers = count(1)
+        self._process: ChildProcess | None = None
+        self._workers: dict[int, _Worker] = {}
+        self._idle: list[_Worker] = []
+        """Those without a job; the one that was used last is used next."""
+        self._queue: deque[Evaluation] = deque()
+
+    def start(self, process: ChildProcess, loop: asyncio.AbstractEventLoop) -> None:
+        """Use a query process that has been started, and have one worker ready."""
+        self._process, self._loop = process, loop
+        self._idle.append(self._fork(process))
+
+    def stop(self) -> None:
+        """Fail all jobs: the query process is gone, and its workers with it."""
+        self._process = None
+        workers, jobs = [*self._workers.values()], [*self._queue]
+        for each in (self._workers, self._idle, self._queue):
+            each.clear()
+        for worker in workers:
+            worker.connection.close()
+            if worker.job is not None:
+                jobs.append(worker.job)
+        for job in jobs:
+            job.fail(process_restarting(1))
+
+    def note(self, change: bytes) -> None:
+        """Note a change of a dataset, for all workers."""
+        for worker in [*self._workers.values()]:
+            worker.note(change)
+            if worker.is_outdated and worker.job is None:
+                self._drop(worker)
+
+    def begin(self, job: Evaluation) -> None:
+        """Begin a job, or have it wait. Raises Problem 503 where too many wait, or there is no query process."""
+        if self._process is None:
+            raise process_restarting(1)
+        self._queue.append(job)
+        self._serve()
+        if len(self._queue) > self._waiting and job in self._queue:
+            self._queue.remove(job)
+            raise too_many_queries()
+
+    def cancel(self, job: Evaluation) -> None:
+        """End a job that is not wanted any more."""
+        if job in self._queue:
+            self._queue.remove(job)
+            return
+        for worker in [*self._workers.values()]:
+            if worker.job is job:
+                self._kill(worker)
+                self._serve()
+
+    def take_ended(self, ended: Ended) -> None:
+        """Note how a worker has ended."""
+        worker = self._workers.get(ended.number)
+        if worker is not None:
+            worker.ended = ended.why
+            self._settle(worker)
+
+    @property
+    def _busy(self) -> int:
+        return len(self._workers) - len(self._idle)
+
+    def _serve(self) -> None:
+        while self._process is not None and (job := self._next_job()) is not None:
+            self._queue.remove(job)
+            worker = self._idle.pop() if self._idle else self._fork(self._process)
+            worker.begin(job)
+            if self._busy > self._concurrency:
+                job.is_tried = True
+                self._loop.call_later(_TRIAL_SECONDS, self._end_trial, worker, worker.turns)
+
+    def _next_job(self) -> Evaluation | None:
+        """Return the job that may begin now."""
+        if self._busy < self._concurrency:
+            return next(iter(self._queue), None)
+        if self._busy > self._concurrency:
+            return None
+        return next((job for job in self._queue if not job.is_tried), None)
+
+    def _end_trial(self, worker: _Worker, turns: int) -> None:
+        job = worker.job
+        if job is None or worker.turns != turns or self._busy <= self._concurrency or not job.start_over():
+            return
+        self._kill(worker)
+        if len(self._queue) < self._waiting:
+            self._queue.appendleft(job)
+        else:
+            job.fail(too_many_queries())
+        self._serve()
+
+    def _kill(self, worker: _Worker) -> None:
+        worker.job = None
+        if self._process is not None:
+            self._process.send(pack(Kill(worker.number)))
+        self._drop(worker)
+
+    def _fork(self, process: ChildProcess) -> _Worker:
+        ours, theirs = socket.socketpair()
+        worker = _Worker(next(self._numbers))
+        worker.connection = Connection(
+            ours, self._loop, lambda message: self._take(worker, message), lambda: self._settle(worker)
+        )
+        self._workers[worker.number] = worker
+        process.send(pack(Fork(worker.number)), theirs.detach())
+        process.flush()
+        return worker
+
+    def _drop(self, worker: _Worker) -> None:
+        """Forget a worker, which ends by that if it has no job."""
+        worker.connection.close()
+        self._workers.pop(worker.number, None)
+        if worker in self._idle:
+            self._idle.remove(worker)
+
+    # --- what a worker tells
+
+    def _take(self, worker: _Worker, message: object) -> None:
+        job = worker.job
+        match message:
+            case Ready():
+                worker.is_ready = True
+            case Data(data) if job is not None:
+                job.add(data)
+            case Done(data, is_last) if job is not None:
+                job.end(data)
+                self._release(worker, is_last)
+            case Raised(error, is_last) if job is not None:
+                job.fail_ended(error)
+                self._release(worker, is_last)
+
+    def _release(self, worker: _Worker, is_last: bool) -> None:
+        """Use a worker again that has done its job."""
+        worker.job = None
+        if is_last or worker.is_outdated:
+            self._drop(worker)
+        else:
+            self._idle.append(worker)
+            if len(self._workers) > 1:
+                self._loop.call_later(_IDLE_SECONDS, self._end_surplus, worker, worker.turns)
+        self._serve()
+
+    def _end_surplus(self, worker: _Worker, turns: int) -> None:
+        if worker in self._idle and worker.turns == turns and len(self._workers) > 1:
+            self._drop(worker)
+
+    def _settle(self, worker: _Worker) -> None:
+        """Fail the job of a worker that is gone, once all that it sent was received and it is known how it ended."""
+        if worker.number not in self._workers or worker.connection.is_open:
+            return
+        if worker.ended is None and worker.job is not None:
+            return
+        self._drop(worker)
+        job, worker.job = worker.job, None
+        if job is not None and worker.ended is not None:
+            _log_end(job, worker.ended)
+            job.fail_ended(worker.ended)
+        self._serve()
+
+
+def _log_end(job: Evaluation, ended: ExitStatus | bytes) -> None:
+    if isinstance(ended, ExitStatus) and os.WIFSIGNALED(ended.status):
+        text = repr(job.work)
+        text = text if len(text) <= 2000 else text[:2000] + "..."
+        _log.error("a query worker was ended by signal %d, doing %s", os.WTERMSIG(ended.status), text)

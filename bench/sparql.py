@@ -1,11 +1,14 @@
 """SPARQL over live values, as ratios: to the Oxigraph server on the same data, and to the same query without any sync.
 
 Run: python bench/sparql.py [seconds]. Needs `wrk` (Debian: apt-get install wrk) and `pip install oxigraph`.
+`python bench/sparql.py cpu [seconds]` prints only the CPU of one query, without wrk; where the Oxigraph server is not
+installed, that of rosld alone.
 """
 
 from __future__ import annotations
 
 import gc
+import os
 import shutil
 import socket
 import statistics
@@ -14,7 +17,7 @@ import sys
 import threading
 import time
 from collections.abc import AsyncIterator, Collection, Iterator, Mapping, Sequence
-from contextlib import asynccontextmanager, contextmanager
+from contextlib import ExitStack, asynccontextmanager, contextmanager, suppress
 from http.client import HTTPConnection
 from pathlib import Path
 from urllib.parse import quote, urlsplit
@@ -32,7 +35,7 @@ from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.model.schema import MessageSchema
 from rosld.ontology.document import Envelope
 from rosld.ontology.lift import TYPES, lifter
-from rosld.ontology.vocab import rdf, ros
+from rosld.ontology.vocab import PREFIXES, rdf, ros
 from rosld.server.sparql.analysis import Analyser
 from rosld.server.sparql.graph_source import GraphEntry
 from rosld.server.sparql.materializer import Materializer
@@ -46,6 +49,7 @@ TOPICS = 1000
 ROWS = 20_000
 TURNS = 15
 SERVE = "serve"
+CPU = "cpu"
 PAUSE = 0.25
 """Seconds between two queries: longer than one look at everything is good for."""
 NEW_TEXT = """
@@ -59,13 +63,86 @@ end
 DATA = f"{TYPES}std_msgs/msg/Float64#data"
 
 
+OXIGRAPH = shutil.which("oxigraph") or str(Path(sys.executable).with_name("oxigraph"))
+BATTERY = f"<topics/battery_state> ros:latest ?m . ?m <{TYPES}sensor_msgs/msg/BatteryState#percentage> ?v"
+QUERIES = {
+    "two patterns": "SELECT ?n ?t { ?n ros:publishes ?t . ?t a ros:Topic }",
+    "one pattern": "SELECT ?n ?t { ?n ros:publishes ?t }",
+    "path to a live value": f"SELECT ?v {{ {BATTERY} }}",
+    "path with OPTIONAL": f"SELECT ?v {{ {BATTERY.replace('. ?m', 'OPTIONAL { ?m')} }} }}",
+    "UNION": "SELECT ?t { { ?t a ros:Topic } UNION { ?t a ros:Service } }",
+    "VALUES": "SELECT ?t { VALUES ?c { ros:Topic ros:Service } ?t a ?c }",
+    "FILTER NOT EXISTS": "SELECT ?t { ?t a ros:Topic FILTER NOT EXISTS { ?n ros:publishes ?t } }",
+    "ASK {}": "ASK {}",
+    "SELECT (1 AS ?x) {}": "SELECT (1 AS ?x) {}",
+    "?s ?p ?o LIMIT 10": "SELECT * { ?s ?p ?o } LIMIT 10",
+    "all of a live value": "SELECT ?p ?v { <topics/battery_state> ros:latest ?m . ?m ?p ?v }",
+    "COUNT of everything": "SELECT (COUNT(*) AS ?n) { ?s ?p ?o }",
+}
+"""Queries by what they are about."""
+
+
+# The CPU of one query
+
+
+def children_of(pid: int) -> set[int]:
+    """The processes that a process has started."""
+    return {int(child) for file in Path(f"/proc/{pid}/task").glob("*/children") for child in file.read_text().split()}
+
+
+def cpu_milliseconds(pid: int) -> float:
+    """The CPU that a process and all that it started have used, those that have ended included."""
+    used = 0.0
+    with suppress(FileNotFoundError, ProcessLookupError):
+        for file in Path(f"/proc/{pid}/task").glob("*/schedstat"):
+            used += int(file.read_text().split()[0]) / 1e6
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        used += (int(fields[13]) + int(fields[14])) * 1e3 / os.sysconf("SC_CLK_TCK")
+        used += sum(map(cpu_milliseconds, children_of(pid)))
+    return used
+
+
+def cpu_of_queries(seconds: float) -> None:
+    """CPU of all processes for one query on one connection, each with a text of its own, on the rover."""
+    with ExitStack() as servers:
+        rosld = servers.enter_context(serving("-m", "rosld", "serve", "rover", "--port", "0"))
+        [ours] = children_of(os.getpid())
+        clients = [(Client(rosld), "/sparql", ours)]
+        for query in QUERIES.values():
+            httpx.get(f"{rosld}sparql", params={"query": query}).raise_for_status()
+        if Path(OXIGRAPH).exists():
+            other = servers.enter_context(oxigraph())
+            [theirs] = children_of(os.getpid()) - {ours}
+            copy(rosld, other)
+            clients.append((Client(other), "/query", theirs))
+        print(f"{'CPU of one query, in ms':36}{'rosld':>10}{'p50':>10}{'oxigraph':>12}{'p50':>10}")
+        for label, query in QUERIES.items():
+            text = "".join(f"PREFIX {name}: <{iri}> " for name, iri in PREFIXES.items() if f"{name}:" in query)
+            text = f"BASE <{rosld}> {text}{query}"
+            found = [cpu_of_query(client, path, pid, text, seconds) for client, path, pid in clients]
+            print(f"{label:36}" + "  ".join(f"{cpu:10.2f}{median:10.2f}" for cpu, median in found))
+
+
+def cpu_of_query(client: Client, path: str, pid: int, query: str, seconds: float) -> tuple[float, float]:
+    """The milliseconds of CPU that a query takes, beyond those used without any, and the median of all."""
+    begun, before = time.perf_counter(), cpu_milliseconds(pid)
+    time.sleep(seconds)
+    idle = (cpu_milliseconds(pid) - before) / (time.perf_counter() - begun)
+    times: list[float] = []
+    begun, before = time.perf_counter(), cpu_milliseconds(pid)
+    while time.perf_counter() - begun < seconds:
+        times.append(client.seconds(f"{path}?query={quote(f'{query} #{len(times)}')}") * 1e3)
+    used = cpu_milliseconds(pid) - before - idle * (time.perf_counter() - begun)
+    return used / len(times), statistics.median(times)
+
+
 # Against the Oxigraph server
 
 
 @contextmanager
 def oxigraph() -> Iterator[str]:
     """The Oxigraph server on a free port, ready to be asked."""
-    command = Path(sys.executable).with_name("oxigraph")
+    command = OXIGRAPH
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
@@ -147,7 +224,6 @@ class Robot:
     """A thousand topics of Twists, lifted as they are in the server."""
 
     revision = 0
-    writes = 0
 
     def __init__(self) -> None:
         library = TypeLibrary(ros_version=1)
@@ -294,8 +370,12 @@ def a_thousand_topics() -> None:
 
 def main() -> None:
     """Print the tables."""
+    if sys.argv[1:2] == [CPU]:
+        cpu_of_queries(float(sys.argv[2]) if len(sys.argv) > 2 else 2.0)
+        return
     if shutil.which("wrk") is None:
         raise SystemExit("bench/sparql.py needs wrk: apt-get install wrk")
+    cpu_of_queries(2.0)
     against_oxigraph(int(sys.argv[1]) if len(sys.argv) > 1 else 4)
     many_rows()
     a_thousand_topics()

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from itertools import count, islice
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 from pyoxigraph import BlankNode, DefaultGraph, NamedNode, Quad, RdfFormat, Store, Triple, parse
 
@@ -35,7 +35,10 @@ graph shares its blank nodes with it.
 
 
 class _Step(NamedTuple):
-    """A change of one graph that has been checked; `lost` and `gained` count its triples, roughly."""
+    """A change of one graph that has been checked; `lost` and `gained` count its triples, roughly.
+
+    Triples are quads of the default graph, as the parser gives them: so none is made twice.
+    """
 
     graph: NamedNode
     drop: bool
@@ -49,9 +52,9 @@ class _Write(NamedTuple):
     """A change of one graph as the store is given it: drop it, remove quads, add quads."""
 
     graph: NamedNode | DefaultGraph
-    drop: bool
-    removed: Sequence[Quad]
-    added: Sequence[Quad]
+    drop: bool = False
+    removed: Sequence[Quad] = ()
+    added: Sequence[Quad] = ()
 
 
 class MemoryStore:
@@ -69,7 +72,7 @@ class MemoryStore:
         self._versions = count(1)
         self._version = 0
         self._wear = GarbageEstimate()
-        self._shared: dict[Triple, int] = {}
+        self._shared: dict[Quad, int] = {}
         """The number of graphs of each triple that more than one graph has."""
         self._lines: dict[str, frozenset[str]] = {}
         self._new_lines: dict[str, frozenset[str]] = {}
@@ -91,19 +94,19 @@ class MemoryStore:
 
     def add(self, quad: Quad) -> None:
         """Add a quad, as it is stored, for one piece of work."""
-        self.is_spoiled = True
-        self._forget_graph(quad)
-        self._add([quad])
+        self._add(self._spoil(quad), [Quad(*quad.triple)])
 
     def remove(self, quad: Quad) -> None:
         """Remove a quad, as it is stored, for one piece of work."""
-        self.is_spoiled = True
-        self._forget_graph(quad)
-        self._remove([quad])
+        self._remove(self._spoil(quad), [Quad(*quad.triple)])
 
-    def _forget_graph(self, quad: Quad) -> None:
-        assert isinstance(quad.graph_name, NamedNode)
-        self._forget(quad.graph_name.value)
+    def _spoil(self, quad: Quad) -> NamedNode:
+        """Note a change for one piece of work; return its graph."""
+        graph = quad.graph_name
+        assert isinstance(graph, NamedNode)
+        self.is_spoiled = True
+        self._forget(graph.value)
+        return graph
 
     def graphs(self) -> Collection[str]:
         return [graph.value for graph in self._store.named_graphs() if isinstance(graph, NamedNode)]
@@ -254,8 +257,8 @@ class MemoryStore:
         now = self._new_lines[name] = _lines(text)
         gone, come = before - now, now - before
         removed = [*self._read(graph, "\n".join(gone))]
-        quads = [*self._read(graph, "\n".join(come))]
-        return _Step(graph, False, removed, lambda: quads, len(gone), len(come))
+        added = [*self._read(graph, "\n".join(come))]
+        return _Step(graph, False, removed, lambda: added, len(gone), len(come))
 
     def _edit(self, edit: Edit) -> _Step:
         """Raises ValueError."""
@@ -271,11 +274,11 @@ class MemoryStore:
             return lambda: quads
         data = self._encode(graph, text)
         deque(_parse(graph, data), maxlen=0)
-        return lambda: _quads(graph, data)
+        return lambda: _parse(graph, data)
 
     def _read(self, graph: NamedNode, text: str) -> Iterator[Quad]:
-        """The quads of N-Triples within a graph. Raises ValueError."""
-        return _quads(graph, self._encode(graph, text)) if text else iter(())
+        """The triples of N-Triples for a graph. Raises ValueError."""
+        return _parse(graph, self._encode(graph, text)) if text else iter(())
 
     def _encode(self, graph: NamedNode, text: str) -> bytes:
         """N-Triples as they are stored. Raises ValueError."""
@@ -292,44 +295,51 @@ class MemoryStore:
         return _LABEL.sub(lambda match: label if match[0] == "_:" else match[0], text)
 
     def _carry_out(self, step: _Step) -> None:
+        graph = step.graph
         if step.drop:
-            self._remove([*self._quads(step.graph.value)], drop=step.graph)
-        self._remove(step.removed)
+            self._remove(graph, [Quad(*quad.triple) for quad in self._quads(graph.value)])
+            self._write(_Write(graph, True))
+        self._remove(graph, step.removed)
         added = iter(step.added())
         while part := [*islice(added, _SLICE)]:
-            self._add(part)
-        self._wear.note(step.graph.value, step.lost, step.gained)
+            self._add(graph, part)
+        self._wear.note(graph.value, step.lost, step.gained)
 
-    def _add(self, quads: Iterable[Quad]) -> None:
-        """Add quads of one graph, and their triples to the default graph."""
-        added = [quad for quad in dict.fromkeys(quads) if quad not in self._store]
+    def _add(self, graph: NamedNode, triples: Iterable[Quad]) -> None:
+        """Add triples to a graph and to the default graph."""
+        added: list[Quad] = []
         new: list[Quad] = []
-        for quad in added:
-            triple = quad.triple
-            if (default := Quad(*triple)) in self._store:
-                self._shared[triple] = self._shared.get(triple, 1) + 1
-            else:
-                new.append(default)
-        if added:
-            self._write(_Write(cast("NamedNode", added[0].graph_name), False, (), added))
-            self._write(_Write(_DEFAULT, False, (), new))
+        shared: set[Quad] = set()
+        for triple in triples:
+            subject, predicate, object, _ = triple
+            quad = Quad(subject, predicate, object, graph)
+            if triple not in self._store:
+                new.append(triple)
+            elif quad not in self._store:
+                shared.add(triple)
+            added.append(quad)
+        for triple in shared:
+            self._shared[triple] = self._shared.get(triple, 1) + 1
+        self._write(_Write(graph, added=added))
+        self._write(_Write(_DEFAULT, added=new))
 
-    def _remove(self, quads: Iterable[Quad], drop: NamedNode | None = None) -> None:
-        """Remove quads of one graph, and from the default graph their triples that no other graph has."""
-        removed = [quad for quad in dict.fromkeys(quads) if quad in self._store]
+    def _remove(self, graph: NamedNode, triples: Iterable[Quad]) -> None:
+        """Remove triples from a graph, and from the default graph those that no other graph has."""
+        removed: list[Quad] = []
         gone: list[Quad] = []
-        for quad in removed:
-            triple = quad.triple
+        for triple in dict.fromkeys(triples):
+            subject, predicate, object, _ = triple
+            quad = Quad(subject, predicate, object, graph)
+            if quad not in self._store:
+                continue
+            removed.append(quad)
             number = self._shared.pop(triple, 1)
             if number > 2:
                 self._shared[triple] = number - 1
             elif number == 1:
-                gone.append(Quad(*triple))
-        if drop is not None:
-            self._write(_Write(drop, True, (), ()))
-        elif removed:
-            self._write(_Write(cast("NamedNode", removed[0].graph_name), False, removed, ()))
-        self._write(_Write(_DEFAULT, False, gone, ()))
+                gone.append(triple)
+        self._write(_Write(graph, removed=removed))
+        self._write(_Write(_DEFAULT, removed=gone))
 
     def _write(self, write: _Write) -> None:
         _apply(self._store, write)
@@ -403,11 +413,6 @@ def _parse(graph: NamedNode, data: bytes) -> Iterator[Quad]:
         yield from parse(data, RdfFormat.N_TRIPLES)
     except SyntaxError as error:
         raise ValueError(f"no N-Triples for {graph.value!r}: {error}") from error
-
-
-def _quads(graph: NamedNode, data: bytes) -> Iterator[Quad]:
-    """The quads of N-Triples within a graph. Raises ValueError."""
-    return (Quad(subject, predicate, object, graph) for subject, predicate, object, _ in _parse(graph, data))
 
 
 def _lines(text: str) -> frozenset[str]:

@@ -192,9 +192,9 @@ class Evaluation:
             self._watch.add_done_callback(self._on_disconnect)
 
     def _why_late(self) -> Problem:
-        if self.worker is None:
-            return too_many_queries()
-        return out_of_time(self._limits.seconds) if self.worker.is_ready else dataset_behind()
+        if self.worker is not None and self.worker.is_ready:
+            return out_of_time(self._limits.seconds)
+        return too_many_queries() if self.worker is None or self.is_tried else dataset_behind()
 
     def _on_disconnect(self, watch: asyncio.Future[None]) -> None:
         """The client has hung up, unless the watch was ended."""

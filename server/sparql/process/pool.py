@@ -18,7 +18,7 @@ _log = logging.getLogger("rosld.sparql")
 
 _MAX_BEHIND = 200
 """Changes after which a worker is replaced rather than told: making them takes longer than a fork, of about 3 ms."""
-_MAX_BYTES_BEHIND = 256 * 1024
+_MAX_BYTES_BEHIND = 512 * 1024
 """Bytes of changes for which the same holds."""
 _MAX_CHANGES = 4000
 """Changes that a worker makes in its life: its store keeps what they removed."""

@@ -1,9 +1,9 @@
-"""The contract of stores, which any SPARQL 1.1 store can implement. `tests/server/dataset` tests it."""
+"""The types that all parts of the dataset share: terms, functions, results and changes."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import NamedTuple, Protocol, TypeAlias
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, TypeAlias
 
 from pyoxigraph import BlankNode, Literal, NamedNode, QueryBoolean, QuerySolutions, QueryTriples, Triple
 
@@ -33,44 +33,3 @@ class Edit(NamedTuple):
     graph: str
     added: str = ""
     removed: str = ""
-
-
-class Store(Protocol):
-    """A dataset of named graphs; its default graph is their union. One in memory belongs to one thread.
-
-    Queries see the dataset as it was when `query` returned, whatever is replaced while their results are read.
-    """
-
-    @property
-    def version(self) -> int:
-        """A number that another one follows whenever the dataset has changed."""
-        ...
-
-    def graphs(self) -> Collection[str]:
-        """The IRIs of all named graphs."""
-        ...
-
-    def replace(self, graphs: Mapping[str, str | None], edits: Sequence[Edit] = ()) -> None:
-        """Replace each graph by its N-Triples, or drop it (None), then do the edits in their order: ONE transaction.
-
-        No query ever sees some of it done and the rest not. Labels of blank nodes hold within one text. Raises
-        ValueError, with nothing changed, for text that is no N-Triples or an IRI that is none.
-        """
-        ...
-
-    def query(
-        self,
-        text: str,
-        *,
-        base: str | None = None,
-        prefixes: Mapping[str, str] = {},
-        functions: Mapping[str, Function] = {},
-        default_graphs: Sequence[str] = (),
-        named_graphs: Sequence[str] = (),
-    ) -> Results:
-        """Begin to answer a query; results come as they are read. Raises QueryError.
-
-        `default_graphs` and `named_graphs` are the dataset (SPARQL 1.1, 13.2): with either given, only these graphs are
-        there. FROM in the text has no say: who asks gives its graphs here.
-        """
-        ...

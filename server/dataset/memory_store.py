@@ -6,7 +6,7 @@ import re
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from itertools import count, islice
+from itertools import islice
 from typing import NamedTuple
 
 from pyoxigraph import BlankNode, DefaultGraph, NamedNode, Quad, RdfFormat, Store, Triple, parse
@@ -58,7 +58,7 @@ class _Write(NamedTuple):
 
 
 class MemoryStore:
-    """The built-in `Store`. It copies itself, in slices, when it holds too much for triples that were removed.
+    """A dataset in memory. It copies itself, in slices, when it holds too much for triples that were removed.
 
     The default graph holds each triple of the named graphs once (SPARQL 1.1 Query, 13.1): the union that Oxigraph makes
     by itself has a triple once for each graph (https://github.com/oxigraph/oxigraph/issues/1919).
@@ -69,8 +69,6 @@ class MemoryStore:
 
     def __init__(self) -> None:
         self._store = Store()
-        self._versions = count(1)
-        self._version = 0
         self._wear = GarbageEstimate()
         self._shared: dict[Quad, int] = {}
         """The number of graphs of each triple that more than one graph has."""
@@ -79,13 +77,10 @@ class MemoryStore:
         self._size = 0
         self._numbers: dict[str, int] = {}
         self._renewal: _Renewal | None = None
+        self._is_renewed = True
         self._functions: tuple[Mapping[str, Function] | None, dict[NamedNode, Function]] = (None, {})
         self.is_spoiled = False
         """Whether it was changed for one piece of work, and is to be thrown away after that."""
-
-    @property
-    def version(self) -> int:
-        return self._version
 
     @property
     def is_mostly_garbage(self) -> bool:
@@ -109,9 +104,15 @@ class MemoryStore:
         return graph
 
     def graphs(self) -> Collection[str]:
+        """The IRIs of all named graphs."""
         return [graph.value for graph in self._store.named_graphs() if isinstance(graph, NamedNode)]
 
     def replace(self, graphs: Mapping[str, str | None], edits: Sequence[Edit] = ()) -> None:
+        """Replace each graph by its N-Triples, or drop it (None), then do the edits in their order.
+
+        Labels of blank nodes hold within one text. Raises ValueError, with nothing changed, for text that is no
+        N-Triples or an IRI that is none.
+        """
         if not graphs and not edits:
             return
         self._new_lines.clear()
@@ -122,8 +123,7 @@ class MemoryStore:
             self._remember(name, text)
         for edit in edits:
             self._forget(edit.graph)
-        self._version = next(self._versions)
-        if self._wear.is_due and self._renewal is None:
+        if self._wear.is_due and self._renewal is None and self._is_renewed:
             self._renewal = _Renewal(self._store)
         self.compact_step()
 
@@ -151,7 +151,7 @@ class MemoryStore:
 
     def compact_step(self) -> bool:
         """Copy a slice of this store to the one that takes its place; whether there is more to copy."""
-        if self._renewal is None:
+        if self._renewal is None or not self._is_renewed:
             return False
         if self._renewal.advance():
             return True
@@ -159,6 +159,10 @@ class MemoryStore:
         self._wear.reset()
         trim()
         return False
+
+    def keep_garbage(self) -> None:
+        """Copy no more: a worker lives too short for that."""
+        self._is_renewed = False
 
     def ntriples(self, graph: str) -> str | None:
         """What a graph holds now, None where there is none of that name."""
@@ -204,7 +208,11 @@ class MemoryStore:
         named_graphs: Sequence[str] = (),
         past: bytes | None = None,
     ) -> Results:
-        """Begin to answer a query, as `Store.query`. `past` are N-Triples that the default graph has, too."""
+        """Begin to answer a query; results come as they are read. Raises QueryError.
+
+        `default_graphs` and `named_graphs` are the dataset (SPARQL 1.1, 13.2), whatever FROM says in the text: with
+        either given, only these graphs are there. `past` are N-Triples that the default graph has, too.
+        """
         source = self._store
         default: list[NamedNode | BlankNode | DefaultGraph] = [*map(NamedNode, default_graphs)]
         named: list[NamedNode | BlankNode] = [*map(NamedNode, named_graphs)]
@@ -343,7 +351,7 @@ class MemoryStore:
 
     def _write(self, write: _Write) -> None:
         _apply(self._store, write)
-        if self._renewal is not None:
+        if self._renewal is not None and self._is_renewed:
             self._renewal.note(write)
 
     def _remember(self, name: str, text: str | None) -> None:

@@ -22,7 +22,7 @@ from collections.abc import Awaitable, Callable, Collection, Iterator, Mapping, 
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol, TypeVar
 
-from pyoxigraph import Literal, NamedNode, QuerySolutions
+from pyoxigraph import Literal, NamedNode
 
 from rosld.ontology.triples import date_time_literal as instant
 from rosld.ontology.vocab import dcterms, rdf, ros
@@ -296,8 +296,7 @@ class Mirror:
 
     def _is_sealed(self) -> bool:
         heartbeat = NamedNode(self._ownership.heartbeat_graph)
-        found = self._target.query(f"SELECT ?p ?o {{ GRAPH {heartbeat} {{ {heartbeat} ?p ?o }} }}")
-        assert isinstance(found, QuerySolutions)
+        found = self._target.select(f"SELECT ?p ?o {{ GRAPH {heartbeat} {{ {heartbeat} ?p ?o }} }}")
         said = [(row["p"], row["o"]) for row in found]
         runs = [value for predicate, value in said if predicate == ros.revision]
         moments = [f"{heartbeat} {predicate} {value} .\n" for predicate, value in said if predicate == dcterms.modified]

@@ -23,7 +23,7 @@ class SyncTarget(Protocol):
         ...
 
     def change(self, graphs: Mapping[str, str | None], edits: Sequence[Edit] = ()) -> None:
-        """Replace graphs, then do edits, as `Store.replace`. Raises Problem 503 and NotEnoughMemory."""
+        """Replace graphs, then do edits, as `MemoryStore.replace`. Raises Problem 503 and NotEnoughMemory."""
         ...
 
 

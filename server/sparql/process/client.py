@@ -113,7 +113,7 @@ class QueryProcess:
     # --- what it is told
 
     def change(self, graphs: Mapping[str, str | None], edits: Sequence[Edit] = (), dataset: int = 0) -> None:
-        """Replace graphs, then do edits, as `Store.replace`: all that is asked afterwards sees it.
+        """Replace graphs, then do edits, as `MemoryStore.replace`: all that is asked afterwards sees it.
 
         A graph that cannot be stored is left out, and told of in the log. Raises Problem 503 where there is no process,
         and NotEnoughMemory where the process has none for what is added.

@@ -18,7 +18,7 @@ _NUMBER = struct.Struct("<Q")
 
 
 class Change(NamedTuple):
-    """Replace graphs of a dataset by N-Triples (None: drop them), then do edits: as `Store.replace`."""
+    """Replace graphs of a dataset by N-Triples (None: drop them), then do edits: as `MemoryStore.replace`."""
 
     dataset: int
     graphs: Mapping[str, str | None]

@@ -83,6 +83,8 @@ class _Worker:
     def __init__(self, connection: socket.socket, stores: Mapping[int, MemoryStore]) -> None:
         self._connection = connection
         self._stores = {**stores}
+        for store in stores.values():
+            store.keep_garbage()
         self._memory = resource.getrlimit(resource.RLIMIT_AS)
         self._statm = -1
         with suppress(OSError):

@@ -210,4 +210,4 @@ def test_results_that_are_none_are_told_of_before_anybody_reads_them(failing: St
     store = RemoteStore(Endpoint(url, seconds=5), Endpoint(url, seconds=5))
     for _ in NO_RESULTS:
         with pytest.raises(StoreUnreachable, match="results"):
-            store.graphs()
+            store.graphs_with_prefix("")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import random
 from collections.abc import Callable
 from typing import Any
 
@@ -73,6 +74,20 @@ def test_it_is_there_for_as_long_as_any_graph_says_so(http: httpx.Client) -> Non
     assert rows(http, query) == [["1"], ["o"]]
     http.put("/data/w", content="<urn:u> <urn:p> 2 .", headers=TURTLE)
     assert rows(http, query) == [["2"], ["o"]]
+
+
+def test_it_is_the_union_however_much_is_replaced(http: httpx.Client) -> None:
+    """So much that the dataset copies itself, which it does when it has lost four times what it holds."""
+    chosen, held = random.Random(1), dict[str, set[int]]()
+    for turn in range(60):
+        path = f"m{turn % 4}"
+        held[path] = set(chosen.sample(range(1500), 700))
+        text = "".join(f"<urn:m> <urn:m> {number} ." for number in held[path])
+        assert http.put(f"/data/{path}", content=text, headers=TURTLE).is_success
+        if turn % 4 == 3:
+            union = set[int]().union(*held.values())
+            query = "SELECT (COUNT(*) AS ?n) (SUM(?o) AS ?sum) { <urn:m> <urn:m> ?o }"
+            assert rows(http, query) == [[str(len(union)), str(sum(union))], ["n", "sum"]]
 
 
 def test_what_is_there_for_looks_at_everything_alone_is_there_every_time(http: httpx.Client) -> None:

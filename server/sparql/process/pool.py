@@ -7,6 +7,8 @@ import logging
 import os
 import socket
 from collections import deque
+from collections.abc import Callable
+from functools import partial
 from itertools import count
 
 from rosld.server.sparql.process.connection import ChildProcess, Connection
@@ -28,12 +30,19 @@ _IDLE_SECONDS = 10.0
 """Seconds after which an idle worker ends that is not the only one."""
 
 
-class _Worker:
-    """A worker: `unsent` are the changes that it has not been sent, `job` is what it does."""
+class _Worker(Connection):
+    """The connection to a worker: `unsent` are the changes that it has not been sent, `job` is what it does."""
 
-    def __init__(self, number: int) -> None:
+    def __init__(
+        self,
+        number: int,
+        connection: socket.socket,
+        loop: asyncio.AbstractEventLoop,
+        on_message: Callable[[_Worker, object], None],
+        on_lost: Callable[[_Worker], None],
+    ) -> None:
+        super().__init__(connection, loop, partial(on_message, self), partial(on_lost, self))
         self.number = number
-        self.connection: Connection
         self.job: Evaluation | None = None
         self.unsent: list[bytes] = []
         self.is_outdated = False
@@ -52,23 +61,15 @@ class _Worker:
             self.is_outdated = True
             self.unsent.clear()
 
-    def pause(self) -> None:
-        """Receive nothing until `resume`."""
-        self.connection.pause()
-
-    def resume(self) -> None:
-        """Receive again."""
-        self.connection.resume()
-
     def begin(self, job: Evaluation) -> None:
         """Send the changes and the job."""
         self.job, job.worker = job, self
         for data in (*self.unsent, job.data):
-            self.connection.send(data)
+            self.send(data)
         self.unsent.clear()
         self._behind = 0
         self.turns += 1
-        self.connection.flush()
+        self.flush()
 
 
 class WorkerPool:
@@ -99,7 +100,7 @@ class WorkerPool:
         for each in (self._workers, self._idle, self._queue):
             each.clear()
         for worker in workers:
-            worker.connection.close()
+            worker.close()
             if worker.job is not None:
                 jobs.append(worker.job)
         for job in jobs:
@@ -179,10 +180,7 @@ class WorkerPool:
 
     def _fork(self, process: ChildProcess) -> _Worker:
         ours, theirs = socket.socketpair()
-        worker = _Worker(next(self._numbers))
-        worker.connection = Connection(
-            ours, self._loop, lambda message: self._take(worker, message), lambda: self._settle(worker)
-        )
+        worker = _Worker(next(self._numbers), ours, self._loop, self._take, self._settle)
         self._workers[worker.number] = worker
         process.send(pack(Fork(worker.number)), theirs.detach())
         process.flush()
@@ -190,7 +188,7 @@ class WorkerPool:
 
     def _drop(self, worker: _Worker) -> None:
         """Forget a worker, which ends by that if it has no job."""
-        worker.connection.close()
+        worker.close()
         self._workers.pop(worker.number, None)
         if worker in self._idle:
             self._idle.remove(worker)
@@ -228,7 +226,7 @@ class WorkerPool:
 
     def _settle(self, worker: _Worker) -> None:
         """Fail the job of a worker that is gone, once all that it sent was received and it is known how it ended."""
-        if worker.number not in self._workers or worker.connection.is_open:
+        if worker.number not in self._workers or worker.is_open:
             return
         if worker.ended is None and worker.job is not None:
             return

@@ -85,7 +85,7 @@ class Relation(NamedTuple):
 
 def relations() -> Iterator[Relation]:
     """The object properties of the ontology's own namespace, by name."""
-    triples = [each for name in OWN if name != "deprecated" for each in module_triples(name)]
+    triples = [each for name in OWN for each in module_triples(name)]
     kinds = {each.subject for each in triples if (each.predicate, each.object) == (rdf.type, owl.ObjectProperty)}
     said: dict[tuple[object, NamedNode], list[str]] = {}
     for subject, predicate, value in triples:

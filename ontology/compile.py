@@ -209,7 +209,8 @@ class _Function:
         text = self._notation.time(subject, "{t}") if is_wanted else ""
         if not text:
             return ""
-        self._lines.append(f"t = '' if s.simulated_time else date_time({message}.sec, {message}.nanosec)")
+        sec, nanosec = f"{message}.sec", f"{message}.nanosec"  # both 0: not set (std_msgs/Header), or the latest (tf2)
+        self._lines.append(f"t = date_time({sec}, {nanosec}) if ({sec} or {nanosec}) and not s.simulated_time else ''")
         return "{" + self._new(f"f'{text}' if t else ''") + "}"
 
     def _field(self, kind: TypeName, field: Field, value: str, subject: str) -> tuple[str, str]:

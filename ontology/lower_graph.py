@@ -32,9 +32,9 @@ from rosld.ontology.lexical import BINARIES, NUMBERS, parse_boolean, parse_date_
 from rosld.ontology.literals import DTYPES, STRINGS
 from rosld.ontology.typenames import type_names
 from rosld.ontology.violations import Findings, Path
-from rosld.ontology.vocab import rdf, ros, superseded, xsd
+from rosld.ontology.vocab import rdf, ros, xsd
 
-IGNORED = frozenset({ros.received, ros.sequence, ros.sentBy, superseded.publisher, ros.latched, ros.dateTime, ros.rate})
+IGNORED = frozenset({ros.received, ros.sequence, ros.sentBy, ros.latched, ros.dateTime, ros.rate})
 """What the server says about messages: sent back to it, it means nothing."""
 
 Reader: TypeAlias = Callable[[Term, Path, "GraphReading"], object]

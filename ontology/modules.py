@@ -12,17 +12,19 @@ from importlib.resources import files
 
 from pyoxigraph import NamedNode, RdfFormat, Triple, parse
 
-from rosld.ontology.vocab import av, dcterms, mapping, owl, rdf, rdfs, ros
+from rosld.ontology.vocab import av, mapping, owl, rdf, rdfs, ros
 
 ROOT = "https://w3id.org/rosld"
 VERSION = "0.2.0"
 CORE = "core"
-OWN = (CORE, "types", "interaction", "recording", "server", "mapping", "aircraft", "deprecated")
+OWN = (CORE, "types", "interaction", "recording", "server", "mapping", "aircraft")
 """The modules that define terms."""
 ALIGNMENTS = tuple(f"align-{name}" for name in ("sosa", "prov", "wot", "ldp", "dcat", "ease", "cora"))
 """The modules that relate them to the terms of others."""
 MODULES = (*OWN, *ALIGNMENTS)
 _NAMESPACES = (ros.iri, mapping.iri, av.iri)
+_DECLARED = (ros.iri, owl.iri, rdf.iri, rdfs.iri)
+"""The namespaces of the classes that the core, as it is served, may say a term is of."""
 
 
 def module_iri(name: str, version: str = "") -> str:
@@ -59,24 +61,19 @@ def served_triples(name: str) -> tuple[Triple, ...]:
 
 
 def _signposts(name: str) -> Iterator[Triple]:
-    """Of each term of `ros:` that a module defines: its kind, its label, and that it is defined there."""
+    """Of each term of `ros:` that a module defines: its kind, its label, and that it is defined there.
+
+    Classes of other vocabularies are left out: the core does not declare them (OWL 2 DL).
+    """
     terms = {iri for iri, home in home_of_terms().items() if home == name and iri.startswith(ros.iri)}
-    told = (rdf.type, rdfs.label, rdfs.isDefinedBy, owl.deprecated)
     for triple in module_triples(name):
-        if isinstance(triple.subject, NamedNode) and triple.subject.value in terms and triple.predicate in told:
+        subject, predicate, value = triple
+        if not isinstance(subject, NamedNode) or subject.value not in terms:
+            continue
+        if predicate in (rdfs.label, rdfs.isDefinedBy) or (
+            predicate == rdf.type and isinstance(value, NamedNode) and value.value.startswith(_DECLARED)
+        ):
             yield triple
-
-
-@cache
-def successors() -> Mapping[str, tuple[str, ...]]:
-    """What has taken the place of each deprecated term."""
-    gone = {each.subject for name in OWN for each in module_triples(name) if each.predicate == owl.deprecated}
-    found: dict[str, tuple[str, ...]] = {}
-    for name in OWN:
-        for subject, predicate, value in module_triples(name):
-            if isinstance(subject, NamedNode) and subject in gone and predicate == dcterms.isReplacedBy:
-                found[subject.value] = (*found.get(subject.value, ()), value.value)
-    return found
 
 
 @cache

@@ -16,8 +16,8 @@ from pyoxigraph import Literal, NamedNode, Triple
 
 from rosld.ontology.document import Document
 from rosld.ontology.literals import date_time
-from rosld.ontology.triples import RDF_SOURCE, Value, date_time_literal, statements, text, triples_about
-from rosld.ontology.vocab import Namespace, rdf, xsd
+from rosld.ontology.triples import RDF_SOURCE, date_time_literal, statements, text, triples_about
+from rosld.ontology.vocab import Namespace, ldp, rdf, xsd
 
 Json: TypeAlias = Mapping[str, object]
 
@@ -74,6 +74,8 @@ DEFINITIONS: Json = {
     "rate": {"@id": notify.iri + "rate", "@type": DURATION.value},
 }
 """What the context of the protocol means by its terms: nothing is fetched, so it is known here."""
+_TYPES: Json = {"@type": [ldp.Resource.value, ldp.RDFSource.value]}
+"""The types of LDP, beside the one `type` that clients without RDF read: JSON-LD 1.1 takes both."""
 
 
 def channel_type(name: str) -> NamedNode:
@@ -96,19 +98,21 @@ class ServiceDescription:
 
     def document(self) -> Document:
         """What it says of itself (protocol 3.2)."""
-        return Document(self.url, tuple(triples_about(NamedNode(self.url), *RDF_SOURCE, *self._statements())))
+        return Document(self.url, tuple(self.triples()))
 
     def triples(self) -> list[Triple]:
-        """What others say of it."""
-        return triples_about(NamedNode(self.url), *self._statements())
-
-    def _statements(self) -> list[tuple[NamedNode, Value | None]]:
-        return [(notify.channelType, channel_type(self.type)), *statements(notify.feature, FEATURES)]
+        """What it and the description of the server say of it."""
+        return triples_about(
+            NamedNode(self.url),
+            *RDF_SOURCE,
+            (notify.channelType, channel_type(self.type)),
+            *statements(notify.feature, FEATURES),
+        )
 
     def members(self) -> Json:
         """The same as members of a JSON-LD object."""
         features = [feature.value for feature in FEATURES]
-        return {"id": self.url, "channelType": channel_type(self.type).value, "feature": features}
+        return {"id": self.url, **_TYPES, "channelType": channel_type(self.type).value, "feature": features}
 
 
 def description_document(url: str, storage: str, services: Iterable[ServiceDescription]) -> Document:
@@ -121,9 +125,11 @@ def description_document(url: str, storage: str, services: Iterable[ServiceDescr
     )
 
 
-def description_members(url: str, services: Iterable[ServiceDescription]) -> Json:
+def description_members(url: str, storage: str, services: Iterable[ServiceDescription]) -> Json:
     """The same as members of a JSON-LD object."""
-    return {"id": url, "subscription": [service.members() for service in services]}
+    found = tuple(services)
+    offers = {"id": storage, "subscription": [service.url for service in found]}
+    return {"id": url, **_TYPES, "subscription": [service.members() for service in found], "@included": [offers]}
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,6 +167,7 @@ class ChannelDescription:
         found = {
             "id": self.url,
             "type": channel_type(self.type).value,
+            **_TYPES,
             "topic": self.topic,
             "receiveFrom": self.receive_from,
             "accept": self.accept,

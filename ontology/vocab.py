@@ -396,7 +396,6 @@ class owl(Namespace, iri="http://www.w3.org/2002/07/owl#"):
     ObjectProperty: NamedNode
     NamedIndividual: NamedNode
     Ontology: NamedNode
-    deprecated: NamedNode
 
 
 class sd(Namespace, iri="http://www.w3.org/ns/sparql-service-description#"):
@@ -485,7 +484,6 @@ class dcterms(Namespace, iri="http://purl.org/dc/terms/"):
     created: NamedNode
     modified: NamedNode
     format: NamedNode
-    isReplacedBy: NamedNode
 
 
 class spdx(Namespace, iri="http://spdx.org/rdf/terms#"):
@@ -807,19 +805,6 @@ class mapping(Namespace, iri="https://w3id.org/rosld/mapping#"):
     availableWhen: NamedNode
     atRestWhen: NamedNode
     existsWhen: NamedNode
-
-
-class superseded(Namespace, iri=ros.iri):
-    """Terms of `ros:` that are no longer written, and still understood where clients send them."""
-
-    publisher: NamedNode
-
-
-class superseded_mapping(Namespace, iri=mapping.iri):
-    """Those of mapping documents."""
-
-    unit: NamedNode
-    quantityKind: NamedNode
 
 
 class av(Namespace, iri="https://w3id.org/rosld/aircraft#"):

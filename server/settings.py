@@ -226,7 +226,7 @@ class Settings:
         metavar="FILE",
     )
     demand_if_match: bool = setting(
-        False, "Refuse to change what is kept under /data/ without If-Match (428).", option=True
+        False, "Refuse a PUT that replaces a document under /data/ without If-Match (428).", option=True
     )
     read_only: bool = setting(False, "Offer nothing that changes the robot.", option=True)
     rate: float = setting(

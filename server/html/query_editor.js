@@ -142,7 +142,7 @@ Its endpoint is this server's, and nothing is asked of another. Without this fil
     element("results").hidden = response.status === 204;
     if (response.status === 204) return tell("Done: the update is carried out.");
     results.setResponse(response, duration);
-    tell([unread(response.headers), deprecated(response.headers)].filter(Boolean).join(" "));
+    tell(unread(response.headers));
     remember();
   });
 
@@ -150,9 +150,6 @@ Its endpoint is this server's, and nothing is asked of another. Without this fil
     const parts = [...(headers?.get("unread-graphs") ?? "").matchAll(/([\w-]+);count=(\d+)/g)].map(([, name, count]) => `${count} of /${name}/`);
     return parts.length ? `Not looked at, as the query does not name them: ${parts.join(", ")}.` : "";
   }
-
-  const deprecated = (headers) => (headers?.get("link") ?? "").split(/,\s*(?=<)/).filter((each) => /rel="?deprecation/.test(each))
-    .map((each) => /title="((?:[^"\\]|\\.)*)"/.exec(each)?.[1] ?? "").join(" ");
 
   /* The address is that of the query and its view, to be handed on; an update never stands in it. */
   function remember() {

@@ -23,7 +23,7 @@ from rosld.ontology.turtle import prefixed_name
 from rosld.ontology.urls import Space
 from rosld.ontology.violations import LoweringError, Violation
 from rosld.ontology.violations import brief_value as brief
-from rosld.ontology.vocab import mapping, qudt, rdf, rdfs, sh, superseded_mapping
+from rosld.ontology.vocab import mapping, qudt, rdf, rdfs, sh
 from rosld.server.hypermedia.mapping import (
     ComplexResource,
     Condition,
@@ -48,7 +48,7 @@ LONGEST_READING = 5.0
 """Seconds that the conditions of a document may take to be read."""
 _WHEN = (mapping.writableWhen, mapping.availableWhen, mapping.existsWhen, mapping.atRestWhen)
 _TELLING = (mapping.name, mapping.member, mapping.service, mapping.target, mapping.call, mapping.publish)
-_TERMS = frozenset((*mapping.terms().values(), *superseded_mapping.terms().values()))
+_TERMS = frozenset(mapping.terms().values())
 _NEUTRAL = frozenset(
     NamedNode(sh.iri + name)
     for name in (
@@ -207,10 +207,7 @@ class _Reader:
             member,
             name,
             field,
-            Measure(
-                self.iri(node, qudt.hasUnit) or self.iri(node, superseded_mapping.unit),
-                self.iri(node, qudt.hasQuantityKind) or self.iri(node, superseded_mapping.quantityKind),
-            ),
+            Measure(self.iri(node, qudt.hasUnit), self.iri(node, qudt.hasQuantityKind)),
             self.when(node, mapping.writableWhen),
         )
 

@@ -253,7 +253,7 @@ class StorageDescription(DescribedResource):
         return description_document(self.url, self.notifications.space.base, self.notifications.services)
 
     def members(self) -> Json:
-        return description_members(self.url, self.notifications.services)
+        return description_members(self.url, self.notifications.space.base, self.notifications.services)
 
 
 class WellKnownContainer(DescribedResource):

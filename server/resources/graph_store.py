@@ -216,6 +216,8 @@ class GraphStore(Resource):
         resource = self._resolve(exchange.request.scope)
         if resource is self:
             raise Problem(400, f"<{graph[:200]}> is the graph store itself, and none of its graphs.")
+        if resource.url.partition("?")[0] != graph.partition("?")[0]:  # two IRIs that are one URL are two graphs
+            raise Problem(403, f"No graph <{graph[:200]}> can be here: the name is spelt <{resource.url[:200]}>.")
         if exchange.method in ("PUT", "POST"):
             await _prepare(exchange, resource)
         return await resource.select_variant(exchange)

@@ -9,7 +9,6 @@ from pyoxigraph import NamedNode, Triple
 from starlette.responses import Response, StreamingResponse
 
 from rosld.ontology.document import Document
-from rosld.ontology.modules import term_url
 from rosld.ontology.triples import statements, triples_about
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import rdf, rdfs, ros, sd
@@ -17,7 +16,7 @@ from rosld.server import html
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.html import Notice, PageResults, SparqlPage, StoredQueryLink
 from rosld.server.html.page import NoticeLevel
-from rosld.server.http import link, negotiation
+from rosld.server.http import negotiation
 from rosld.server.http.charset import FORM
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import DataSchema
@@ -33,7 +32,6 @@ from rosld.server.rest.state import State
 from rosld.server.runtime.version_cache import VersionCache
 from rosld.server.settings import Settings
 from rosld.server.sparql import disconnect
-from rosld.server.sparql.deprecated_terms import find_deprecated_terms
 from rosld.server.sparql.disconnect import Disconnected
 from rosld.server.sparql.protocol import (
     QUERY_MEDIA_TYPE,
@@ -75,8 +73,6 @@ OFFERS = (*SOLUTIONS, *(media_type for media_type in GRAPHS if media_type not in
 
 GRAPH_FORMS = ("CONSTRUCT", "DESCRIBE")
 """The forms of queries whose results are graphs."""
-_MOST_DEPRECATED = 5
-"""The deprecated terms of a query that its answer tells of."""
 _PROTOCOL = frozenset({"query", "update", "default-graph-uri", "named-graph-uri"})
 """The parameters that make a GET a query, or an attempt at one."""
 
@@ -352,29 +348,14 @@ class SparqlResource(Resource):
 
     async def _answer(self, request: QueryRequest, accept: str | None, exchange: Exchange) -> Response:
         disconnected, permissions = disconnect.disconnection_of(exchange.request.receive), exchange.permissions
-        deprecated = find_deprecated_terms(request.text)
         if not prefers_page(accept):
-            try:
-                answer = await answer_query(self._service, request, accept, disconnected, permissions)
-            except Problem as problem:
-                if deprecated:
-                    problem.headers["Link"] = self._deprecation_links(deprecated)
-                raise
-            if deprecated:
-                answer.headers["Link"] = self._deprecation_links(deprecated)
-            return answer
+            return await answer_query(self._service, request, accept, disconnected, permissions)
         try:
             return self._page(
                 permissions, request.text, await page_results(self._service, request, disconnected, permissions)
             )
         except Problem as problem:
             return self._page(permissions, request.text, None, problem)
-
-    def _deprecation_links(self, deprecated: Mapping[str, str]) -> str:
-        """Links to what is said of deprecated terms (RFC 9745 3), with what has taken their places as titles."""
-        first = list(deprecated.items())[:_MOST_DEPRECATED]
-        links = ((term_url(iri, self.space.base), words) for iri, words in first)
-        return link.render([link.Link(url, "deprecation", title=words) for url, words in links if url is not None])
 
     def _page(
         self,
@@ -383,10 +364,9 @@ class SparqlResource(Resource):
         results: PageResults | None = None,
         problem: Problem | None = None,
     ) -> Response:
-        notices = [] if problem is None else [Notice(problem.detail, NoticeLevel.ERROR)]
-        notices += [Notice(words, NoticeLevel.WARNING) for words in find_deprecated_terms(text).values()]
+        notices = () if problem is None else (Notice(problem.detail, NoticeLevel.ERROR),)
         examples = tuple(each for each in self._examples() if permissions.may_read(each.url))
-        page = SparqlPage(self._pages.site_for(permissions), text, examples, results, tuple(notices))
+        page = SparqlPage(self._pages.site_for(permissions), text, examples, results, notices)
         status, also = (200, {}) if problem is None else (problem.status, problem.headers)
         policy = {"content-security-policy": html.QUERY_EDITOR_POLICY}
         headers = {**also, **self._pages.headers, **policy, "Vary": "Accept", "Cache-Control": "no-cache"}

@@ -144,13 +144,17 @@ def test_list_cells_of_two_documents_never_share_a_label() -> None:
     assert not cells(D) & cells(D + "2")
 
 
-def test_a_stamp_gains_a_date_time_unless_time_is_simulated() -> None:
+def test_a_stamp_gains_a_date_time_unless_it_is_zero_or_time_is_simulated() -> None:
     schema = schema_of("time t\nduration d")
     message = message_of(schema, {"t": {"sec": 1_700_000_000, "nanosec": 20}})
     text = lifter(schema).ntriples(message, D, "#message")
     assert text.count("rosld#dateTime>") == 1
     assert '"2023-11-14T22:13:20.00000002Z"' in text
-    assert "dateTime" not in lifter(schema).ntriples(message, D, "#message", simulated_time=True)
+    zero = message_of(schema, {"t": {"sec": 0, "nanosec": 0}})
+    for each, simulated, written in ((message, False, True), (message, True, False), (zero, False, False)):
+        made = lifter(schema)
+        for text in (made.ntriples, made.turtle, made.jsonld, made.triples):
+            assert ("dateTime" in str(text(each, D, "#message", simulated_time=simulated))) == written
 
 
 @pytest.mark.parametrize(

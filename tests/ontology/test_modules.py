@@ -21,12 +21,10 @@ from rosld.ontology.modules import (
     served_triples,
     term_url,
 )  # fmt: skip
-from rosld.ontology.vocab import PREFIXES, Namespace, av, dcterms, mapping, owl, rdf, rdfs, ros, superseded_mapping, xsd
+from rosld.ontology.vocab import PREFIXES, Namespace, av, dcterms, mapping, owl, rdf, rdfs, ros, xsd
 
 VANN, SKOS = "http://purl.org/vocab/vann/", "http://www.w3.org/2004/02/skos/core#"
 OURS: tuple[type[Namespace], ...] = (ros, mapping, av)
-CURRENT = tuple(name for name in OWN if name != "deprecated")
-REPLACED_BY = NamedNode(dcterms.iri + "isReplacedBy")
 
 
 def objects(name: str, subject: NamedNode, predicate: NamedNode) -> list[object]:
@@ -36,12 +34,6 @@ def objects(name: str, subject: NamedNode, predicate: NamedNode) -> list[object]
 def terms_of(*names: str) -> dict[NamedNode, str]:
     """The terms that modules define, with the module of each."""
     return {NamedNode(iri): home for iri, home in home_of_terms().items() if home in names}
-
-
-def current_terms() -> dict[NamedNode, str]:
-    """Those that are not deprecated."""
-    gone = {each.subject for each in every(*OWN) if each.predicate == owl.deprecated}
-    return {term: home for term, home in terms_of(*OWN).items() if term not in gone}
 
 
 def every(*names: str) -> list[Triple]:
@@ -78,7 +70,7 @@ def test_a_module_imports_the_modules_whose_terms_it_uses() -> None:
             waiting = {each.value for each in found if isinstance(each, NamedNode)} - reached
         homes = home_of_terms()
         for triple in module_triples(name):
-            if triple.predicate in (REPLACED_BY, NamedNode(SKOS + "scopeNote")):
+            if triple.predicate == NamedNode(SKOS + "scopeNote"):
                 continue
             for term in (triple.subject, triple.object):
                 if isinstance(term, NamedNode) and term.value in homes:
@@ -102,7 +94,7 @@ def test_a_module_that_defines_terms_declares_their_prefix() -> None:
 
 
 def test_every_term_is_a_constant_and_is_defined_once() -> None:
-    assert set(current_terms()) == {term for space in OURS for term in space.terms().values()}
+    assert set(terms_of(*OWN)) == {term for space in OURS for term in space.terms().values()}
     defined = Counter(each.subject for each in every(*OWN) if each.predicate == rdfs.isDefinedBy)
     assert [term for term, times in defined.items() if times != 1] == []
 
@@ -121,14 +113,14 @@ def test_every_term_has_an_english_label_and_comment() -> None:
 def test_no_label_stands_for_two_terms() -> None:
     """And no two terms differ by case alone."""
     labels = Counter(each.object.value.lower() for each in every(*OWN) if each.predicate == rdfs.label)
-    names = Counter(term.value.lower() for term in current_terms())
+    names = Counter(term.value.lower() for term in terms_of(*OWN))
     assert [label for label, times in [*labels.items(), *names.items()] if times > 1] == []
 
 
 def test_forty_terms_have_a_note_on_their_scope_and_an_example() -> None:
-    noted = {each.subject for each in every(*CURRENT) if each.predicate.value == f"{SKOS}scopeNote"}
-    shown = {each.subject for each in every(*CURRENT) if each.predicate.value == f"{SKOS}example"}
-    classes = {term for term, home in current_terms().items() if owl.Class in objects(home, term, rdf.type)}
+    noted = {each.subject for each in every(*OWN) if each.predicate.value == f"{SKOS}scopeNote"}
+    shown = {each.subject for each in every(*OWN) if each.predicate.value == f"{SKOS}example"}
+    classes = {term for term, home in terms_of(*OWN).items() if owl.Class in objects(home, term, rdf.type)}
     assert classes <= noted & shown
     assert len(noted & shown) >= 40
 
@@ -162,8 +154,8 @@ def test_every_term_that_a_module_uses_is_declared_in_it() -> None:
 
 
 def test_inverse_properties_have_domain_and_range_the_other_way_round() -> None:
-    homes = current_terms()
-    pairs = [each for each in every(*CURRENT) if each.predicate == NamedNode(owl.iri + "inverseOf")]
+    homes = terms_of(*OWN)
+    pairs = [each for each in every(*OWN) if each.predicate == NamedNode(owl.iri + "inverseOf")]
     assert len(pairs) >= 8
     for pair in pairs:
         assert isinstance(pair.subject, NamedNode)
@@ -174,13 +166,13 @@ def test_inverse_properties_have_domain_and_range_the_other_way_round() -> None:
 
 
 def test_states_are_individuals_of_the_sets_that_they_are_in() -> None:
-    sets = {each.subject for each in every(*CURRENT) if each.object == ros.OperationalState} | {
+    sets = {each.subject for each in every(*OWN) if each.object == ros.OperationalState} | {
         ros.PrimaryState,
         ros.TransitionState,
     }
     individuals = {
         term: set(objects(home, term, rdf.type))
-        for term, home in current_terms().items()
+        for term, home in terms_of(*OWN).items()
         if owl.NamedIndividual in objects(home, term, rdf.type) and set(objects(home, term, rdf.type)) & sets
     }
     assert len(individuals) == 25
@@ -190,12 +182,12 @@ def test_states_are_individuals_of_the_sets_that_they_are_in() -> None:
 def test_classes_of_one_module_are_told_apart() -> None:
     """By an owl:AllDisjointClasses: but classes and their subclasses, and the states, which overlap."""
     disjoint = set()
-    for name in CURRENT:
+    for name in OWN:
         for each in module_triples(name):
             if each.predicate == NamedNode(owl.iri + "members"):
                 disjoint |= set(combinations(sorted(_members(name, each.object), key=str), 2))
     assert len(disjoint) > 200
-    parents = {(each.subject, each.object) for each in every(*CURRENT) if each.predicate == rdfs.subClassOf}
+    parents = {(each.subject, each.object) for each in every(*OWN) if each.predicate == rdfs.subClassOf}
     assert not disjoint & (parents | {(b, a) for a, b in parents})
 
 
@@ -209,21 +201,8 @@ def _members(name: str, first: object) -> list[NamedNode]:
     return found
 
 
-def test_deprecated_terms_tell_what_has_taken_their_place() -> None:
-    homes = current_terms()
-    for term, home in terms_of(*OWN).items():
-        if term in homes:
-            continue
-        assert objects(home, term, owl.deprecated) == [Literal(True)]
-        instead = objects(home, term, REPLACED_BY)
-        assert instead
-        for each in instead:
-            assert isinstance(each, NamedNode)
-            assert each in homes or not each.value.startswith("https://w3id.org/rosld"), term
-
-
 def test_alignments_speak_of_terms_that_exist_and_define_none() -> None:
-    known = set(current_terms()) | {NamedNode(module_iri(name, v)) for name in MODULES for v in ("", VERSION)}
+    known = set(terms_of(*OWN)) | {NamedNode(module_iri(name, v)) for name in MODULES for v in ("", VERSION)}
     for triple in every(*ALIGNMENTS):
         for term in (triple.subject, triple.object):
             if (
@@ -257,7 +236,6 @@ def test_the_core_leads_to_every_module_and_to_every_other_term_of_its_namespace
         (ros.Topic.value, "ontology#Topic"),
         (ros.Call.value, "ontology/interaction#Call"),
         (ros.MessageType.value, "ontology/types#MessageType"),
-        (f"{ros.iri}publisher", "ontology/deprecated#publisher"),
         (f"{ros.iri}none", "ontology#none"),
         (mapping.path.value, "ontology/mapping#path"),
         (av.power.value, "ontology/aircraft#power"),
@@ -276,4 +254,4 @@ def test_the_shape_of_mappings_speaks_of_every_term_and_of_no_other() -> None:
     triples = [quad.triple for quad in parse(text, format=RdfFormat.TURTLE, base_iri="http://x/")]
     named = {each.object for each in triples if isinstance(each.object, NamedNode)}
     spoken = {each for each in named if each.value.startswith(mapping.iri)}
-    assert spoken - set(superseded_mapping.terms().values()) == set(mapping.terms().values())
+    assert spoken == set(mapping.terms().values())

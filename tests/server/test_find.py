@@ -115,7 +115,8 @@ def test_what_mappings_and_descriptors_say_is_found(robot: MadeUp, serving: Serv
         http,
         """
         <> a map:ComplexResource ; rdfs:label "The propulsion" ; map:path "/a/" ; map:property [
-            map:predicate ex:thrust ; map:member "/a/b" ; map:unit unit:KiloN ; map:quantityKind quantitykind:Force ] .
+            map:predicate ex:thrust ; map:member "/a/b" ; qudt:hasUnit unit:KiloN ;
+            qudt:hasQuantityKind quantitykind:Force ] .
         """.replace("rdfs:label", "<http://www.w3.org/2000/01/rdf-schema#label>"),
     )
     assert [one["url"] for one in find(http, "propulsion")] == [

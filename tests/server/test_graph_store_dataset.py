@@ -56,6 +56,18 @@ def test_the_dataset_is_had_as_nquads_unless_something_else_is_asked_for(http: h
     assert http.get("/graphs?all&default").status_code == 400
 
 
+def test_a_name_that_is_spelt_otherwise_is_no_graph(http: httpx.Client) -> None:
+    """Equal URLs are one resource (RFC 3986, 6.2.2.2), and graphs are told apart by the letter."""
+    assert http.put("/graphs?graph=/data/spelt/1", content="<> <urn:p> 1 .", headers=TURTLE).is_success
+    assert http.put("/graphs?graph=/data/spelt/%2531", content="<> <urn:p> 2 .", headers=TURTLE).status_code == 403
+    refused = http.delete("/graphs?graph=/data/spelt/%2531")
+    assert refused.status_code == 403
+    assert f"<{http.base_url}data/spelt/1>" in refused.text
+    moved = http.get("/graphs?graph=/data/spelt/%2531", follow_redirects=False)
+    assert (moved.status_code, moved.headers["location"]) == (308, f"{http.base_url}data/spelt/1")
+    assert '"1"' in http.get("/data/spelt/1", headers=NTRIPLES).text
+
+
 def test_what_names_no_graph_is_refused_and_the_endpoint_names_the_graph_store(http: httpx.Client) -> None:
     unclear = ("graph=a&graph=a", "graph=a&default", "default&default", "graph=a%20b", "graph=http://[", "graph=%FF")
     for query in (*unclear, "graph=a&" + "&".join(["a=b"] * 300)):

@@ -81,9 +81,9 @@ class StoredResource(Resource):
         return self.documents.changes.watch(wake, lambda path: path == self.path)
 
     def require_if_match(self, exchange: Exchange) -> None:
-        """Raise a 428 Problem where writes must say what they change, and this one does not."""
+        """Raise a 428 Problem for a PUT without If-Match where the settings demand it (LDP 4.2.4.5)."""
         if self.documents.settings.demand_if_match:
-            require_if_match(exchange.header("if-match"), "What is kept is changed by those who have read it.")
+            require_if_match(exchange.header("if-match"), "A document is replaced by clients that have read it.")
 
     async def change_record(self, exchange: Exchange, make: Callable[[Record], Awaitable[Write]]) -> None:
         """Do what `make` makes of the record as it is.
@@ -110,7 +110,6 @@ class StoredResource(Resource):
 
         Raises a 409 Problem for a container that has members, 412 where another has changed it.
         """
-        self.require_if_match(exchange)
         with_versions = exchange.query_flag("versions") and self.documents.settings.versions > 0
 
         async def removed(record: Record) -> Write:

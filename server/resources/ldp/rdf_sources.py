@@ -106,7 +106,6 @@ class RdfSourceResource(StoredResource):
 
     async def post(self, exchange: Exchange) -> Answer:
         """The body is merged into what is here (SPARQL 1.1 Graph Store Protocol 5.5)."""
-        self.require_if_match(exchange)
         read = merged_statements if exchange.essence == MULTIPART else read_statements
         added = await read(self.documents.workers, exchange, self.document_url, self._subject)
 
@@ -130,7 +129,6 @@ class RdfSourceResource(StoredResource):
 
         One that is made while another changes the resource is applied anew.
         """
-        self.require_if_match(exchange)
         data, media_type, url = await exchange.body(), exchange.media_type, self.document_url
 
         def patch(before: Sequence[Triple]) -> Sequence[Triple]:

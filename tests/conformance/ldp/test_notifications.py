@@ -26,6 +26,8 @@ def test_a_websocket_channel_sends_each_change(place: Place, served: Served) -> 
     wish = {"@context": ["https://www.w3.org/ns/solid/notifications-context/v1"], "type": kind}
     body = json.dumps({**wish, "topic": place.at("a")})
     answer = served.at("channels/").send("POST", kind, body, "application/ld+json")
+    channel = answer.headers["location"]
+    assert place.graph(channel, Accept="application/ld+json") == place.graph(channel)
     with connect(answer.json()["receiveFrom"], open_timeout=10) as socket:
         place.put("a", "<> <http://ex.org/p> 2 .")
         notification = json.loads(socket.recv(timeout=10))

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rdflib import OWL, RDF, Graph, Literal, URIRef
 
-from rosld.ontology.modules import MODULES, module_iri
+from rosld.ontology.modules import MODULES, module_iri, served_triples
 from tests.interop.java.maven import libraries
 from tests.ontology.reasoning import VOCABULARIES
 
@@ -39,8 +39,9 @@ def robot(commands: Sequence[Sequence[str | Path]]) -> list[str]:
 
 
 def write_alone(name: str, folder: Path) -> Path:
-    """A module by itself: without what it imports."""
-    graph = Graph().parse(_FILES / f"{name}.ttl")
+    """A module by itself, as it is served: without what it imports."""
+    text = "".join(f"{triple} .\n" for triple in served_triples(name))
+    graph = Graph().parse(data=text, format="nt")
     graph.remove((None, OWL.imports, None))
     return _write(graph, folder / f"{name}.ttl")
 

@@ -156,13 +156,13 @@ def test_names_of_properties_and_actions_come_from_map_name_or_from_what_they_ar
 
 
 def test_a_member_may_carry_a_field_a_unit_and_a_quantity_kind() -> None:
-    """In QUDT's terms, or in those that mappings had of their own before."""
-    for unit, kind in (("qudt:hasUnit", "qudt:hasQuantityKind"), ("map:unit", "map:quantityKind")):
-        found = one_property(f'map:member "pose" ; map:field "position.x" ; {unit} unit:M ; {kind} quantitykind:Length')
-        assert found.field == "position.x"
-        assert found.measure == Measure(
-            NamedNode("http://qudt.org/vocab/unit/M"), NamedNode("http://qudt.org/vocab/quantitykind/Length")
-        )
+    found = one_property(
+        'map:member "pose" ; map:field "position.x" ; qudt:hasUnit unit:M ; qudt:hasQuantityKind quantitykind:Length'
+    )
+    assert found.field == "position.x"
+    assert found.measure == Measure(
+        NamedNode("http://qudt.org/vocab/unit/M"), NamedNode("http://qudt.org/vocab/quantitykind/Length")
+    )
 
 
 def test_the_title_is_a_label_in_english_or_no_language_first() -> None:
@@ -201,8 +201,8 @@ WRONG: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("field", 'map:property [ map:predicate av:p ; map:member "p" ; map:field {} ]', ('"x/y"', '"x."', '""', '"x\\n"')),
     ("field", 'map:property [ map:predicate av:p ; map:member "p" ; map:field {} ]', ('"x" , "y"',)),
     ("hasUnit", 'map:property [ map:predicate av:p ; map:member "p" ; qudt:hasUnit {} ]', ('"m"',)),
-    ("unit", 'map:property [ map:predicate av:p ; map:member "p" ; map:unit {} ]', ('"m"', "unit:M , unit:S")),
-    ("quantityKind", 'map:property [ map:predicate av:p ; map:member "p" ; map:quantityKind {} ]', ('"length"',)),
+    ("hasUnit", 'map:property [ map:predicate av:p ; map:member "p" ; qudt:hasUnit {} ]', ("unit:M , unit:S",)),
+    ("hasQuantityKind", "map:property [ map:predicate av:p ; map:member 'p' ; qudt:hasQuantityKind {} ]", ('"m"',)),
     ("service", 'map:property [ map:predicate av:p ; map:member "p" ; map:service {} ]', ('"s"',)),
     ("availableWhen", 'map:property [ map:predicate av:p ; map:member "p" ; map:availableWhen {} ]', (SHAPE,)),
     ("feld", 'map:property [ map:predicate av:p ; map:member "p" ; map:feld {} ]', ('"x"',)),

@@ -1,4 +1,4 @@
-"""Answers over HTTP: functions, values that look like rows, large results, terms that are deprecated."""
+"""Answers over HTTP: functions, values that look like rows, and large results."""
 
 from __future__ import annotations
 
@@ -11,9 +11,6 @@ from typing import Any
 
 import httpx
 import pytest
-
-from rosld.ontology.modules import successors
-from rosld.server.http.link import parse
 
 ROS, MAP = "https://w3id.org/rosld#", "https://w3id.org/rosld/mapping#"
 FORMATS = {
@@ -126,39 +123,3 @@ def test_rows_are_counted_in_every_format_whatever_values_hold(start_server: Cal
             if name == "json":
                 found = {row["o"]["value"] for row in answer.json()["results"]["bindings"]}
                 assert found == texts
-
-
-PREFIX = f"PREFIX ros: <{ROS}> "
-
-
-@pytest.mark.parametrize(
-    ("text", "term"),
-    [
-        (PREFIX + "SELECT * { ?topic ros:publisher ?node }", "publisher"),
-        (f"prefix r: <{ROS}> SELECT * {{ ?graph r:master/r:name ?name }}", "master"),
-        (f"SELECT * {{ ?topic <{ROS}publisher> ?node }}", "publisher"),
-        ("SELECT * { ?topic ros:publisher ?node }", "publisher"),
-        (PREFIX + "SELECT { ?topic ros:publisher ?node }", "publisher"),
-        ("PREFIX ros: <http://example.org/> SELECT * { ?topic ros:publisher ?node }", None),
-        (PREFIX + "SELECT * { ?topic ros:publishedBy ?node ; ros:publishers ?x }", None),
-    ],
-)
-def test_an_answer_or_an_error_links_to_what_has_replaced_a_deprecated_term(
-    http: httpx.Client, text: str, term: str | None
-) -> None:
-    answer = http.get("/sparql", params={"query": text}, headers={"Accept": "application/json"})
-    assert answer.status_code == (400 if "SELECT {" in text else 200)
-    links = [each for each in parse(", ".join(answer.headers.get_list("link"))) if each.rel == "deprecation"]
-    assert [link.target for link in links] == ([f"{http.base_url}ontology/deprecated#{term}"] if term else [])
-    if term == "publisher":
-        assert "ros:publishedBy" in str(links[0].title)
-        page = http.get("/sparql", params={"query": text}, headers={"Accept": "text/html"}).text
-        assert "ros:publisher is deprecated: " in page
-
-
-@pytest.mark.slow
-def test_every_deprecated_term_is_told_with_its_successor(http: httpx.Client) -> None:
-    for iri, instead in successors().items():
-        answer = http.get("/sparql", params={"query": f"ASK {{ ?a <{iri}> ?b }}"})
-        assert instead
-        assert 'rel="deprecation"' in answer.headers["link"], iri

@@ -16,7 +16,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import AsyncIterator, Collection, Iterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
 from contextlib import ExitStack, asynccontextmanager, contextmanager, suppress
 from http.client import HTTPConnection
 from pathlib import Path
@@ -36,10 +36,12 @@ from rosld.adapters.model.schema import MessageSchema
 from rosld.ontology.document import Envelope
 from rosld.ontology.lift import TYPES, lifter
 from rosld.ontology.vocab import PREFIXES, rdf, ros
+from rosld.server.auth.permissions import Permissions
+from rosld.server.rest.resource import Resource
 from rosld.server.sparql.analysis import Analyser
-from rosld.server.sparql.graph_source import GraphEntry
+from rosld.server.sparql.graph_source import GraphEntry, LiveDocument, LiveGraphs
 from rosld.server.sparql.materializer import Materializer
-from rosld.server.sparql.needs import Needs
+from rosld.server.sparql.needs import Needs, ToldTerms
 from rosld.server.sparql.process.client import QueryProcess
 from rosld.server.sparql.protocol import query_request
 from rosld.server.sparql.query_service import QueryService, QuerySettings
@@ -230,7 +232,9 @@ class Robot:
         schema = library.find(TypeRef("geometry_msgs/msg/Twist"))
         assert isinstance(schema, MessageSchema)
         self._lifter = lifter(schema)
-        self._types = frozenset(schema.types)
+        fields = (f"{TYPES}{kind.name}#{field.name}" for kind in schema.types.values() for field in kind.fields)
+        self._told = ToldTerms(frozenset({*fields, ros.latest.value, rdf.type.value}), frozenset())
+        self._resource = Resource(BASE)
         vector = schema.codec.build("geometry_msgs/msg/Vector3", {"x": 1.5, "y": -0.25, "z": 3.0})
         message = schema.codec.build(schema.ref.name, {"linear": vector, "angular": vector})
         self._message = schema.codec.decode(schema.codec.encode(message, Encoding.ROS1), Encoding.ROS1)
@@ -247,13 +251,16 @@ class Robot:
     def descriptions(self) -> Mapping[str, GraphEntry]:
         return self._descriptions
 
-    async def documents_of(self, terms: Collection[str]) -> Collection[str]:
-        """None: it has topics only."""
-        return ()
+    async def prepare(self, needs: Needs) -> None:
+        """Nothing is left to describe."""
 
-    async def live(self, needs: Needs, *, deadline: float) -> Sequence[GraphEntry]:
-        named = self._urls if needs.graphs is None else sorted(needs.graphs)
-        return [self._entry(url) for url in named if needs.wants_topic(url, self._types)]
+    def wanted(self, needs: Needs, permissions: Permissions) -> Sequence[LiveDocument]:
+        named = {pattern.graph or pattern.document for pattern in needs.patterns}
+        urls = self._urls if None in named else [url for url in self._urls if url in named]
+        return [LiveDocument(url, self._resource, url in named) for url in urls if needs.may_match(url, self._told)]
+
+    async def read(self, documents: Sequence[LiveDocument], *, deadline: float) -> LiveGraphs:
+        return LiveGraphs({one.url: self._entry(one.url) for one in documents}, {})
 
     def _entry(self, url: str) -> GraphEntry:
         turn = self._turn

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from pyoxigraph import Literal, NamedNode, Triple
 
+from rosld.adapters.model import TypeRef
 from rosld.ontology.triples import double, text, triples_about
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import rdf, ros
@@ -22,14 +23,14 @@ _TYPE_RELATIONS: Mapping[NamedNode, NamedNode] = {
 class MemberOutline:
     """A resource in a list: its URL, its class (None: not told), its name, and what is at hand of it.
 
-    `types` are the names of its ROS types; two or more contradict each other. `rate` is in messages a second, `value`
+    `types` are its ROS types; two or more contradict each other. `rate` is in messages a second, `value`
     brief plain JSON; both are None where they are not at hand.
     """
 
     url: str
     kind: NamedNode | None
     name: str | None
-    types: tuple[str, ...] = ()
+    types: tuple[TypeRef | str, ...] = ()
     rate: float | None = None
     value: str | None = None
 
@@ -48,7 +49,10 @@ def member_triples(member: MemberOutline, space: Space) -> list[Triple]:
     )
 
 
-def _types(relation: NamedNode, types: tuple[str, ...], space: Space) -> list[tuple[NamedNode, NamedNode | Literal]]:
+def _types(
+    relation: NamedNode, types: tuple[TypeRef | str, ...], space: Space
+) -> list[tuple[NamedNode, NamedNode | Literal]]:
     if len(types) == 1:
-        return [(relation, NamedNode(space.class_of(types[0])))]
-    return [(ros.conflictingType, NamedNode(space.type(name))) for name in types]
+        (type,) = types
+        return [(relation, NamedNode(space.class_of(type if isinstance(type, str) else type.name)))]
+    return [(ros.conflictingType, NamedNode(space.type(type))) for type in types]

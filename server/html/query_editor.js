@@ -147,8 +147,8 @@ Its endpoint is this server's, and nothing is asked of another. Without this fil
   });
 
   function unread(headers) {
-    const parts = [...(headers?.get("unread-graphs") ?? "").matchAll(/([\w-]+);count=(\d+)/g)].map(([, name, count]) => `${count} of /${name}/`);
-    return parts.length ? `Not looked at, as the query does not name them: ${parts.join(", ")}.` : "";
+    const urls = [...(headers?.get("unread-graphs") ?? "").matchAll(/"([^"]+)"/g)].map(([, url]) => new URL(url).pathname);
+    return urls.length ? `The answer is partial. Not read: ${urls.join(", ")}.` : "";
   }
 
   /* The address is that of the query and its view, to be handed on; an update never stands in it. */

@@ -11,6 +11,7 @@ import contextlib
 from collections.abc import AsyncIterator, Callable, Iterable, Mapping, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Generic, TypeVar
 
 from rosld.adapters.base import Watch
@@ -185,6 +186,10 @@ class AffordanceService(Generic[T]):
         version = (tree, readings, self._is_open)
         found = states.find(url, version)
         return found if found is not None else states.put(url, version, make(self.snapshot(tree, readings)))
+
+    def unread(self, tree: ResourceTree, reads: Iterable[Property]) -> Snapshot:
+        """Return the snapshot in which these properties have no values yet."""
+        return self.snapshot(tree, (_unread(one.name) for one in reads))
 
     def snapshot(self, tree: ResourceTree, readings: Iterable[Reading]) -> Snapshot:
         """What follows from readings."""
@@ -412,6 +417,12 @@ async def _take(held: contextlib.AsyncExitStack, locks: Iterable[asyncio.Lock]) 
 def is_observable(found: Property) -> bool:
     """Whether the changes of a property are noticed as they happen: those of a topic are, and of an action's goal."""
     return bool(found.readers) and isinstance(found.readers[0], TopicSource | GoalSource)
+
+
+@lru_cache(maxsize=4096)
+def _unread(name: str) -> Reading:
+    """Return the reading of a property that was not read: the same each time, as readings are compared by identity."""
+    return Reading(name, None)
 
 
 def _member_of(part: Property) -> MemberPlan:

@@ -13,6 +13,8 @@ _MAX_NUMBERS = 1000
 _HEAVY = frozenset({"LaserScan", "MultiEchoLaserScan", "LaserEcho", "PointCloud", "PolygonMesh", "Mesh", "Marker"})
 """Types of other numbers without a bound of which there are many; a battery's cells and a robot's joints are few."""
 
+_BULKY = frozenset({"PointCloud", "PolygonMesh", "Mesh"})
+
 
 @lru_cache(maxsize=1024)
 def is_light(schema: MessageSchema) -> bool:
@@ -21,6 +23,19 @@ def is_light(schema: MessageSchema) -> bool:
     if any(kind.name.rpartition("/")[2] in _HEAVY for kind in kinds):
         return False
     return not any(_is_many(field.type) for kind in kinds for field in kind.fields)
+
+
+@lru_cache(maxsize=1024)
+def is_bulky(schema: MessageSchema) -> bool:
+    """Whether messages of a type are pictures, clouds, maps or sounds: what nobody receives by the way."""
+    kinds = schema.types.values()
+    if any(kind.name.rpartition("/")[2] in _BULKY for kind in kinds):
+        return True
+    arrays = (field.type for kind in kinds for field in kind.fields if isinstance(field.type, Array))
+    return any(
+        isinstance(one.element, Primitive) and one.element.name in _OCTETS and (one.length or one.bound) is None
+        for one in arrays
+    )
 
 
 def _is_many(kind: object) -> bool:

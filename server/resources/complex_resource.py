@@ -156,6 +156,24 @@ class ComplexResource(CommandResource):
             self.url, tree, plan.reads, lambda snapshot: self._state_of(plan, snapshot)
         )
 
+    def outline(self, tree: ResourceTree) -> State | None:
+        """Return the state without the members' values; None where what is on offer depends on values."""
+        plan = tree.complex(self.path)
+        if plan is None or plan.is_conditional:
+            return None
+        return self._state_of(plan, self.affordances.unread(tree, plan.reads))
+
+    async def state_with(self, names: frozenset[str]) -> State:
+        """Return the state with the values of some members alone, by the names of their properties."""
+        tree, plan = await self._plan()
+        reads = [one for one in plan.reads if one.name in names]
+        unread = self.affordances.unread(tree, plan.reads)
+
+        def make(snapshot: Snapshot) -> State:
+            return self._state_of(plan, replace(unread, readings={**unread.readings, **snapshot.readings}))
+
+        return await self.affordances.cached_state(f"{self.url}#{' '.join(sorted(names))}", tree, reads, make)
+
     def _state_of(self, plan: ComplexPlan, snapshot: Snapshot) -> State:
         view = self.affordances.complex_view(plan, snapshot)
         own = tuple(member.reading for member in view.members)

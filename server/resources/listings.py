@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from pyoxigraph import Triple
@@ -84,8 +84,13 @@ class ListingResource(Resource):
         token = digest(repr(members).encode("utf-8", "replace"))
         return self._states.get_or_make(self.url, token, lambda: State(lambda: self._document(members), token=token))
 
+    def outline(self) -> tuple[Hashable, Callable[[], Document]]:
+        """Return the description, after a token that changes with it."""
+        members = tuple(self._members())
+        return members, lambda: self._document(members)
+
     def _document(self, members: Sequence[ListedMember]) -> Document:
-        """The members, and in brief what became of each: in the dataset they say it themselves."""
+        """Return the members, and in brief what became of each."""
         document = container_document(self.url, (member.url for member in members), self.kind)
         outlines = (triple for member in members for triple in member.outline)
         return replace(document, triples=(*document.triples, *outlines))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from pyoxigraph import NamedNode
 
@@ -13,7 +13,7 @@ from rosld.ontology.urls import Space
 from rosld.ontology.vocab import ros
 from rosld.server.html.brief import brief_text
 from rosld.server.html.page import Cell, Thumbnail
-from rosld.server.hypermedia.latest_values import LatestValue, LatestValues
+from rosld.server.hypermedia.latest_values import LatestValue
 from rosld.server.pictures.form import OCCUPANCY_GRID
 
 _THUMBNAIL_WIDTH = 192
@@ -22,31 +22,29 @@ _THUMBNAIL_WIDTH = 192
 
 def member_outlines(
     space: Space,
-    latest_values: LatestValues,
+    latest_of: Callable[[str], LatestValue | None],
     things: Mapping[str, object],
     route: str,
     namespace: tuple[str, ...],
     members: Members,
 ) -> tuple[MemberOutline, ...]:
-    """What is told in brief of these members of a namespace, which are among `things`.
-
-    Names, types, and of topics rate and value as far as they are at hand.
-    """
+    """Return in brief these members of a namespace, which are among `things`: names, types, latest values of topics."""
     leaves = ((*namespace, leaf) for leaf in members.leaves)
     below = ((*namespace, inner) for inner in members.namespaces)
     return (
-        *(_outline(latest_values, things, names.join(path), space.url(route, path)) for path in leaves),
+        *(_outline(latest_of, things, names.join(path), space.url(route, path)) for path in leaves),
         *(MemberOutline(space.container(route, path), None, names.join(path)) for path in below),
     )
 
 
-def _outline(latest_values: LatestValues, things: Mapping[str, object], name: str, url: str) -> MemberOutline:
+def _outline(
+    latest_of: Callable[[str], LatestValue | None], things: Mapping[str, object], name: str, url: str
+) -> MemberOutline:
     match things.get(name):
         case Topic() as thing:
-            latest = latest_values.of_topic(name)
-            types = tuple(ref.name for ref in thing.types)
+            latest = latest_of(name)
             rate, value = (None, None) if latest is None else (latest.rate, latest.json)
-            return MemberOutline(url, ros.Topic, name, types, rate, value)
+            return MemberOutline(url, ros.Topic, name, tuple(thing.types), rate, value)
         case Service() as thing:
             return MemberOutline(url, ros.Service, name, () if thing.type is None else (thing.type.name,))
         case Action() as thing:

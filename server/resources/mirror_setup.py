@@ -20,7 +20,7 @@ from rosld.server.robot.session import Session
 from rosld.server.runtime.loop_time import loop_time
 from rosld.server.settings import Settings
 from rosld.server.sparql.materializer import Materializer
-from rosld.server.sparql.needs import Demand, Needs
+from rosld.server.sparql.needs import Needs, needs_of_documents
 from rosld.server.sparql.process.client import QueryProcess
 from rosld.server.sparql.process.work import DumpGraphs, ListGraphs, Work
 
@@ -148,8 +148,8 @@ class _Reading:
 
     def _topics(self) -> Needs:
         urls = frozenset(map(self._session.space.topic, self._session.topics.always_subscribed()))
-        return Needs((Demand(graphs=urls),)) if urls else Needs()
+        return needs_of_documents(urls)
 
     def _parameters(self) -> Needs:
         urls = frozenset(map(self._session.space.parameter, self._session.graph.parameters))
-        return Needs((Demand(graphs=urls, messages=False, parameters=True),)) if urls else Needs()
+        return needs_of_documents(urls)

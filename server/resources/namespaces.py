@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -249,14 +249,7 @@ class NamespaceContainer(Resource):
         now = self._listed()
         members = self._members(now)
         page, told = (None, members) if self._place is None else self._page(self._place, members)
-        outlines = member_outlines(
-            self.session.space,
-            self.latest_values,
-            things_of(now.graph, self.route),
-            self.route,
-            self.namespace,
-            told,
-        )
+        outlines = self._outlines(now, told, self.latest_values.of_topic)
         values = self._values_below()
         version = (members, now.is_name, outlines, values, now.graph.revision)
 
@@ -270,6 +263,19 @@ class NamespaceContainer(Resource):
 
         token = digest(repr((members, now.is_name, now.leaves_out, outlines, values)).encode("utf-8", "replace"))
         return self.states.get_or_make(self._sequence if page is None else page.url, version, make)
+
+    def outline(self) -> tuple[Hashable, Callable[[], Document]]:
+        """Return the description without values, after a token that changes with it."""
+        now = self._listed()
+        members = self._members(now)
+        outlines = self._outlines(now, members, lambda name: None)
+        return (members, now.is_name, now.leaves_out, outlines), lambda: self._document(now, members, outlines)
+
+    def _outlines(
+        self, now: ListedNamespace, told: Members, latest_of: Callable[[str], LatestValue | None]
+    ) -> tuple[MemberOutline, ...]:
+        things = things_of(now.graph, self.route)
+        return member_outlines(self.session.space, latest_of, things, self.route, self.namespace, told)
 
     def _values_below(self) -> Sequence[tuple[str, LatestValue | None]]:
         """The values at hand of all topics below, which the page lists, too: it is another one when one of them is."""

@@ -240,6 +240,15 @@ class MemberResource(CommandResource):
             )
         raise self._missing(tree)
 
+    def outline(self, tree: ResourceTree) -> State | None:
+        """Return the state without the value; None where what is on offer depends on values."""
+        plan, action, offers = tree.property(self.name), tree.action(self.name), self.affordances
+        if plan is not None:
+            return None if plan.is_conditional else self._state_of(plan, offers.unread(tree, plan.reads))
+        if action is None or action.exists_when or action.conditions:
+            return None
+        return self._shown_action(action, offers.unread(tree, action.reads))
+
     def _state_of(self, plan: PropertyPlan, snapshot: Snapshot) -> State:
         view = self.affordances.property_view(plan, snapshot)
         shape = shape_url(view.reading, view.field, self.session.space)

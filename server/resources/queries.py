@@ -42,6 +42,7 @@ from rosld.server.resources.sparql_endpoint import (
     FORMATS,
     GRAPH_FORMS,
     OFFERS,
+    PARTIAL,
     RESULT_FORMAT,
     RESULTS,
     TIMEOUT,
@@ -63,7 +64,7 @@ from rosld.server.rest.state import State
 from rosld.server.runtime.version_cache import IdentityKey, VersionCache
 from rosld.server.settings import Settings
 from rosld.server.sparql import disconnect
-from rosld.server.sparql.protocol import QUERY_MEDIA_TYPE, QueryRequest, requested_timeout
+from rosld.server.sparql.protocol import QUERY_MEDIA_TYPE, QueryRequest, requested_partial, requested_timeout
 from rosld.server.sparql.query_service import QueryService
 from rosld.server.sparql.stored_query import (
     OTHER_SETTINGS,
@@ -100,7 +101,7 @@ def _query_item(purpose: str, parameters: Iterable[QueryParameterDeclaration]) -
         purpose[:_LONGEST_SUMMARY],
         (*RESULTS, QUERY_MEDIA_TYPE),
         ANYTHING,
-        (RESULT_FORMAT, TIMEOUT, *given),
+        (RESULT_FORMAT, TIMEOUT, PARTIAL, *given),
         streams=False,
         also=(409, *EXTRA_STATUSES),
     )
@@ -123,16 +124,17 @@ class QueryRunner:
         Problems: 400 as `bind_parameters`, 406, and those of the query service.
         """
         given = {name: value for name, value in exchange.query.items() if name not in OTHER_SETTINGS}
-        timeout = requested_timeout((name, value) for name, value in exchange.query.items() if value)
+        pairs = [(name, value) for name, value in exchange.query.items() if value]
+        asked = QueryRequest("", timeout=requested_timeout(pairs), partial=requested_partial(pairs))
         if exchange.query.get("format") in (None, "", "html") and prefers_page(accept_of(exchange)):
-            return await self._page(exchange, resource, query, given, timeout)
+            return await self._page(exchange, resource, query, given, asked)
         form = self.service.check(bind_parameters(query, self._samples(query, given), self.base)).form
         is_description = form not in GRAPH_FORMS and not given
         formats = {"html", *available_formats(form), *(available_formats("DESCRIBE") if is_description else ())}
         accept = accept_of(exchange, [name for name in FORMATS if name in formats])
         if is_description and negotiation.choose(accept, OFFERS) in _DESCRIPTIONS:
             return None
-        request = QueryRequest(bind_parameters(query, given, self.base), timeout=timeout)
+        request = replace(asked, text=bind_parameters(query, given, self.base))
         disconnected = disconnect.disconnection_of(exchange.request.receive)
         answer = await answer_query(self.service, request, accept, disconnected, exchange.permissions)
         return self._identify(exchange, resource, answer, state)
@@ -162,7 +164,7 @@ class QueryRunner:
         resource: Resource,
         query: StoredQuery,
         given: Mapping[str, str],
-        timeout: float | None,
+        asked: QueryRequest,
     ) -> Response:
         """The page: with results where all parameters are there, with the reason where they are not."""
         results: PageResults | None = None
@@ -170,7 +172,7 @@ class QueryRunner:
         status, also = 200, dict[str, str]()
         if given or all(one.default is not None for one in query.parameters):
             try:
-                request = QueryRequest(bind_parameters(query, given, self.base), timeout=timeout)
+                request = replace(asked, text=bind_parameters(query, given, self.base))
                 results = await page_results(
                     self.service, request, disconnect.disconnection_of(exchange.request.receive), exchange.permissions
                 )

@@ -124,12 +124,11 @@ async def answer_query(
 def results_response(answer: QueryAnswer) -> Response:
     """The response with the results of a query; streamed ones break off where they cannot be finished.
 
-    The field `Unread-Graphs` tells what it was not asked over: a list of containers, each with the number of graphs
-    (RFC 9651 3.1).
+    The field `Unread-Graphs` of a partial answer lists the documents that could not be read (RFC 9651 3.1).
     """
     fixed_headers = _FIXED_HEADERS
     if answer.unread:
-        unread = ", ".join(f"{container};count={count}" for container, count in answer.unread.items())
+        unread = ", ".join(f'"{url}"' for url in sorted(answer.unread)[:_MAX_UNREAD])
         fixed_headers = (*_FIXED_HEADERS, (b"unread-graphs", unread.encode("ascii")))
     if isinstance(answer.body, bytes):
         length = (b"content-length", b"%d" % len(answer.body))
@@ -141,13 +140,8 @@ def results_response(answer: QueryAnswer) -> Response:
 
 
 _FIXED_HEADERS: tuple[tuple[bytes, bytes], ...] = ((b"vary", b"Accept"), (b"cache-control", b"no-cache"))
-_UNREAD = {
-    "topics": "{} topics that nobody subscribes to",
-    "resources": "{} resources below /resources/",
-    "parameters": "{} trees of parameters",
-    "bags": "{} recorded messages",
-}
-"""What graphs are by their container; all others are a document each."""
+_MAX_UNREAD = 100
+"""Documents that the header of a partial answer names."""
 
 
 async def page_results(
@@ -158,8 +152,8 @@ async def page_results(
 ) -> PageResults:
     """The first rows of the answer to a query, for a page."""
     table = await service.table(request, ROWS + 1, disconnected, permissions)
-    left = "; ".join(_UNREAD.get(name, f"/{name}").format(count) for name, count in table.unread.items())
-    note = f"Not looked at, as the query does not name them: {left}." if left else ""
+    left = "; ".join(f"{url}: {reason}" for url, reason in sorted(table.unread.items())[:_MAX_UNREAD])
+    note = f"The answer is partial. Not read: {left}." if left else ""
     return PageResults(table.variables, table.rows, table.boolean, ROWS, note)
 
 
@@ -203,6 +197,9 @@ def _extensions(service: NamedNode) -> Iterable[Triple]:
 RESULTS = tuple(dict.fromkeys((*SOLUTIONS, *GRAPHS, HTML)))
 """The media types of results."""
 RESULT_FORMAT = replace(FORMAT, schema={"type": "string", "enum": [*FORMATS]})
+PARTIAL = QueryParameter(
+    "partial", "Whether an answer is taken without values that cannot be read.", {"type": "boolean"}
+)
 TIMEOUT = QueryParameter("timeout", "The seconds that the query may take.", {"type": "number", "exclusiveMinimum": 0})
 _GRAPHS: DataSchema = {"type": "array", "items": URI}
 _QUERY = QueryParameter("query", "A query (SPARQL 1.1 Protocol 2.1); without one the endpoint describes itself.")
@@ -263,9 +260,9 @@ class SparqlResource(Resource):
         post = WriteMethod(
             sends={"anyOf": [form, update]} if updates else form,
             done=(200, 204) if updates else (200,),
-            query=(_QUERY, *_OF_BOTH, *_OF_CLIENTS, TIMEOUT, *(_OF_UPDATES if updates else ())),
+            query=(_QUERY, *_OF_BOTH, *_OF_CLIENTS, TIMEOUT, PARTIAL, *(_OF_UPDATES if updates else ())),
         )
-        return PathItem("The SPARQL endpoint", RESULTS, ANYTHING, (_QUERY, *_OF_BOTH, TIMEOUT), {"POST": post})
+        return PathItem("The SPARQL endpoint", RESULTS, ANYTHING, (_QUERY, *_OF_BOTH, TIMEOUT, PARTIAL), {"POST": post})
 
     @property
     def conforms_to(self) -> Sequence[str]:

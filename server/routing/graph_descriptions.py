@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
-from itertools import product
+from itertools import chain, product
 
 from pyoxigraph import NamedNode
 
@@ -22,8 +22,10 @@ from rosld.ontology.urls import Space
 from rosld.ontology.vocab import rdf, ros
 from rosld.server.resources import types
 from rosld.server.resources.bag_descriptions import bag_urls, describe_armed, describe_bag, describe_running
-from rosld.server.resources.namespaces import ListedNamespace, listed_graph, namespaces
+from rosld.server.resources.complex_resource import ComplexResource
+from rosld.server.resources.namespaces import listed_graph, namespaces
 from rosld.server.resources.parameters import ParameterTree
+from rosld.server.resources.property_action import MemberResource
 from rosld.server.resources.queries import queries_document, shipped_document
 from rosld.server.resources.types import SHAPES_GRAPHS, child_names, known_types, shapes_graph
 from rosld.server.routing.resource_factory import ResourceFactory
@@ -112,6 +114,7 @@ class GraphDescriptions:
         yield from self._containers(graph)
         yield from self._types()
         yield from self._recordings()
+        yield from self._resources()
         yield from self._activities()
         for iri, fixed in self._fixed.items():
             yield _described(iri, 0, fixed)
@@ -119,17 +122,14 @@ class GraphDescriptions:
             yield _described(module.url, 0, module.document)
 
     def _containers(self, graph: Graph) -> Iterator[GraphEntry]:
-        space, capabilities = self._session.space, self._session.adapter.capabilities
+        space = self._session.space
         for path in namespaces(graph, "parameters"):
             tree = self._factory.parameter_tree(path)
             yield _described(tree.url, IdentityKey(graph.parameters), partial(_of_itself, tree))
         for route in LISTED_ROUTES:
-            for path, whole in namespaces(graph, route).items():
-                listed = ListedNamespace(graph, capabilities, route, path)
-                members = listed.members
-                assert members is not None
-                describe = partial(listed.document, space, members)
-                yield _described(space.container(route, path), (members, listed.is_name, members == whole), describe)
+            for path in namespaces(graph, route):
+                listing = self._factory.namespace(route, path)
+                yield _described(listing.url, *listing.outline())
         yield _described(
             space.container("queries"),
             self._services.queries.version,
@@ -183,21 +183,32 @@ class GraphDescriptions:
             progress = one.writer.count, one.writer.problem
             yield _described(space.bag(one.name), progress, partial(describe_running, space, recordings, one))
 
+    def _resources(self) -> Iterator[GraphEntry]:
+        """Yield the resources below `/resources/` without values, but for those that depend on conditions."""
+        tree = self._services.affordances.last_tree
+        if tree is None:
+            return
+        simulated = self._session.graph.simulated_time
+        members = map(self._factory.member, {*tree.properties, *tree.actions})
+        below: Iterable[ComplexResource | MemberResource] = chain(map(self._factory.complex, tree.paths), members)
+        for resource in below:
+            state = resource.outline(tree)
+            if state is not None:
+                yield _described(resource.url, (state.view, simulated), state.describe)
+
     def _activities(self) -> Iterator[GraphEntry]:
         """Calls, goals, holds and the stop, and the containers of the first three."""
-        space = self._session.space
         calls, goals, holds = self._session.calls.all(), self._session.goals.all(), self._services.holds.all()
-        yield _container(space.container("calls"), tuple(space.call(call.id) for call in calls), "Calls")
+        for listing in (self._factory.calls(), self._factory.goals(), self._factory.holds()):
+            yield _described(listing.url, *listing.outline())
         for call in calls:
             of_call = self._factory.call(call.id)
             yield _described(of_call.url, (call.id, call.state), partial(of_call.document, call))
-        yield _container(space.container("holds"), tuple(space.hold(hold.id) for hold in holds), "Holds")
         for hold in holds:
             of_hold = self._factory.hold(hold.id)
             yield _described(of_hold.url, IdentityKey(hold), partial(of_hold.document, hold))
         stop, software_stop = self._factory.stop(), self._services.software_stop
         yield _described(stop.url, (software_stop.revision, software_stop.steps), stop.document)
-        yield _container(space.container("goals"), tuple(space.goal(goal.id) for goal in goals), "Goals")
         for goal in goals:
             of_goal = self._factory.goal(goal.id)
             yield _described(of_goal.url, IdentityKey(goal), partial(of_goal.document, goal))

@@ -1,52 +1,77 @@
 """The dataset that SPARQL sees: one named graph a resource, exactly what a GET of it says.
 
-What listings say of their members is in their graphs only where a query names these: the members say it themselves.
-
-Graphs without live values (the computation graph, containers, types, shapes, the vocabulary) are descriptions, listed
-all. Topics with their messages, parameters with their values, resources whose getters are called and recorded messages
-are made when a query needs them.
+Descriptions (the computation graph, containers, types, shapes, resources without values, the vocabulary) take no
+reading of the robot and are always there. Values (latest messages, those of parameters and properties, and what
+conditions on these offer) are read when a query can match them.
 """
 
 from __future__ import annotations
 
 import asyncio
-import contextlib
-from collections.abc import Callable, Collection, Coroutine, Hashable, Iterable, Iterator, Mapping, Sequence
-from functools import partial
+from collections.abc import Callable, Coroutine, Hashable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import lru_cache, partial, reduce
 from itertools import chain
+from typing import NamedTuple
 
-from rosld.adapters.model import Graph, MessageSchema, ParameterValue, RosError, Topic
+from rosld.adapters.model import Array, Graph, MessageSchema, Nested, ParameterValue, RosError, Topic
 from rosld.ontology.document import Document
-from rosld.ontology.triples import double
 from rosld.ontology.urls import Location, Space
-from rosld.ontology.vocab import ros
+from rosld.ontology.vocab import rdf, ros
 from rosld.server.auth.permissions import Permissions
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.catalogue import MessageKind, Property, TopicSource
 from rosld.server.hypermedia.conditions import url_of
-from rosld.server.hypermedia.mappings import related
-from rosld.server.hypermedia.resource_tree import path_of
+from rosld.server.hypermedia.light_types import is_bulky
+from rosld.server.hypermedia.resource_tree import ComplexPlan, MemberPlan, ResourceTree
 from rosld.server.policies import active_limits, stored_queries
-from rosld.server.resources.listings import ListingResource
-from rosld.server.resources.namespaces import NamespaceContainer, namespaces
+from rosld.server.resources.complex_resource import ComplexResource
+from rosld.server.resources.namespaces import namespaces
 from rosld.server.resources.parameters import ParameterResource, ParameterTree
 from rosld.server.resources.topics import TopicResource
 from rosld.server.rest.resource import Resource
 from rosld.server.rest.state import State
-from rosld.server.routing.graph_descriptions import LISTED_ROUTES, GraphDescriptions, document_ntriples
+from rosld.server.routing.graph_descriptions import GraphDescriptions, document_ntriples
 from rosld.server.routing.resource_factory import ResourceFactory
 from rosld.server.runtime.loop_time import loop_time
-from rosld.server.sparql.graph_source import GraphEntry
-from rosld.server.sparql.needs import Needs
-from rosld.server.sparql.vocabulary_view import ACTIONS, COMPLEX, PROPERTIES
+from rosld.server.runtime.version_cache import IdentityKey
+from rosld.server.sparql.graph_source import GraphEntry, LiveDocument, LiveGraphs
+from rosld.server.sparql.needs import Constants, Needs, ToldTerms
 
 _KEPT = 256
-"""Needs whose resources are remembered."""
+"""Needs whose documents are remembered."""
 OTHER_ROUTES = frozenset({stored_queries.ROUTE, active_limits.ROUTE})
 """The containers of what clients keep in which something else lies too: they are described here, whole."""
 _AT_ONCE = 64
-"""Looks that are begun before the loop has its turn."""
+"""Reads that are begun before the loop has its turn."""
 _TURNS = 4
 """Times that topics are looked at to have their values all of one moment."""
+
+
+_MESSAGE = frozenset(
+    term.value for term in (rdf.type, ros.received, ros.sequence, ros.sentBy, ros.dateTime, ros.elidedLength, ros.bytes)
+)
+"""Predicates of any message, beside its fields."""
+_LISTS = frozenset({rdf.first.value, rdf.rest.value})
+_CLASSES = frozenset({ros.Message.value, ros.Elided.value})
+_TOPIC = frozenset(term.value for term in (ros.latest, ros.latestFrom, ros.unreadable, ros.words))
+_PROPERTY = frozenset(term.value for term in (rdf.value, ros.unreadable, ros.words, ros.readsFrom))
+_RATE = ToldTerms(frozenset({ros.rate.value}), frozenset())
+_BRIEF = ToldTerms(frozenset({ros.briefValue.value, ros.rate.value}), frozenset())
+_PARAMETER = ToldTerms(frozenset({ros.value.value}), frozenset())
+_ANYTHING = ToldTerms()
+
+
+class _Candidate(NamedTuple):
+    """A document with values: its URL, what they tell, and what makes its resource.
+
+    One that reads pictures or clouds has values only `by_name`.
+    """
+
+    url: str
+    told: ToldTerms
+    make: Callable[[], Resource]
+    by_name: bool = False
 
 
 class RobotGraphs:
@@ -54,16 +79,17 @@ class RobotGraphs:
 
     def __init__(self, factory: ResourceFactory) -> None:
         self._factory = factory
-        self._services = factory.services
+        self._affordances = factory.services.affordances
+        self._recordings = factory.services.recordings
         self._session = factory.session
         self._descriptions = GraphDescriptions(factory)
-        self._found: dict[Needs, tuple[Hashable, Sequence[Resource]]] = {}
-        self._live: Mapping[str, Resource] = {}
+        self._found: dict[Needs, tuple[Hashable, Sequence[LiveDocument]]] = {}
+        self._changing: Sequence[Resource] = ()
 
-    def add(self, fixed: Mapping[str, Callable[[], Document]], live: Iterable[Resource]) -> None:
-        """Add documents that never change, by URL, and resources that are read whenever a query may mean them."""
+    def add(self, fixed: Mapping[str, Callable[[], Document]], changing: Iterable[Resource]) -> None:
+        """Add documents that never change, by URL, and resources whose state is read for each query that may match."""
         self._descriptions.add(fixed)
-        self._live = {resource.url: resource for resource in live}
+        self._changing = tuple(changing)
 
     @property
     def revision(self) -> Hashable:
@@ -72,263 +98,313 @@ class RobotGraphs:
 
     @property
     def writes(self) -> int:
-        """How many writes have ended that the robot was told of."""
+        """The number of writes to the robot that have ended."""
         return self._session.interlock.writes
 
     def descriptions(self) -> Mapping[str, GraphEntry]:
-        """Every graph without live values, by IRI."""
+        """Return every graph without values, by IRI."""
         return self._descriptions.entries()
 
-    async def documents_of(self, terms: Collection[str]) -> Collection[str]:
-        """The URLs of the complex resources, properties and actions that these terms may be said of."""
-        tree, space = await self._services.affordances.tree(), self._session.space
-        paths: set[str] = set()
-        for term in terms:
-            paths |= set(tree.paths) if term in COMPLEX else related(tree.mapping_set, term)
-        if not PROPERTIES.isdisjoint(terms):
-            paths.update(tree.properties)
-        if not ACTIONS.isdisjoint(terms):
-            paths.update(tree.actions)
-        return {url_of(path, space) for path in paths}
-
-    async def count_unread(self, needs: Needs, permissions: Permissions) -> Mapping[str, int]:
-        """How many graphs that are there only on demand the needs could match without asking for them, by container.
-
-        Only those count that the permissions let be read.
-        """
-        graph, space = self._session.graph, self._session.space
-        found: dict[str, int] = {}
-        if needs.is_everything:
-            wanted = {one.url for one in self._resources(graph, needs)}
-            urls = {space.topic(name) for name in graph.topics}
-            found["topics"] = sum(map(permissions.may_read, urls - wanted))
-        if needs.resources:
-            tree = await self._services.affordances.tree()
-            urls = {url_of(path, space) for path in (*tree.paths, *tree.properties, *tree.actions)}
-            found["resources"] = sum(map(permissions.may_read, urls - needs.documents))
-            left = () if needs.is_everything else (url for url in self._live if url not in needs.documents)
-            found |= {url.removeprefix(space.base): int(permissions.may_read(url)) for url in left}
-        if needs.trees:
-            urls = {space.container("parameters", path) for path in namespaces(graph, "parameters")}
-            found["parameters"] = sum(map(permissions.may_read, urls - needs.graph_names))
-        if needs.records:
-            recordings = [
-                one for one in self._services.recordings.readable.values() if permissions.may_read(space.bag(one.name))
-            ]
-            named = (space.location(url) for url in needs.documents)
-            count = sum(one is not None and one.kind == "bags" and len(one.segments) == 3 for one in named)
-            found["bags"] = sum(one.count for one in recordings) - count
-        return {container: count for container, count in found.items() if count > 0}
-
-    async def live(self, needs: Needs, *, deadline: float) -> Sequence[GraphEntry]:
-        """The graphs of topics and parameters whose values a query needs, as of now.
-
-        What a query names is subscribed to and waited for, at most until `deadline` (loop time); where it names
-        nothing, what is subscribed to already is all there is.
-        """
-        resources = self._resources(self._session.graph, needs)
-        parameters = [one for one in resources if isinstance(one, ParameterResource | ParameterTree)]
-        topics = [one for one in resources if isinstance(one, TopicResource)]
-        others = [one for one in resources if not isinstance(one, ParameterResource | ParameterTree | TopicResource)]
-        found = await self._look(topics, others, deadline)
-        stored = await self._parameters(parameters, deadline)
-        rates = self._rates({one.name for one in topics}) if needs.is_everything else ()
-        return [*stored, *found, *await self._of_topics(topics), *rates]
-
-    def _resources(self, graph: Graph, needs: Needs) -> Sequence[Resource]:
-        """The resources that needs ask for, kept while they are the same: where needs name what they are about."""
-        named = self._named_resources(needs.documents)
-        if any(demand.is_anything for demand in needs.demands):
-            return [*self._needed_resources(graph, needs), *named]
-        version = (graph.revision, self._session.schemas.count)
-        known = self._found.get(needs)
-        if known is None or known[0] != version:
-            if len(self._found) >= _KEPT:
-                self._found.clear()
-            known = self._found[needs] = (version, list(self._needed_resources(graph, needs)))
-        return [*known[1], *named]
-
-    def _needed_resources(self, graph: Graph, needs: Needs) -> Iterator[Resource]:
-        session = self._session
-        if needs.needs_messages:
-            at_hand = {*session.topics.looked_at(), *session.adapter.published}
-            definite = Needs(tuple(demand for demand in needs.demands if not demand.is_anything))
-            for topic in _candidates(session.space, graph, needs.graphs):
-                url = session.space.topic(topic.name)
-                asked = needs if topic.name in at_hand else definite  # looking at anything subscribes to nothing new
-                if asked.wants_topic(url, self._types_within(topic)):
-                    yield self._factory.topic(topic.name)
-        if needs.needs_parameters:
-            for name in graph.parameters:
-                if needs.wants_parameter(session.space.parameter(name)):
-                    yield self._factory.parameter(name)
-            for path in namespaces(graph, "parameters") if needs.graph_names else ():
-                url = session.space.container("parameters", path)
-                if url in needs.graph_names and needs.wants_parameter(url):
-                    yield self._factory.parameter_tree(path)
-        yield from self._named_listings(needs.graph_names)
-        anything = any(demand.is_anything for demand in needs.demands)
-        yield from (one for url, one in self._live.items() if anything or url in needs.documents)
-
-    def _named_listings(self, graph_names: frozenset[str]) -> Iterator[Resource]:
-        """The listings that are named as graphs: only there they tell what their members say of themselves, too."""
-        factory = self._factory
-        listings = {"calls": factory.calls, "goals": factory.goals, "holds": factory.holds}
-        for url in graph_names:
-            location = self._session.space.location(url)
-            if location is None or not location.is_container:
-                continue
-            if location.kind in LISTED_ROUTES:
-                yield self._factory.namespace(location.kind, location.segments)
-            elif location.kind in listings and not location.segments:
-                yield listings[location.kind]()
-
-    def _types_within(self, topic: Topic) -> frozenset[str]:
-        """The names of a topic's types and of all types nested in them, as far as they are known."""
-        found: set[str] = set()
-        for ref in topic.types:
-            found.add(ref.name)
-            schema = self._session.schemas.find_cached(ref) or self._session.schemas.find_cached_by_name(ref.name)
-            if isinstance(schema, MessageSchema):
-                found.update(schema.types)
-        return frozenset(found)
+    async def prepare(self, needs: Needs) -> None:
+        """Have the resources below `/resources/` and the types that a query names described."""
+        await self._affordances.tree()
+        for location in map(self._session.space.location, needs.documents):
+            match location:
+                case Location("types" | "shapes", (_, _, _) as path, False) if not self._is_known("/".join(path)):
+                    await self._read_type("/".join(path))
 
     def _is_known(self, type: str) -> bool:
         return self._session.schemas.find_cached_by_name(type) is not None
 
-    def _named_resources(self, documents: frozenset[str]) -> Iterator[Resource]:
-        """What is in the dataset only where it is named.
+    async def _read_type(self, name: str) -> None:
+        try:
+            await self._factory.type(name).state()
+        except (Problem, RosError):  # the query finds nothing there, as a GET does
+            pass
 
-        Recorded messages, resources whose getters are called, types that nobody has asked for yet, the edges
-        of the graph. Diagnostics are not: their words tell of topics that not everybody may read.
-        """
-        for url in documents:
-            location = self._session.space.location(url)
-            match location:
+    # What is needed
+
+    def wanted(self, needs: Needs, permissions: Permissions) -> Sequence[LiveDocument]:
+        """Return the documents whose values a query can match, as far as they may be read."""
+        if not needs.patterns:
+            return ()
+        tree = self._affordances.cached_tree() or self._affordances.last_tree
+        graph = self._session.graph
+        version = (IdentityKey(graph), self._session.schemas.count, IdentityKey(tree))
+        known = self._found.get(needs)
+        if known is None or known[0] != version:
+            if len(self._found) >= _KEPT:
+                self._found.clear()
+            known = self._found[needs] = (version, list(self._documents(graph, tree, needs)))
+        changing = (LiveDocument(one.url, one) for one in self._changing if needs.may_match(one.url, _ANYTHING))
+        found = [*known[1], *self._rated(needs), *changing, *self._recorded_messages(needs)]
+        return found if permissions.may_read_all else [one for one in found if permissions.may_read(one.url)]
+
+    def _documents(self, graph: Graph, tree: ResourceTree | None, needs: Needs) -> Iterator[LiveDocument]:
+        yield from self._topics(graph, needs)
+        by_term = replace(needs, patterns=frozenset(one for one in needs.patterns if one.predicates is not None))
+        others = chain(self._parameters(graph), self._listings(graph), () if tree is None else self._resources(tree))
+        for url, told, make, by_name in others:
+            if needs.may_match(url, told):
+                is_named = url in needs.documents
+                yield LiveDocument(url, make(), is_named or by_term.may_match(url, told), is_named or not by_name)
+        plans = () if tree is None else map(tree.complex, tree.paths)
+        for plan in plans:
+            if plan is not None and not plan.is_conditional:
+                yield from self._with_members(plan, needs, by_term)
+
+    def _with_members(self, plan: ComplexPlan, needs: Needs, by_term: Needs) -> Iterator[LiveDocument]:
+        """Yield an unconditional complex resource, with the values of the members that the needs can match."""
+        space = self._session.space
+        url = url_of(plan.path, space)
+        is_named = url in needs.documents
+        matched = [(one, told) for one in plan.members if needs.may_match(url, told := _told_by_member(one, space))]
+        names = [one.source.name for one, _ in matched if is_named or not _is_bulky(one.source)]
+        if matched:
+            is_named |= any(by_term.may_match(url, told) for _, told in matched)
+            yield LiveDocument(url, self._factory.complex(plan.path), is_named, members=frozenset(names))
+
+    def _topics(self, graph: Graph, needs: Needs) -> Iterator[LiveDocument]:
+        space = self._session.space
+        by_type = replace(needs, patterns=frozenset(one for one in needs.patterns if _names_type(one, space.types)))
+        for topic in _candidates(space, graph, needs):
+            url, (told, bulky) = space.topic(topic.name), self._told_by_topic(topic)
+            if needs.may_match(url, told):
+                is_named = url in needs.documents or by_type.may_match(url, told)
+                yield LiveDocument(url, self._factory.topic(topic.name), is_named, is_named or not bulky)
+
+    def _parameters(self, graph: Graph) -> Iterator[_Candidate]:
+        space, factory = self._session.space, self._factory
+        for name in graph.parameters:
+            yield _Candidate(space.parameter(name), _PARAMETER, partial(factory.parameter, name))
+        for path in namespaces(graph, "parameters"):
+            yield _Candidate(space.container("parameters", path), _PARAMETER, partial(factory.parameter_tree, path))
+
+    def _listings(self, graph: Graph) -> Iterator[_Candidate]:
+        for path in namespaces(graph, "topics"):
+            url = self._session.space.container("topics", path)
+            yield _Candidate(url, _BRIEF, partial(self._factory.namespace, "topics", path))
+
+    def _resources(self, tree: ResourceTree) -> Iterator[_Candidate]:
+        """Yield what lies below `/resources/`, but for actions that are always on offer."""
+        space, factory = self._session.space, self._factory
+        for path in tree.paths:
+            plan = tree.complex(path)
+            if plan is not None and plan.is_conditional:
+                by_name = any(map(_is_bulky, plan.reads))
+                yield _Candidate(url_of(path, space), _ANYTHING, partial(factory.complex, path), by_name)
+        for name in (*tree.properties, *tree.actions):
+            found, action = tree.property(name), tree.action(name)
+            if found is not None:
+                told = _ANYTHING if found.is_conditional else _told_by_member(found.member, space)
+            elif action is not None and (action.exists_when or action.conditions):
+                told = _ANYTHING
+            else:
+                continue
+            bulky = found is not None and any(map(_is_bulky, found.reads))
+            yield _Candidate(url_of(name, space), told, partial(factory.member, name), bulky)
+
+    def _told_by_topic(self, topic: Topic) -> tuple[ToldTerms, bool]:
+        """Return what the values of a topic tell, and whether its messages are pictures, clouds or the like."""
+        schemas, space = self._session.schemas, self._session.space
+        found: list[ToldTerms] = [ToldTerms(_TOPIC | _MESSAGE, _CLASSES)]
+        bulky = False
+        for ref in topic.types:
+            schema = schemas.find_cached(ref) or schemas.find_cached_by_name(ref.name)
+            if not isinstance(schema, MessageSchema):
+                return _ANYTHING, False
+            bulky |= is_bulky(schema)
+            found.append(_told_by_messages(schema, space))
+        return reduce(ToldTerms.__or__, found), bulky
+
+    def _rated(self, needs: Needs) -> Iterator[LiveDocument]:
+        """Yield the topics subscribed to whose rates a query can match: a rate is no reason to subscribe."""
+        if not any(one.predicates is not None and ros.rate.value in one.predicates for one in needs.patterns):
+            return
+        for name in self._session.topics.subscribed():
+            if needs.may_match(url := self._session.space.topic(name), _RATE):
+                yield LiveDocument(url, self._factory.topic(name), subscribes=False)
+
+    def _recorded_messages(self, needs: Needs) -> Iterator[LiveDocument]:
+        """Yield the single messages of recordings that a query names: all others are asked for by `ros:past`."""
+        for url in needs.documents:
+            match self._session.space.location(url):
                 case Location("bags", (bag, "messages", index), False) if index.isdecimal():
-                    recording = self._services.recordings.readable.get(bag)
+                    recording = self._recordings.readable.get(bag)
                     if recording is not None and recording.first <= int(index) < recording.first + recording.count:
-                        yield self._factory.bag_message(recording, int(index))
-                case Location("types" | "shapes", (_, _, _) as path, False) if not self._is_known("/".join(path)):
-                    name = "/".join(path)
-                    yield self._factory.type(name) if location.kind == "types" else self._factory.shape(name)
-                case Location("graph", (), False):
-                    yield self._factory.graph()
-                case Location("resources", segments, True):
-                    yield self._factory.complex(path_of(segments))
-                case Location("resources", (_, *_), False):
-                    yield self._factory.member(location.name)
+                        yield LiveDocument(url, self._factory.bag_message(recording, int(index)), is_named=True)
+
+    # Reading
+
+    async def read(self, documents: Sequence[LiveDocument], *, deadline: float) -> LiveGraphs:
+        """Return documents with their values as of now, waiting for first ones until `deadline` (loop time) at most.
+
+        A document that is not there now has no entry; what could not be read is told with the reason.
+        """
+        topics = [one for one in documents if isinstance(one.resource, TopicResource)]
+        due = [one for one in documents if one.subscribes and not isinstance(one.resource, TopicResource)]
+        parameters = [one for one in due if isinstance(one.resource, ParameterResource | ParameterTree)]
+        others = [one for one in due if not isinstance(one.resource, ParameterResource | ParameterTree)]
+        found = LiveGraphs({one.url: None for one in documents if not one.subscribes}, {})
+        await self._look(topics, others, deadline, found)
+        await self._read_parameters(parameters, deadline, found)
+        await self._read_topics(topics, found)
+        return found
 
     async def _look(
-        self, topics: Iterable[TopicResource], others: Iterable[Resource], deadline: float
-    ) -> Sequence[GraphEntry]:
-        """The graphs of `others`.
+        self, topics: Sequence[LiveDocument], others: Sequence[LiveDocument], deadline: float, found: LiveGraphs
+    ) -> None:
+        """Read `others`, after the first values of topics, which they then find there."""
+        live, budget = self._session.topics, self._session.settings.subscription_budget
+        wanted = [one for one in topics if one.subscribes]
+        new = [one for one in wanted if not live.is_settled(_name(one))]
+        if len(wanted) > budget:
+            words = f"{len(wanted)} topics must be subscribed to, and --subscription-budget is {budget}"
+            found.unread.update((one.url, words) for one in wanted)
+            new = []
+        await self._wait_for([(one, self._first(one, found)) for one in new], deadline, found)
+        await self._wait_for([(one, self._entry(one, found)) for one in others], deadline, found)
 
-        What must be waited for is looked at together: what getters answer, and the first values of topics.
-        """
-        is_settled = self._session.topics.is_settled
-        firsts = (self._first(topic) for topic in topics if not is_settled(topic.name))
-        shown = (
-            self._entry(one.url, one.state(), is_transient=isinstance(one, NamespaceContainer | ListingResource))
-            for one in others
-        )
-        tasks: list[asyncio.Future[GraphEntry | None]] = []
+    async def _wait_for(
+        self, reads: Sequence[tuple[LiveDocument, Coroutine[object, object, None]]], deadline: float, found: LiveGraphs
+    ) -> None:
+        tasks: dict[asyncio.Task[None], LiveDocument] = {}
         try:
-            for coming in chain(firsts, shown):
-                tasks.append(asyncio.ensure_future(coming))
+            for one, coming in reads:
+                tasks[asyncio.ensure_future(coming)] = one
                 if len(tasks) % _AT_ONCE == 0:
                     await asyncio.sleep(0)
             if tasks:
-                seconds = max(0.0, deadline - loop_time())
-                await asyncio.wait(tasks, timeout=seconds)
+                await asyncio.wait(tasks, timeout=max(0.0, deadline - loop_time()))
         finally:
-            for task in tasks:
+            for task, one in tasks.items():
                 if not task.done():
                     task.cancel()
-        entries = [task.result() for task in tasks if task.done() and not task.cancelled()]
-        return [entry for entry in entries if entry is not None]
+                    found.unread[one.url] = "the time of the query was over"
 
-    async def _first(self, topic: TopicResource) -> None:
-        """Have the first value of a topic come; what fails is seen again when it is shown."""
-        with contextlib.suppress(Problem, RosError):
-            await self._session.topics.read(topic.name)
+    async def _first(self, one: LiveDocument, found: LiveGraphs) -> None:
+        """Wait for the first value of a topic."""
+        try:
+            await self._session.topics.read(_name(one))
+        except (Problem, RosError) as error:
+            found.unread[one.url] = str(error)
 
-    async def _parameters(
-        self, resources: Sequence[ParameterResource | ParameterTree], deadline: float
-    ) -> Sequence[GraphEntry]:
-        """The graphs of parameters and of trees of them, asked for all together."""
-        if not resources:
-            return ()
+    async def _entry(self, one: LiveDocument, found: LiveGraphs) -> None:
+        try:
+            if one.members is not None and isinstance(one.resource, ComplexResource):
+                state = await one.resource.state_with(one.members)
+            else:
+                state = await one.resource.state()
+        except Problem as problem:
+            if problem.status >= 500:
+                found.unread[one.url] = problem.detail
+            else:  # it is not there now
+                found.entries[one.url] = None
+        except RosError as error:
+            found.unread[one.url] = str(error)
+        else:
+            found.entries[one.url] = _entry_of(one.url, state)
+
+    async def _read_parameters(self, documents: Sequence[LiveDocument], deadline: float, found: LiveGraphs) -> None:
+        """Read parameters and trees of them, asked for all together."""
+        if not documents:
+            return
         session = self._session
         until = min(deadline, loop_time() + session.settings.call_deadline)
         try:
-            values = await session.adapter.get_parameters([one.name for one in resources], deadline=until)
-        except RosError:
-            return ()
-        found = ((one, values.get(one.name)) for one in resources)
-        return [entry for one, value in found if (entry := _of_parameter(one, value)) is not None]
+            values = await session.adapter.get_parameters(list(map(_name, documents)), deadline=until)
+        except RosError as error:
+            found.unread.update((one.url, str(error)) for one in documents)
+            return
+        for one in documents:
+            if (entry := _of_parameter(one.resource, values.get(_name(one)))) is not None:
+                found.entries[one.url] = entry
 
-    async def _of_topics(self, resources: Sequence[TopicResource]) -> Sequence[GraphEntry]:
-        """The graphs of topics, all of one turn of the loop, in which no message comes.
+    async def _read_topics(self, documents: Sequence[LiveDocument], found: LiveGraphs) -> None:
+        """Read topics, all in one turn of the loop, in which no message comes.
 
-        Where something must be fetched first (the type of a message), they are all looked at again.
+        Where something must be fetched first (the type of a message), they are all read again.
         """
         known = self._session.topics.current_view
         for _ in range(_TURNS):
             turns: list[None] = []
             asyncio.get_running_loop().call_soon(turns.append, None)
-            entries = [await self._entry(one.url, one.state_of(known(one.name))) for one in resources]
-            if not turns:
-                break
-        return [entry for entry in entries if entry is not None]
-
-    def _rates(self, shown: Collection[str]) -> Iterator[GraphEntry]:
-        """The graphs of other topics that are recorded, with the rate and without messages.
-
-        With their messages a query over 200 such topics took 110 ms of processor time, without them 45.
-        """
-        topics, described = self._session.topics, self._descriptions.entries()
-        for name in topics.subscribed():
-            view, entry = topics.peek(name), described.get(self._session.space.topic(name))
-            if name not in shown and view is not None and view.rate is not None and entry is not None:
-                rate = f"<{entry.iri}> {ros.rate} {double(view.rate)} .\n"
-                yield GraphEntry(entry.iri, (entry.token, view.rate), partial(_with_line, entry, rate))
-
-    async def _entry(
-        self, iri: str, coming: Coroutine[object, object, State], *, is_transient: bool = False
-    ) -> GraphEntry | None:
-        """The graph of one resource, None where it cannot be read now."""
-        try:
-            return _live(iri, await coming)._replace(is_transient=is_transient)
-        except (Problem, RosError):
-            return None
+            for one in documents:
+                assert isinstance(one.resource, TopicResource)
+                try:
+                    found.entries[one.url] = _entry_of(one.url, await one.resource.state_of(known(one.resource.name)))
+                except (Problem, RosError):  # it is not there any more
+                    found.entries.pop(one.url, None)
+            if turns:
+                continue
+            return
 
 
-def _candidates(space: Space, graph: Graph, named: frozenset[str] | None) -> Iterator[Topic]:
-    """The topics among these URLs; all where none are named."""
-    if named is None:
-        yield from graph.topics.values()
-        return
-    for url in named:
-        location = space.location(url)
-        if location is not None and location.kind == "topics" and location.name in graph.topics:
-            yield graph.topics[location.name]
+def _name(one: LiveDocument) -> str:
+    assert isinstance(one.resource, TopicResource | ParameterResource | ParameterTree)
+    return one.resource.name
 
 
-def _of_parameter(resource: ParameterResource | ParameterTree, value: ParameterValue | None) -> GraphEntry | None:
-    """The graph of a parameter or a tree, None where it has no value that can be shown."""
+def _names_type(pattern: Constants, types: str) -> bool:
+    """Whether a pattern names a document, a message type or one of its fields."""
+    named = (*(pattern.predicates or ()), pattern.type or "")
+    return pattern.graph is not None or pattern.document is not None or any(each.startswith(types) for each in named)
+
+
+def _candidates(space: Space, graph: Graph, needs: Needs) -> Iterable[Topic]:
+    """Return the topics that the patterns name; all where one names none."""
+    named = needs.dataset or {pattern.graph or pattern.document for pattern in needs.patterns}
+    if None in named:
+        return graph.topics.values()
+    places = (space.location(url) for url in named if url is not None)
+    names = (place.name for place in places if place is not None and place.kind == "topics")
+    return [graph.topics[name] for name in names if name in graph.topics]
+
+
+@lru_cache(maxsize=4096)
+def _told_by_messages(schema: MessageSchema, space: Space) -> ToldTerms:
+    """Return the fields and classes of a message and of all within it."""
+    kinds = schema.types.values()
+    fields = {space.property_of(kind.name, field.name) for kind in kinds for field in kind.fields}
+    has_lists = any(
+        isinstance(field.type, Array) and isinstance(field.type.element, Nested)
+        for kind in kinds
+        for field in kind.fields
+    )
+    return ToldTerms(
+        frozenset(fields) | _MESSAGE | (_LISTS if has_lists else frozenset()),
+        _CLASSES | {space.class_of(kind.name) for kind in kinds},
+    )
+
+
+def _told_by_property(own: Property, space: Space) -> ToldTerms:
+    if any(isinstance(reader, TopicSource) and reader.schema is None for reader in own.readers):
+        return _ANYTHING
+    told = ToldTerms(_PROPERTY, frozenset())
+    return told | _told_by_messages(own.kind.schema, space) if isinstance(own.kind, MessageKind) else told
+
+
+def _is_bulky(own: Property) -> bool:
+    sources = (reader for reader in own.readers if isinstance(reader, TopicSource))
+    return any(source.schema is not None and is_bulky(source.schema) for source in sources)
+
+
+def _told_by_member(member: MemberPlan, space: Space) -> ToldTerms:
+    told = _told_by_property(member.source, space)
+    relation = member.mapped.predicate.value if member.mapped is not None else None
+    return told if relation is None else told | ToldTerms(frozenset({relation}), frozenset())
+
+
+def _of_parameter(resource: Resource, value: ParameterValue | None) -> GraphEntry | None:
+    """Return the graph of a parameter or a tree, None where it has no value that can be shown."""
+    assert isinstance(resource, ParameterResource | ParameterTree)
     if value is None or isinstance(value, dict) == isinstance(resource, ParameterResource):
         return None
     try:
-        return _live(resource.url, resource.state_of(value))._replace(is_transient=isinstance(resource, ParameterTree))
+        return _entry_of(resource.url, resource.state_of(value))
     except Problem:
         return None
 
 
-def _with_line(entry: GraphEntry, line: str) -> str:
-    """The N-Triples of a graph and one more."""
-    return entry.ntriples() + line
-
-
-def _live(iri: str, state: State) -> GraphEntry:
-    return GraphEntry(iri, state.tag, lambda: document_ntriples(state.document), lambda: state.document.all_triples())
+def _entry_of(iri: str, state: State) -> GraphEntry:
+    return GraphEntry(iri, state.tag, lambda: document_ntriples(state.document))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from rosld.server.hypermedia.mappings import relations
 from rosld.server.resources.ldp.record_graphs import RecordGraphs
 from rosld.server.resources.past_messages import RecordedPast
 from rosld.server.resources.sparql_update.service import UpdateService
@@ -17,7 +16,6 @@ from rosld.server.runtime.version_cache import IdentityKey
 from rosld.server.settings import Settings
 from rosld.server.sparql.analysis import Analyser
 from rosld.server.sparql.materializer import Materializer
-from rosld.server.sparql.mentions import MentionRecorder, Mentions
 from rosld.server.sparql.process.client import QueryProcess
 from rosld.server.sparql.query_service import QueryService, QuerySettings
 from rosld.server.sparql.receipt_graphs import ReceiptGraphs
@@ -35,21 +33,18 @@ class SparqlServices:
         self.process = QueryProcess(settings.query_concurrency, settings.query_queue)
         self.graphs = RobotGraphs(factory)
         """What the dataset is filled from."""
-        mentions = Mentions(space.base, space.types)
         kept = RecordGraphs(services.documents.records, space.base, services.queries.description, OTHER_ROUTES)
         self.materializer = Materializer(
             self.process,
             self.graphs,
-            MentionRecorder(kept, mentions),
+            kept,
             ReceiptGraphs(services.receipts, space),
-            mentioned=mentions.documents_of,
         )
         self._analyser = Analyser(
             space.base,
             space.types,
             bounds=QueryBounds(size=settings.query_size_limit),
             reach=ServiceAllowlist(frozenset(settings.allow_service)),
-            relations=lambda: relations(services.mappings.mapping_set),
         )
         self.queries = QueryService(
             self.process,
@@ -58,7 +53,6 @@ class SparqlServices:
             session.message_ages,
             _limits(settings),
             RestrictedDatasets(self.process, lambda: IdentityKey(session.graph)),
-            self.graphs.count_unread,
             RecordedPast(session, services.recordings),
         )
 

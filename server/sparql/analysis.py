@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -11,9 +11,8 @@ from rosld.ontology.vocab import PREFIXES, hctl, htv, td
 from rosld.server.dataset import QueryError
 from rosld.server.dataset.encoding import NAMESPACE
 from rosld.server.http.problem import Problem
-from rosld.server.sparql.narrowing import needs_of
-from rosld.server.sparql.needs import Needs
-from rosld.server.sparql.past import PastQuery, past_query
+from rosld.server.sparql.needs import Needs, needs_of
+from rosld.server.sparql.past import MessageTerms, PastQuery, past_query
 from rosld.server.sparql.rewriting import rewrite
 from rosld.server.sparql.ros_functions import AGE
 from rosld.server.sparql.syntax.lexer import (
@@ -28,10 +27,8 @@ from rosld.server.sparql.syntax.lexer import (
 from rosld.server.sparql.syntax.query import parse_query
 from rosld.server.sparql.syntax.token import Kind
 from rosld.server.sparql.syntax.tree import TYPE, Group, Iri, Pattern, Query, Variable, graphs_around
-from rosld.server.sparql.vocabulary_view import VocabularyView
 
 _KEPT = 512
-_NO_RELATIONS = frozenset[str]()
 _OFFERS = (td.iri, hctl.iri, htv.iri)
 """The vocabularies of affordances and forms."""
 
@@ -63,8 +60,7 @@ class Analysis:
 class Analyser:
     """Analyses queries for one server: `base` resolves their relative IRIs, `types` is the namespace of message types.
 
-    `prefixes` hold where a query does not declare them itself; `reach` is where SERVICE may lead. `relations` tells the
-    predicates that mappings give complex resources: the same object for as long as they are the same.
+    `prefixes` hold where a query does not declare them itself; `reach` is where SERVICE may lead.
     """
 
     def __init__(
@@ -75,24 +71,14 @@ class Analyser:
         prefixes: Mapping[str, str] = PREFIXES,
         bounds: QueryBounds = DEFAULT_BOUNDS,
         reach: ServiceAllowlist = NO_SERVICES,
-        relations: Callable[[], frozenset[str]] = lambda: _NO_RELATIONS,
     ) -> None:
         self.base = base
         self.prefixes = dict(prefixes)
         self._types = types
         self._bounds = bounds
         self._reach = reach
-        self._relations = relations
-        self._known = relations()
-        self._kept = lru_cache(maxsize=_KEPT)(self.analyse_once)
-
-    def analyse(self, text: str) -> Analysis:
-        """The analysis of a query, kept for when it is asked again. Raises as `analyse_once` does."""
-        relations = self._relations()
-        if relations is not self._known:
-            self._known = relations
-            self._kept.cache_clear()
-        return self._kept(text)
+        self.analyse = lru_cache(maxsize=_KEPT)(self.analyse_once)
+        """Analyse a query as `analyse_once` does, remembering the last ones."""
 
     def analyse_once(self, text: str) -> Analysis:
         """The analysis of a query, in any thread.
@@ -103,12 +89,11 @@ class Analyser:
         if keyword := update_keyword(checked.tokens):
             raise Problem(400, f"{keyword} is an update, and this is the endpoint for queries: it only reads.")
         query = parse_query(checked, self.prefixes, self.base, AGE, self._bounds)
-        terms = VocabularyView(self._types, self.base, self._known)
-        past = past_query(query, terms)
+        past = past_query(query, MessageTerms(self._types, self.base))
         return Analysis(
             rewrite(checked.text, query.literals, query.expressions),
             query.form,
-            needs_of(query, terms, past.covered if past is not None else {}),
+            needs_of(query, self.base),
             self._used_prefixes(checked),
             query.default,
             query.named,

@@ -2,26 +2,43 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
-from typing import NamedTuple, Protocol, TypeAlias
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
 
-from pyoxigraph import Triple
-
+from rosld.server.auth.permissions import Permissions
+from rosld.server.rest.resource import Resource
 from rosld.server.sparql.needs import Needs
 
 
 class GraphEntry(NamedTuple):
-    """A named graph as its source has it: `token` changes whenever `ntriples()` would (called in any thread).
-
-    `triples` are the same as terms, where these are at hand. `is_transient`: it is in the dataset only for the query
-    that names it.
-    """
+    """A named graph as its source has it: `token` changes whenever `ntriples()` would (called in any thread)."""
 
     iri: str
     token: Hashable
     ntriples: Callable[[], str]
-    triples: Callable[[], Iterable[Triple]] | None = None
-    is_transient: bool = False
+
+
+class LiveDocument(NamedTuple):
+    """A document whose values a query can match.
+
+    `is_named` by its IRI, its type or a predicate: then its values are of now. Unless it `subscribes`, it has those
+    values alone that are at hand. `members` are the properties of a complex resource that are read, None for all.
+    """
+
+    url: str
+    resource: Resource
+    is_named: bool = False
+    subscribes: bool = True
+    members: frozenset[str] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class LiveGraphs:
+    """Documents with their values, by URL, None for those that are not there; and why others could not be read."""
+
+    entries: dict[str, GraphEntry | None]
+    unread: dict[str, str]
 
 
 class GraphSource(Protocol):
@@ -38,57 +55,17 @@ class GraphSource(Protocol):
         ...
 
     def descriptions(self) -> Mapping[str, GraphEntry]:
-        """All graphs without live values, by IRI: the computation graph, containers, types, shapes, the ontology.
-
-        That of a topic or a parameter is there too, without its values.
-        """
+        """Return all graphs, by IRI, without values."""
         ...
 
-    async def documents_of(self, terms: Collection[str]) -> Collection[str]:
-        """The resources that these classes and predicates may be said of, and that are there only where named."""
+    async def prepare(self, needs: Needs) -> None:
+        """Have everything described that the needs name."""
         ...
 
-    async def live(self, needs: Needs, *, deadline: float) -> Sequence[GraphEntry]:
-        """The graphs that the needs ask for, description included, with their values as of now.
-
-        Subscribes on demand, and waits no longer than `deadline` (loop time) for first values. Whatever has been
-        returned once comes again whenever it is asked for, with or without a value: what does not is taken as gone.
-        A topic is asked for by `needs.wants_topic(url, types)`, a parameter by `needs.wants_parameter(url)`, any other
-        document (a recorded message) by being one of `needs.documents`; `needs.graphs`, where it is not None, spares a
-        walk over all topics. Where `needs.is_everything`, that is all topics subscribed to, with no new subscription.
-        """
+    def wanted(self, needs: Needs, permissions: Permissions) -> Sequence[LiveDocument]:
+        """Return the documents whose values the needs can match, as far as they may be read."""
         ...
 
-
-MentionedDocuments: TypeAlias = Callable[[Collection[str]], frozenset[str] | None]
-"""The live documents of which clients say any of these predicates or classes, None for all: of what was synced."""
-
-
-class Snapshot(NamedTuple):
-    """The graphs of a source at one moment.
-
-    `number` orders snapshots. `revision` is that of its descriptions, `described`. `entries` are the graphs with live
-    values, `has_values` is whether the source was asked for these. `writes` is how many writes had ended before it was
-    begun, `ended` is when it was complete (monotonic seconds). `lasting` are the extras of the last look at everything
-    where that was still good enough: one for which nothing was looked at again rests on them.
-    """
-
-    number: int
-    revision: Hashable
-    described: Mapping[str, GraphEntry]
-    has_values: bool
-    entries: Sequence[GraphEntry]
-    needs: Needs
-    writes: int
-    ended: float
-    lasting: Sequence[str] = ()
-
-    @property
-    def extras(self) -> list[str]:
-        """The graphs that are there only because they were named."""
-        return [entry.iri for entry in self.entries if entry.is_transient or entry.iri not in self.described]
-
-    @property
-    def unnamed(self) -> list[str]:
-        """Those of them that needs of everything include although no query names them."""
-        return [iri for iri in self.extras if iri not in self.needs.documents]
+    async def read(self, documents: Sequence[LiveDocument], *, deadline: float) -> LiveGraphs:
+        """Return documents with their values as of now, waiting for first ones until `deadline` (loop time) at most."""
+        ...

@@ -1,8 +1,7 @@
-"""The materializer: brings the live graphs that a query needs into the query process before the query.
+"""The materializer: brings the graphs that a query needs into the query process before the query.
 
-The source tells what there is by tokens: a graph whose token is as before is left alone, the others are rendered and
-replaced in one transaction, so that no query sees a graph missing or two graphs of different moments. What clients keep
-is brought by `StoredSync`, before every query that may look at it.
+Every graph has a token: one whose token is as before is left alone, the others are rendered and replaced in one
+transaction, so that no query sees a graph missing. What clients keep is brought by `StoredSync`.
 """
 
 from __future__ import annotations
@@ -10,30 +9,23 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import Counter
-from collections.abc import Hashable, Mapping, Sequence
-from contextlib import AbstractAsyncContextManager
+from collections.abc import AsyncIterator, Callable, Hashable, Iterator, Mapping, Sequence
+from contextlib import asynccontextmanager
 from itertools import count
 from typing import NamedTuple
 
+from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.sparql.change_source import NOTHING, ChangeSource
-from rosld.server.sparql.graph_changes import (
-    GraphChange,
-    find_changes,
-    is_small,
-    note_changes,
-    renderings,
-    without_pinned,
-)
-from rosld.server.sparql.graph_rendering import render_graphs, render_in_thread
-from rosld.server.sparql.graph_source import GraphEntry, GraphSource, MentionedDocuments, Snapshot
+from rosld.server.sparql.graph_rendering import INLINE, render_graphs, render_in_thread
+from rosld.server.sparql.graph_source import GraphEntry, GraphSource, LiveDocument, LiveGraphs
 from rosld.server.sparql.needs import Needs
 from rosld.server.sparql.stored_sync import StoredSync
-from rosld.server.sparql.sync_target import SyncTarget, TargetState
+from rosld.server.sparql.sync_target import HeldGraph, SyncTarget, TargetState
 
 WILDCARD_SECONDS = 0.2
-"""Seconds for which a look at everything is good enough for the next query that looks at everything.
+"""Seconds for which values are good enough for the next query that does not name their document.
 
-They count for what the robot did by itself: after a write through the server everything is looked at again.
+They count for what the robot did by itself: after a write through the server everything is read again.
 """
 
 
@@ -44,23 +36,30 @@ class SeenVersions(NamedTuple):
     stored: int
 
 
-class _Materialized:
-    """One query's use of the dataset."""
+class _Change(NamedTuple):
+    """The change of one graph: `entry` is None where it goes. `size` is the number of characters it had."""
 
-    __slots__ = ("_deadline", "_extras", "_materializer", "_needs", "_scope")
+    entry: GraphEntry | None
+    has_values: bool
+    size: int
 
-    def __init__(self, materializer: Materializer, needs: Needs, scope: frozenset[str] | None, deadline: float) -> None:
-        self._materializer = materializer
-        self._needs = needs
-        self._scope = scope
-        self._deadline = deadline
-        self._extras: Sequence[str] = ()
 
-    async def __aenter__(self) -> None:
-        self._extras = await self._materializer.begin(self._needs, self._scope, self._deadline)
+class _Reading(NamedTuple):
+    """What was read for a query. `number` orders readings; of two the later one is right."""
 
-    async def __aexit__(self, *error: object) -> None:
-        self._materializer.end(self._extras)
+    number: int
+    graphs: LiveGraphs
+
+
+class _Recent(NamedTuple):
+    """The documents that were read last without being named; in which generation, after how many writes, and when."""
+
+    urls: frozenset[str]
+    version: tuple[int, int]
+    ended: float
+
+
+_NEVER = _Recent(frozenset(), (-1, -1), 0.0)
 
 
 class Materializer:
@@ -73,7 +72,6 @@ class Materializer:
         kept: ChangeSource = NOTHING,
         *more: ChangeSource,
         interval: float = WILDCARD_SECONDS,
-        mentioned: MentionedDocuments | None = None,
     ) -> None:
         sources = (kept, *more)
         self._target = target
@@ -82,10 +80,9 @@ class Materializer:
         """What brings what clients keep."""
         self._source = source
         self._interval = interval
-        self._mentioned = mentioned
         self._numbers = count(1)
-        self._described: tuple[Hashable, Mapping[str, GraphEntry]] = (object(), {})
         self._pinned: Counter[str] = Counter()
+        self._recent = _NEVER
         self._applying = asyncio.Lock()
 
     @property
@@ -93,128 +90,151 @@ class Materializer:
         """The graphs in the dataset that come from the source: all but those that clients keep."""
         return list(self._state.held)
 
-    async def resolve_documents(self, needs: Needs) -> Needs:
-        """The needs with the documents that their terms name, and those that clients mention: what to `materialize`.
-
-        Raises Problem 503 where what clients keep is to be read first.
-        """
-        if needs.terms:
-            needs = needs.with_documents(await self._source.documents_of(needs.terms))
-        if needs.rests_on and self._mentioned is not None:
-            self._state.follow_restart()
-            wanted = self.stored.versions
-            if not self.stored.is_current(None, wanted):
-                await self.stored.catch_up(None, wanted, float("inf"))
-            mentioned = self._mentioned(needs.rests_on)
-            needs = needs if mentioned == frozenset() else needs.with_mentions(mentioned)
-        return needs
-
-    def materialize(
-        self, needs: Needs, *, deadline: float, scope: frozenset[str] | None = None
-    ) -> AbstractAsyncContextManager[None]:
+    @asynccontextmanager
+    async def materialize(
+        self,
+        needs: Needs,
+        permissions: Permissions = ALLOW_ALL,
+        *,
+        deadline: float,
+        scope: frozenset[str] | None = None,
+    ) -> AsyncIterator[Mapping[str, str]]:
         """Within it the dataset holds what the needs ask for: send the query there, at once.
 
-        `scope` are the only graphs that are looked at, None for all. Raises what the source raises, and Problem 503
-        where too much is to be brought first.
+        It is given the reasons why documents could not be read, by their URLs. `scope` are the only graphs that are
+        looked at, None for all. Raises what the source raises, and Problem 503 where too much is to be brought first.
         """
-        return _Materialized(self, needs, scope, deadline)
-
-    async def begin(self, needs: Needs, scope: frozenset[str] | None, deadline: float) -> Sequence[str]:
-        """Bring the dataset to what the needs ask for. What is returned is kept until it is given to `end`."""
         self._state.follow_restart()
-        snapshot = await self._take_snapshot(needs, deadline)
-        extras = (*snapshot.extras, *snapshot.lasting)
-        self._pinned.update(extras)
+        await self._source.prepare(needs)
+        documents = self._source.wanted(needs, permissions)
+        pins = [one.url for one in documents if _is_recorded_message(one.url)]
+        self._pinned.update(pins)
         try:
-            wanted = self.stored.versions
-            if not self.stored.is_current(scope, wanted):
-                await self.stored.catch_up(scope, wanted, deadline)
-            if not self._send_small(snapshot):  # it goes on even where the query is given up
-                await asyncio.shield(asyncio.ensure_future(self._apply(snapshot)))
-            self._state.require(self._state.generation)
-            if needs.is_everything and snapshot.has_values:
-                self._state.everything = snapshot
-        except BaseException:
-            self.end(extras)
-            raise
-        return extras
+            yield await self._bring(documents, scope, deadline)
+        finally:
+            if pins:
+                self._pinned.subtract(pins)
+                self._pinned = +self._pinned
 
     def versions_of(self, graphs: frozenset[str] | None) -> SeenVersions:
-        """What the dataset holds now of values that change by themselves (None: of all), and of what clients keep."""
+        """Return what the dataset holds now of values (None: of all), and of what clients keep."""
         live = self._state.live if graphs is None else self._state.live & graphs
         wanted = self.stored.versions
         kept = wanted[0] if self.stored.is_current(graphs, wanted) else self._state.versions[0]
         return SeenVersions({iri: self._state.held[iri].token for iri in live}, kept)
 
-    def end(self, extras: Sequence[str]) -> None:
-        """The query has begun: graphs that were there for it alone may go."""
-        if extras:
-            self._pinned.subtract(extras)
-            self._pinned = +self._pinned
+    async def _bring(
+        self, documents: Sequence[LiveDocument], scope: frozenset[str] | None, deadline: float
+    ) -> Mapping[str, str]:
+        writes, number = self._source.writes, next(self._numbers)
+        due = self._due(documents)
+        graphs = await self._source.read(due, deadline=deadline) if due else LiveGraphs({}, {})
+        unnamed = frozenset(one.url for one in due if not one.is_named)
+        if unnamed and not graphs.unread:
+            self._recent = _Recent(unnamed, (self._state.generation, writes), time.monotonic())
+        wanted = self.stored.versions
+        if not self.stored.is_current(scope, wanted):
+            await self.stored.catch_up(scope, wanted, deadline)
+        reading = _Reading(number, graphs)
+        if not self._send_small(reading):  # it goes on even where the query is given up
+            await asyncio.shield(asyncio.ensure_future(self._apply(reading)))
+        self._state.require(self._state.generation)
+        return graphs.unread
 
-    async def _take_snapshot(self, needs: Needs, deadline: float) -> Snapshot:
-        writes = self._source.writes
-        revision, described = self._descriptions()
-        entries: Sequence[GraphEntry] = ()
-        recent = self._recent
-        asked = self._must_read_values(needs, described, recent)
-        if asked:
-            entries = await self._source.live(needs, deadline=deadline)
-            revision, described = self._descriptions()
-        lasting = () if recent is None else recent.unnamed
-        number, ended = next(self._numbers), time.monotonic()
-        return Snapshot(number, revision, described, asked, entries, needs, writes, ended, lasting)
+    def _due(self, documents: Sequence[LiveDocument]) -> Sequence[LiveDocument]:
+        """Return the documents to be read: without those that were read just now and are not named."""
+        urls, version, ended = self._recent
+        now = self._state.generation, self._source.writes
+        if version != now or time.monotonic() - ended >= self._interval:
+            return documents
+        if any(not one.is_named and one.url not in urls for one in documents):
+            return documents  # all are of one moment
+        return [one for one in documents if one.is_named]
 
-    def _descriptions(self) -> tuple[Hashable, Mapping[str, GraphEntry]]:
-        revision = self._source.revision
-        if self._described[0] != revision:
-            self._described = (revision, self._source.descriptions())
-        return self._described
-
-    def _must_read_values(self, needs: Needs, described: Mapping[str, GraphEntry], last: Snapshot | None) -> bool:
-        """Whether the last look at everything is not good enough for these needs."""
-        if not needs.documents <= described.keys():
-            return True
-        if not needs.demands:
-            return False
-        return last is None or not needs.is_everything or not last.needs.covers(needs) or not self._holds(last)
-
-    @property
-    def _recent(self) -> Snapshot | None:
-        """The last look at everything, where it is still good enough."""
-        last = self._state.everything
-        if last is None or last.writes != self._source.writes or time.monotonic() - last.ended >= self._interval:
-            return None
-        return last
-
-    def _holds(self, last: Snapshot) -> bool:
-        """Whether what is there for looks at everything alone is there."""
-        return self._state.extras.issuperset(last.unnamed)
-
-    def _find_changes(self, snapshot: Snapshot) -> dict[str, GraphChange]:
-        return find_changes(snapshot, self._state, self._pinned)
-
-    def _send_small(self, snapshot: Snapshot) -> bool:
+    def _send_small(self, reading: _Reading) -> bool:
         """Make small changes here and now. False, with nothing changed, where they are not or others are being made."""
         if self._applying.locked():
             return False
-        changes = self._find_changes(snapshot)
-        if not is_small(changes):
+        revision, changes = self._find_changes(reading)
+        if sum(change.size for change in changes.values()) > INLINE:
             return False
-        self._send(snapshot, changes, render_graphs(renderings(changes)))
+        self._send(reading, revision, changes, render_graphs(_renderings(changes)))
         return True
 
-    async def _apply(self, snapshot: Snapshot) -> None:
+    async def _apply(self, reading: _Reading) -> None:
         """One change at a time; what another query has brought meanwhile is not brought again."""
         async with self._applying:
-            changes = self._find_changes(snapshot)
+            revision, changes = self._find_changes(reading)
             generation = self._state.generation
-            texts = await render_in_thread(renderings(changes))
+            texts = await render_in_thread(_renderings(changes))
             self._state.require(generation)
-            changes = without_pinned(changes, self._state, self._pinned)  # others have begun meanwhile
-            self._send(snapshot, changes, {iri: texts[iri] for iri in changes})
+            kept = {iri: one for iri, one in changes.items() if one.entry is not None or iri not in self._pinned}
+            self._send(reading, revision, kept, {iri: texts[iri] for iri in kept})
 
-    def _send(self, snapshot: Snapshot, changes: Mapping[str, GraphChange], texts: Mapping[str, str | None]) -> None:
-        self._state.require(self._state.generation)
+    def _find_changes(self, reading: _Reading) -> tuple[Hashable, dict[str, _Change]]:
+        """Return what the target must be sent, after the revision of the descriptions. Nothing newer is touched."""
+        revision = self._source.revision
+        described = self._source.descriptions()
+        changes: dict[str, _Change] = {}
+        if revision != self._state.descriptions:
+            changes.update(self._changed_descriptions(described))
+        for iri in self._state.transient - self._pinned.keys():
+            changes[iri] = _Change(None, False, 0)
+        for iri, entry in reading.graphs.entries.items():
+            held = self._state.held.get(iri)
+            if held is not None and held.number > reading.number:
+                continue
+            if entry is None:
+                if held is not None and held.has_values:
+                    changes[iri] = _Change(described.get(iri), False, held.size)
+            elif held is None or not held.has_values or held.token != entry.token:
+                changes[iri] = _Change(entry, True, INLINE + 1 if held is None else held.size)
+            else:
+                changes.pop(iri, None)
+        return revision, changes
+
+    def _changed_descriptions(self, described: Mapping[str, GraphEntry]) -> Iterator[tuple[str, _Change]]:
+        for iri, entry in described.items():
+            held = self._state.held.get(iri)
+            if held is None or held.description != entry.token:
+                yield iri, _Change(entry, False, INLINE + 1 if held is None else held.size)
+        for iri, held in self._state.held.items():
+            if held.description is not None and iri not in described:
+                yield iri, _Change(None, False, 0)
+
+    def _send(
+        self,
+        reading: _Reading,
+        revision: Hashable,
+        changes: Mapping[str, _Change],
+        texts: Mapping[str, str | None],
+    ) -> None:
+        state = self._state
+        state.require(state.generation)
         self._target.change(texts)
-        note_changes(changes, snapshot, {iri: len(text or "") for iri, text in texts.items()}, self._state)
+        described = self._source.descriptions()
+        for iri, change in changes.items():
+            state.live.discard(iri)
+            state.transient.discard(iri)
+            if change.entry is None:
+                state.held.pop(iri, None)
+                continue
+            description = described[iri].token if iri in described else None
+            size = len(texts[iri] or "")
+            state.held[iri] = HeldGraph(change.entry.token, description, change.has_values, reading.number, size)
+            if change.has_values:
+                state.live.add(iri)
+            elif iri in self._recent.urls and iri not in reading.graphs.entries:
+                self._recent = _NEVER  # its values went as it was described anew
+            if _is_recorded_message(iri):
+                state.transient.add(iri)
+        state.descriptions = revision
+
+
+def _is_recorded_message(iri: str) -> bool:
+    """Whether a graph is of a single recorded message: it is there for the queries that name it alone."""
+    return "/bags/" in iri and "/messages/" in iri
+
+
+def _renderings(changes: Mapping[str, _Change]) -> dict[str, Callable[[], str] | None]:
+    return {iri: None if change.entry is None else change.entry.ntriples for iri, change in changes.items()}

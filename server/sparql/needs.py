@@ -1,151 +1,135 @@
-"""What a query needs: which live values must be in the store before it is asked.
+"""What a query needs: the constants by which its triple patterns can match live values. Pure.
 
-The answer may be too much and never too little; `narrowing.py` finds it.
+Everything that takes no reading of the robot is always in the dataset. Values (the latest messages, the values of
+parameters and of properties) are read before a query that has a triple pattern which can match one of their triples.
+Each pattern is judged by its own constants alone, whatever joins and filters make of its matches: so adding a pattern
+to a query can only add to what it needs.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
+from typing import NamedTuple
 
-_LISTINGS = re.compile(r"/(?:parameters/|(?:nodes|topics|services|actions)/(?:.*/)?$)")
+from rosld.ontology.vocab import rdf
+from rosld.server.sparql.ros_functions import AGE
+from rosld.server.sparql.syntax.tree import Group, Iri, Pattern, Query, Variable
+
+_TYPE = frozenset({rdf.type.value})
 
 
-def tells_of_members(graph: str) -> bool:
-    """Whether a graph tells what others say, where it is named alone: a tree of parameters, a listing of names."""
-    return _LISTINGS.search(graph) is not None
+class Constants(NamedTuple):
+    """The constants of a triple pattern; None for anything.
 
-
-@dataclass(frozen=True, slots=True)
-class Demand:
-    """Live values that fit one part of a query: of `graphs` (None: any), of topics that use all of `types`.
-
-    `messages` concerns the values of topics (messages, rate, what came when), `parameters` those of parameters.
+    `graph` is that of the GRAPH around it, `document` the one that its subject is a node of. `type` is the class,
+    where that is asked for.
     """
 
-    graphs: frozenset[str] | None = None
-    types: frozenset[str] = frozenset()
-    messages: bool = True
-    parameters: bool = False
+    graph: str | None = None
+    document: str | None = None
+    predicates: frozenset[str] | None = None
+    type: str | None = None
 
-    @property
-    def is_anything(self) -> bool:
-        """Whether it names no graph and no type."""
-        return self.graphs is None and not self.types
 
-    def covers(self, other: Demand) -> bool:
-        """Whether all that the other asks for is asked for here."""
-        return (
-            (self.graphs is None or (other.graphs is not None and other.graphs <= self.graphs))
-            and self.types <= other.types
-            and self.messages >= other.messages
-            and self.parameters >= other.parameters
-        )
+class ToldTerms(NamedTuple):
+    """The predicates of the value triples of a document, and the classes of its nodes; None for any."""
+
+    predicates: frozenset[str] | None = None
+    classes: frozenset[str] | None = None
+
+    def __or__(self, other: ToldTerms) -> ToldTerms:
+        return ToldTerms(_union(self.predicates, other.predicates), _union(self.classes, other.classes))
+
+
+def _union(one: frozenset[str] | None, other: frozenset[str] | None) -> frozenset[str] | None:
+    return None if one is None or other is None else one | other
 
 
 @dataclass(frozen=True)
 class Needs:
-    """All live values that a query could see: those that any of its `demands` asks for.
+    """The values that a query can match: those that fit any of its `patterns`.
 
-    `documents` are the IRIs (without fragment) of resources that the query names, live or not: what is in the dataset
-    only when it is named (a recorded message, say) is to be put there. `terms` are the classes and predicates by which
-    it names resources below `resources/`, whose URLs become documents (`GraphSource.documents_of`). `rests_on` are the
-    predicates and classes that make the demands too little where clients say them of live values (`mentions.py`).
-    `resources` and `records`: it can match what lies below `resources/`, or recorded messages, without naming them;
-    `trees`: what trees of parameters say of their members. `graph_names` are the constants of GRAPH and FROM.
+    `documents` are the IRIs, without fragment, that it names anywhere. `dataset` are the only graphs that it sees (FROM
+    and FROM NAMED); None for all.
     """
 
-    demands: tuple[Demand, ...] = ()
+    patterns: frozenset[Constants] = frozenset()
     documents: frozenset[str] = frozenset()
-    terms: frozenset[str] = frozenset()
-    rests_on: frozenset[str] = frozenset()
-    resources: bool = False
-    records: bool = False
-    trees: bool = False
-    graph_names: frozenset[str] = frozenset()
-
-    @cached_property
-    def is_everything(self) -> bool:
-        """Whether it looks at the messages of any topic whatever: all that are subscribed to are to be there."""
-        return any(demand.is_anything and demand.messages for demand in self.demands)
-
-    @cached_property
-    def needs_messages(self) -> bool:
-        """Whether it needs values of topics at all."""
-        return any(demand.messages for demand in self.demands)
-
-    @cached_property
-    def needs_parameters(self) -> bool:
-        """Whether it needs values of parameters at all."""
-        return any(demand.parameters for demand in self.demands)
-
-    @cached_property
-    def graphs(self) -> frozenset[str] | None:
-        """The only graphs that its demands can concern; None where that is not known from the query alone."""
-        if any(demand.graphs is None for demand in self.demands):
-            return None
-        return frozenset().union(*(demand.graphs or () for demand in self.demands))
-
-    @cached_property
-    def types(self) -> frozenset[str]:
-        """The message types it names, as ROS names (`geometry_msgs/msg/Twist`)."""
-        return frozenset().union(*(demand.types for demand in self.demands))
-
-    def wants_topic(self, url: str, types: Collection[str]) -> bool:
-        """Whether the values of the topic at `url` are needed; `types` are its type and all types nested in it."""
-        return any(
-            demand.messages
-            and (demand.graphs is None or url in demand.graphs)
-            and all(name in types for name in demand.types)
-            for demand in self.demands
-        )
-
-    def wants_parameter(self, url: str) -> bool:
-        """Whether the value of the parameter at `url` is needed."""
-        return any(demand.parameters and (demand.graphs is None or url in demand.graphs) for demand in self.demands)
-
-    def covers(self, other: Needs) -> bool:
-        """Whether these needs include all of the other's, documents aside."""
-        return all(any(_is_for(mine, one) for mine in self.demands) for one in other.demands)
+    dataset: frozenset[str] | None = None
 
     def restrict_to(self, graphs: Collection[str]) -> Needs:
-        """The same query over these graphs alone (FROM, `default-graph-uri`), which it thereby names, and no others."""
-        allowed = frozenset(graphs)
-        narrowed = (
-            replace(one, graphs=allowed if one.graphs is None else one.graphs & allowed) for one in self.demands
-        )
-        telling = frozenset(filter(tells_of_members, allowed))
-        of_members = (Demand(telling, messages=False, parameters=True),) if telling else ()
-        demands = (*(one for one in narrowed if one.graphs), *of_members)
-        documents = self.documents | allowed
-        return Needs(
-            tuple(remove_covered(demands)), documents, rests_on=self.rests_on, graph_names=self.graph_names | allowed
-        )
+        """Return the needs of the same query over these graphs alone, which it thereby names."""
+        return replace(self, documents=self.documents.union(graphs), dataset=frozenset(graphs))
 
-    def with_documents(self, documents: Collection[str]) -> Needs:
-        """The same with the documents that its terms stand for."""
-        return replace(self, documents=self.documents.union(documents), terms=frozenset())
+    def may_match(self, document: str, told: ToldTerms) -> bool:
+        """Whether a pattern can match value triples of a document that tells these terms."""
+        if self.dataset is not None and document not in self.dataset:
+            return False
+        return any(_may_match(pattern, document, told) for pattern in self.patterns)
 
-    def with_mentions(self, documents: frozenset[str] | None) -> Needs:
-        """The same with the resources of which clients say what it rests on; None: of any."""
-        demands = tuple(remove_covered((*self.demands, Demand(documents, parameters=True))))
-        if documents is None:
-            return replace(self, demands=demands, rests_on=frozenset(), resources=True, records=True)
-        return replace(self, demands=demands, rests_on=frozenset(), documents=self.documents | documents)
+    def __or__(self, other: Needs) -> Needs:
+        dataset = _union(self.dataset, other.dataset)
+        return Needs(self.patterns | other.patterns, self.documents | other.documents, dataset)
 
 
-def remove_covered(demands: Iterable[Demand]) -> Iterator[Demand]:
-    """The demands that no other stands for."""
-    kept: list[Demand] = []
-    for one in dict.fromkeys(demands):
-        if not any(_is_for(other, one) for other in kept):
-            kept = [other for other in kept if not _is_for(one, other)]
-            kept.append(one)
-    yield from kept
+def needs_of_documents(documents: Iterable[str]) -> Needs:
+    """Return the needs of all that documents say."""
+    named = frozenset(documents)
+    return Needs(frozenset(Constants(graph=document) for document in named), named, named)
 
 
-def _is_for(one: Demand, other: Demand) -> bool:
-    """Whether a demand covers another. What names something has it subscribed to, which one for anything has not."""
-    return one.covers(other) and (one.is_anything == other.is_anything or not other.messages)
+def needs_of(query: Query, base: str) -> Needs:
+    """Return the needs of a query, its FROM aside; `base` begins the IRIs of this server's documents."""
+    groups = [*_groups(query.where)]
+    terms = [group.graph for group in groups]
+    terms += (term for group in groups for each in group.patterns for term in (each.subject, each.object))
+    named = {*query.constants, *(term.value for term in terms if isinstance(term, Iri))}
+    patterns = frozenset(_constants(each, group) for group in groups for each in group.patterns)
+    if AGE in query.functions:
+        patterns |= {Constants(graph=document_of(iri)) for iri in query.constants}
+    return Needs(patterns, frozenset(document_of(iri) for iri in named if iri.startswith(base)))
+
+
+def document_of(iri: str) -> str:
+    """Return the document an IRI points into: the IRI without its fragment."""
+    return iri.partition("#")[0]
+
+
+def _groups(group: Group) -> Iterator[Group]:
+    """Yield a group and all within it. Those of filters are matched in the graph around them."""
+    yield group
+    for child in group.children:
+        yield from _groups(child)
+    for inner in group.filters:
+        is_elsewhere = group.graph is not None and inner.graph is None
+        yield from _groups(replace(inner, graph=group.graph) if is_elsewhere else inner)
+
+
+def _constants(pattern: Pattern, group: Group) -> Constants:
+    graph = group.graph.value if isinstance(group.graph, Iri) else None
+    if matches_any_node(pattern, group.patterns):
+        return Constants(graph)
+    if pattern.repeated:  # the steps after the first are about other nodes
+        return Constants(graph, predicates=pattern.predicates)
+    document = document_of(pattern.subject.value) if isinstance(pattern.subject, Iri) else None
+    type = pattern.object.value if pattern.predicates == _TYPE and isinstance(pattern.object, Iri) else None
+    return Constants(graph, document, pattern.predicates, type)
+
+
+def matches_any_node(pattern: Pattern, patterns: Iterable[Pattern]) -> bool:
+    """Whether a path may be empty between two variables that no other pattern of its group binds."""
+    if not pattern.empty:
+        return False
+    bound = {term for each in patterns if not each.empty for term in (each.subject, each.object)}
+    return all(isinstance(end, Variable) and end not in bound for end in (pattern.subject, pattern.object))
+
+
+def _may_match(pattern: Constants, document: str, told: ToldTerms) -> bool:
+    graph, subject, predicates, type = pattern
+    return (
+        (graph is None or graph == document)
+        and (subject is None or subject == document)
+        and (predicates is None or told.predicates is None or not told.predicates.isdisjoint(predicates))
+        and (type is None or told.classes is None or type in told.classes)
+    )

@@ -17,11 +17,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
+from urllib.parse import unquote
 
 from rosld.ontology.vocab import ldp, rdf, ros
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.intervals import ANY_TIME, Interval, Knowledge, date_time_interval, knowledge_of
-from rosld.server.sparql.narrowing import is_free
+from rosld.server.sparql.needs import document_of, matches_any_node
 from rosld.server.sparql.syntax.tree import (
     Group,
     Iri,
@@ -34,13 +35,14 @@ from rosld.server.sparql.syntax.tree import (
     Variable,
     strip_brackets,
 )
-from rosld.server.sparql.vocabulary_view import VocabularyView, document_of
 
 _PAST = ros.past.value
 _LINK, _RECEIVED, _NAME, _TYPE, _OF_RECORD = (
     frozenset({each.value}) for each in (ros.past, ros.received, ros.name, ros.hasMessageType, ros.recordedMessage)
 )
 _NOTHING = frozenset[str]()
+_WITHIN = frozenset(each.value for each in (rdf.first, rdf.rest, ros.latest, ros.latestFrom, ros.recordedMessage))
+"""Predicates that lead from a node to one of the same message, beside the fields of types."""
 _CLASS = frozenset({rdf.type.value})
 _CLASSES = frozenset(each.value for each in (ros.Record, ros.Elided, ldp.Resource, ldp.RDFSource))
 PREDICATES = frozenset(
@@ -54,6 +56,33 @@ PREDICATES = frozenset(
 """What is said of recorded messages and of their topics, beside the fields of their types."""
 _MOST_ROWS = 10_000
 """Rows of an answer, those that OFFSET leaves out included, up to which less than all is read for them."""
+
+
+@dataclass(frozen=True, slots=True)
+class MessageTerms:
+    """The terms of messages. `types` is the namespace of message types, `base` begins the IRIs of this server."""
+
+    types: str
+    base: str
+
+    def type_named(self, iri: str) -> str | None:
+        """Return the message type (`geometry_msgs/msg/Twist`) that an IRI is the class, or a property, of."""
+        return unquote(document_of(iri[len(self.types) :])) if iri.startswith(self.types) else None
+
+    def stays_in_message(self, pattern: Pattern) -> bool:
+        """Whether a match leads to a node of the same message, if it leads to a node that has triples."""
+        predicates = pattern.predicates
+        return predicates is not None and all(one in _WITHIN or one.startswith(self.types) for one in predicates)
+
+    def types_of(self, pattern: Pattern) -> frozenset[str]:
+        """Return the message type that the subject of a pattern must be of, or within; nothing if that is open."""
+        named: set[str | None] = set()
+        if not pattern.empty and pattern.predicates:
+            named = {self.type_named(one) for one in pattern.predicates}
+        is_of_type = pattern.predicates in (_CLASS, _TYPE) and not pattern.repeated
+        if is_of_type and isinstance(pattern.object, Iri):
+            named = {self.type_named(pattern.object.value)}
+        return frozenset(one for one in named if one is not None) if len(named) == 1 else _NOTHING
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,12 +134,12 @@ class PastQuery:
     that it names, itself or by their messages.
     """
 
-    def __init__(self, query: Query, vocabulary: VocabularyView) -> None:
+    def __init__(self, query: Query, terms: MessageTerms) -> None:
         self._where = query.where
-        self._vocabulary = vocabulary
+        self._terms = terms
         named = [each.predicates for group in _groups_of_default_graph(query.where) for each in group.patterns]
         self.predicates = None if None in named else frozenset().union(*(each for each in named if each is not None))
-        self.recordings = frozenset(_recordings(query, vocabulary.base))
+        self.recordings = frozenset(_recordings(query, terms.base))
         self.is_linked = True
         self.covered: Mapping[int, frozenset[str]] = self._message_variables_by_group()
         """The variables that stand for recorded messages or nodes in them, by the `id` of the group they are in."""
@@ -199,7 +228,7 @@ class PastQuery:
         if not isinstance(message, Variable):
             return found
         about = [each for each in group.patterns if each.subject == message]
-        types = frozenset().union(*(self._vocabulary.subject_meaning(each).types for each in about))
+        types = frozenset().union(*(self._terms.types_of(each) for each in about))
         time = ANY_TIME
         for each in about:
             if each.predicates == _RECEIVED and not each.repeated:
@@ -221,7 +250,7 @@ class PastQuery:
                 if each.predicates == _NAME:
                     one = replace(one, names=_meet(one.names, _texts(each.object, known)))
                 elif each.predicates == _TYPE and isinstance(each.object, Iri):
-                    type = self._vocabulary.type_named(each.object.value)
+                    type = self._terms.type_named(each.object.value)
                     one = replace(one, topic_types=one.topic_types | ({type} if type else _NOTHING))
             found[name] = one
         return found
@@ -230,24 +259,24 @@ class PastQuery:
 
     def _may_match(self, pattern: Pattern, group: Group) -> bool:
         """Whether it can match what is said of a recorded message, or that a topic has one."""
-        if is_free(pattern, group.patterns):
+        if matches_any_node(pattern, group.patterns):
             return True
         predicates = pattern.predicates
         if predicates == _CLASS and isinstance(pattern.object, Iri) and not pattern.repeated:
-            return pattern.object.value.startswith(self._vocabulary.types) or pattern.object.value in _CLASSES
+            return pattern.object.value.startswith(self._terms.types) or pattern.object.value in _CLASSES
         is_said = predicates is None or any(
-            each in PREDICATES or each.startswith(self._vocabulary.types) for each in predicates
+            each in PREDICATES or each.startswith(self._terms.types) for each in predicates
         )
         if not isinstance(pattern.subject, Iri) or pattern.repeated:
             return is_said
-        place = pattern.subject.value.removeprefix(self._vocabulary.base)
+        place = pattern.subject.value.removeprefix(self._terms.base)
         is_topic = place.startswith("topics/") and (predicates is None or _PAST in predicates)
         return is_said and (is_topic or place.startswith("bags/"))
 
     def _is_about(self, pattern: Pattern, covered: frozenset[str]) -> bool:
         """Whether it matches only what is said of a node of a covered message."""
         if pattern.repeated or pattern.empty:
-            stays = self._vocabulary.stays_in_graph(pattern)
+            stays = self._terms.stays_in_message(pattern)
             ends = [each.name for each in (pattern.subject, pattern.object) if isinstance(each, Variable)]
             return stays and not covered.isdisjoint(ends)
         if isinstance(pattern.subject, Variable) and pattern.subject.name in covered:
@@ -260,7 +289,7 @@ class PastQuery:
         while True:
             found = covered
             for each in group.patterns:
-                if not self._vocabulary.stays_in_graph(each) or not isinstance(each.object, Variable):
+                if not self._terms.stays_in_message(each) or not isinstance(each.object, Variable):
                     continue
                 if isinstance(each.subject, Variable):
                     if each.subject.name in found:
@@ -284,7 +313,7 @@ class PastQuery:
         return frozenset().union(*map(self._certain, inner))
 
 
-def past_query(query: Query, vocabulary: VocabularyView) -> PastQuery | None:
+def past_query(query: Query, terms: MessageTerms) -> PastQuery | None:
     """What a query asks of the past, None where it does not. Raises Problem 400 for a ros:past in GRAPH."""
     groups = list(_groups(query.where))
     asking = [group for group in groups if any(_PAST in (each.predicates or ()) for each in group.patterns)]
@@ -294,9 +323,9 @@ def past_query(query: Query, vocabulary: VocabularyView) -> PastQuery | None:
         raise Problem(
             400,
             "ros:past stands in a GRAPH: recorded messages have none, they are in the default graph. To say of which "
-            f"recording, write ?message ros:recordedIn <{vocabulary.base}bags/NAME/>.",
+            f"recording, write ?message ros:recordedIn <{terms.base}bags/NAME/>.",
         )
-    return PastQuery(query, vocabulary)
+    return PastQuery(query, terms)
 
 
 def _groups(group: Group) -> Iterator[Group]:

@@ -31,7 +31,8 @@ class QueryRequest:
 
     Without either the dataset is all there is: every graph under its name, and their union as the default graph.
     `timeout` in seconds, where the client wants to wait no longer (`?timeout=`). `quads`: its solutions are a graph, a
-    subject, a predicate and an object each, to be told as a dataset.
+    subject, a predicate and an object each, to be told as a dataset. `partial`: the client takes the answer without
+    values that cannot be read.
     """
 
     text: str
@@ -39,6 +40,7 @@ class QueryRequest:
     named_graphs: tuple[str, ...] = ()
     timeout: float | None = None
     quads: bool = False
+    partial: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +152,9 @@ def _request(parameters: list[tuple[str, str]]) -> QueryRequest:
         raise Problem(400, f"There are {len(queries)} queries in one request; send one.")
     _refuse(parameters, _USING, "are for updates; a query has default-graph-uri and named-graph-uri")
     default, named = (_graphs(parameters, name) for name in _DATASET)
-    return QueryRequest(queries[0], default, named, requested_timeout(parameters))
+    return QueryRequest(
+        queries[0], default, named, requested_timeout(parameters), partial=requested_partial(parameters)
+    )
 
 
 def requested_timeout(parameters: Iterable[tuple[str, str]]) -> float | None:
@@ -162,6 +166,14 @@ def requested_timeout(parameters: Iterable[tuple[str, str]]) -> float | None:
     if len(given) > 1 or seconds is None or not 0 < seconds < inf:
         raise Problem(400, f"timeout={given[0]} is no number of seconds above 0, such as 2.5, given once.")
     return seconds
+
+
+def requested_partial(parameters: Iterable[tuple[str, str]]) -> bool:
+    """Return `?partial=`, False where it is not given. Raises a 400 Problem for what is neither true nor false."""
+    given = [value for name, value in parameters if name == "partial"]
+    if given not in ([], ["true"], ["false"]):
+        raise Problem(400, f"partial={given[0]} must be true or false, given once.")
+    return given == ["true"]
 
 
 def _update(parameters: list[tuple[str, str]]) -> UpdateRequest:

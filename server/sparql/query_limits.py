@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from enum import Enum
+from itertools import islice
 from typing import NamedTuple
 
 from pyoxigraph import Literal, NamedNode, Triple
@@ -14,6 +16,8 @@ _MIB = 1024 * 1024
 MAX_PAST = 250_000
 """Recorded messages that one query may read: an hour of 50 Hz, and more."""
 _RETRY_AFTER = {"Retry-After": "1"}
+_MAX_NAMED = 5
+"""Documents that a problem names in its sentence."""
 
 
 class Limits(NamedTuple):
@@ -94,6 +98,17 @@ def too_many_queries() -> Problem:
         headers=_RETRY_AFTER,
         extra={"reason": "busy"},
     )
+
+
+def incomplete(unread: Mapping[str, str]) -> Problem:
+    """Return the problem of a query that can match values which could not be read; the reasons are by URL."""
+    first = [f"<{url}>: {reason.rstrip('.')}" for url, reason in islice(sorted(unread.items()), _MAX_NAMED)]
+    more = f", and {len(unread) - len(first)} more" if len(unread) > len(first) else ""
+    words = (
+        f"The answer would not be complete: {'; '.join(first)}{more}. Name the documents that the query is "
+        "about by GRAPH, subscribe by --subscribe, raise the limit, or take what there is by ?partial=true."
+    )
+    return Problem(503, words, headers=_RETRY_AFTER, extra={"reason": "incomplete"}, about=tuple(sorted(unread)))
 
 
 def process_crashed(how: str) -> Problem:

@@ -7,9 +7,9 @@ import pickle
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractAsyncContextManager
-from dataclasses import dataclass, replace
-from typing import NamedTuple, TypeAlias
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from typing import NamedTuple
 
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.dataset import QueryError
@@ -26,7 +26,7 @@ from rosld.server.sparql.process.client import QueryProcess
 from rosld.server.sparql.process.work import AnswerWork, QueryWork, Work
 from rosld.server.sparql.process.work import TableWork as FirstRows
 from rosld.server.sparql.protocol import QueryRequest
-from rosld.server.sparql.query_limits import Limits, out_of_time, too_many_queries
+from rosld.server.sparql.query_limits import Limits, incomplete, out_of_time, too_many_queries
 from rosld.server.sparql.restricted import RestrictedDatasets
 from rosld.server.sparql.results import ResultRows
 
@@ -34,12 +34,12 @@ from rosld.server.sparql.results import ResultRows
 class QueryAnswer(NamedTuple):
     """Results in one media type; `content_type` adds its charset. A `body` that is an iterator may raise Aborted.
 
-    `unread` is how many graphs it could match that are not looked at unless it names them, by their container.
+    `unread` tells why documents could not be read that it could match, by their URLs: it is partial.
     """
 
     media_type: str
     body: bytes | AsyncIterator[bytes]
-    unread: Mapping[str, int] = {}
+    unread: Mapping[str, str] = {}
 
     @property
     def content_type(self) -> str:
@@ -67,14 +67,6 @@ class QuerySettings:
         return Limits(self.time_limit, self.memory_limit, self.row_limit, self.workers, self.waiting)
 
 
-UnreadGraphs: TypeAlias = Callable[[Needs, Permissions], Awaitable[Mapping[str, int]]]
-"""How many graphs the needs could match without asking for them, by container."""
-
-
-async def _nothing(needs: Needs, permissions: Permissions) -> Mapping[str, int]:
-    return {}
-
-
 _SECOND = 1_000_000_000
 _GROWTH = 8
 """How many times more messages are read where those at an end were too few: in all a seventh more than needed."""
@@ -96,7 +88,6 @@ class QueryService:
         ages: Callable[[], Mapping[str, float]] = dict,
         settings: QuerySettings = QuerySettings(),
         restricted: RestrictedDatasets | None = None,
-        unread: UnreadGraphs = _nothing,
         past: PastSource | None = None,
     ) -> None:
         self._process = process
@@ -104,7 +95,6 @@ class QueryService:
         self._analyser = analyser
         self._ages = ages
         self._restricted = restricted
-        self._unread = unread
         self._past = past
         self.limits = settings.limits
         self._reader = ThreadPoolExecutor(1, "sparql-reader")
@@ -131,12 +121,10 @@ class QueryService:
         analysis = await self._analyse(request.text, limits, until)
         media_type = results.choose_media_type(results.QUADS if request.quads else analysis.form, accept)
         await self._process.wait_ready(until)
-        needs = await self._needs_of(analysis, request, permissions)
-        unread = await self._unread(needs, permissions)
         is_counted = row_limit.has_counter(media_type)
         body: bytes | AsyncIterator[bytes] = b""
         async for past, least in self._read_past(analysis, request, permissions, limits, until, is_counted):
-            async with self._sync(needs, limits, _scope(analysis, request)):
+            async with self._sync(analysis, request, permissions, limits) as unread:
                 query = self._query(analysis, request, permissions, past)
                 work = AnswerWork(query, media_type, limits.rows, least)
                 body = await self._run_work(work, analysis, limits, until, disconnected, permissions)
@@ -155,17 +143,16 @@ class QueryService:
         limits, until = self._limits_of(request)
         analysis = await self._analyse(request.text, limits, until)
         await self._process.wait_ready(until)
-        needs = await self._needs_of(analysis, request, permissions)
         whole = b""
         async for past, least in self._read_past(analysis, request, permissions, limits, until, True):
-            async with self._sync(needs, limits, _scope(analysis, request)):
+            async with self._sync(analysis, request, permissions, limits) as unread:
                 query = self._query(analysis, request, permissions, past)
                 work = FirstRows(query, limit, least)
                 whole = await _whole(await self._run_work(work, analysis, limits, until, disconnected, permissions))
             if whole:
                 break
         table: ResultRows = pickle.loads(whole)  # from our own process
-        return table._replace(unread=await self._unread(needs, permissions))
+        return table._replace(unread=unread)
 
     async def run_on_snapshot(
         self, needs: Needs, graphs: frozenset[str] | None, prepare: Callable[[], Awaitable[Work]]
@@ -177,8 +164,9 @@ class QueryService:
         """
         limits, until = self.limits, time.monotonic() + self.limits.seconds
         await self._process.wait_ready(until)
-        needs = await self._materializer.resolve_documents(needs)
-        async with self._sync(needs, limits, graphs):
+        deadline = loop_time() + limits.seconds
+        async with self._materializer.materialize(needs, deadline=deadline, scope=graphs) as unread:
+            _require_complete(unread)
             seen = self._materializer.versions_of(graphs)
             work = await prepare()
             try:
@@ -217,13 +205,20 @@ class QueryService:
         finally:
             self._long -= 1
 
-    async def _needs_of(self, analysis: Analysis, request: QueryRequest, permissions: Permissions) -> Needs:
-        """What the query needs, with all documents that it names, as far as it may be read."""
-        return _readable(await self._materializer.resolve_documents(_needs(analysis, request)), permissions)
+    @asynccontextmanager
+    async def _sync(
+        self, analysis: Analysis, request: QueryRequest, permissions: Permissions, limits: Limits
+    ) -> AsyncIterator[Mapping[str, str]]:
+        """Within it the dataset holds what the query needs, as far as the agent may read it.
 
-    def _sync(self, needs: Needs, limits: Limits, scope: frozenset[str] | None) -> AbstractAsyncContextManager[None]:
-        """Within it the dataset holds what the needs ask for."""
-        return self._materializer.materialize(needs, deadline=loop_time() + limits.seconds, scope=scope)
+        It is given what could not be read, with the reasons. Raises Problem 503 for that unless the query takes a
+        partial answer.
+        """
+        needs, scope, deadline = _needs(analysis, request), _scope(analysis, request), loop_time() + limits.seconds
+        async with self._materializer.materialize(needs, permissions, deadline=deadline, scope=scope) as unread:
+            if not request.partial:
+                _require_complete(unread)
+            yield unread
 
     async def _read_past(
         self,
@@ -308,6 +303,12 @@ async def _whole(body: bytes | AsyncIterator[bytes]) -> bytes:
     return body if isinstance(body, bytes) else b"".join([chunk async for chunk in body])
 
 
+def _require_complete(unread: Mapping[str, str]) -> None:
+    """Raise Problem 503 if documents that a query can match could not be read."""
+    if unread:
+        raise incomplete(unread)
+
+
 def _needs(analysis: Analysis, request: QueryRequest) -> Needs:
     default, named = _dataset(analysis, request)
     return analysis.needs.restrict_to(default + named) if default or named else analysis.needs
@@ -317,18 +318,6 @@ def _scope(analysis: Analysis, request: QueryRequest) -> frozenset[str] | None:
     """The only graphs that the query can look at; None for all."""
     default, named = _dataset(analysis, request)
     return frozenset(default + named) if default or named else analysis.is_enclosed
-
-
-def _readable(needs: Needs, permissions: Permissions) -> Needs:
-    """Needs without what may not be read: nothing is subscribed to or called for one who may not see it."""
-    if permissions.may_read_all:
-        return needs
-    demands = (
-        one if one.graphs is None else replace(one, graphs=frozenset(filter(permissions.may_read, one.graphs)))
-        for one in needs.demands
-    )
-    documents = frozenset(filter(permissions.may_read, needs.documents))
-    return Needs(tuple(one for one in demands if one.graphs is None or one.graphs), documents)
 
 
 def _dataset(analysis: Analysis, request: QueryRequest) -> tuple[tuple[str, ...], tuple[str, ...]]:

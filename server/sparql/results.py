@@ -189,13 +189,13 @@ def _check(triples: Iterable[Triple], check: Check) -> Iterator[Triple]:
 class ResultRows(NamedTuple):
     """The first rows of results, for a page: of a graph, subject, predicate and object; `boolean` is ASK's answer.
 
-    `unread` is how many graphs the query could match that are not looked at unless it names them, by container.
+    `unread` tells why documents could not be read that the query could match, by their URLs.
     """
 
     variables: tuple[str, ...] = ()
     rows: tuple[tuple[Term | None, ...], ...] = ()
     boolean: bool | None = None
-    unread: Mapping[str, int] = {}
+    unread: Mapping[str, str] = {}
 
 
 def result_rows(results: Results, limit: int, check: Check) -> ResultRows:

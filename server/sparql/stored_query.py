@@ -39,7 +39,11 @@ from rosld.server.sparql.syntax.token import Kind
 _SUFFIX = ".rq"
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)
 _PARAMETER = re.compile(r"@param\s+(?P<name>\S+)\s+(?P<type>\S+)(?:\s+(?P<default>.*?))??\s+--\s+(?P<about>\S.*)")
-OTHER_SETTINGS = {"format": "in which format the results come", "timeout": "how long the query may take"}
+OTHER_SETTINGS = {
+    "format": "in which format the results come",
+    "partial": "whether a partial answer is taken",
+    "timeout": "how long the query may take",
+}
 """What else the query of a URL says, whatever the parameters are."""
 _SURROGATE = re.compile("[\ud800-\udfff]")
 _INT64 = range(-(2**63), 2**63)

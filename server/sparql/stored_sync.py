@@ -24,7 +24,11 @@ _log = logging.getLogger("rosld.sparql")
 _MUCH = 1000
 """Changes that are not left for a query to find."""
 _POLL_SECONDS = 1.0
-"""Seconds between looks at how many there are."""
+"""Seconds between looks at how many there are, at most."""
+_BATCH_SECONDS = 0.01
+"""Seconds for which changes are gathered that come one after the other: a batch costs less than they do alone."""
+_ASKED_SECONDS = 10.0
+"""Seconds after a query for which few changes are brought, too: a write costs half as much where nobody asks."""
 _SHORT_OF_MEMORY = 30.0
 """Seconds until what there was no memory for is tried again, unless a query asks for it."""
 _PATIENCE = 5.0
@@ -60,6 +64,7 @@ class StoredSync:
         self._state = state
         self._sources = sources
         self._transfer: _Transfer | None = None
+        self._asked = float("-inf")
 
     @property
     def progress(self) -> str | None:
@@ -73,30 +78,34 @@ class StoredSync:
         """How many changes of the first source the target was not sent yet."""
         return self._sources[0].version - (0 if self._state.is_outdated else self._state.versions[0])
 
-    async def sync(self) -> None:
-        """Bring what the first source has, before a query asks for it; the others have little.
+    async def run(self) -> None:
+        """Bring what changes, for ever: much at once, little only while queries come, which then find it there."""
+        pause = 0.0
+        while True:
+            await asyncio.sleep(pause)
+            pause = min(_POLL_SECONDS, 2 * pause + _BATCH_SECONDS)
+            missing = self._missing()
+            if missing == 0 or (missing < _MUCH and time.monotonic() - self._asked > _ASKED_SECONDS):
+                continue
+            try:
+                await self._sync()
+                pause = _BATCH_SECONDS
+            except MemoryError as error:
+                _log.error("what clients keep cannot be brought to the dataset now: %s", error)
+                pause = _SHORT_OF_MEMORY
+            except Problem:  # the process is being started
+                pass
+            except Exception:  # the next query, or the next time, may have more luck
+                _log.exception("what clients keep cannot be brought to the dataset now")
 
-        Raises Problem 503 where the process starts anew meanwhile, and NotEnoughMemory.
-        """
+    async def _sync(self) -> None:
+        """Bring what there is. Raises Problem 503 if the process starts anew meanwhile, and NotEnoughMemory."""
         self._state.follow_restart()
-        transfer = self._transfer or self._start(self._sources[:1])
+        if self._transfer is None and self._send_little():
+            return
+        transfer = self._transfer or self._start(self._sources)
         assert transfer.task is not None
         await asyncio.shield(transfer.task)
-
-    async def run(self) -> None:
-        """Catch up whenever much has changed since a query asked, at once and then for ever: to be cancelled."""
-        while True:
-            if self._missing() >= _MUCH:
-                try:
-                    await self.sync()
-                except MemoryError as error:
-                    _log.error("what clients keep cannot be brought to the dataset now: %s", error)
-                    await asyncio.sleep(_SHORT_OF_MEMORY)
-                except Problem:  # the process is being started
-                    pass
-                except Exception:  # the next query, or the next time, may have more luck
-                    _log.exception("what clients keep cannot be brought to the dataset now")
-            await asyncio.sleep(_POLL_SECONDS)
 
     @property
     def versions(self) -> Sequence[int]:
@@ -118,6 +127,7 @@ class StoredSync:
         Raises Problem 503 with the progress where that takes too long: longer than until `deadline` (loop time), or
         than a query is to wait.
         """
+        self._asked = time.monotonic()
         if self._transfer is None and self._send_little():
             return
         loop = asyncio.get_running_loop()

@@ -6,7 +6,6 @@ from collections.abc import Hashable, Mapping, Sequence
 from typing import NamedTuple, Protocol
 
 from rosld.server.dataset import Edit
-from rosld.server.sparql.graph_source import Snapshot
 from rosld.server.sparql.query_limits import process_restarting
 
 
@@ -30,14 +29,14 @@ class SyncTarget(Protocol):
 class HeldGraph(NamedTuple):
     """A graph as the target holds it.
 
-    `token` is its own and `description` that of the description it was made with; `has_values` is whether it has values
-    that change by themselves. `snapshot` is the number of the snapshot it is of, `size` is in characters of N-Triples.
+    `token` is its own, `description` that of its description then, None for a graph without one. `number` is that of
+    the reading it is of, `size` is in characters of N-Triples.
     """
 
     token: Hashable
     description: Hashable
     has_values: bool
-    snapshot: int
+    number: int
     size: int
 
 
@@ -58,12 +57,10 @@ class TargetState:
         """The graphs that come from the `GraphSource`."""
         self.live: set[str] = set()
         """Those of them that have values which change by themselves."""
-        self.extras: set[str] = set()
-        """Those of them that are there for one query only."""
+        self.transient: set[str] = set()
+        """Those of them that are there for the queries that name them."""
         self.descriptions: Hashable = object()
         """The revision of the descriptions that it holds."""
-        self.everything: Snapshot | None = None
-        """The last look at all of the source."""
         self.generation = self._target.generation
         """That of the target to which all this belongs; the last to be set, for those who look from another thread."""
 

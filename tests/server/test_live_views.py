@@ -69,7 +69,7 @@ def test_a_message_is_never_seen_torn(robot: MadeUp, serving: Serving) -> None:
     by_type = "SELECT ?x ?y ?z { ?t ros:latest ?m . ?m v:x ?x . OPTIONAL { ?m v:y ?y } OPTIONAL { ?m v:z ?z } }"
     in_sum = (
         "SELECT (MIN(?a) AS ?x) (MAX(?a) AS ?y) (AVG(?a) AS ?z) "
-        "{ { ?m v:x ?a } UNION { ?m v:y ?a } UNION { ?m v:z ?a } }"
+        "{ ?t ros:latest ?m { ?m v:x ?a } UNION { ?m v:y ?a } UNION { ?m v:z ?a } }"
     )
     seen = set()
     with meanwhile(lambda count: robot.publishes("/place", all_equal(count))):
@@ -121,7 +121,7 @@ def test_a_query_pays_for_the_topics_it_names_and_not_for_the_size_of_the_robot(
     assert robot.subscribed() == set()
     assert lifted == []  # what is asked of the graph needs no value
     wanted = {f"/t{number}" for number in range(0, size, every)}
-    each = (f"{{ <topics{topic}> ros:latest ?m . ?m v:x ?x }}" for topic in sorted(wanted))
+    each = (f"{{ GRAPH <topics{topic}> {{ ?m v:x ?x }} }}" for topic in sorted(wanted))
     query = f"SELECT ?m ?x {{ {' UNION '.join(each)} }}"
     assert {float(x) for _, x in rows(http, query)} == set(map(float, range(0, size, every)))
     assert robot.subscribed() == wanted
@@ -180,7 +180,7 @@ def test_the_parameters_a_query_needs_are_asked_for_together(
     monkeypatch.setattr(robot, "get_parameters", counted)
     found = rows(http, "SELECT ?v { ?p a ros:Parameter ; ros:value ?v }")
     assert {int(value) for [value] in found} == set(range(50))
-    assert [len(names) for names in asked] == [50]
+    assert [len(names) for names in asked] == [51]  # and their tree
     assert rows(http, "SELECT ?v { <parameters/p7> ros:value ?v }") == [["7"]]
     assert [list(names) for names in asked[1:]] == [["/p7"]]
 

@@ -222,7 +222,7 @@ def test_messages_and_parameters_of_queries_are_described_by_the_schemas_of_thei
     parameters = path_item(description, "/queries/silent-topics")["get"]["parameters"]
     own = {one["name"]: one["schema"] for one in parameters if one.get("in") == "query"}
     assert own.items() >= {"seconds": {"type": "number"}}.items()
-    assert own.keys() == {"seconds", "format", "timeout"}
+    assert own.keys() == {"seconds", "format", "partial", "timeout"}
 
 
 def test_what_only_the_server_says_is_not_to_be_sent() -> None:

@@ -295,8 +295,8 @@ class UpdateService:
                 if (record is not None) != target.change.was_there:
                     return False
         meant = delta.named | {change.graph for change in delta.changes}
-        # All topics together never stand still, so only those count that an update means.
-        seen = [each for each in delta.seen.items() if each[0] in meant or self._kind(each[0]) != "topics"]
+        # All values together never stand still, so only those count that an update means.
+        seen = [each for each in delta.seen.items() if each[0] in meant]
         return all([await self._is_as_seen(graph, token) for graph, token in seen])
 
     async def _is_as_seen(self, graph: str, token: Hashable) -> bool:

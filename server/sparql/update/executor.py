@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Hashable, Iterator, Mapping, Sequence
+from functools import reduce
 from typing import NamedTuple
 
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.analysis import Analyser, Analysis
 from rosld.server.sparql.materializer import SeenVersions
-from rosld.server.sparql.needs import Demand, Needs
+from rosld.server.sparql.needs import Needs, needs_of_documents
 from rosld.server.sparql.process.work import WhereWork, Work, evaluate_work, read_changes
 from rosld.server.sparql.query_service import QueryService
 from rosld.server.sparql.update.evaluate import GraphChange, named_graphs
@@ -102,17 +103,12 @@ def _scope(asked: Sequence[_Asked], graphs: frozenset[str]) -> frozenset[str] | 
 
 
 def _together(asked: Sequence[_Asked], graphs: frozenset[str]) -> Needs:
-    demands = [demand for one in asked for demand in one.needs.demands]
-    if graphs:
-        demands.append(Demand(graphs, parameters=True))
-    documents = graphs.union(*(one.needs.documents for one in asked))
-    return Needs(tuple(dict.fromkeys(demands)), documents, frozenset().union(*(one.needs.terms for one in asked)))
+    return reduce(Needs.__or__, (one.needs for one in asked), needs_of_documents(graphs))
 
 
 def _read(needs: Needs, seen: SeenVersions) -> Mapping[str, Hashable]:
     """The tokens of the graphs that may have been read."""
-    named = needs.graphs
-    if named is None:
+    named = [one.graph or one.document for one in needs.patterns]
+    if None in named:
         return seen.tokens
-    known = named | needs.documents
-    return {graph: token for graph, token in seen.tokens.items() if graph in known}
+    return {graph: token for graph, token in seen.tokens.items() if graph in named or graph in needs.documents}

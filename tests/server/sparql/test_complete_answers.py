@@ -1,4 +1,4 @@
-"""However a query is spelled it answers the same, or says which graphs it did not look at."""
+"""A query answers the same however it is put, over all that it can match; or it is refused."""
 
 from __future__ import annotations
 
@@ -10,12 +10,14 @@ import pytest
 
 from rosld.adapters.base import AdapterOptions
 from rosld.adapters.registry import adapter_for
-from tests.server.robots.made_up import served
+from tests.server.robots.asking import TYPES
+from tests.server.robots.made_up import MadeUp, served
 
 pytestmark = pytest.mark.slow
 
 ALL = "SELECT * { ?s ?p ?o }"
 TURTLE = {"Content-Type": "text/turtle"}
+STRING = "std_msgs/msg/String"
 
 
 @pytest.fixture
@@ -24,55 +26,53 @@ def http(own_aircraft: httpx.Client) -> httpx.Client:
     return own_aircraft
 
 
-def ask(http: httpx.Client, query: str) -> tuple[list[list[str]], str]:
-    """The rows of a SELECT in an order of their own, and what it says that it did not look at."""
+def ask(http: httpx.Client, query: str) -> list[list[str]]:
+    """The rows of a SELECT in an order of their own."""
     answer = http.get("/sparql", params={"query": query}, headers={"Accept": "text/csv"})
     assert answer.status_code == 200, answer.text
-    rows = list(csv.reader(io.StringIO(answer.text)))[1:]
-    return sorted(rows), answer.headers.get("unread-graphs", "")
+    return sorted(list(csv.reader(io.StringIO(answer.text)))[1:])
 
 
-def unread(http: httpx.Client, query: str) -> set[str]:
-    """The containers that a query says it did not look into."""
-    field = ask(http, query)[1]
-    members = [member.strip().partition(";count=") for member in field.split(",") if member]
-    assert all(count.isdecimal() and int(count) > 0 for _, _, count in members)
-    return {container for container, _, _ in members}
+def test_a_query_that_would_be_incomplete_is_refused_unless_it_takes_a_part() -> None:
+    robot = MadeUp()
+    for name in ("/one", "/two"):
+        robot.topic(name, STRING, {"data": name})
+    with served(robot, subscription_budget=1) as http:
+        refused = http.get("/sparql", params={"query": ALL})
+        assert refused.status_code == 503
+        assert refused.json()["reason"] == "incomplete"
+        for words in (f"<{http.base_url}topics/one>", "--subscription-budget is 1", "?partial=true"):
+            assert words in refused.json()["detail"]
+        partial = http.get("/sparql", params={"query": ALL, "partial": "true"}, headers={"Accept": "text/csv"})
+        assert partial.status_code == 200
+        assert f'"{http.base_url}topics/two"' in partial.headers["unread-graphs"]
+        page = http.get("/sparql", params={"query": ALL, "partial": "true"}, headers={"Accept": "text/html"})
+        assert "The answer is partial." in page.text
+        assert http.get("/sparql", params={"query": ALL, "partial": "perhaps"}).status_code == 400
+        assert ask(http, f"SELECT ?v {{ GRAPH <topics/two> {{ ?m <{TYPES}{STRING}#data> ?v }} }}") == [["/two"]]
 
 
-def test_a_query_says_which_containers_it_did_not_read(http: httpx.Client) -> None:
-    assert "topics;count=2" in ask(http, ALL)[1]
-    assert unread(http, "SELECT * { ?t a ros:Topic ; ros:rate ?r }") == {"topics"}
-    assert unread(http, "SELECT * { <topics/aircraft/engine/speed> ros:rate ?r }") == set()
-    assert "topics;count=1" in ask(http, ALL)[1]
-    http.put("/topics/cockpit/display", json={"data": "x"})
-    assert "topics" not in unread(http, ALL)
-    for query in (
-        "SELECT * { ?t a ros:Topic }",
-        "SELECT * { ?n ros:publishes ?t }",
-        "SELECT * { ?n a ros:Node ; ?p ?o }",
-        "SELECT * { ?r a ros:Property ; ros:name ?n }",
-        "SELECT * { GRAPH <resources/aircraft/power> { ?r ?p ?v } }",
-    ):
-        assert unread(http, query) == set(), query
-    for query in (ALL, "SELECT * { ?r ?p 'off' }", "SELECT * { GRAPH ?g { ?r dcterms:isPartOf ?c } }"):
-        assert "resources" in unread(http, query), query
+def test_what_takes_no_reading_of_the_robot_is_there_for_every_query(http: httpx.Client) -> None:
+    parts = "SELECT (COUNT(DISTINCT ?r) AS ?n) { ?r dcterms:isPartOf ?x }"
+    assert ask(http, parts) == ask(http, parts.replace(" }", " . ?r a ?any }"))
+    offers = "SELECT DISTINCT ?r { ?r td:hasPropertyAffordance ?a }"
+    assert set(map(tuple, ask(http, "SELECT ?r { ?r a ros:Property }"))) <= set(map(tuple, ask(http, offers)))
+    typed = "SELECT ?r { <resources/cockpit/> ldp:contains ?r FILTER NOT EXISTS { ?r a ?type } }"
+    assert ask(http, typed) == []
+    assert len(ask(http, "SELECT ?r { GRAPH <topics/> { ?r ros:name ?n } }")) > 1
 
 
-def test_the_page_says_so_too(http: httpx.Client) -> None:
-    for query, words in (
-        (ALL, "Not looked at, as the query does not name them:"),
-        ("SELECT * { ?r ?p 'off' }", "below /resources/"),
-        ("SELECT * { ?c ldp:contains ?r }", "Not looked at"),
-    ):
-        assert words in http.get("/sparql", params={"query": query}, headers={"Accept": "text/html"}).text
-    named = {"query": "SELECT * { ?t a ros:Topic }"}
-    assert "Not looked at" not in http.get("/sparql", params=named, headers={"Accept": "text/html"}).text
+def test_values_of_optional_parts_are_read(http: httpx.Client) -> None:
+    fields = (
+        "SELECT ?t ?f { ?t a ros:Topic OPTIONAL { ?t ros:latest ?m . ?m ?f ?v FILTER(STRENDS(STR(?f), '#data')) } }"
+    )
+    assert [f"#{field.rpartition('#')[2]}" for topic, field in ask(http, fields) if topic.endswith("speed")] == [
+        "#data"
+    ]
 
 
 SPEED, POWER = "<topics/aircraft/engine/speed>", "<resources/aircraft/power>"
-FLOAT = "<https://w3id.org/rosld/types/std_msgs/msg/Float64>"
-DATA = "<https://w3id.org/rosld/types/std_msgs/msg/Float64#data>"
+FLOAT, DATA = f"<{TYPES}std_msgs/msg/Float64>", f"<{TYPES}std_msgs/msg/Float64#data>"
 OF_PROPERTIES = [
     "SELECT ?r { ?r a ros:Property }",
     "SELECT ?r { VALUES ?c { ros:Property } ?r a ?c }",
@@ -104,7 +104,7 @@ OF_A_TOPIC = [
 
 def test_equivalent_spellings_give_equal_answers(http: httpx.Client) -> None:
     for spellings in (OF_PROPERTIES, OF_A_RESOURCE):
-        answers = [ask(http, query)[0] for query in spellings]
+        answers = [ask(http, query) for query in spellings]
         assert answers[0]
         assert answers == [answers[0]] * len(answers)
 
@@ -112,9 +112,9 @@ def test_equivalent_spellings_give_equal_answers(http: httpx.Client) -> None:
 def test_equivalent_spellings_subscribe_to_what_they_name() -> None:
     for query in OF_A_TOPIC:
         with served(adapter_for("aircraft", AdapterOptions())) as http:  # where nobody has asked for anything before
-            found = ask(http, query)[0]
+            found = ask(http, query)
             assert found, query
-            assert found == ask(http, OF_A_TOPIC[0])[0], query
+            assert found == ask(http, OF_A_TOPIC[0]), query
 
 
 def test_data_of_clients_about_live_resources_hides_none_of_them(http: httpx.Client) -> None:
@@ -124,10 +124,10 @@ def test_data_of_clients_about_live_resources_hides_none_of_them(http: httpx.Cli
         f"SELECT ?v {{ {SPEED} ros:latest ?m . ?m {DATA} ?v }}",
         "SELECT ?t { ?t a ros:Topic ; ros:name '/aircraft/engine/speed' OPTIONAL { ?t ros:rate ?r } }",
     ]
-    before = [ask(http, query)[0] for query in queries]
+    before = [ask(http, query) for query in queries]
     assert all(before)
     assert http.put("/data/claims/1", content=claim, headers=TURTLE).is_success
     other = f"<{http.base_url}topics/cockpit/display> <https://w3id.org/rosld#hasMessageType> {FLOAT} ."
     assert http.put("/data/claims/2", content=other, headers=TURTLE).is_success
-    assert [ask(http, query)[0] for query in queries] == before
-    assert len(ask(http, f"SELECT * {{ ?t ros:hasMessageType {FLOAT} OPTIONAL {{ ?t ros:rate ?r }} }}")[0]) == 2
+    assert [ask(http, query) for query in queries] == before
+    assert len(ask(http, f"SELECT * {{ ?t ros:hasMessageType {FLOAT} OPTIONAL {{ ?t ros:rate ?r }} }}")) == 2

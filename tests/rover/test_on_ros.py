@@ -19,6 +19,7 @@ from rosld.adapters.rover.topics import CMD_VEL, LATCHED, NAVIGATE_TO, PERIODIC,
 from tests.adapters.ros1 import system as ros1
 from tests.rover.rovers import STANDSTILL, Rover, running
 from tests.server.history.mcap_files import decode, read
+from tests.server.sparql.laws import LAWS, Asked, keep
 from tests.stopping import release
 from tests.waiting import until
 
@@ -52,6 +53,11 @@ def rover(
 def test_every_topic_that_it_publishes_has_a_message(rover: Rover) -> None:
     for topic in (*PERIODIC, *LATCHED):
         assert rover.hear(topic)
+
+
+@pytest.mark.parametrize("law", LAWS, ids=lambda law: law.__name__)
+def test_queries_keep_the_laws_of_sparql(rover: Rover, law: Callable[[Asked], None]) -> None:
+    keep(rover.http, law, turns=5)
 
 
 def test_it_is_driven_and_stands_when_its_hold_lapses_or_is_stopped(rover: Rover) -> None:

@@ -118,21 +118,20 @@ class QueryProcessMain:
     # --- workers
 
     def _fork(self, number: int, connection: int) -> None:
-        parent = os.getpid()
-        reading, writing = os.pipe()
+        parent, pipe = os.getpid(), list[int]()
         try:
             PROCESS_MEMORY.require(_MIN_MEMORY, "a query")
+            pipe += os.pipe()
             pid = os.fork()
         except (OSError, MemoryError) as error:
-            os.close(reading)
             self._send(Ended(number, pickle_error(error)))
         else:
             if pid == 0:
-                os.dup2(writing, 2)
+                os.dup2(pipe[1], 2)
                 live(connection, self._stores, parent)
-            self._workers[number] = _Child(pid, reading)
-        os.close(writing)
-        os.close(connection)
+            self._workers[number] = _Child(pid, pipe.pop(0))
+        for descriptor in (connection, *pipe):
+            os.close(descriptor)
 
     def _reap(self) -> None:
         """Tell which workers have ended."""

@@ -8,6 +8,7 @@ import os
 import socket
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from itertools import count
 
@@ -91,7 +92,8 @@ class WorkerPool:
     def start(self, process: ChildProcess, loop: asyncio.AbstractEventLoop) -> None:
         """Use a query process that has been started, and have one worker ready."""
         self._process, self._loop = process, loop
-        self._idle.append(self._fork(process))
+        with suppress(OSError):
+            self._idle.append(self._fork(process))
 
     def stop(self) -> None:
         """Fail all jobs: the query process is gone, and its workers with it."""
@@ -147,7 +149,11 @@ class WorkerPool:
     def _serve(self) -> None:
         while self._process is not None and (job := self._next_job()) is not None:
             self._queue.remove(job)
-            worker = self._idle.pop() if self._idle else self._fork(self._process)
+            try:
+                worker = self._idle.pop() if self._idle else self._fork(self._process)
+            except OSError as error:  # there are no more descriptors
+                job.fail(error)
+                continue
             worker.begin(job)
             if self._busy > self._concurrency:
                 job.is_tried = True

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from pyoxigraph import BlankNode, DefaultGraph, NamedNode, Quad, RdfFormat, Store, Triple, parse
 
 from rosld.server.dataset.base import Edit, Function, QueryError, Results
-from rosld.server.dataset.encoding import decode_ntriples, decode_triple, encode_ntriples, encode_triple
+from rosld.server.dataset.encoding import decode_ntriples, decode_triple, encode_ntriples
 from rosld.server.dataset.garbage_estimate import GarbageEstimate
 from rosld.server.dataset.private_functions import FUNCTIONS
 from rosld.server.runtime.process_memory import trim
@@ -187,11 +187,6 @@ class MemoryStore:
             return [decode_triple(quad.triple) for quad in self._quads(graph)] or None
         text = self._label(graph, "\n".join(lines))
         return [quad.triple for quad in parse(text.encode(), RdfFormat.N_TRIPLES)]
-
-    def contains(self, graph: str, triple: Triple) -> bool:
-        """Whether a graph has a triple, spelt as it is."""
-        stored = encode_triple(triple)
-        return Quad(stored.subject, stored.predicate, stored.object, NamedNode(graph)) in self._store
 
     def _quads(self, graph: str) -> Iterator[Quad]:
         """Found by walking past all that are gone: the lines of a graph that was replaced often are read faster."""

@@ -33,15 +33,15 @@ class KeptChange(NamedTuple):
     added: bytes
 
 
-def change_kept(kept: bytes, removed: bytes, added: bytes, *, is_exact: bool = False) -> KeptChange | None:
+def change_kept(kept: bytes, removed: bytes, added: bytes) -> KeptChange | None:
     """The statements `kept` without the lines of `removed`, as far as they are there, and with those of `added`.
 
-    With `is_exact` None where they are not all there.
+    None where blank nodes are removed that are not there: they may have other labels.
     """
     gone, new = dict.fromkeys(_lines(removed)), dict.fromkeys(_lines(added))
     lines = _lines(unpack(kept))
     there = {*gone, *new}.intersection(lines)
-    if is_exact and not there.issuperset(gone):
+    if has_blank_nodes(removed) and not there.issuperset(gone):
         return None
     lost = [line for line in gone if line in there and line not in new]
     come = [line for line in new if line not in there]

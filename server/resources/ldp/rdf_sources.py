@@ -29,6 +29,7 @@ from rosld.server.resources.ldp.representation import state_of
 from rosld.server.resources.ldp.statements import (
     MAX_PATCHED,
     N3_PATCH,
+    SMALL_BYTES,
     Statements,
     member_uri,
     merge_statements,
@@ -47,7 +48,7 @@ from rosld.server.rest.resource import Answer, Resource
 from rosld.server.rest.state import State, require_memory
 from rosld.server.runtime.offload import Work
 from rosld.server.storage import NO_MEMBER, Difference, Model, Put, Record, Remove, Write
-from rosld.server.storage.packing import unpack
+from rosld.server.storage.packing import is_large, unpack
 from rosld.server.storage.recent_writes import MAX_BYTES as DIFFERENT
 from rosld.server.storage.record_documents import META, client_times, to_ntriples
 from rosld.server.storage.record_paths import container_of
@@ -151,11 +152,14 @@ class RdfSourceResource(StoredResource):
         await self.change_record(exchange, changed)
         return await with_warnings(self.documents, self.path, exchange, no_content())
 
-    async def _changed(self, record: Record, change: Work[KeptChange | None]) -> Put | None:
-        """The write of a change of what is kept, made in a worker; None where more must be looked at than changes."""
+    async def _changed(self, record: Record, change: Work[KeptChange | None], *, is_long: bool = True) -> Put | None:
+        """The write of a change of what is kept, made in a worker if it `is_long`.
+
+        None where more must be looked at than changes.
+        """
         if record.membership is not None or record.member == NO_MEMBER:
             return None
-        found = await self.documents.workers.run(change)
+        found = await self.documents.workers.run(change) if is_long else change()
         if found is None:
             return None
         kept, *lines = found
@@ -195,8 +199,12 @@ class RdfSourceResource(StoredResource):
         if has_managed((*change.removed, *change.added), self._subject):
             return None
         removed, added = map(to_ntriples, change)
-        put = await self._changed(record, partial(change_kept, record.triples, removed, added, is_exact=True))
-        return None if put is None else StorageWrite(f"store {self.title}", (put,))
+        is_long = is_large(record) or len(removed) + len(added) > SMALL_BYTES
+        put = await self._changed(record, partial(change_kept, record.triples, removed, added), is_long=is_long)
+        if put is None:
+            return None
+        is_changed = put.difference is None or put.difference.removed or put.difference.added
+        return StorageWrite(f"store {self.title}", (put,) if is_changed else ())
 
     @property
     def document_url(self) -> str:

@@ -33,6 +33,7 @@ from rosld.server.resources.sparql_update.report import (
     reason,
     report_response,
 )
+from rosld.server.resources.sparql_update.resource_graphs import read_graphs
 from rosld.server.resources.sparql_update.update_rights import (
     require_change,
     require_rights,
@@ -48,7 +49,7 @@ from rosld.server.runtime.dry_run import DryRunEnded
 from rosld.server.sparql.analysis import Analyser
 from rosld.server.sparql.protocol import UpdateRequest
 from rosld.server.sparql.syntax.lexer import QueryBounds
-from rosld.server.sparql.update.evaluate import GraphChange, named_graphs
+from rosld.server.sparql.update.evaluate import GraphChange, has_where, named_graphs
 from rosld.server.sparql.update.executor import Delta, UpdateEvaluator
 from rosld.server.sparql.update.operations import GraphVerb, ManageGraph, Operation
 from rosld.server.sparql.update.parser import read_update
@@ -133,7 +134,7 @@ class UpdateService:
             seconds=settings.query_time_limit,
             limit=settings.body_limit,
         )
-        async with self._serialize_updates(operations):
+        async with self._serialize_updates(operations) if has_where(operations) else contextlib.nullcontext():
             while True:
                 try:
                     return await self._evaluate_and_write(operations, permissions)
@@ -159,15 +160,19 @@ class UpdateService:
     async def _evaluate_and_write(self, operations: Sequence[Operation], permissions: Permissions) -> Response:
         more: frozenset[str] = frozenset()
         documents: str | None = f"{self._session.space.base}data/"
-        locked: frozenset[str] = frozenset()
+        is_query = has_where(operations)
+        locked: frozenset[str] = frozenset() if is_query else named_graphs(operations)
         for _ in range(ATTEMPTS):
-            # Where others write these graphs all the time, it is evaluated under their locks.
+            # Where others write these graphs all the time, a WHERE is evaluated under their locks, too.
             async with self._lock_graphs(locked):
-                delta = await self._evaluator.evaluate(operations, more, documents)
-                unseen = self._unseen(delta)
-                if unseen - more:
-                    more |= unseen
+                if not is_query:
+                    delta = await self._evaluate_data(operations, by_change=documents is not None)
+                else:
                     delta = await self._evaluator.evaluate(operations, more, documents)
+                    unseen = self._unseen(delta)
+                    if unseen - more:
+                        more |= unseen
+                        delta = await self._evaluator.evaluate(operations, more, documents)
                 try:
                     done = await self._write_if_current(delta, permissions, locked)
                 except _WholeGraphNeeded:
@@ -181,6 +186,12 @@ class UpdateService:
             f"What this update reads or writes has changed {ATTEMPTS} times while it was planned; nothing was done.",
             headers={"Retry-After": "1"},
         )
+
+    async def _evaluate_data(self, operations: Sequence[Operation], *, by_change: bool) -> Delta:
+        """The changes that operations without WHERE make now."""
+        named, stored = named_graphs(operations), self._documents.records.version
+        graphs = await read_graphs(named, self._resource_of)
+        return Delta(await graphs.changes(operations, by_change=by_change), graphs.tokens, stored, named)
 
     async def _read(self, request: UpdateRequest) -> Sequence[Operation]:
         if len(request.text) <= _INLINE:

@@ -51,31 +51,21 @@ class Graphs(Protocol):
         """The triples of a graph, None where there is no such graph."""
         ...
 
-    def contains(self, graph: str, triple: Triple) -> bool:
-        """Whether a graph has a triple."""
-        ...
-
 
 class _LargeGraph:
-    """A graph that is there and large, as what changes of it: it is asked for single triples."""
+    """What changes of a large graph that is there, whatever it says: what is removed goes first."""
 
-    def __init__(self, graph: str, graphs: Graphs) -> None:
-        self._graph = graph
-        self._graphs = graphs
+    def __init__(self) -> None:
         self.removed: dict[Triple, None] = {}
         self.added: dict[Triple, None] = {}
 
     def remove(self, triple: Triple) -> None:
-        if triple in self.added:
-            del self.added[triple]
-        elif triple not in self.removed and self._graphs.contains(self._graph, triple):
-            self.removed[triple] = None
+        self.added.pop(triple, None)
+        self.removed[triple] = None
 
     def insert(self, triple: Triple) -> None:
-        if triple in self.removed:
-            del self.removed[triple]
-        elif triple not in self.added and not self._graphs.contains(self._graph, triple):
-            self.added[triple] = None
+        self.removed.pop(triple, None)
+        self.added[triple] = None
 
 
 class ScratchDataset(Protocol):
@@ -169,7 +159,7 @@ class StagingDataset:
         """A graph as what changes of it; None for one that is held whole."""
         large = self._large.get(graph)
         if large is None and graph not in self._before and self._dataset is None and self._is_large(graph):
-            large = self._large[graph] = _LargeGraph(graph, self._graphs)
+            large = self._large[graph] = _LargeGraph()
         return large
 
     def _triples_of(self, graph: str) -> dict[Triple, None] | None:
@@ -179,7 +169,7 @@ class StagingDataset:
             large = self._large.pop(graph, None)
             if large is not None and now is not None:
                 for triple in large.removed:
-                    del now[triple]
+                    now.pop(triple, None)
                 now.update(large.added)
         return self._now[graph]
 
@@ -215,6 +205,11 @@ def evaluate(operations: Sequence[Operation], staging: StagingDataset, ask: Wher
 def has_dependent_where(operations: Sequence[Operation]) -> bool:
     """Whether a WHERE comes after another operation, so that it must see what that has done."""
     return any(isinstance(each, Modify) and each.where is not None for each in operations[1:])
+
+
+def has_where(operations: Sequence[Operation]) -> bool:
+    """Whether an operation has a WHERE."""
+    return any(isinstance(each, Modify) and each.where is not None for each in operations)
 
 
 def named_graphs(operations: Sequence[Operation]) -> frozenset[str]:

@@ -12,6 +12,8 @@ from random import Random
 import httpx
 
 Rows = set[tuple[str, ...]]
+_ATTEMPTS = 3
+"""Times that the same queries may contradict each other: the next message has more or fewer nodes."""
 _BULKY = ("Image", "PointCloud", "OccupancyGrid", "Mesh")
 """Types of values that only queries which name them have: on the rover those of its camera and map."""
 
@@ -125,8 +127,16 @@ def keep(http: httpx.Client, law: Callable[[Asked], None], turns: int, seed: int
     """Have a robot keep a law for queries at random; few may take too long."""
     asked, late = Asked(http, Random(f"{law.__name__} {seed}")), 0
     for _ in range(turns):
-        try:
-            law(asked)
-        except TimeoutError:
-            late += 1
+        state = asked.random.getstate()
+        for attempt in range(_ATTEMPTS):
+            asked.random.setstate(state)
+            try:
+                law(asked)
+            except TimeoutError:
+                late += 1
+            except AssertionError:
+                if attempt == _ATTEMPTS - 1:
+                    raise
+                continue
+            break
     assert late <= turns / 4

@@ -69,7 +69,7 @@ def recorded(folder: Path, topics: int, end: int) -> Recorded:
 
 
 class Took(NamedTuple):
-    """What it takes: seconds that pass, and of processors, the forks of the query process included."""
+    """What it takes: seconds that pass, and of processors, the query process and its workers included."""
 
     wall: float
     processor: float
@@ -80,17 +80,15 @@ class Took(NamedTuple):
 
 
 def processor_seconds() -> float:
-    """What this process and its children have used, those that have ended included."""
-    found = 0.0
-    for path in (Path("/proc/self/stat"), *(Path(f"/proc/{child}/stat") for child in children())):
-        fields = path.read_text().rpartition(")")[2].split()
-        found += sum(map(int, fields[11:15])) / os.sysconf("SC_CLK_TCK")
-    return found
+    """What this process and all that it started have used, those that have ended included."""
+    return _processor_seconds("self")
 
 
-def children() -> list[str]:
-    """The processes that this one has started."""
-    return [each for task in Path("/proc/self/task").iterdir() for each in (task / "children").read_text().split()]
+def _processor_seconds(pid: str) -> float:
+    process = Path("/proc", pid)
+    fields = (process / "stat").read_text().rpartition(")")[2].split()
+    children = [each for file in process.glob("task/*/children") for each in file.read_text().split()]
+    return sum(map(int, fields[11:15])) / os.sysconf("SC_CLK_TCK") + sum(map(_processor_seconds, children))
 
 
 def timed(ask: Callable[[], Any], rounds: int) -> tuple[Took, Any]:

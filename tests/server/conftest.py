@@ -108,6 +108,18 @@ def aircraft() -> Iterator[Served]:
     assert served.stop() == 0
 
 
+@pytest.fixture(scope="module")
+def plane(start_server: Callable[..., Served]) -> httpx.Client:
+    """A client of an aircraft that the tests of a file change."""
+    return start_server("aircraft", "--max-publish-rate", "100000").http
+
+
+@pytest.fixture(scope="module")
+def rover(start_server: Callable[..., Served]) -> httpx.Client:
+    """A client of a rover whose odometry and battery are recorded."""
+    return start_server("rover", "--history", "/odom", "--history", "/battery_state").http
+
+
 @pytest.fixture
 def own_aircraft() -> Iterator[httpx.Client]:
     """A client of an aircraft of this test's own, served by a thread: a process takes ten times as long to start."""

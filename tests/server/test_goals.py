@@ -78,19 +78,6 @@ def test_no_state_comes_after_one_that_is_final_but_a_lost_goal_may_still_have_e
     keeping(scenario)
 
 
-def test_what_cannot_be_read_is_said_and_a_result_after_the_end_is_kept() -> None:
-    async def scenario(goals: Goals) -> None:
-        goal = await hear(goals, "a", status(GoalStatus.EXECUTING, feedback=b"?"))
-        assert (goal.status, goal.ended_ns) == (GoalStatus.EXECUTING, None)
-        assert goal.unreadable
-        result = flown(1) + struct.pack("<I", 2) + b"ok"
-        goal = await hear(goals, "a", status(GoalStatus.SUCCEEDED), GoalEvent(2, result=result))
-        assert goal.ended_ns is not None
-        assert goal.result is not None
-
-    keeping(scenario)
-
-
 def test_feedback_faster_than_the_loop_is_told_as_one_and_counted() -> None:
     async def scenario(goals: Goals) -> None:
         woken: list[None] = []

@@ -2,27 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 
 import httpx
 import pytest
 
 from rosld.adapters import parameters as trees
-from rosld.adapters.base import AdapterOptions
 from rosld.adapters.model import ParameterValue
-from rosld.adapters.registry import adapter_for
 from tests.server.robots.made_up import MadeUp, Serving, served
 
 ROS = "https://w3id.org/rosld#"
 JSON = {"Accept": "application/json"}
 MERGE = {"Content-Type": "application/merge-patch+json"}
-
-
-@pytest.fixture(scope="module")
-def plane() -> Iterator[httpx.Client]:
-    with served(adapter_for("aircraft", AdapterOptions())) as client:
-        yield client
 
 
 def test_a_parameter_has_no_past_and_says_so(plane: httpx.Client) -> None:

@@ -8,7 +8,6 @@ from datetime import datetime
 from typing import Any
 
 import httpx
-import pytest
 
 from tests.server.robots.made_up import MadeUp, served
 from tests.waiting import until
@@ -16,13 +15,6 @@ from tests.waiting import until
 JSON = {"Accept": "application/json"}
 STREAM = {"Accept": "text/event-stream"}
 SPEED, TURN = "topics/odom#twist.twist.linear.x", "/topics/odom#header.stamp.nanosec"
-
-
-@pytest.fixture(scope="module")
-def rover(start_server: Callable[..., Any]) -> httpx.Client:
-    """A rover that is recorded."""
-    http: httpx.Client = start_server("rover", "--history", "/odom").http
-    return http
 
 
 def told(http: httpx.Client, *references: str, rows: int) -> list[Any]:

@@ -30,13 +30,6 @@ def receipt_url(answer: httpx.Response) -> str | None:
 
 
 @pytest.fixture(scope="module")
-def plane(start_server: Callable[..., Any]) -> httpx.Client:
-    """An aircraft of this module's own."""
-    client: httpx.Client = start_server("aircraft").http
-    return client
-
-
-@pytest.fixture(scope="module")
 def receipt(plane: httpx.Client) -> Callable[[httpx.Response], dict[str, Any]]:
     """The receipt of an answer, as plain JSON."""
 

@@ -29,31 +29,6 @@ def forms(page: str) -> dict[str, str]:
     return found
 
 
-def press(http: httpx.Client, page: str, action: str, method: str = "POST", **fields: str) -> httpx.Response:
-    """Send a form of a page; a browser says which page it was on."""
-    token = forms(http.get(page).text)[action]
-    here = {"Referer": str(http.base_url.join(page))}
-    return http.post(action or page, data={"csrf": token, "method": method, **fields}, headers=here)
-
-
-def test_the_aircraft_is_flown_by_the_forms_of_its_pages(http: httpx.Client) -> None:
-    sent = press(http, AIRCRAFT, f"{AIRCRAFT}start")
-    assert (sent.status_code, httpx.URL(sent.headers["location"]).path) == (303, AIRCRAFT)
-    page = http.get(AIRCRAFT).text
-    assert f'href="{ENGINE}"' in page
-    assert f"{AIRCRAFT}stop" in forms(page)
-    assert f"{AIRCRAFT}start" not in forms(page)
-    sent = press(http, ENGINE, f"{ENGINE}speed", "PUT", value="500")
-    assert (sent.status_code, httpx.URL(sent.headers["location"]).path) == (303, ENGINE)
-    refused = press(http, ENGINE, f"{ENGINE}speed", "PUT", value="5000")
-    assert refused.status_code == 422
-    for words in ('class="notice error"', 'value="5000"', "1000"):
-        assert words in refused.text, "the refused value stays in the form"
-    direction = press(http, f"{ENGINE}direction", "", "PUT", value="270")
-    assert (direction.status_code, httpx.URL(direction.headers["location"]).path) == (303, f"{ENGINE}direction")
-    assert "270.0" in http.get(f"{ENGINE}direction").text
-
-
 def test_a_button_of_an_old_page_is_told_why_it_is_gone(http: httpx.Client) -> None:
     token = forms(http.get(AIRCRAFT).text)[f"{AIRCRAFT}start"]
     fields = {"csrf": token, "method": "POST"}

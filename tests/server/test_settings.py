@@ -9,8 +9,6 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
-from rosld.adapters.base import AdapterOptions
-from rosld.adapters.model import Qos
 from rosld.server import settings as declared
 from rosld.server.cli.main import main
 from rosld.server.settings import Settings
@@ -107,20 +105,6 @@ def test_the_adapter_gets_its_options() -> None:
     options = found.adapter_options
     assert (options.types, options.ros_ip, options.host_map) == ((Path("/a"),), "10.0.0.7", {"robot": "10.0.0.1"})
     assert (options.rate, options.once) == (2.0, True)
-
-
-def test_profiles_are_for_topics_by_glob_in_the_order_given(monkeypatch: pytest.MonkeyPatch) -> None:
-    served: list[AdapterOptions] = []
-    monkeypatch.setattr(
-        "rosld.server.cli.serve.serve", lambda source, settings, **_: served.append(settings.adapter_options)
-    )
-    given = ["--qos", "/scan=best_effort,volatile,depth:5", "--qos", "/odd=name/*=reliable"]
-    result = CliRunner().invoke(main, ["serve", "aircraft", *given])
-    assert result.exit_code == 0, result.output
-    assert served[0].qos == (
-        ("/scan", Qos("best_effort", "volatile", depth=5)),
-        ("/odd=name/*", Qos("reliable")),
-    )
 
 
 def test_a_bad_profile_is_refused_before_anything_is_opened() -> None:

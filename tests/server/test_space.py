@@ -22,12 +22,6 @@ PlyData = pytest.importorskip("plyfile").PlyData
 GRID, POSE, TF = "nav_msgs/msg/OccupancyGrid", "geometry_msgs/msg/PoseStamped", "tf2_msgs/msg/TFMessage"
 
 
-@pytest.fixture(scope="module")
-def rover(start_server: Callable[..., Any]) -> httpx.Client:
-    http: httpx.Client = start_server("rover").http
-    return http
-
-
 def events(http: httpx.Client, query: str, until: Callable[[list[Any]], bool]) -> list[Any]:
     """Events of a view, until they are what is waited for."""
     found: list[Any] = []

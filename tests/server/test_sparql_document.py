@@ -6,12 +6,11 @@ import csv
 import io
 import json
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import httpx
-import pytest
 
 TEXT = (Path(__file__).parents[2] / "docs" / "reference" / "sparql.md").read_text("utf-8")
 BLOCK = re.compile(r"(?:<!-- (?P<on>aircraft[^>]*) -->\n)?```(?P<kind>\w+)\n(?P<text>.*?)```\n", re.DOTALL)
@@ -43,13 +42,6 @@ def is_update(example: Example) -> bool:
 
 def rows(text: str) -> list[list[str]]:
     return list(csv.reader(io.StringIO(text)))
-
-
-@pytest.fixture(scope="module")
-def plane(start_server: Callable[..., Any]) -> httpx.Client:
-    """An aircraft of this module's own: as the document does, the tests go on where those before them left it."""
-    client: httpx.Client = start_server("aircraft").http
-    return client
 
 
 def test_every_example_is_answered_as_printed(plane: httpx.Client) -> None:

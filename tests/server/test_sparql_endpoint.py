@@ -61,45 +61,6 @@ def test_a_query_subscribes_to_what_it_names_though_it_also_looks_at_anything(ow
     assert rows(own_aircraft.get("/sparql", params=typed, headers=CSV)) == [["0.0"]]
 
 
-def test_a_forbidden_query_and_a_wrong_use_of_the_protocol_are_refused_with_a_reason(http: httpx.Client) -> None:
-    query_type = "application/sparql-query"
-    for content_type, body, status in (
-        (query_type, b"SELECT", 400),
-        (query_type, b"SELECT * WHERE { SERVICE <http://127.0.0.1:1/> { ?s ?p ?o } }", 400),
-        (query_type, b"SELECT * WHERE { S\\u0045RVICE <http://127.0.0.1:1/> { ?s ?p ?o } }", 400),
-        (query_type, b"DELETE WHERE { ?s ?p ?o }", 400),
-        (query_type, b"LOAD <http://127.0.0.1:1/>", 400),
-        (query_type, b"SELECT * WHERE " + b"{" * 3000 + b"}" * 3000, 400),
-        (query_type, b"SELECT * WHERE { ?s ?p " + b"[ ?p " * 500 + b"]" * 500 + b"}", 400),
-        (query_type, b"SELECT * WHERE { FILTER(" + b"(" * 3000 + b"1" + b")" * 3000 + b") }", 400),
-        (query_type, b"SELECT * WHERE { ?s ?p ?o } # " + b"x" * 400_000, 413),
-        (query_type, b"", 400),
-        (query_type, b"\x00", 400),
-        (query_type, b"\xff", 400),
-        ("text/plain", b"SELECT * {}", 415),
-        ("application/sparql-update", b"INSERT DATA { <a:a> <b:b> <c:c> }", 422),
-        ("application/x-www-form-urlencoded", b"query=SELECT+*+%7B%7D&query=ASK+%7B%7D", 400),
-        ("application/x-www-form-urlencoded", b"nothing=here", 400),
-    ):
-        answer = http.post("/sparql", content=body, headers={"Content-Type": content_type})
-        assert answer.status_code == status, (body[:100], answer.text[:200])
-        assert answer.headers["content-type"] == "application/problem+json"
-        assert answer.json()["detail"]
-    assert http.get("/").status_code == 200
-
-
-def test_without_a_query_it_describes_itself_and_shows_people_a_page(http: httpx.Client) -> None:
-    described = http.get("/sparql", headers={"Accept": "application/n-triples"})
-    assert "sparql-service-description#UnionDefaultGraph" in described.text
-    page = http.get("/sparql", headers={"Accept": "text/html"})
-    assert "<textarea" in page.text
-    shown = http.get("/sparql", params={"query": "ASK {}", "format": "html"})
-    assert shown.headers["content-type"].startswith("text/html")
-    wrong = http.get("/sparql", params={"query": "SELECT <"}, headers={"Accept": "text/html"})
-    assert wrong.status_code == 400
-    assert "<textarea" in wrong.text
-
-
 @pytest.mark.slow
 def test_every_stored_query_runs(http: httpx.Client) -> None:
     listed = http.get("/queries/", headers={"Accept": "application/n-triples"}).text

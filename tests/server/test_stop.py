@@ -307,17 +307,6 @@ def events(stream: httpx.Response) -> Iterator[str]:
             said.clear()
 
 
-def test_every_thing_description_has_the_stop(http: httpx.Client) -> None:
-    for url in ("/.well-known/wot", "/resources/arm/?format=td"):
-        forms = http.get(url).json()["actions"]["stopRobot"]["forms"]
-        told = {(form["op"], form["htv:methodName"], form["href"].removesuffix("{?confirm}")) for form in forms}
-        href = f"{http.base_url}stop"
-        assert told == {("invokeaction", "POST", href), ("queryaction", "GET", href), ("cancelaction", "DELETE", href)}
-    paths = http.get("/openapi.json").json()["paths"]
-    assert {"get", "post", "delete"} <= paths["/stop"].keys()
-    assert f"<{ROS}hasStop> <{http.base_url}stop>" in http.get("/", headers={"Accept": "application/n-triples"}).text
-
-
 def test_a_stop_is_released_by_the_form_of_a_thing_description_and_by_that_of_its_rdf(http: httpx.Client) -> None:
     action = http.get("/.well-known/wot").json()["actions"]["stopRobot"]
     [variable] = action["uriVariables"]

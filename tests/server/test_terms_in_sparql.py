@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Callable
 from itertools import count
 from typing import Any
 
@@ -21,13 +20,6 @@ PREFIXES = f"PREFIX xsd: <{XSD}> "
 P = "<urn:p>"
 N_TRIPLES = {"Accept": "application/n-triples"}
 TURNS = count()
-
-
-@pytest.fixture(scope="module")
-def plane(start_server: Callable[..., Any]) -> httpx.Client:
-    """An aircraft of this module's own."""
-    client: httpx.Client = start_server("aircraft", "--max-publish-rate", "100000").http
-    return client
 
 
 def put(client: httpx.Client, *literals: str) -> str:

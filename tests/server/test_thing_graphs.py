@@ -44,13 +44,6 @@ def plane(start_server: Callable[..., Any]) -> httpx.Client:
     return http
 
 
-@pytest.fixture(scope="module")
-def rover(start_server: Callable[..., Any]) -> httpx.Client:
-    """The rover, whose messages are large."""
-    http: httpx.Client = start_server("rover").http
-    return http
-
-
 def expanded(http: httpx.Client, path: str) -> list[Triple]:
     """What a JSON-LD processor makes of a Thing Description by W3C's context."""
     answer = http.get(path, headers=THING, params={} if path.startswith("/.") else {"format": "td"})

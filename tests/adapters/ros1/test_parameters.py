@@ -9,7 +9,7 @@ from datetime import datetime
 import pytest
 
 from rosld.adapters.base import ParameterValue
-from rosld.adapters.model import Kind, NotFound, Operation, Ref, Refused
+from rosld.adapters.model import Kind, Operation, Ref, Refused
 from tests.adapters.ros1.conftest import Opening
 from tests.adapters.ros1.system import RosSystem
 
@@ -69,20 +69,6 @@ async def test_names_with_empty_segments_and_slashes_in_keys_survive(ros: RosSys
             assert session.adapter.allows(Ref(Kind.PARAMETER, name)) == {Operation.GET_PARAMETER}
         assert Operation.DELETE_PARAMETER in session.adapter.allows(Ref(Kind.PARAMETER, "/odd/none"))
         assert ros.master.getParam("/test", "/odd")[2] == {"a/b": 1, "": 2, "c": {"": {"d": 3}}, "none": {}}
-
-
-async def test_deleting_takes_a_tree_whole_and_says_when_there_is_none(ros: RosSystem, opened: Opening) -> None:
-    async with opened(ros) as session:
-        await session.set_parameters({"/gone": {"a": 1, "b": {"c": 2}}})
-        ref = Ref(Kind.PARAMETER, "/gone/b")
-        assert Operation.DELETE_PARAMETER in session.adapter.allows(ref)
-        await session.delete_parameters(["/gone/b", "/gone"])
-        assert not [name for name in session.graph.parameters if name.startswith("/gone")]
-        assert session.adapter.allows(ref) == {Operation.SET_PARAMETER}
-        with pytest.raises(NotFound, match="/gone"):
-            await session.delete_parameters(["/gone"])
-        with pytest.raises(Refused):
-            await session.delete_parameters(["/"])
 
 
 async def test_changes_by_others_are_told_without_subscribing(ros: RosSystem, opened: Opening) -> None:

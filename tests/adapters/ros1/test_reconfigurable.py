@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from rosld.adapters.model import Choice, Descriptor, Kind, Operation, ParameterType, Range, Ref, Refused, TypeRef
+from rosld.adapters.model import Choice, Descriptor, Kind, Operation, ParameterType, Range, Ref, TypeRef
 from rosld.adapters.ros1.reconfiguration import read_config, read_descriptors, request_of
 from tests.adapters.ros1.conftest import Opening
 from tests.adapters.ros1.system import RosSystem, require
@@ -66,20 +66,6 @@ async def value(session: Session, *names: str) -> list[Any]:
     return [found[name] for name in full]
 
 
-async def until_state(session: Session, true: Any) -> dict[str, Any]:
-    """The configuration that the node itself tells of, once something is true of it."""
-    subscription = await session.adapter.subscribe("/arm/state")
-    try:
-        while True:
-            (sample,) = await session.first(subscription)
-            told: dict[str, Any] = json.loads((await session.decoded(sample)).data)
-            if true(told):
-                return told
-            await session.until(lambda before=sample: subscription.latest()[0] is not before)
-    finally:
-        subscription.close()
-
-
 async def test_what_a_node_declares_is_in_the_graph_and_looking_registers_nothing(
     arm: RosSystem, opened: Opening
 ) -> None:
@@ -92,34 +78,6 @@ async def test_what_a_node_declares_is_in_the_graph_and_looking_registers_nothin
             allowed = session.adapter.allows(Ref(Kind.PARAMETER, name))
             assert (Operation.DELETE_PARAMETER in allowed) is (descriptor is None)
         assert arm.master.getSystemState("/test")[2] == before
-
-
-async def test_what_is_set_takes_effect_as_the_node_makes_it(arm: RosSystem, opened: Opening) -> None:
-    async with opened(arm) as session:
-        await described(session)
-        await set_to(session, speed=1, joints=4.0, tool="gripper", enabled=False)
-        state = await until_state(session, lambda state: state["joints"] == 4)
-        assert state == {"speed": 1.0, "joints": 4, "mode": 0, "tool": "gripper", "enabled": False}
-        assert await value(session, "speed", "joints", "enabled") == [1.0, 4, False]
-        await set_to(session, **{"gripper/force": 20, "label": "ü", "frame": "tool"})
-        assert await value(session, "gripper/force", "label", "frame") == [20, "ü", "tool"]
-        for asked, made in ((0.6, 0.5), (99.0, 2.0), (-1.0, 0.0)):
-            await set_to(session, speed=asked)
-            assert await value(session, "speed") == [made]
-
-
-async def test_what_does_not_fit_or_the_node_refuses_changes_nothing(arm: RosSystem, opened: Opening) -> None:
-    wrong = [("speed", "fast"), ("speed", True), ("joints", 1.5), ("enabled", 1), ("label", 5), ("label", [1])]
-    async with opened(arm) as session:
-        await described(session)
-        await set_to(session, joints=3, mode=1, frame="base")
-        before = await value(session, "joints", "mode", "frame")
-        with pytest.raises(Refused, match="this mode is broken"):
-            await set_to(session, joints=5, mode=3)
-        for name, bad in (*wrong, ("joints", {})):
-            with pytest.raises(Refused, match=f"/arm/{name}"):
-                await set_to(session, frame="elsewhere", **{name: bad})
-        assert await value(session, "joints", "mode", "frame") == before
 
 
 async def test_a_tree_that_is_set_whole_takes_effect_too(arm: RosSystem, opened: Opening) -> None:

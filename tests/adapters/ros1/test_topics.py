@@ -31,14 +31,9 @@ READ = {
 
 @pytest.fixture(scope="module")
 def speaker(ros: RosSystem) -> Process:
-    """Two nodes that speak: both on `/both`, where they say the same type, and on `/types`, where they do not."""
+    """A node that speaks."""
     words = [word for topic, (type, value) in READ.items() for word in (topic, type, value)]
-    words += ["/both", "std_msgs/String", "data: one", "/types", "std_msgs/String", "data: one"]
-    found = ros.node("speaking_node.py", "speaker", *words)
-    ros.node(
-        "speaking_node.py", "other", "/both", "std_msgs/String", "data: other", "/types", "std_msgs/Int32", "data: 5"
-    )
-    return found
+    return ros.node("speaking_node.py", "speaker", *words)
 
 
 def plain(value: Any, schema: MessageSchema) -> Any:
@@ -104,19 +99,6 @@ async def test_the_graph_is_what_the_master_says_and_reading_leaves_no_trace_the
             await session.publish("/read/text", TypeRef("std_msgs/msg/Int32"), b"\0\0\0\0")
     assert sorted(map(sorted, ros.master.getSystemState("/test")[2])) == before
     listening.stop()
-
-
-@pytest.mark.usefixtures("speaker")
-async def test_two_types_on_one_topic_are_both_shown_and_it_is_not_writable(ros: RosSystem, opened: Opening) -> None:
-    async with opened(ros) as session:
-        samples = await session.first(await session.adapter.subscribe("/types"), 2)
-        assert {(await session.decoded(sample)).data for sample in samples} == {"one", 5}
-        names = {"std_msgs/msg/String", "std_msgs/msg/Int32"}
-        await session.until(lambda: {each.name for each in session.graph.topics["/types"].types} == names)
-        topic = session.graph.topics["/types"]
-        assert topic.type is None
-        assert all(each.hash for each in topic.types)
-        assert session.adapter.allows(Ref(Kind.TOPIC, "/types")) == {Operation.SUBSCRIBE}
 
 
 @pytest.mark.usefixtures("speaker")

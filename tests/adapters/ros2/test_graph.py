@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from rosld.adapters.model import Action, Endpoint, Graph, Live, Parameter, Qos, Stale, TypeRef
+from rosld.adapters.model import Endpoint, Graph, Live, Parameter, Qos, Stale, TypeRef
 from rosld.adapters.ros2.graph import GraphInputs, Observation, compose, stale
 from rosld.adapters.ros2.middleware import SeenEndpoint
 
 STRING = TypeRef("std_msgs/msg/String", "RIHS01_aa")
-FEEDBACK = TypeRef("pkg/action/Fly_FeedbackMessage", "RIHS01_cc")
 KNOWN = GraphInputs("/_rosld_1", "/rosld")
 SEEN = Observation(
     nodes=("/talker", "/_rosld_1", "/talker"),
@@ -42,50 +41,6 @@ def test_the_same_look_gives_the_same_graph_and_another_shares_what_did_not_chan
     other = compose(graph, SEEN, replace(KNOWN, parameters={"/talker/x": Parameter("/talker/x", "/talker")}))
     assert other.revision == 2
     assert other.topics is graph.topics
-
-
-def test_rosld_is_a_node_while_it_advertises_and_only_with_what_it_advertises() -> None:
-    ours = SeenEndpoint("/rosld", STRING, Qos("reliable"), b"4")
-    seen = replace(
-        SEEN,
-        nodes=(*SEEN.nodes, "/rosld"),
-        topics={**SEEN.topics, "/parameter_events": ("rcl_interfaces/msg/ParameterEvent",)},
-        publishers={**SEEN.publishers, "/asked": (ours,), "/parameter_events": (ours,)},
-    )
-    graph = compose(Graph(0), seen, replace(KNOWN, advertised=frozenset({"/asked"})))
-    assert list(graph.nodes) == ["/rosld", "/talker"]
-    assert [each.node for each in graph.topics["/asked"].publishers] == ["/rosld"]
-    assert "/parameter_events" not in graph.topics
-
-
-def test_only_publishers_keep_messages_for_those_who_come_late() -> None:
-    late = SeenEndpoint("/late", STRING, Qos("reliable", "transient_local"), b"8")
-    graph = compose(Graph(0), replace(SEEN, subscribers={"/chatter": (late,)}), KNOWN)
-    [publisher], [subscriber] = graph.topics["/chatter"].publishers, graph.topics["/chatter"].subscribers
-    assert (publisher.latched, subscriber.latched) == (True, False)
-    assert subscriber.qos == late.qos
-
-
-def test_the_inner_names_of_an_action_are_there_and_its_services_say_why_they_are_not_called() -> None:
-    seen = replace(
-        SEEN,
-        topics={
-            "/fly/_action/feedback": ("pkg/action/Fly_FeedbackMessage",),
-            "/fly/_action/status": ("action_msgs/msg/GoalStatusArray",),
-        },
-        services={"/fly/_action/send_goal": ("pkg/action/Fly_SendGoal",)},
-        providers={"/pilot": {"/fly/_action/send_goal": ("pkg/action/Fly_SendGoal",)}},
-        callers={"/tower": {"/fly/_action/send_goal": ("pkg/action/Fly_SendGoal",)}},
-        publishers={"/fly/_action/feedback": (SeenEndpoint("/pilot", FEEDBACK, Qos(), b"5"),)},
-        subscribers={"/fly/_action/status": (SeenEndpoint("/_rosld_1", STRING, Qos(), b"9"),)},
-    )
-    graph = compose(Graph(0), seen, KNOWN)
-    assert graph.actions == {"/fly": Action("/fly", TypeRef("pkg/action/Fly"), ("/pilot",), ("/tower",))}
-    assert {name: topic.types for name, topic in graph.topics.items()} == {"/fly/_action/feedback": (FEEDBACK,)}
-    [service] = graph.services.values()
-    assert (service.name, service.type) == ("/fly/_action/send_goal", TypeRef("pkg/action/Fly_SendGoal"))
-    assert service.uncallable is not None
-    assert "the action /fly" in service.uncallable
 
 
 def test_a_type_that_cannot_be_used_is_named_with_the_reason() -> None:

@@ -51,12 +51,12 @@ from rosld.server.resources.static_assets import FILES
 from rosld.server.serving.run_lifespan import lifespan
 from rosld.server.settings import Settings
 from tests.server.auth.conftest import token, tokens
+from tests.server.events.conftest import HOST, Reader
 from tests.server.robots.made_up import MadeUp
 
 MARKER = re.compile(r"zq7\w*|7317\.25|7\.31725|[gs]et_grip")
 NUMBER = 7317.25
-HOST = "127.0.0.1:8080"
-BASE = f"http://{HOST}/"
+BASE = f"http://{HOST.decode()}/"
 RULES = """
 [[rule]]
 agents = ["admin"]
@@ -312,62 +312,33 @@ def _inflated(data: bytes) -> bytes:
     )
 
 
-class Request:
-    """A request to the app itself: its answer as far as it came, which ends when the client leaves or all is sent."""
+class Request(Reader):
+    """A request of an agent, whose answer is there as far as it came."""
 
     def __init__(
         self, app: Application, agent: str, method: str, path: str, body: bytes, headers: dict[str, str]
     ) -> None:
-        plain, _, query = path.partition("?")
-        said = {"host": HOST, "authorization": f"Bearer {token(agent)}", **headers}
-        scope = {
-            "type": "http", "method": method, "path": unquote(plain), "raw_path": plain.encode(), "root_path": "",
-            "query_string": query.encode(), "scheme": "http", "http_version": "1.1", "asgi": {"version": "3.0"},
-            "server": ("127.0.0.1", 8080), "client": ("127.0.0.1", 1),
-            "headers": [(name.encode(), value.encode()) for name, value in said.items()],
-        }  # fmt: skip
-        self.answer = Answer(f"{method} {path} {body.decode('utf-8', 'replace')}", 0, {}, b"")
-        self._bodies = [{"type": "http.request", "body": body, "more_body": False}]
-        self._left = asyncio.Event()
-        self._came = asyncio.Condition()
-        self._task = asyncio.ensure_future(app(scope, self._receive, self._send))
+        super().__init__(app, path, {"authorization": f"Bearer {token(agent)}", **headers}, method, body)
+        self._words = f"{method} {path} {body.decode('utf-8', 'replace')}"
 
-    async def _receive(self) -> Any:
-        if self._bodies:
-            return self._bodies.pop()
-        await self._left.wait()
-        return {"type": "http.disconnect"}
+    @property
+    def answer(self) -> Answer:
+        return Answer(self._words, self.status, self.headers, b"".join(self.chunks))
 
-    async def _send(self, message: Any) -> None:
-        async with self._came:
-            if message["type"] == "http.response.start":
-                self.answer.status = message["status"]
-                for name, value in message["headers"]:
-                    known = self.answer.headers.setdefault(name.decode().lower(), "")
-                    self.answer.headers[name.decode().lower()] = known + ", " * bool(known) + value.decode("latin-1")
-            else:
-                self.answer.body += message.get("body", b"")
-            self._came.notify_all()
-
-    async def until(self, words: bytes, count: int = 1, seconds: float = 10.0) -> None:
-        """Wait until the words came so often, or everything has come."""
-
-        async def come() -> None:
-            async with self._came:
-                await self._came.wait_for(lambda: self.answer.body.count(words) >= count)
-
-        coming = asyncio.ensure_future(come())
-        await asyncio.wait({self._task, coming}, timeout=seconds, return_when=asyncio.FIRST_COMPLETED)
+    async def hear(self, words: bytes, count: int = 1, seconds: float = 10.0) -> None:
+        """Wait until the words came so often, everything came, or the time is over."""
+        coming = asyncio.ensure_future(self.until(lambda _: self.answer.body.count(words) >= count, seconds))
+        await asyncio.wait({self.task, coming}, timeout=seconds, return_when=asyncio.FIRST_COMPLETED)
         coming.cancel()
 
-    async def leave(self) -> Answer:
-        """Hang up."""
-        self._left.set()
-        return await self.finish()
-
     async def finish(self) -> Answer:
-        """The whole answer."""
-        await asyncio.wait_for(self._task, 60)
+        """Return the whole answer."""
+        await asyncio.wait_for(self.task, 60)
+        return self.answer
+
+    async def hang_up(self) -> Answer:
+        """Leave; return what came until then."""
+        await self.leave()
         return self.answer
 
 
@@ -388,8 +359,8 @@ class Client:
         """The answer; of an event stream its first event, where one comes soon, as of a channel."""
         request = self.begin(method, path, body, **headers)
         if headers.get("Accept") == "text/event-stream" or path.startswith("/channels/"):
-            await request.until(b"data:", seconds=0.2)
-            answer = await request.leave()
+            await request.hear(b"data:", seconds=0.2)
+            answer = await request.hang_up()
         else:
             answer = await request.finish()
         self.statuses[answer.status] += 1
@@ -665,15 +636,15 @@ async def follow_streams(crawl: Crawl, admin: Client) -> None:
         for format in ("json", "ttl", "html")
     ]
     for each in streams:
-        await each.until(b"data:", seconds=1.0)
+        await each.hear(b"data:", seconds=1.0)
     before = [each.answer.body.count(b"data:") for each in streams]
     for name in ("zq7", "open"):
         await admin("POST", f"/services/{name}_service", b"{}", Content_Type=JSON)
         await admin("POST", f"/actions/{name}_action", b'{"angle": 2.0}', Content_Type=JSON)
         await admin("PUT", f"/topics/{name}_words", f'{{"data": "{name}streamed"}}'.encode(), Content_Type=JSON)
     for path, each, count in zip((path for path in listened for _ in range(3)), streams, before, strict=True):
-        await each.until(b"data:", count + 1, seconds=5.0 if path in ("/activity/", "/calls/", "/goals/") else 0.05)
-        answer = await each.leave()
+        await each.hear(b"data:", count + 1, seconds=5.0 if path in ("/activity/", "/calls/", "/goals/") else 0.05)
+        answer = await each.hang_up()
         if answer.leaks:
             crawl.leaks[f"stream of {path}"] = answer.leaks
 
@@ -688,7 +659,7 @@ async def wait_for_space(crawl: Crawl, admin: Client) -> None:
         await client("GET", "/space")  # takes as long as the wait takes to begin
         assert not each.answer.leaks
     for _, each in waits:
-        answer = await each.leave()
+        answer = await each.hang_up()
         assert (answer.status, answer.body) == (204, b"")
 
 

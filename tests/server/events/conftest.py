@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Callable
 from typing import Any
+from urllib.parse import unquote
 
 import pytest
 
@@ -21,10 +22,13 @@ HOST = b"127.0.0.1:8080"
 class Reader:
     """One request: its status, its headers, what was sent of its body, and a reader that can stand still."""
 
-    def __init__(self, app: Application, path: str, headers: dict[str, str], method: str = "GET") -> None:
+    def __init__(
+        self, app: Application, path: str, headers: dict[str, str], method: str = "GET", body: bytes = b""
+    ) -> None:
         plain, _, query = path.partition("?")
         self._scope = {
-            "type": "http", "method": method, "path": plain, "raw_path": plain.encode(), "query_string": query.encode(),
+            "type": "http", "method": method, "path": unquote(plain), "raw_path": plain.encode(),
+            "query_string": query.encode(),
             "headers": [(b"host", HOST), *((name.encode(), value.encode()) for name, value in headers.items())],
             "scheme": "http", "http_version": "1.1", "server": ("127.0.0.1", 8080), "client": ("127.0.0.1", 1),
             "root_path": "", "asgi": {"version": "3.0"},
@@ -36,13 +40,12 @@ class Reader:
         self.takes.set()
         self._came = asyncio.Condition()
         self.left = asyncio.Event()
-        self._asked = False
+        self._bodies = [body]
         self.task = asyncio.get_running_loop().create_task(app(self._scope, self._receive, self._send))
 
     async def _receive(self) -> dict[str, Any]:
-        if not self._asked:
-            self._asked = True
-            return {"type": "http.request", "body": b"", "more_body": False}
+        if self._bodies:
+            return {"type": "http.request", "body": self._bodies.pop(), "more_body": False}
         await self.left.wait()
         return {"type": "http.disconnect"}
 
@@ -51,8 +54,10 @@ class Reader:
         async with self._came:
             if message["type"] == "http.response.start":
                 self.status = message["status"]
-                self.headers = {name.decode(): value.decode() for name, value in message["headers"]}
-            elif message["body"]:
+                for name, value in message["headers"]:
+                    self.headers.setdefault(name.decode(), "")
+                    self.headers[name.decode()] += ", " * bool(self.headers[name.decode()]) + value.decode("latin-1")
+            elif message.get("body"):
                 self.chunks.append(message["body"])
             self._came.notify_all()
 

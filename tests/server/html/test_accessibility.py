@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import httpx
@@ -27,13 +26,6 @@ JUDGE = """axe.run(document, {resultTypes: ["violations"], iframes: false}).then
   .filter((each) => ["serious", "critical"].includes(each.impact))
   .flatMap((each) => each.nodes.slice(0, 3).map((node) => `${each.id}: ${node.html.slice(0, 200)} ${
     node.any.concat(node.all).map((check) => check.message).join("; ").slice(0, 200)}`)))"""
-
-
-@pytest.fixture(scope="module")
-def rover(start_server: Callable[..., Any]) -> httpx.Client:
-    """A rover that is recorded."""
-    http: httpx.Client = start_server("rover", "--history", "/battery_state").http
-    return http
 
 
 @pytest.mark.parametrize(("pages", "width", "scheme"), [(PAGES, 1400, "light"), (ON_A_PHONE, 390, "dark")])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from typing import Any
 
 import httpx
@@ -18,13 +17,6 @@ PANEL = "[...document.querySelectorAll('.panel')].find((each) => each.querySelec
 SIZES = "[...document.querySelectorAll('.panel')].map((each) => each.getBoundingClientRect().width)"
 HEIGHT = "document.querySelector('%s').getBoundingClientRect().height"
 MAX_BYTES = 300_000
-
-
-@pytest.fixture(scope="module")
-def rover(start_server: Callable[..., Any]) -> httpx.Client:
-    """A rover."""
-    http: httpx.Client = start_server("rover").http
-    return http
 
 
 def test_the_panels_of_the_default_cockpit_move_and_ask_no_other_host(tab: Any, rover: httpx.Client) -> None:

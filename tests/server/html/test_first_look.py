@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from typing import Any
 
 import httpx
@@ -14,13 +13,6 @@ from tests.waiting import until
 pytestmark = pytest.mark.slow
 
 HTML, JSON = {"Accept": "text/html"}, {"Accept": "application/json"}
-
-
-@pytest.fixture(scope="module")
-def rover(start_server: Callable[..., Any]) -> httpx.Client:
-    """A rover without a mapping."""
-    http: httpx.Client = start_server("rover").http
-    return http
 
 
 def page(http: httpx.Client, path: str) -> tuple[str, str]:

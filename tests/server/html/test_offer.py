@@ -4,57 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import replace
 
 import pytest
-from pyoxigraph import Literal
-
-from rosld.adapters.model import Primitive
-from rosld.ontology.lift import LiftSettings
-from rosld.ontology.urls import Space
-from rosld.server.html import Csrf, Page, Site, ValueForm, forms_of, render_page
-from rosld.server.hypermedia.value import MessageValue, Reading
-from rosld.server.hypermedia.view_documents import action_document
-from rosld.server.hypermedia.views import (
-    ActionAffordance,
-    ActionView,
-    ComplexView,
-    Member,
-    PropertyAffordance,
-)
-from rosld.shapes.value import Bounds, ScalarShape
-from tests.server.html.messages import BASE, NOW, message, schema
 
 pytestmark = pytest.mark.slow
 
-SITE = Site(BASE, "aircraft")
-AIRCRAFT = f"{BASE}resources/aircraft/"
 FORM = re.compile(r"<form.*?</form>", re.DOTALL)
-
-
-def data(kind: str, value: object) -> MessageValue:
-    """A value that is the `data` of a message."""
-    found = schema(f"std_msgs/msg/{kind}")
-    return MessageValue(found, message(found, {"data": value}), found.type.fields, f"{BASE}topics/x")
-
-
-def member(name: str, shape: ScalarShape, value: MessageValue) -> Member:
-    """A property of the aircraft, as it was read."""
-    affordance = PropertyAffordance(name, f"{AIRCRAFT}{name}", shape, read=True, write=True)
-    return Member(affordance, Reading(f"/aircraft/{name}", value, None, NOW))
-
-
-POWER = member(
-    "power", ScalarShape(Primitive("string"), Bounds(choices=(Literal("on"), Literal("off")))), data("String", "on")
-)
-START = ActionAffordance("start", f"{AIRCRAFT}start", schema("std_msgs/msg/Empty"))
-
-
-def action_page(csrf: Csrf = lambda action: "token") -> Page:
-    """An action that takes nothing."""
-    view = ActionView(START, f"{BASE}services/aircraft/start", AIRCRAFT)
-    document = action_document(view, Space(BASE), LiftSettings())
-    return Page(SITE, "Action", "/aircraft/start", document, ("GET", "POST"), forms_of(view), csrf, offer=view)
 
 
 def forms(body: str) -> dict[tuple[str, str], str]:
@@ -66,10 +21,6 @@ def forms(body: str) -> dict[tuple[str, str], str]:
         assert method is not None
         found[(action[1] if action else "", method[1])] = form
     return found
-
-
-def drawn(page: Page) -> str:
-    return render_page(page).decode()
 
 
 def below_header(body: str) -> str:
@@ -123,19 +74,3 @@ def test_a_resource_links_what_is_behind_it_and_folds_its_rdf(pages: Mapping[str
     assert "affordance" not in before
     assert "<details open" not in body
     assert ('href="?format=td"' in engine, 'href="?format=td"' in number) == (True, False)
-
-
-def test_a_namespace_of_thousands_has_forms_for_some_and_a_scalar_without_a_value_is_asked_for_empty() -> None:
-    assert len(forms_of(ComplexView(AIRCRAFT, "/aircraft/", (POWER,) * 1000))) == 100
-    (control,) = ValueForm(ScalarShape(Primitive("float64"))).controls
-    assert (control.kind, control.value, control.required) == ("input", "", True)
-
-
-def test_a_form_to_a_foreign_place_is_not_drawn() -> None:
-    page = action_page()
-    (form,) = page.forms
-    body = drawn(replace(page, forms=(replace(form, action="https://elsewhere.example/"),)))
-    assert "<form" not in below_header(body)
-    below = Site("http://127.0.0.1:8080/robots/one/", "one")
-    there = replace(form, action=f"{below.base}resources/a/start")
-    assert forms(drawn(replace(page, site=below, forms=(there,)))).keys() == {("/robots/one/resources/a/start", "POST")}

@@ -5,7 +5,6 @@ from __future__ import annotations
 import html
 import json
 import re
-from collections.abc import Callable
 from typing import Any
 
 import httpx
@@ -22,13 +21,6 @@ SAVED = """new Promise((resolve) => {
   URL.createObjectURL = (blob) => { resolve(%s); return create(blob); };
   document.querySelector('[data-part=%s]').click();
 })"""
-
-
-@pytest.fixture(scope="module")
-def rover(start_server: Callable[..., Any]) -> httpx.Client:
-    """A rover that is recorded."""
-    http: httpx.Client = start_server("rover", "--history", "/odom").http
-    return http
 
 
 def opened(tab: Any, http: httpx.Client, query: str) -> Any:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
 from typing import Any
 
 import httpx
@@ -30,13 +29,6 @@ PAGES = (
 )  # fmt: skip
 """The rover's pages. `/ontology` is not among them: it is a whole vocabulary, of 490 kB."""
 MOST = 300_000
-
-
-@pytest.fixture(scope="module")
-def rover(start_server: Callable[..., Any]) -> httpx.Client:
-    """A rover that is recorded."""
-    http: httpx.Client = start_server("rover", "--history", "/battery_state").http
-    return http
 
 
 @pytest.fixture

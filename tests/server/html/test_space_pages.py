@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
 from typing import Any
 
 import httpx
@@ -22,12 +21,6 @@ DARK_PIXELS = f"""(() => {{
   const context = {CANVAS}.getContext('2d'), {{ width, height }} = {CANVAS};
   return context.getImageData(0, 0, width, height).data.filter((each, at) => at % 4 === 0 && each < 60).length;
 }})()"""
-
-
-@pytest.fixture(scope="module")
-def rover(start_server: Callable[..., Any]) -> httpx.Client:
-    http: httpx.Client = start_server("rover", "--history", "/odom").http
-    return http
 
 
 def test_all_is_drawn_goes_on_and_can_be_hidden_and_followed(tab: Any, rover: httpx.Client) -> None:

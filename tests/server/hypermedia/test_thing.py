@@ -6,7 +6,6 @@ import json
 from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias
 
-import numpy as np
 import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
@@ -14,7 +13,6 @@ from pyoxigraph import Literal, NamedNode
 
 from rosld.adapters.model import (
     Field,
-    FieldType,
     Message,
     MessageSchema,
     MessageType,
@@ -26,13 +24,13 @@ from rosld.adapters.model import (
 from rosld.adapters.model.library import TypeLibrary
 from rosld.ontology.coercion import RANGES
 from rosld.ontology.lift import LiftSettings
-from rosld.ontology.literals import DTYPES, STRINGS
 from rosld.ontology.vocab import av, xsd
 from rosld.server.hypermedia.data_schema import DataSchema, message_schema, value_schema
 from rosld.server.hypermedia.thing_description import ThingLink, thing_description
 from rosld.server.hypermedia.value import MessageValue, plain_json
 from rosld.server.hypermedia.views import ActionAffordance, PropertyAffordance
 from rosld.shapes.value import Bounds, Measure, MessageShape, OpenShape, ScalarShape, ValueShape
+from tests.ontology.test_roundtrip import Filler
 
 Judge: TypeAlias = Callable[[Sequence[tuple[object, object]]], list[list[str]]]
 
@@ -246,31 +244,6 @@ def test_a_type_that_contains_itself_or_grows_without_end_has_a_small_schema(jud
 TEXTS = st.text(st.characters(exclude_categories=["Cs"]), max_size=8)
 
 
-def drawn(kind: FieldType, schema: MessageSchema) -> st.SearchStrategy[object]:
-    """Values of a field."""
-    if isinstance(kind, Nested):
-        return messages(schema, kind.name)
-    if isinstance(kind, Primitive):
-        if kind.name in STRINGS:
-            return TEXTS
-        if kind.name == "bool":
-            return st.booleans()
-        if kind.name in RANGES:
-            return st.integers(*RANGES[kind.name]) | st.sampled_from(RANGES[kind.name])
-        return st.floats(width=32 if kind.name == "float32" else 64)
-    least, limit = (kind.length, kind.length) if kind.length is not None else (0, min(3, kind.bound or 3))
-    elements = st.lists(drawn(kind.element, schema), min_size=least, max_size=limit)
-    if isinstance(kind.element, Nested) or kind.element.name in STRINGS:
-        return elements
-    dtype = DTYPES[kind.element.name]
-    return elements.map(lambda values: np.array(values, dtype))
-
-
-def messages(schema: MessageSchema, name: str) -> st.SearchStrategy[Message]:
-    fields = {field.attribute: drawn(field.type, schema) for field in schema.types[name].fields}
-    return st.fixed_dictionaries(fields).map(lambda values: schema.codec.build(name, values))
-
-
 EVERYTHING = LIBRARY.learn_message(
     "test_msgs/msg/Everything",
     "\n".join(
@@ -292,7 +265,7 @@ def test_the_plain_json_of_every_message_fits_its_data_schema(judged: Judge) -> 
     @settings(
         max_examples=80, deadline=None, phases=[Phase.generate], suppress_health_check=list(HealthCheck), database=None
     )
-    @given(st.sampled_from(TYPES).flatmap(lambda s: st.tuples(st.just(s), messages(s, s.ref.name))))
+    @given(st.sampled_from(TYPES).flatmap(lambda s: st.tuples(st.just(s), Filler(s, TEXTS).message(s.ref.name))))
     def collect(drawing: tuple[MessageSchema, Message]) -> None:
         schema, message = drawing
         fields = schema.type.fields

@@ -91,20 +91,6 @@ def large(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_file_comes_back_as_it_is_and_head_says_the_same(tmp_path: Path) -> None:
-    path = tmp_path / "blob"
-    for data in (b"", b"0123456789", LARGE):
-        path.write_bytes(data)
-        answer, head = read(app(path, len(data))), read(app(path, len(data)), "HEAD")
-        assert (answer.status, answer.body, head.body) == (200, data, b"")
-        assert {**head.headers, "date": ""} == {**answer.headers, "date": ""}
-        assert answer.headers["content-length"] == str(len(data))
-        assert answer.headers["content-type"] == "image/png"
-        assert answer.headers["etag"] == TAG
-        assert answer.headers["accept-ranges"] == "bytes"
-        assert answer.headers["vary"] == "Accept"
-
-
 def test_a_range_within_or_across_chunks_is_sent_alone(large: Path) -> None:
     for start, stop in ((CHUNK - 5, CHUNK + 5), (len(LARGE) - 1, None)):
         end = len(LARGE) if stop is None else stop

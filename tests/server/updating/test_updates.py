@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import httpx
@@ -14,13 +13,6 @@ pytestmark = pytest.mark.slow
 UPDATE = {"Content-Type": "application/sparql-update"}
 TURTLE = {"Content-Type": "text/turtle"}
 STRING = "https://w3id.org/rosld/types/std_msgs/msg/String"
-
-
-@pytest.fixture(scope="module")
-def plane(start_server: Callable[..., object]) -> httpx.Client:
-    """An aircraft of this module's own."""
-    client: httpx.Client = start_server("aircraft", "--max-publish-rate", "100000").http  # type: ignore[attr-defined]
-    return client
 
 
 def update(client: httpx.Client, text: str, **query: str) -> httpx.Response:

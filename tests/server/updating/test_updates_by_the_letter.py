@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from itertools import count
-from typing import Any
 
 import httpx
 import pytest
@@ -14,13 +12,6 @@ UPDATE = {"Content-Type": "application/sparql-update"}
 TURTLE = {"Content-Type": "text/turtle"}
 LDP = "http://www.w3.org/ns/ldp#"
 _TURNS = count()
-
-
-@pytest.fixture(scope="module")
-def plane(start_server: Callable[..., Any]) -> httpx.Client:
-    """An aircraft of this module's own."""
-    client: httpx.Client = start_server("aircraft", "--max-publish-rate", "100000").http
-    return client
 
 
 @pytest.fixture

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import count
-from typing import Any
 
 import httpx
 import pyoxigraph
@@ -182,13 +181,6 @@ def read(plane: httpx.Client, names: Mapping[str, str]) -> Mapping[str, object]:
         said = pyoxigraph.parse(answer.content, RdfFormat.N_TRIPLES) if answer.status_code == 200 else ()
         found[graph] = canonical([quad for quad in said if quad.subject not in map(NamedNode, names.values())])
     return found
-
-
-@pytest.fixture(scope="module")
-def plane(start_server: Callable[..., Any]) -> httpx.Client:
-    """An aircraft of this module's own."""
-    client: httpx.Client = start_server("aircraft").http
-    return client
 
 
 @given(st.lists(REQUESTS, min_size=1, max_size=4))

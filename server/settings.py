@@ -225,6 +225,12 @@ class Settings:
         option=True,
         metavar="FILE",
     )
+    default_document: str = setting(
+        "data/default",
+        "The document, below /data/, that is written where an update or ?default names no graph.",
+        option=True,
+        metavar="PATH",
+    )
     demand_if_match: bool = setting(
         False, "Refuse a PUT that replaces a document under /data/ without If-Match (428).", option=True
     )
@@ -385,6 +391,7 @@ class Settings:
             raise ValueError(f"--stop-cancels {self.stop_cancels}: it is own or others")
         if self.port > 65535:
             raise ValueError(f"--port {self.port}: a port is at most 65535")
+        _check_document(self.default_document)
         for glob in self.history:
             check_topic_glob("--history", glob)
         for glob in self.subscribe:
@@ -603,6 +610,11 @@ _UNFIT = frozenset(' <>"{}|\\^`')
 def _check_namespace(iri: str) -> None:
     if not urlsplit(iri).scheme or iri[-1] not in "/#" or any(char in ' <>"{}|\\^`' for char in iri):
         raise ValueError(f"--setting types_namespace {iri!r} must be an IRI that ends in / or #")
+
+
+def _check_document(path: str) -> None:
+    if not path.startswith("data/") or path.endswith("/") or "?" in path or "#" in path:
+        raise ValueError(f"--default-document {path!r} must be the path of a document, such as data/default")
 
 
 def _check_origin(origin: str) -> None:

@@ -105,7 +105,9 @@ _GRAPH = QueryParameter(
     "The graph: the URL of what it is about, answered as that URL answers (SPARQL 1.1 Graph Store HTTP Protocol).",
     {"type": "string", "format": "uri-reference"},
 )
-_DEFAULT = QueryParameter("default", "Instead of a graph: all of them together.")
+_DEFAULT = QueryParameter(
+    "default", "Instead of a graph: all of them together; what is written goes to the default document."
+)
 _ALL = QueryParameter("all", "Instead of a graph: all of them with their names, as N-Quads, TriG or JSON-LD.")
 _GRAPH_FORMAT = replace(FORMAT, schema={"type": "string", "enum": [*{**FORMATS, **available_formats("CONSTRUCT")}]})
 
@@ -136,7 +138,7 @@ class GraphStore(Resource):
         self._settings = settings
         self._states = states
         self._resolve = resolve
-        self._default = DefaultGraphResource(f"{self.url}?default", service)
+        self._default = DefaultGraphResource(f"{self.url}?default", service, self.methods())
         self._all = DatasetResource(f"{self.url}?all", service, space.base, updates)
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
@@ -191,8 +193,11 @@ class GraphStore(Resource):
         Raises a 400 Problem for a write that names none (SPARQL 1.1 Graph Store Protocol 4.2).
         """
         asked = parse_graph_selection(exchange.request.scope["query_string"], self.url)
-        if asked.default:
+        if asked.default and (exchange.method in READ or self._settings.read_only):
             return self._default
+        if asked.default:
+            document = self._space.base + self._settings.default_document
+            return await self._graph(exchange, document, asked.other_parameters)
         if asked.all:
             return self._all
         if asked.graph is not None:
@@ -290,14 +295,18 @@ class _Whole(Resource):
 
 
 class DefaultGraphResource(_Whole):
-    """The default graph: all graphs together, as a query has it. It is read, and never written itself."""
+    """The default graph: all graphs together, as a query has it. What is written to it goes to one document."""
 
     kind = "Default graph"
     form = "CONSTRUCT"
     asked = QueryRequest("CONSTRUCT { ?s ?p ?o } WHERE { ?s ?p ?o }")
 
-    def deny_reason(self, method: str) -> str:
-        return "The default graph is all graphs together: write to the one that is to say it, by ?graph="
+    def __init__(self, url: str, service: QueryService, methods: frozenset[str]) -> None:
+        super().__init__(url, service)
+        self._methods = methods
+
+    def methods(self) -> frozenset[str]:
+        return self._methods
 
 
 class DatasetResource(_Whole):

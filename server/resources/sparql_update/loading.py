@@ -20,7 +20,7 @@ async def load_documents(
 ) -> Sequence[Operation]:
     """The operations with what each LOAD found in its place; each may take `seconds` and find `limit` bytes.
 
-    Raises Problems: 403 for a document that is not `allowed`, 422 where no graph is named or no RDF is found, 502 where
+    Raises Problems: 403 for a document that is not `allowed`, 422 where no RDF is found, 502 where
     nothing is found; none for LOAD SILENT, which then does nothing.
     """
     return [
@@ -41,8 +41,7 @@ async def _insertion(load: Load, allowed: frozenset[str], seconds: float, limit:
     if load.document not in allowed:
         words = "this server asks only what its settings list (--allow-load), by its whole URL"
         raise Problem(403, f"LOAD of <{load.document}> is refused: {words}. Nothing was done.")
-    if load.into is None:
-        raise Problem(422, "The default graph is the union of all graphs: say INTO GRAPH. Nothing was done.")
+    assert load.into is not None
     triples = await asyncio.to_thread(_read, load.document, seconds, limit)
     return Modify(inserts=tuple(_templates(triples, NamedNode(load.into))), silent=load.silent)
 

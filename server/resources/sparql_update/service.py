@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Callable, Hashable, Sequence, Set
+from collections.abc import AsyncIterator, Callable, Hashable, Iterator, Sequence, Set
 from functools import partial
 from typing import NamedTuple
 
@@ -51,9 +51,9 @@ from rosld.server.sparql.protocol import UpdateRequest
 from rosld.server.sparql.syntax.lexer import QueryBounds
 from rosld.server.sparql.update.evaluate import GraphChange, has_where, named_graphs
 from rosld.server.sparql.update.executor import Delta, UpdateEvaluator
-from rosld.server.sparql.update.operations import GraphVerb, ManageGraph, Operation
+from rosld.server.sparql.update.operations import GraphGroup, GraphVerb, ManageGraph, Operation
 from rosld.server.sparql.update.parser import read_update
-from rosld.server.storage import Conflict, ConflictCause, Write
+from rosld.server.storage import Conflict, ConflictCause, Model, Write
 
 ATTEMPTS = 4
 """Times that an update is evaluated where what it is evaluated over changes before it is carried out."""
@@ -103,7 +103,10 @@ class UpdateService:
         self._affordances = affordances
         self._documents = documents
         self._evaluator = evaluator
-        self._read_operations = partial(read_update, prefixes=analyser.prefixes, base=analyser.base, bounds=bounds)
+        self._default = session.space.base + session.settings.default_document
+        self._read_operations = partial(
+            read_update, prefixes=analyser.prefixes, base=analyser.base, bounds=bounds, default=self._default
+        )
         self._at = at
         self._keyed_lock = keyed_lock
         self._update_lock = KeyedLock(_PATIENCE)
@@ -125,6 +128,7 @@ class UpdateService:
         """Carry out operations, as `answer` does those of an update. Raises Problems."""
         if self._session.settings.read_only:
             raise Problem(403, "This server is read-only.")
+        operations = self._without_groups(operations, permissions)
         operations = without_silent_failures(operations, lambda each: require_rights([each], permissions))
         operations = without_silent_failures(operations, self._require_manageable)
         settings = self._session.settings
@@ -219,6 +223,36 @@ class UpdateService:
             if isinstance(graph, str) and not isinstance(self._resource_of(graph), StoredResource):
                 words = f"{operation.verb.value} is for what clients keep, and <{graph}> is the robot's."
                 raise Problem(403, f"{words} Nothing was done.", extra={"graph": graph})
+
+    def _without_groups(self, operations: Sequence[Operation], permissions: Permissions) -> Sequence[Operation]:
+        """Return the operations with the documents that the agent may write in place of NAMED and ALL."""
+        found: list[Operation] = []
+        for operation in operations:
+            if not isinstance(operation, ManageGraph) or not isinstance(operation.target, GraphGroup):
+                found.append(operation)
+                continue
+            made = filter(self.is_stored, named_graphs(found))
+            graphs = dict.fromkeys(graph for graph in (*self._documents_kept(), *made) if not graph.endswith("/"))
+            if operation.target is GraphGroup.NAMED:
+                graphs.pop(self._default, None)
+            writable = [graph for graph in graphs if permissions.may("PUT", graph)]
+            left = f"{len(graphs) - len(writable)} documents that the agent may not write, "
+            record_step(
+                f"{operation.verb.value} {operation.target.value}: {len(writable)} documents; left are "
+                f"{left if len(writable) < len(graphs) else ''}containers, files, policies and what the robot says"
+            )
+            found += (ManageGraph(operation.verb, graph, silent=True) for graph in writable)
+        return found
+
+    def _documents_kept(self) -> Iterator[str]:
+        """Yield the graphs of all documents below `/data/`: no containers, no files, nothing that guards the robot."""
+        records, after = self._documents.records, 0
+        while changes := records.changes_since(after):
+            for change in changes:
+                record = records.get(change.path)
+                if record is not None and record.model is Model.RDF_SOURCE and change.path.startswith("data/"):
+                    yield self._session.space.base + change.path
+            after = changes[-1].version
 
     def is_stored(self, graph: str) -> bool:
         """Whether clients keep the graph of this name, or may."""

@@ -234,11 +234,6 @@ def _named_graphs(operations: Sequence[Operation]) -> Iterator[str]:
 
 
 def _modify(operation: Modify, staging: StagingDataset, ask: WhereEvaluator) -> None:
-    for quad in (*operation.deletes, *operation.inserts):
-        if quad.graph is None:
-            raise Problem(
-                422, "The default graph is the union of all graphs: name the graph of each triple, by GRAPH or WITH."
-            )
     where = operation.where
     holes = () if where is None else where.variables
     rows = [()] if where is None else list(_limit_rows(ask(where)))
@@ -282,10 +277,8 @@ def fill_templates(quads: Sequence[QuadTemplate], values: Mapping[str, Term | No
 
 def _manage(operation: ManageGraph, staging: StagingDataset) -> None:
     verb, target, source = operation.verb, operation.target, operation.source
-    if isinstance(target, GraphGroup) or isinstance(source, GraphGroup):
-        if operation.silent:
-            return
-        raise _several(operation)
+    assert isinstance(target, str), target
+    assert not isinstance(source, GraphGroup), source
     if verb is GraphVerb.CREATE:
         if staging.is_there(target) and not operation.silent:
             raise Problem(409, f"CREATE: there is a graph {target} already.")
@@ -297,7 +290,7 @@ def _manage(operation: ManageGraph, staging: StagingDataset) -> None:
             staging.drop(target)
         else:
             staging.remove(staging.quads(target))
-    elif not staging.is_there(source):
+    elif not staging.is_there(source) and source != operation.default:
         _missing(operation, source)
     elif source != target:
         _copy(verb, source, target, staging)
@@ -318,13 +311,5 @@ def _copy(verb: GraphVerb, source: str, target: str, staging: StagingDataset) ->
 
 
 def _missing(operation: ManageGraph, graph: str) -> None:
-    if not operation.silent:
+    if not operation.silent and graph != operation.default:
         raise Problem(409, f"{operation.verb.value}: there is no graph {graph}.")
-
-
-def _several(operation: ManageGraph) -> Problem:
-    several = next(each for each in (operation.target, operation.source) if isinstance(each, GraphGroup))
-    if several is GraphGroup.DEFAULT:
-        return Problem(422, f"{operation.verb.value} DEFAULT: the default graph is the union of all graphs; name one.")
-    words = f"{operation.verb.value} {several.value} would take the robot's own graphs with it: name the graphs."
-    return Problem(403, words)

@@ -20,7 +20,7 @@ TemplateTerm: TypeAlias = "NamedNode | BlankNode | Literal | TemplateVariable"
 
 
 class QuadTemplate(NamedTuple):
-    """A quad with holes; `graph` is None for the default graph."""
+    """A quad with holes; `graph` is None for the default graph, where no document stands for it."""
 
     subject: TemplateTerm
     predicate: TemplateTerm
@@ -94,12 +94,16 @@ class GraphGroup(Enum):
 
 @dataclass(frozen=True, slots=True)
 class ManageGraph:
-    """Something done with the graph `target`; `source` is what ADD, MOVE and COPY take it from."""
+    """Something done with the graph `target`; `source` is what ADD, MOVE and COPY take it from.
+
+    `default` is the document that stands for the default graph, which is there even where the document is not.
+    """
 
     verb: GraphVerb
     target: str | GraphGroup
     source: str | GraphGroup | None = None
     silent: bool = False
+    default: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

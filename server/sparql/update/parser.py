@@ -39,16 +39,17 @@ _BLOCK = "{ and quads"
 
 
 def read_update(
-    request: UpdateRequest, prefixes: Mapping[str, str], base: str, bounds: QueryBounds
+    request: UpdateRequest, prefixes: Mapping[str, str], base: str, bounds: QueryBounds, default: str | None = None
 ) -> tuple[Operation, ...]:
     """The operations of an update; `prefixes` hold where the text does not declare them itself.
 
+    `default` is the document that is written where no graph is named.
     A graph of the request (`using-graph-uri`) is the dataset of each WHERE. Raises Problems: those of `check_text`, and
     400 for what is no update, or names a dataset in the request and in the text.
     """
     checked = check_text(request.text, bounds, what="update")
     try:
-        return UpdateParser(checked, prefixes, base, bounds.joins, request).operations()
+        return UpdateParser(checked, prefixes, base, bounds.joins, request, default).operations()
     except RecursionError as error:
         raise Problem(400, "The update nests too deep: write it in parts.") from error
 
@@ -79,10 +80,17 @@ class UpdateParser(QueryParser):
     """Reads an update from its beginning to its end."""
 
     def __init__(
-        self, checked: CheckedText, prefixes: Mapping[str, str], base: str, max_joins: int, request: UpdateRequest
+        self,
+        checked: CheckedText,
+        prefixes: Mapping[str, str],
+        base: str,
+        max_joins: int,
+        request: UpdateRequest,
+        default: str | None = None,
     ) -> None:
         super().__init__(checked, prefixes, base, max_joins)
         self._request = request
+        self._default = default
         self._prologue = ""
         self._data_labels: set[str] = set()
         self._blank_nodes: dict[str, BlankNode] = {}
@@ -168,7 +176,7 @@ class UpdateParser(QueryParser):
         self.advance()
         found: list[QuadTemplate] = []
         self._blank_nodes.clear()
-        home = None if graph is None else NamedNode(graph)
+        home = NamedNode(graph) if (graph := graph or self._default) else None
         while not self.take("}"):
             if self.take("GRAPH"):
                 self._quads_of_graph(found)
@@ -263,17 +271,18 @@ class UpdateParser(QueryParser):
         if verb in (GraphVerb.ADD, GraphVerb.MOVE, GraphVerb.COPY):
             source = self._graph_or_default()
             self.expect("TO", "and a graph")
-            return ManageGraph(verb, self._graph_or_default(), source, silent)
+            return ManageGraph(verb, self._graph_or_default(), source, silent, self._default)
         if verb is GraphVerb.CREATE or self.key == "GRAPH":
             return ManageGraph(verb, self._named_graph(), None, silent)
         several = next((each for each in GraphGroup if self.take(each.value)), None)
         if several is None:
             self.fail_expecting("GRAPH and its IRI, DEFAULT, NAMED or ALL")
-        return ManageGraph(verb, several, None, silent)
+        target = self._default if several is GraphGroup.DEFAULT and self._default else several
+        return ManageGraph(verb, target, None, silent, self._default)
 
     def _graph_or_default(self) -> str | GraphGroup:
         if self.take("DEFAULT"):
-            return GraphGroup.DEFAULT
+            return self._default or GraphGroup.DEFAULT
         self.take("GRAPH")
         return self.expect_iri("DEFAULT or the IRI of a graph")
 
@@ -284,4 +293,4 @@ class UpdateParser(QueryParser):
     def _load(self) -> Load:
         silent = self.take("SILENT")
         document = self.expect_iri("the IRI of a document")
-        return Load(document, self._named_graph() if self.take("INTO") else None, silent)
+        return Load(document, self._named_graph() if self.take("INTO") else self._default, silent)

@@ -125,12 +125,9 @@ def management(draw: DrawFn) -> Operation:
 
 FAILURES = st.sampled_from(
     [
-        "CLEAR SILENT ALL",
-        "DROP SILENT DEFAULT",
         "LOAD SILENT <http://127.0.0.1:9/> INTO GRAPH <urn:graph:one>",
         "MOVE SILENT <urn:graph:none> TO <urn:graph:one>",
         "ADD SILENT <urn:graph:one> TO </ontology>",
-        "COPY SILENT DEFAULT TO <urn:graph:two>",
         "DROP SILENT GRAPH </nodes/aircraft>",
     ]
 ).map(lambda text: Operation(text, None))

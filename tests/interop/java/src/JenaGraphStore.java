@@ -191,14 +191,16 @@ final class JenaGraphStore {
                 holds(connection.fetch(graph), "b");
             }
         });
-        checks.check("writes to the default graph are refused", () -> {
+        checks.check("writes to the default graph go to the default document", () -> {
+            String document = url + "data/default";
             try (RDFConnection connection = connection()) {
-                Checks.fails(HttpException.class, "4", () -> connection.put(model("a")));
-                Checks.fails(HttpException.class, "4", () -> connection.load(model("a")));
-                Checks.fails(HttpException.class, "4", connection::delete);
+                connection.put(model("a"));
+                holds(connection.fetch(document), "a");
+                connection.load(model("b"));
+                holds(connection.fetch(document), "a", "b");
+                connection.delete();
                 Checks.yes(!connection.isClosed(), "closed");
-                Checks.yes(!connection.queryAsk("ASK { GRAPH <" + url
-                    + "graphs> { <http://example.org/s> <http://example.org/p> 'a' } }"), "written");
+                Checks.fails(HttpException.class, "410", () -> connection.fetch(document));
             }
         });
     }

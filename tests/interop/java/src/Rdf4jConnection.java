@@ -265,8 +265,10 @@ final class Rdf4jConnection {
             }
             holds(connection, to, "a");
         }));
-        checks.check("add without a graph is refused", with(connection -> Checks.fails(RepositoryException.class, "",
-            () -> connection.add(S, P, VALUES.createLiteral("in the default graph")))));
+        checks.check("add without a graph adds to the default document", with(connection -> {
+            connection.add(S, P, VALUES.createLiteral("in the default graph"));
+            holds(connection, VALUES.createIRI(url + "data/default"), "in the default graph");
+        }));
     }
 
     private IRI last() {
@@ -293,15 +295,17 @@ final class Rdf4jConnection {
             holds(connection, one);
             holds(connection, two);
         }));
-        checks.check("clear of everything, which would clear the robot, is refused", with(connection -> {
+        checks.check("clear of everything clears the documents", with(connection -> {
             IRI graph = with(connection, "a");
-            Checks.fails(RepositoryException.class, "", () -> connection.clear());
-            holds(connection, graph, "a");
+            connection.clear();
+            holds(connection, graph);
         }));
-        checks.check("clear of the default graph is refused", with(connection -> {
+        checks.check("clear of the default graph clears the default document alone", with(connection -> {
             IRI graph = with(connection, "a");
-            Checks.fails(RepositoryException.class, "", () -> connection.clear((Resource) null));
+            connection.add(S, P, VALUES.createLiteral("b"));
+            connection.clear((Resource) null);
             holds(connection, graph, "a");
+            holds(connection, VALUES.createIRI(url + "data/default"));
         }));
     }
 

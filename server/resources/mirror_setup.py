@@ -147,8 +147,9 @@ class _Reading:
             pass
 
     def _topics(self) -> Needs:
-        urls = frozenset(map(self._session.space.topic, self._session.topics.always_subscribed()))
-        return needs_of_documents(urls)
+        space = self._session.space
+        topics = map(space.topic, self._session.topics.always_subscribed())
+        return needs_of_documents([*topics, space.container("activity"), space.base])
 
     def _parameters(self) -> Needs:
         urls = frozenset(map(self._session.space.parameter, self._session.graph.parameters))

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import NamedTuple, Protocol
 
 from rosld.server.dataset import Edit
+from rosld.server.sparql.needs import Needs
 
 
 class Changes(NamedTuple):
@@ -31,6 +32,10 @@ class ChangeSource(Protocol):
         """A number that rises with each change; 0 as long as there is nothing."""
         ...
 
+    def may_match(self, needs: Needs) -> bool:
+        """Whether a query of these needs can match a triple of the graphs."""
+        ...
+
     def last_change(self, graph: str) -> int:
         """No less than the version of the last change of a graph; 0 for one that is certainly none of these."""
         ...
@@ -49,6 +54,9 @@ class _Nothing:
     """A `ChangeSource` without graphs."""
 
     version = 0
+
+    def may_match(self, needs: Needs) -> bool:
+        return False
 
     def last_change(self, graph: str) -> int:
         return 0

@@ -110,7 +110,7 @@ class Materializer:
         pins = [one.url for one in documents if _is_recorded_message(one.url)]
         self._pinned.update(pins)
         try:
-            yield await self._bring(documents, scope, deadline)
+            yield await self._bring(documents, self.stored.wanted(needs), scope, deadline)
         finally:
             if pins:
                 self._pinned.subtract(pins)
@@ -119,12 +119,12 @@ class Materializer:
     def versions_of(self, graphs: frozenset[str] | None) -> SeenVersions:
         """Return what the dataset holds now of values (None: of all), and of what clients keep."""
         live = self._state.live if graphs is None else self._state.live & graphs
-        wanted = self.stored.versions
+        wanted = self.stored.wanted_of_clients
         kept = wanted[0] if self.stored.is_current(graphs, wanted) else self._state.versions[0]
         return SeenVersions({iri: self._state.held[iri].token for iri in live}, kept)
 
     async def _bring(
-        self, documents: Sequence[LiveDocument], scope: frozenset[str] | None, deadline: float
+        self, documents: Sequence[LiveDocument], wanted: Sequence[int], scope: frozenset[str] | None, deadline: float
     ) -> Mapping[str, str]:
         writes, number = self._source.writes, next(self._numbers)
         due = self._due(documents)
@@ -132,7 +132,6 @@ class Materializer:
         unnamed = frozenset(one.url for one in due if not one.is_named)
         if unnamed and not graphs.unread:
             self._recent = _Recent(unnamed, (self._state.generation, writes), time.monotonic())
-        wanted = self.stored.versions
         if not self.stored.is_current(scope, wanted):
             await self.stored.catch_up(scope, wanted, deadline)
         reading = _Reading(number, graphs)

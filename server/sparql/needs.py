@@ -68,6 +68,13 @@ class Needs:
             return False
         return any(_may_match(pattern, document, told) for pattern in self.patterns)
 
+    def may_match_below(self, place: str, told: ToldTerms) -> bool:
+        """Whether a pattern can match triples of these terms, about whatever, in graphs whose names begin so."""
+        if self.dataset is not None and not any(graph.startswith(place) for graph in self.dataset):
+            return False
+        graphs = (one for one in self.patterns if one.graph is None or one.graph.startswith(place))
+        return any(_may_match(one._replace(graph=None, document=None), place, told) for one in graphs)
+
     def __or__(self, other: Needs) -> Needs:
         dataset = _union(self.dataset, other.dataset)
         return Needs(self.patterns | other.patterns, self.documents | other.documents, dataset)

@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from functools import partial
 
-from rosld.ontology.describe_activities import activity_document
+from rosld.ontology.describe_activities import Receipt, activity_document
 from rosld.ontology.describe_containers import container_document
 from rosld.ontology.serialize import Syntax, serialize
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import ldp
+from rosld.ontology.vocab import ldp, rdf
 from rosld.server.dataset import Edit
 from rosld.server.receipts.journal import Journal, JournalEntry
 from rosld.server.sparql.change_source import Changes
+from rosld.server.sparql.needs import Needs, ToldTerms
 
 TITLE = "Activity"
 _PAGE = 200
@@ -28,6 +29,7 @@ class ReceiptGraphs:
         self._journal = journal
         self._space = space
         self._container = space.container("activity")
+        self._terms = _terms(space)
         self._told = 0
         self._gone: list[tuple[int, str]] = []
         journal.on_dropped(self._note_dropped)
@@ -36,6 +38,10 @@ class ReceiptGraphs:
     def version(self) -> int:
         """Rises with each change."""
         return self._journal.version
+
+    def may_match(self, needs: Needs) -> bool:
+        """Whether a query can match what receipts say."""
+        return needs.may_match_below(self._container, self._terms)
 
     def last_change(self, graph: str) -> int:
         """When what this graph says last changed, at the latest."""
@@ -68,6 +74,21 @@ class ReceiptGraphs:
     def _note_dropped(self, entry: JournalEntry) -> None:
         if entry.number <= self._told:
             self._gone.append((self._journal.version, entry.id))
+
+
+def _terms(space: Space) -> ToldTerms:
+    """Return the terms of a receipt that says all that one can say, and of the container."""
+    container = container_document(space.container("activity"), [space.activity("0")], TITLE)
+    made = (space.base, space.call("0"))
+    documents = (container, *(activity_document(_EVERYTHING._replace(made=one), space) for one in made))
+    triples = [triple for document in documents for triple in document.all_triples()]
+    classes = frozenset(str(one.object)[1:-1] for one in triples if one.predicate == rdf.type)
+    return ToldTerms(frozenset(one.predicate.value for one in triples), classes)
+
+
+_EVERYTHING = Receipt(
+    1, "0", "-", None, 0, 0, "PUT", "/", "text/turtle", 1, "-", "-", True, ("-",), ("urn:x",), 1, 200, None, "-"
+)
 
 
 def _text(entry: JournalEntry, space: Space) -> str:

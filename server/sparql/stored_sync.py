@@ -16,6 +16,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.runtime.process_memory import PROCESS_MEMORY, SENT_PER_CHARACTER
 from rosld.server.sparql.change_source import Changes, ChangeSource
 from rosld.server.sparql.graph_rendering import INLINE, render_graphs, render_in_thread
+from rosld.server.sparql.needs import Needs
 from rosld.server.sparql.query_limits import process_restarting
 from rosld.server.sparql.sync_target import SyncTarget, TargetState
 
@@ -31,8 +32,6 @@ _ASKED_SECONDS = 10.0
 """Seconds after a query for which few changes are brought, too: a write costs half as much where nobody asks."""
 _SHORT_OF_MEMORY = 30.0
 """Seconds until what there was no memory for is tried again, unless a query asks for it."""
-_PATIENCE = 5.0
-"""Seconds that a query waits."""
 _LONGEST_RETRY = 60
 
 
@@ -64,7 +63,8 @@ class StoredSync:
         self._state = state
         self._sources = sources
         self._transfer: _Transfer | None = None
-        self._asked = float("-inf")
+        self._asked = [float("-inf")] * len(sources)
+        """When a query wanted each of the sources last."""
 
     @property
     def progress(self) -> str | None:
@@ -84,11 +84,10 @@ class StoredSync:
         while True:
             await asyncio.sleep(pause)
             pause = min(_POLL_SECONDS, 2 * pause + _BATCH_SECONDS)
-            missing = self._missing()
-            if missing == 0 or (missing < _MUCH and time.monotonic() - self._asked > _ASKED_SECONDS):
+            if not self._due(wanted := self._soon_wanted()):
                 continue
             try:
-                await self._sync()
+                await self._sync(wanted)
                 pause = _BATCH_SECONDS
             except MemoryError as error:
                 _log.error("what clients keep cannot be brought to the dataset now: %s", error)
@@ -98,59 +97,83 @@ class StoredSync:
             except Exception:  # the next query, or the next time, may have more luck
                 _log.exception("what clients keep cannot be brought to the dataset now")
 
-    async def _sync(self) -> None:
-        """Bring what there is. Raises Problem 503 if the process starts anew meanwhile, and NotEnoughMemory."""
+    def _soon_wanted(self) -> Sequence[int]:
+        """Return the versions that the next query is likely to want, 0 for those that none has wanted lately."""
+        since = time.monotonic() - _ASKED_SECONDS
+        found = [
+            source.version if asked > since else 0 for source, asked in zip(self._sources, self._asked, strict=True)
+        ]
+        if self._missing() >= _MUCH:
+            found[0] = self._sources[0].version
+        return found
+
+    async def _sync(self, wanted: Sequence[int]) -> None:
+        """Bring what is wanted. Raises Problem 503 if the process starts anew meanwhile, and NotEnoughMemory."""
         self._state.follow_restart()
-        if self._transfer is None and self._send_little():
+        if self._transfer is None and self._send_little(wanted):
             return
-        transfer = self._transfer or self._start(self._sources)
+        transfer = self._transfer or self._start(wanted)
         assert transfer.task is not None
         await asyncio.shield(transfer.task)
 
+    def wanted(self, needs: Needs) -> Sequence[int]:
+        """Return the versions that a query is to see: those of now, 0 for a source of which it can match nothing."""
+        now, found = time.monotonic(), []
+        for place, source in enumerate(self._sources):
+            is_wanted = source.may_match(needs)
+            found.append(source.version if is_wanted else 0)
+            if is_wanted:
+                self._asked[place] = now
+        return found
+
     @property
-    def versions(self) -> Sequence[int]:
-        """The versions of all sources, which whoever asks now is to see: all that was written before."""
-        return [source.version for source in self._sources]
+    def wanted_of_clients(self) -> Sequence[int]:
+        """The version of what clients keep, and 0 for the other sources."""
+        return [self._sources[0].version, *(0 for _ in self._sources[1:])]
+
+    def _due(self, wanted: Sequence[int]) -> Sequence[int]:
+        """Return the places of the sources that are not as wanted."""
+        versions = [0] * len(self._sources) if self._state.is_outdated else self._state.versions
+        return [place for place, least in enumerate(wanted) if versions[place] < least]
 
     def is_current(self, scope: frozenset[str] | None, wanted: Sequence[int]) -> bool:
         """Whether the target holds what clients keep in these graphs (None: in all) as of the versions wanted."""
         for source, version, least in zip(self._sources, self._state.versions, wanted, strict=True):
             if version >= least:
                 continue
-            if scope is None or any(source.last_change(iri) > self._state.ahead.get(iri, version) for iri in scope):
+            ahead = self._state.ahead
+            if scope is None or any(source.last_change(iri) > max(version, ahead.get(iri, 0)) for iri in scope):
                 return False
         return True
 
     async def catch_up(self, scope: frozenset[str] | None, wanted: Sequence[int], deadline: float) -> None:
         """Wait until these graphs (None: all) are current.
 
-        Raises Problem 503 with the progress where that takes too long: longer than until `deadline` (loop time), or
-        than a query is to wait.
+        Raises Problem 503 with the progress where that takes longer than until `deadline` (loop time).
         """
-        self._asked = time.monotonic()
-        if self._transfer is None and self._send_little():
+        if self._transfer is None and self._send_little(wanted):
             return
         loop = asyncio.get_running_loop()
-        until = min(deadline, loop.time() + _PATIENCE)
         while not self.is_current(scope, wanted):
-            transfer = self._transfer or self._start(self._sources)
+            transfer = self._transfer or self._start(wanted)
             assert transfer.task is not None
             if not transfer.task.done():
                 now = loop.time()
-                if now < until and transfer.seconds_left < _PATIENCE:
-                    await asyncio.wait([transfer.task], timeout=min(until, now + _POLL_SECONDS) - now)
+                if transfer.seconds_left < deadline - now:
+                    await asyncio.wait([transfer.task], timeout=min(deadline, now + _POLL_SECONDS) - now)
                 else:
                     raise process_restarting(min(_LONGEST_RETRY, 1 + int(transfer.seconds_left)), str(transfer))
             if transfer.task.done():
                 transfer.task.result()
                 await asyncio.sleep(0)  # it is put away by a callback, which may not have had its turn
 
-    def _send_little(self) -> bool:
-        """Send here and now what changed, if that is little. False, with nothing sent, where it is not."""
+    def _send_little(self, wanted: Sequence[int]) -> bool:
+        """Send here and now what is wanted, if that is little. False, with nothing sent, where it is not."""
         parts: list[Changes] = []
-        versions = [source.version for source in self._sources]
-        for source, before, version in zip(self._sources, self._state.versions, versions, strict=True):
-            found = source.changes(before) if version != before else iter(())
+        versions = list(self._state.versions)
+        for place in self._due(wanted):
+            found = self._sources[place].changes(versions[place])
+            versions[place] = self._sources[place].version
             parts += islice(found, 1)
             if next(found, None) is not None:
                 return False
@@ -160,14 +183,13 @@ class StoredSync:
         for part in parts:
             self._target.change(render_graphs(part.graphs), part.edits)
         self._state.versions = versions
-        self._state.ahead.clear()
         return True
 
-    def _start(self, sources: Sequence[ChangeSource]) -> _Transfer:
-        """Begin to send what changed in these sources."""
-        total = sum(source.version - before for source, before in zip(sources, self._state.versions, strict=False))
-        transfer = self._transfer = _Transfer(total)
-        task = asyncio.ensure_future(self._send(sources, transfer))
+    def _start(self, wanted: Sequence[int]) -> _Transfer:
+        """Begin to send what is wanted."""
+        due = self._due(wanted)
+        transfer = self._transfer = _Transfer(sum(wanted[place] - self._state.versions[place] for place in due))
+        task = asyncio.ensure_future(self._send(due, transfer))
         task.add_done_callback(self._end)
         transfer.task = task
         return transfer
@@ -177,10 +199,11 @@ class StoredSync:
         if not task.cancelled():
             task.exception()  # whoever waits for it sees it too
 
-    async def _send(self, sources: Sequence[ChangeSource], transfer: _Transfer) -> None:
-        """Send what changed in these sources by now, part by part."""
+    async def _send(self, places: Sequence[int], transfer: _Transfer) -> None:
+        """Send what changed by now in the sources of these places, part by part."""
         generation, done = self._state.generation, 0
-        for place, source in enumerate(sources):
+        for place in places:
+            source = self._sources[place]
             before, version = self._state.versions[place], source.version
             if version != before:
                 now = version
@@ -193,7 +216,7 @@ class StoredSync:
             self._state.require(generation)
             done += version - before
             self._state.versions[place] = version
-        if len(sources) == len(self._sources):
+        if 0 in places:
             self._state.ahead.clear()
 
     async def _send_part(self, part: Changes, version: int, generation: int) -> None:

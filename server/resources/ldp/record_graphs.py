@@ -18,6 +18,7 @@ from rosld.ontology.vocab import dcterms, ldp
 from rosld.server.dataset import Edit
 from rosld.server.rest.interaction import member_derived_uris, membership_declaration
 from rosld.server.sparql.change_source import Changes
+from rosld.server.sparql.needs import Needs
 from rosld.server.storage import Member, Membership, Model, Record, RecordChange, Records, RecordWrite
 from rosld.server.storage.packing import size_of
 from rosld.server.storage.record_documents import (
@@ -68,6 +69,10 @@ class RecordGraphs:
     def version(self) -> int:
         """The number of the last change."""
         return self._records.version
+
+    def may_match(self, needs: Needs) -> bool:
+        """Whether a query can match what clients say, which may be anything."""
+        return bool(needs.patterns)
 
     def last_change(self, graph: str) -> int:
         """When what this graph says last changed, as far as that is known at once."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from urllib.parse import quote
 
 import orjson
@@ -13,6 +12,7 @@ from rosld.adapters.base import Watch
 from rosld.adapters.model import Graph, Topic
 from rosld.ontology.describe_edges import edges_document
 from rosld.ontology.describe_graph import node_views
+from rosld.ontology.document import Document
 from rosld.ontology.literals import date_time
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.diagrams import dot, svg
@@ -133,10 +133,17 @@ class GraphResource(Resource):
         graph = self._graph()
         diagram = self._diagram(graph)
         plain = _plain(diagram)
+        return State(lambda: self._describe(graph, diagram), lambda: plain, digest(plain))
+
+    def document(self) -> Document:
+        """Return the edges of now, and what is wrong with them."""
+        graph = self._graph()
+        return self._describe(graph, self._diagram(graph))
+
+    def _describe(self, graph: Graph, diagram: Diagram) -> Document:
         views, urls = node_views(graph), frozenset(each.url for each in diagram.vertices)
         problems = [(each.url, words) for each, words in diagram.problems]
-        describe = partial(edges_document, self.url, views, self.session.space, urls, problems)
-        return State(describe, lambda: plain, digest(plain))
+        return edges_document(self.url, views, self.session.space, urls, problems)
 
     def _graph(self) -> Graph:
         """The graph of now, as it is listed."""

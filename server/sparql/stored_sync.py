@@ -84,11 +84,13 @@ class StoredSync:
         while True:
             await asyncio.sleep(pause)
             pause = min(_POLL_SECONDS, 2 * pause + _BATCH_SECONDS)
-            if not self._due(wanted := self._soon_wanted()):
-                continue
             try:
-                await self._sync(wanted)
-                pause = _BATCH_SECONDS
+                if self._missing() >= _MUCH:
+                    await self._sync()
+                elif self._due(wanted := self._soon_wanted()) and self._transfer is None:
+                    self._state.follow_restart()
+                    self._send_little(wanted)
+                    pause = _BATCH_SECONDS
             except MemoryError as error:
                 _log.error("what clients keep cannot be brought to the dataset now: %s", error)
                 pause = _SHORT_OF_MEMORY
@@ -100,19 +102,13 @@ class StoredSync:
     def _soon_wanted(self) -> Sequence[int]:
         """Return the versions that the next query is likely to want, 0 for those that none has wanted lately."""
         since = time.monotonic() - _ASKED_SECONDS
-        found = [
-            source.version if asked > since else 0 for source, asked in zip(self._sources, self._asked, strict=True)
-        ]
-        if self._missing() >= _MUCH:
-            found[0] = self._sources[0].version
-        return found
+        pairs = zip(self._sources, self._asked, strict=True)
+        return [source.version if asked > since else 0 for source, asked in pairs]
 
-    async def _sync(self, wanted: Sequence[int]) -> None:
-        """Bring what is wanted. Raises Problem 503 if the process starts anew meanwhile, and NotEnoughMemory."""
+    async def _sync(self) -> None:
+        """Bring what clients keep. Raises Problem 503 if the process starts anew meanwhile, and NotEnoughMemory."""
         self._state.follow_restart()
-        if self._transfer is None and self._send_little(wanted):
-            return
-        transfer = self._transfer or self._start(wanted)
+        transfer = self._transfer or self._start(self.wanted_of_clients)
         assert transfer.task is not None
         await asyncio.shield(transfer.task)
 

@@ -34,7 +34,7 @@ def place(number: float) -> dict[str, float]:
     return {"x": number, "y": 0, "z": 0}
 
 
-VALUE = f"PREFIX v: <{CLASS}#> SELECT ?x {{ ?m v:x ?x }}"
+VALUE = f"PREFIX v: <{CLASS}#> SELECT ?x {{ ?t ros:latest ?m . ?m v:x ?x }}"
 WAYS: dict[str, Callable[[httpx.Client], str]] = {
     "topic": lambda http: http.get("/topics/place").text,
     "topic as JSON": lambda http: http.get("/topics/place", headers=asking.JSON).text,

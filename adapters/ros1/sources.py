@@ -137,7 +137,7 @@ class PublisherReader:
 
     def _hello(self) -> bytes:
         fields = {
-            "callerid": self._nodes.caller,
+            "callerid": self._nodes.caller + self._feed.caller_suffix,
             "topic": self._feed.topic,
             "type": "*",
             "md5sum": "*",

@@ -18,6 +18,9 @@ class Feed:
     server's loop. `own` maps topics to what rosld itself publishes.
     """
 
+    caller_suffix = ""
+    """What follows the name of this node in the name that its connections have."""
+
     def __init__(self, topic: str, server: asyncio.AbstractEventLoop, own: Mapping[str, Slot]) -> None:
         self.topic = topic
         self.depth = 1
@@ -68,6 +71,9 @@ class MessageFeed(Feed):
 
     `take` raises ValueError for what cannot be read, which is passed over.
     """
+
+    caller_suffix = "_follower"
+    """A publisher in rospy drops the older of two connections of one caller without a word."""
 
     def __init__(self, topic: str, take: Callable[[bytes], None], depth: int) -> None:
         super().__init__(topic, asyncio.get_running_loop(), {})

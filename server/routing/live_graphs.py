@@ -126,7 +126,7 @@ class RobotGraphs:
 
     def wanted(self, needs: Needs, permissions: Permissions) -> Sequence[LiveDocument]:
         """Return the documents whose values a query can match, as far as they may be read."""
-        if not needs.patterns:
+        if not needs.patterns and not needs.asks_graphs:
             return ()
         tree = self._affordances.cached_tree() or self._affordances.last_tree
         graph = self._session.graph

@@ -37,9 +37,13 @@ class SeenVersions(NamedTuple):
 
 
 class _Change(NamedTuple):
-    """The change of one graph: `entry` is None where it goes. `size` is the number of characters it had."""
+    """The change of one graph: `entry` is None where it goes. `size` is the number of characters it had.
+
+    `description` is the token of its description at that time, None for a graph without one.
+    """
 
     entry: GraphEntry | None
+    description: Hashable
     has_values: bool
     size: int
 
@@ -178,16 +182,17 @@ class Materializer:
         if revision != self._state.descriptions:
             changes.update(self._changed_descriptions(described))
         for iri in self._state.transient - self._pinned.keys():
-            changes[iri] = _Change(None, False, 0)
+            changes[iri] = _Change(None, None, False, 0)
         for iri, entry in reading.graphs.entries.items():
-            held = self._state.held.get(iri)
+            held, plain = self._state.held.get(iri), described.get(iri)
+            description = None if plain is None else plain.token
             if held is not None and held.number > reading.number:
                 continue
             if entry is None:
                 if held is not None and held.has_values:
-                    changes[iri] = _Change(described.get(iri), False, held.size)
+                    changes[iri] = _Change(plain, description, False, held.size)
             elif held is None or not held.has_values or held.token != entry.token:
-                changes[iri] = _Change(entry, True, INLINE + 1 if held is None else held.size)
+                changes[iri] = _Change(entry, description, True, INLINE + 1 if held is None else held.size)
             else:
                 changes.pop(iri, None)
         return revision, changes
@@ -196,10 +201,10 @@ class Materializer:
         for iri, entry in described.items():
             held = self._state.held.get(iri)
             if held is None or held.description != entry.token:
-                yield iri, _Change(entry, False, INLINE + 1 if held is None else held.size)
+                yield iri, _Change(entry, entry.token, False, INLINE + 1 if held is None else held.size)
         for iri, held in self._state.held.items():
             if held.description is not None and iri not in described:
-                yield iri, _Change(None, False, 0)
+                yield iri, _Change(None, None, False, 0)
 
     def _send(
         self,
@@ -211,16 +216,14 @@ class Materializer:
         state = self._state
         state.require(state.generation)
         self._target.change(texts)
-        described = self._source.descriptions()
         for iri, change in changes.items():
             state.live.discard(iri)
             state.transient.discard(iri)
             if change.entry is None:
                 state.held.pop(iri, None)
                 continue
-            description = described[iri].token if iri in described else None
-            size = len(texts[iri] or "")
-            state.held[iri] = HeldGraph(change.entry.token, description, change.has_values, reading.number, size)
+            token, size = change.entry.token, len(texts[iri] or "")
+            state.held[iri] = HeldGraph(token, change.description, change.has_values, reading.number, size)
             if change.has_values:
                 state.live.add(iri)
             elif iri in self._recent.urls and iri not in reading.graphs.entries:

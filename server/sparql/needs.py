@@ -51,12 +51,13 @@ class Needs:
     """The values that a query can match: those that fit any of its `patterns`.
 
     `documents` are the IRIs, without fragment, that it names anywhere. `dataset` are the only graphs that it sees (FROM
-    and FROM NAMED); None for all.
+    and FROM NAMED); None for all. `asks_graphs`: a GRAPH without patterns matches the names of graphs.
     """
 
     patterns: frozenset[Constants] = frozenset()
     documents: frozenset[str] = frozenset()
     dataset: frozenset[str] | None = None
+    asks_graphs: bool = False
 
     def restrict_to(self, graphs: Collection[str]) -> Needs:
         """Return the needs of the same query over these graphs alone, which it thereby names."""
@@ -66,6 +67,8 @@ class Needs:
         """Whether a pattern can match value triples of a document that tells these terms."""
         if self.dataset is not None and document not in self.dataset:
             return False
+        if self.asks_graphs and told.predicates is None:  # what is there may depend on values
+            return True
         return any(_may_match(pattern, document, told) for pattern in self.patterns)
 
     def may_match_below(self, place: str, told: ToldTerms) -> bool:
@@ -77,7 +80,8 @@ class Needs:
 
     def __or__(self, other: Needs) -> Needs:
         dataset = _union(self.dataset, other.dataset)
-        return Needs(self.patterns | other.patterns, self.documents | other.documents, dataset)
+        asks_graphs = self.asks_graphs or other.asks_graphs
+        return Needs(self.patterns | other.patterns, self.documents | other.documents, dataset, asks_graphs)
 
 
 def needs_of_documents(documents: Iterable[str]) -> Needs:
@@ -95,7 +99,9 @@ def needs_of(query: Query, base: str) -> Needs:
     patterns = frozenset(_constants(each, group) for group in groups for each in group.patterns)
     if AGE in query.functions:
         patterns |= {Constants(graph=document_of(iri)) for iri in query.constants}
-    return Needs(patterns, frozenset(document_of(iri) for iri in named if iri.startswith(base)))
+    documents = frozenset(document_of(iri) for iri in named if iri.startswith(base))
+    asks_graphs = any(group.graph is not None and not (group.patterns or group.children) for group in groups)
+    return Needs(patterns, documents, asks_graphs=asks_graphs)
 
 
 def document_of(iri: str) -> str:

@@ -41,7 +41,7 @@ class ReceiptGraphs:
 
     def may_match(self, needs: Needs) -> bool:
         """Whether a query can match what receipts say."""
-        return needs.may_match_below(self._container, self._terms)
+        return needs.asks_graphs or needs.may_match_below(self._container, self._terms)
 
     def last_change(self, graph: str) -> int:
         """When what this graph says last changed, at the latest."""

@@ -72,7 +72,7 @@ class RecordGraphs:
 
     def may_match(self, needs: Needs) -> bool:
         """Whether a query can match what clients say, which may be anything."""
-        return bool(needs.patterns)
+        return bool(needs.patterns) or needs.asks_graphs
 
     def last_change(self, graph: str) -> int:
         """When what this graph says last changed, as far as that is known at once."""

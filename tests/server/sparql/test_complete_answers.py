@@ -62,6 +62,15 @@ def test_what_takes_no_reading_of_the_robot_is_there_for_every_query(http: httpx
     assert len(ask(http, "SELECT ?r { GRAPH <topics/> { ?r ros:name ?n } }")) > 1
 
 
+def test_names_of_graphs_are_found_without_a_triple_pattern(http: httpx.Client) -> None:
+    url = f"{http.base_url}data/named"
+    assert ask(http, "SELECT ?g { GRAPH ?g {} }")
+    assert http.put("/data/named", content="<> <urn:p> 1 .", headers=TURTLE).status_code == 201
+    assert [url] in ask(http, "SELECT ?g { GRAPH ?g {} }")
+    assert http.delete("/data/named").status_code == 204
+    assert [url] not in ask(http, "SELECT ?g { GRAPH ?g {} }")
+
+
 def test_values_of_optional_parts_are_read(http: httpx.Client) -> None:
     fields = (
         "SELECT ?t ?f { ?t a ros:Topic OPTIONAL { ?t ros:latest ?m . ?m ?f ?v FILTER(STRENDS(STR(?f), '#data')) } }"

@@ -69,7 +69,7 @@ def recorded(folder: Path, topics: int, end: int) -> Recorded:
 
 
 class Took(NamedTuple):
-    """What it takes: seconds that pass, and of processors, the query process and its workers included."""
+    """Wall-clock and CPU seconds, including the query process and its workers."""
 
     wall: float
     processor: float
@@ -80,7 +80,7 @@ class Took(NamedTuple):
 
 
 def processor_seconds() -> float:
-    """What this process and all that it started have used, those that have ended included."""
+    """Return the CPU seconds of this process and its children, including finished ones."""
     return _processor_seconds("self")
 
 

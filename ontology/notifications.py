@@ -75,7 +75,7 @@ DEFINITIONS: Json = {
 }
 """What the context of the protocol means by its terms: nothing is fetched, so it is known here."""
 _TYPES: Json = {"@type": [ldp.Resource.value, ldp.RDFSource.value]}
-"""The types of LDP, beside the one `type` that clients without RDF read: JSON-LD 1.1 takes both."""
+"""JSON-LD key for the LDP types; `type` holds the one type that clients without RDF read."""
 
 
 def channel_type(name: str) -> NamedNode:
@@ -101,7 +101,7 @@ class ServiceDescription:
         return Document(self.url, tuple(self.triples()))
 
     def triples(self) -> list[Triple]:
-        """What it and the description of the server say of it."""
+        """Return the statements made by the channel and by the server description."""
         return triples_about(
             NamedNode(self.url),
             *RDF_SOURCE,

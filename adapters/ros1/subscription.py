@@ -19,7 +19,7 @@ class Feed:
     """
 
     caller_suffix = ""
-    """What follows the name of this node in the name that its connections have."""
+    """Suffix of the node name in the caller id of the connections."""
 
     def __init__(self, topic: str, server: asyncio.AbstractEventLoop, own: Mapping[str, Slot]) -> None:
         self.topic = topic
@@ -73,7 +73,7 @@ class MessageFeed(Feed):
     """
 
     caller_suffix = "_follower"
-    """A publisher in rospy drops the older of two connections of one caller without a word."""
+    """rospy publishers silently drop the older of two connections with the same caller id."""
 
     def __init__(self, topic: str, take: Callable[[bytes], None], depth: int) -> None:
         super().__init__(topic, asyncio.get_running_loop(), {})

@@ -12,7 +12,7 @@ from collections import Counter
 _FREE = 4000
 """Triples that a store may have without anything being worth a thought."""
 _STEPS = 32
-"""Steps past what is no more, of 65 ns in each of two graphs, that take as long as renewing one triple: 4 us."""
+"""Steps over removed triples (65 ns in each of two graphs) that take as long as copying one triple (4 us)."""
 _MAX_GARBAGE_RATIO = 4
 """Triples that are no more, for each that is: what memory may be lost to them."""
 

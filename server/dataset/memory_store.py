@@ -271,7 +271,7 @@ class MemoryStore:
         return _Step(graph, False, removed, added, len(removed), edit.added.count("\n"))
 
     def _reader(self, graph: NamedNode, text: str) -> Callable[[], Iterable[Quad]]:
-        """What reads a text that has been checked. Raises ValueError."""
+        """Return a function that reads the checked text. Raises ValueError."""
         if len(text) < _LARGE:
             quads = [*self._read(graph, text)]
             return lambda: quads

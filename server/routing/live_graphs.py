@@ -137,7 +137,10 @@ class RobotGraphs:
                 self._found.clear()
             known = self._found[needs] = (version, list(self._documents(graph, tree, needs)))
         changing = (LiveDocument(one.url, one) for one in self._changing if needs.may_match(one.url, _ANYTHING))
-        found = [*known[1], *self._rated(needs), *changing, *self._recorded_messages(needs)]
+        found = [*known[1], *changing, *self._recorded_messages(needs)]
+        if rated := list(self._rated(needs)):
+            read = {one.url for one in found}
+            found += [one for one in rated if one.url not in read]
         return found if permissions.may_read_all else [one for one in found if permissions.may_read(one.url)]
 
     def _documents(self, graph: Graph, tree: ResourceTree | None, needs: Needs) -> Iterator[LiveDocument]:
@@ -167,7 +170,7 @@ class RobotGraphs:
     def _topics(self, graph: Graph, needs: Needs) -> Iterator[LiveDocument]:
         space = self._session.space
         by_type = replace(needs, patterns=frozenset(one for one in needs.patterns if _names_type(one, space.types)))
-        for topic in _candidates(space, graph, needs):
+        for topic in _named_topics(space, graph, needs):
             url, (told, bulky) = space.topic(topic.name), self._told_by_topic(topic)
             if needs.may_match(url, told):
                 is_named = url in needs.documents or by_type.may_match(url, told)
@@ -351,7 +354,7 @@ def _names_type(pattern: Constants, types: str) -> bool:
     return pattern.graph is not None or pattern.document is not None or any(each.startswith(types) for each in named)
 
 
-def _candidates(space: Space, graph: Graph, needs: Needs) -> Iterable[Topic]:
+def _named_topics(space: Space, graph: Graph, needs: Needs) -> Iterable[Topic]:
     """Return the topics that the patterns name; all where one names none."""
     named = needs.dataset or {pattern.graph or pattern.document for pattern in needs.patterns}
     if None in named:

@@ -92,7 +92,7 @@ def needs_of_documents(documents: Iterable[str]) -> Needs:
 
 def needs_of(query: Query, base: str) -> Needs:
     """Return the needs of a query, its FROM aside; `base` begins the IRIs of this server's documents."""
-    groups = [*_groups(query.where)]
+    groups = [*groups_within(query.where)]
     terms = [group.graph for group in groups]
     terms += (term for group in groups for each in group.patterns for term in (each.subject, each.object))
     named = {*query.constants, *(term.value for term in terms if isinstance(term, Iri))}
@@ -109,14 +109,14 @@ def document_of(iri: str) -> str:
     return iri.partition("#")[0]
 
 
-def _groups(group: Group) -> Iterator[Group]:
-    """Yield a group and all within it. Those of filters are matched in the graph around them."""
+def groups_within(group: Group) -> Iterator[Group]:
+    """Yield a group and all groups within it. Groups of filters match in the graph around them."""
     yield group
     for child in group.children:
-        yield from _groups(child)
+        yield from groups_within(child)
     for inner in group.filters:
         is_elsewhere = group.graph is not None and inner.graph is None
-        yield from _groups(replace(inner, graph=group.graph) if is_elsewhere else inner)
+        yield from groups_within(replace(inner, graph=group.graph) if is_elsewhere else inner)
 
 
 def _constants(pattern: Pattern, group: Group) -> Constants:

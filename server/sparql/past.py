@@ -22,7 +22,7 @@ from urllib.parse import unquote
 from rosld.ontology.vocab import ldp, rdf, ros
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.intervals import ANY_TIME, Interval, Knowledge, date_time_interval, knowledge_of
-from rosld.server.sparql.needs import document_of, matches_any_node
+from rosld.server.sparql.needs import document_of, groups_within, matches_any_node
 from rosld.server.sparql.syntax.tree import (
     Group,
     Iri,
@@ -315,7 +315,7 @@ class PastQuery:
 
 def past_query(query: Query, terms: MessageTerms) -> PastQuery | None:
     """What a query asks of the past, None where it does not. Raises Problem 400 for a ros:past in GRAPH."""
-    groups = list(_groups(query.where))
+    groups = list(groups_within(query.where))
     asking = [group for group in groups if any(_PAST in (each.predicates or ()) for each in group.patterns)]
     if not asking:
         return None
@@ -328,17 +328,9 @@ def past_query(query: Query, terms: MessageTerms) -> PastQuery | None:
     return PastQuery(query, terms)
 
 
-def _groups(group: Group) -> Iterator[Group]:
-    yield group
-    for child in group.children:
-        yield from _groups(child)
-    for inner in group.filters:
-        yield from _groups(inner if inner.graph is not None else replace(inner, graph=group.graph))
-
-
 def _groups_of_default_graph(group: Group) -> Iterator[Group]:
     """The groups whose patterns are matched in the default graph."""
-    return (each for each in _groups(group) if each.graph is None)
+    return (each for each in groups_within(group) if each.graph is None)
 
 
 def _is_past(pattern: Pattern) -> bool:
@@ -383,7 +375,9 @@ def _meet(one: frozenset[str] | None, other: frozenset[str] | None) -> frozenset
 def _recordings(query: Query, base: str) -> Iterator[str]:
     """The URLs of recordings that a query names, itself or by what is in them."""
     below = f"{base}bags/"
-    terms = (term for group in _groups(query.where) for each in group.patterns for term in (each.subject, each.object))
+    terms = (
+        term for group in groups_within(query.where) for each in group.patterns for term in (each.subject, each.object)
+    )
     for iri in (*query.constants, *query.default, *(term.value for term in terms if isinstance(term, Iri))):
         document = document_of(iri)
         if document.startswith(below) and "/" in document[len(below) :]:

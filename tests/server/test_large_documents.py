@@ -13,7 +13,7 @@ from pyoxigraph import BlankNode, RdfFormat, parse
 from rosld.server.rest.state import LARGE_BYTES
 from tests.server.robots.made_up import MadeUp, served
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("frozen_heap")]
 
 NUMBERS = 30_000
 TURTLE = {"Content-Type": "text/turtle"}

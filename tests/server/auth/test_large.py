@@ -7,7 +7,7 @@ import pytest
 
 from tests.server.auth.conftest import TURTLE, Guarded
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("frozen_heap")]
 
 LINKS = 20_000
 BUSY_SECONDS = 0.1

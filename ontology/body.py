@@ -127,14 +127,19 @@ def parse_body(data: bytes, media_type: str, base: str, *, alone: bool = False) 
 
 def parse_dataset(data: bytes, media_type: str, base: str) -> dict[str, list[Triple]]:
     """The graphs of `data` by their names. Raises as `parse_body`, and BodyError for a triple in no named graph."""
-    form = _form(media_type)
     graphs: dict[str, list[Triple]] = {}
-    with _parser_errors():
-        for quad in _quads(data, form, base, relabelled=True):
-            if not isinstance(quad.graph_name, NamedNode):
-                raise BodyError(f"{quad.triple} stands in no graph that has an IRI: name the graph that is to say it")
-            graphs.setdefault(quad.graph_name.value, []).append(quad.triple)
+    for quad in parse_quads(data, media_type, base):
+        if not isinstance(quad.graph_name, NamedNode):
+            raise BodyError(f"{quad.triple} stands in no graph that has an IRI: name the graph that is to say it")
+        graphs.setdefault(quad.graph_name.value, []).append(quad.triple)
     return graphs
+
+
+def parse_quads(data: bytes, media_type: str, base: str) -> list[Quad]:
+    """Return the quads of `data` with new labels of blank nodes; raises as `parse_body`."""
+    form = _form(media_type)
+    with _parser_errors():
+        return list(_quads(data, form, base, relabelled=True))
 
 
 def parse_triples(data: bytes, media_type: str, base: str) -> list[Triple]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable
 
 from pyoxigraph import DefaultGraph, NamedNode, Quad, RdfFormat, Store, Triple, parse
 
@@ -12,8 +12,7 @@ from rosld.server.dataset.encoding import decode_ntriples, decode_triple, encode
 from rosld.server.dataset.private_functions import FUNCTIONS
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.syntax.lexer import check_update_of_one_graph, tokens
-from rosld.server.sparql.update.evaluate import fill_templates
-from rosld.server.sparql.update.operations import Modify, QuadTemplate
+from rosld.server.sparql.update.operations import ChangeData
 from rosld.server.sparql.update.parser import read_checked, rewrite_update
 
 
@@ -65,19 +64,15 @@ def ground_changes(data: bytes, base: str) -> TripleChanges | None:
     removed: dict[Triple, None] = {}
     added: dict[Triple, None] = {}
     for operation in read_checked(checked, base):
-        if not isinstance(operation, Modify) or operation.where is not None:
+        if not isinstance(operation, ChangeData):
             return None
-        for triple in _constants(operation.deletes):
-            added.pop(triple, None)
-            removed[triple] = None
-        for triple in _constants(operation.inserts):
-            removed.pop(triple, None)
-            added[triple] = None
+        for quad in operation.deletes:
+            added.pop(quad.triple, None)
+            removed[quad.triple] = None
+        for quad in operation.inserts:
+            removed.pop(quad.triple, None)
+            added[quad.triple] = None
     return TripleChanges((*removed,), (*added,))
-
-
-def _constants(quads: Sequence[QuadTemplate]) -> Iterator[Triple]:
-    return (quad.triple for quad in fill_templates([each._replace(graph=_GRAPH) for each in quads], {}))
 
 
 def updated_lines(data: bytes, before: bytes, base: str) -> tuple[bytes, bytes]:
@@ -121,7 +116,6 @@ def _in_store(triple: Triple) -> Quad:
     return Quad(triple.subject, triple.predicate, triple.object)
 
 
-_GRAPH = NamedNode("urn:x-rosld:graph")
 _FUNCTIONS: dict[NamedNode, Function] = {NamedNode(name): function for name, function in FUNCTIONS.items()}
 
 

@@ -12,7 +12,7 @@ from functools import lru_cache
 from typing import NamedTuple
 from urllib.parse import parse_qsl, unquote, urlencode, urljoin
 
-from pyoxigraph import NamedNode, Triple
+from pyoxigraph import NamedNode, Quad, Triple
 from starlette.responses import Response
 from starlette.types import Scope
 
@@ -44,7 +44,7 @@ from rosld.server.sparql.protocol import QueryRequest, requested_timeout
 from rosld.server.sparql.query_service import QueryService
 from rosld.server.sparql.update.base import UpdateRunner
 from rosld.server.sparql.update.copying import unmanaged_triples
-from rosld.server.sparql.update.operations import GraphVerb, ManageGraph, Modify, Operation, QuadTemplate
+from rosld.server.sparql.update.operations import ChangeData, GraphVerb, ManageGraph, Operation
 
 DATASET_BODIES = ("application/n-quads", "application/trig")
 _DIRECTLY = "The name of a graph is its own URL, so GET, PUT, PATCH and DELETE there do the same."
@@ -358,6 +358,5 @@ def _operations(graphs: Mapping[str, Sequence[Triple]], *, replaces: bool) -> Se
             found.append(ManageGraph(GraphVerb.CLEAR, name, silent=True))
         said = unmanaged_triples(name, triples)
         graph = NamedNode(name)
-        quads = (QuadTemplate(subject, predicate, object, graph) for subject, predicate, object in said)
-        found.append(Modify(inserts=tuple(quads)))
+        found.append(ChangeData(inserts=tuple(Quad(each.subject, each.predicate, each.object, graph) for each in said)))
     return found

@@ -102,7 +102,7 @@ def start_server() -> Iterator[Callable[..., Served]]:
 
 @pytest.fixture(scope="module")
 def frozen_heap() -> Iterator[None]:
-    """Keep the collector from the objects of other tests: one full collection of them takes 0.2 s of the loop's time."""
+    """Keep the collector from the objects of other tests: it would take 0.2 s of the loop's time for them."""
     gc.collect()
     gc.freeze()
     yield

@@ -130,6 +130,25 @@ def test_a_large_document_is_patched_merged_and_replaced_beside_the_loop() -> No
         assert busy(http) < busy_seconds()
 
 
+def test_data_of_an_update_may_be_as_long_as_a_body_and_are_taken_beside_the_loop() -> None:
+    with served(MadeUp()) as http:
+        http.timeout = httpx.Timeout(120)
+        numbers = 60_000
+        triples = turtle(numbers).decode().replace("<>", f"<{http.base_url}data/large>").rstrip(" .")
+        update = {"Content-Type": "application/sparql-update"}
+        text = f"INSERT DATA {{ GRAPH <{http.base_url}data/large> {{ {triples} }} }}"
+        assert len(text) > 262_144
+        assert http.post("sparql", content=text, headers=update).status_code == 204
+        found = http.get("data/large", headers={"Accept": "application/n-triples"}).text
+        assert found.count("example.org/p") == numbers
+        broken = http.post("sparql", content=text.replace("59998", "fifty", 1), headers=update)
+        assert broken.status_code == 400
+        assert "fifty" in broken.json()["detail"]
+        assert http.post("sparql", content=text.replace("INSERT", "DELETE", 1), headers=update).status_code == 204
+        assert "example.org/p" not in http.get("data/large", headers={"Accept": "application/n-triples"}).text
+        assert busy(http) < busy_seconds(numbers)
+
+
 def test_a_patch_that_makes_much_of_little_is_done_whole_beside_the_loop() -> None:
     with served(MadeUp()) as http:
         http.timeout = httpx.Timeout(120)

@@ -5,14 +5,14 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Iterator, Sequence
 
-from pyoxigraph import NamedNode, Triple
+from pyoxigraph import NamedNode, Quad, Triple
 
 from rosld.ontology.body import MEDIA_TYPES, parse_triples
 from rosld.server.dataset.endpoint_client import Endpoint, StoreError
 from rosld.server.http import media
 from rosld.server.http.charset import to_utf8
 from rosld.server.http.problem import AGENT_SAID, Problem
-from rosld.server.sparql.update.operations import Load, Modify, Operation, QuadTemplate
+from rosld.server.sparql.update.operations import ChangeData, Load, Operation
 
 
 async def load_documents(
@@ -28,22 +28,22 @@ async def load_documents(
     ]
 
 
-async def _load_or_nothing(load: Load, allowed: frozenset[str], seconds: float, limit: int) -> Modify:
+async def _load_or_nothing(load: Load, allowed: frozenset[str], seconds: float, limit: int) -> ChangeData:
     try:
         return await _insertion(load, allowed, seconds, limit)
     except Problem:
         if load.silent:
-            return Modify(silent=True)
+            return ChangeData(silent=True)
         raise
 
 
-async def _insertion(load: Load, allowed: frozenset[str], seconds: float, limit: int) -> Modify:
+async def _insertion(load: Load, allowed: frozenset[str], seconds: float, limit: int) -> ChangeData:
     if load.document not in allowed:
         words = "this server asks only what its settings list (--allow-load), by its whole URL"
         raise Problem(403, f"LOAD of <{load.document}> is refused: {words}. Nothing was done.")
     assert load.into is not None
     triples = await asyncio.to_thread(_read, load.document, seconds, limit)
-    return Modify(inserts=tuple(_templates(triples, NamedNode(load.into))), silent=load.silent)
+    return ChangeData(inserts=tuple(_quads(triples, NamedNode(load.into))), silent=load.silent)
 
 
 def _read(document: str, seconds: float, limit: int) -> Sequence[Triple]:
@@ -64,8 +64,8 @@ def _read(document: str, seconds: float, limit: int) -> Sequence[Triple]:
     return triples
 
 
-def _templates(triples: Sequence[Triple], graph: NamedNode) -> Iterator[QuadTemplate]:
+def _quads(triples: Sequence[Triple], graph: NamedNode) -> Iterator[Quad]:
     for subject, predicate, value in triples:
         if isinstance(subject, Triple) or isinstance(value, Triple):
             raise Problem(422, f"LOAD: {subject} or {value} is a triple about triples, and these are not kept here.")
-        yield QuadTemplate(subject, predicate, value, graph)
+        yield Quad(subject, predicate, value, graph)

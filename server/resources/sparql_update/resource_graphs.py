@@ -16,7 +16,7 @@ from rosld.server.rest.resource import Resource
 from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import State, require_memory
 from rosld.server.sparql.update.evaluate import GraphChange, Row, StagingDataset, evaluate
-from rosld.server.sparql.update.operations import ManageGraph, Modify, Operation, Where
+from rosld.server.sparql.update.operations import ChangeData, ManageGraph, Operation, Where
 
 _INLINE = 1000
 """Quads of an update that is evaluated on the loop."""
@@ -44,7 +44,7 @@ class ResourceGraphs:
         `by_change`: of documents only what changes is told, and the rest is not read, unless that is needed.
         """
         changed = self.documents if by_change else frozenset()
-        quads = sum(len(each.inserts) + len(each.deletes) for each in operations if isinstance(each, Modify))
+        quads = sum(len(each.inserts) + len(each.deletes) for each in operations if isinstance(each, ChangeData))
         is_long = quads > _INLINE
         if not by_change or any(isinstance(each, ManageGraph) for each in operations):
             for state in self.states.values():

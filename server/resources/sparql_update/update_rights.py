@@ -11,8 +11,8 @@ from rosld.server.auth.errors import forbidden
 from rosld.server.auth.permissions import Permissions
 from rosld.server.http.problem import Problem
 from rosld.server.rest.resource import Resource
-from rosld.server.sparql.update.evaluate import named_graphs
-from rosld.server.sparql.update.operations import ManageGraph, Modify, Operation
+from rosld.server.sparql.update.evaluate import has_where, named_graphs
+from rosld.server.sparql.update.operations import ManageGraph, Operation
 
 
 def require_rights(operations: Sequence[Operation], permissions: Permissions) -> None:
@@ -30,7 +30,7 @@ def require_rights(operations: Sequence[Operation], permissions: Permissions) ->
             raise forbidden(permissions.agent, f"change <{graph[:200]}>")
     if permissions.may_read_all:
         return
-    if any(isinstance(each, Modify) and each.where is not None for each in operations):
+    if has_where(operations):
         raise forbidden(
             permissions.agent,
             "send an update with a WHERE, which is for those who may read everything: name the triples",

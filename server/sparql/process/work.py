@@ -6,14 +6,10 @@ import io
 import pickle
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from functools import partial
-from itertools import compress
-from typing import BinaryIO, NamedTuple, Protocol, cast
+from typing import BinaryIO, NamedTuple, Protocol
 
 from pyoxigraph import (
-    BlankNode,
-    NamedNode,
     QueryBoolean,
     QuerySolutions,
     QueryTriples,
@@ -36,7 +32,7 @@ from rosld.server.sparql.update.evaluate import (
     evaluate,
     has_dependent_where,
 )
-from rosld.server.sparql.update.operations import Modify, Operation, QuadTemplate, TemplateVariable, Where
+from rosld.server.sparql.update.operations import Operation, Where
 
 _MAX_TRIPLES = 2000
 """Triples of a graph from which on an update is evaluated by what changes."""
@@ -184,7 +180,7 @@ class EvaluateUpdate(NamedTuple):
         return self.documents is not None and graph.startswith(self.documents) and _is_large(store, graph)
 
     def __call__(self, store: MemoryStore, output: BinaryIO) -> None:
-        operations, asked = _open(self.update)
+        operations, asked = pickle.loads(self.update)  # from our own server
         by_where = {id(one.where): one for one in asked}
         dataset = store if has_dependent_where(operations) else None
         staging = StagingDataset(store, dataset, partial(self._is_told_by_change, store))
@@ -194,51 +190,11 @@ class EvaluateUpdate(NamedTuple):
 
 def evaluate_work(operations: Sequence[Operation], asked: Sequence[WhereWork], documents: str | None) -> EvaluateUpdate:
     """The work that evaluates operations; in any thread."""
-    return EvaluateUpdate(pickle.dumps(([*map(_compact, operations)], asked), protocol=5), documents)
+    return EvaluateUpdate(pickle.dumps((operations, asked), protocol=5), documents)
 
 
 def _is_large(store: MemoryStore, graph: str) -> bool:
     return store.count(graph, _MAX_TRIPLES + 1) > _MAX_TRIPLES
-
-
-class _Compact(NamedTuple):
-    """An operation whose constant quads are N-Quads: terms are pickled one by one, which takes ten times as long."""
-
-    rest: Modify
-    deletes: bytes
-    inserts: bytes
-
-
-def _compact(operation: Operation) -> Operation | _Compact:
-    if not isinstance(operation, Modify) or len(operation.deletes) + len(operation.inserts) <= _MAX_TEMPLATES:
-        return operation
-    deletes, inserts = _split(operation.deletes), _split(operation.inserts)
-    return _Compact(replace(operation, deletes=deletes[1], inserts=inserts[1]), deletes[0], inserts[0])
-
-
-def _split(quads: Sequence[QuadTemplate]) -> tuple[bytes, tuple[QuadTemplate, ...]]:
-    """The quads without holes and blank nodes as N-Quads, and the others."""
-    constant = [
-        not any(term is None or isinstance(term, TemplateVariable | BlankNode) for term in quad) for quad in quads
-    ]
-    text = "".join(f"{s} {p} {o} {g} .\n" for s, p, o, g in compress(quads, constant))
-    return text.encode(), tuple(quad for quad, is_constant in zip(quads, constant, strict=True) if not is_constant)
-
-
-def _open(update: bytes) -> _Update:
-    compact, asked = pickle.loads(update)  # from our own server
-    return _Update([_expand(each) if isinstance(each, _Compact) else each for each in compact], asked)
-
-
-def _expand(compact: _Compact) -> Modify:
-    rest = compact.rest
-    deletes, inserts = _templates(compact.deletes), _templates(compact.inserts)
-    return replace(rest, deletes=(*deletes, *rest.deletes), inserts=(*inserts, *rest.inserts))
-
-
-def _templates(text: bytes) -> Iterator[QuadTemplate]:
-    for quad in parse(text, RdfFormat.N_QUADS):
-        yield QuadTemplate(*cast("tuple[NamedNode, NamedNode, NamedNode, NamedNode]", tuple(quad)))
 
 
 _Written = tuple[str, bool, bytes | tuple[bytes, bytes] | None]

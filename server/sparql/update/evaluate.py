@@ -14,6 +14,7 @@ from rosld.server.dataset.base import Term, TripleChanges
 from rosld.server.dataset.encoding import encode_literal
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.update.operations import (
+    ChangeData,
     GraphGroup,
     GraphVerb,
     Load,
@@ -194,6 +195,9 @@ def evaluate(operations: Sequence[Operation], staging: StagingDataset, ask: Wher
     """
     for operation in operations:
         match operation:
+            case ChangeData(deletes, inserts):
+                staging.remove(deletes)
+                staging.insert(inserts)
             case Modify():
                 _modify(operation, staging, ask)
             case ManageGraph():
@@ -204,12 +208,12 @@ def evaluate(operations: Sequence[Operation], staging: StagingDataset, ask: Wher
 
 def has_dependent_where(operations: Sequence[Operation]) -> bool:
     """Whether a WHERE comes after another operation, so that it must see what that has done."""
-    return any(isinstance(each, Modify) and each.where is not None for each in operations[1:])
+    return any(isinstance(each, Modify) for each in operations[1:])
 
 
 def has_where(operations: Sequence[Operation]) -> bool:
     """Whether an operation has a WHERE."""
-    return any(isinstance(each, Modify) and each.where is not None for each in operations)
+    return any(isinstance(each, Modify) for each in operations)
 
 
 def named_graphs(operations: Sequence[Operation]) -> frozenset[str]:
@@ -220,6 +224,8 @@ def named_graphs(operations: Sequence[Operation]) -> frozenset[str]:
 def _named_graphs(operations: Sequence[Operation]) -> Iterator[str]:
     for operation in operations:
         match operation:
+            case ChangeData(deletes, inserts):
+                yield from {_name(quad) for quad in (*deletes, *inserts)}
             case Modify(deletes, inserts):
                 for quad in (*deletes, *inserts):
                     if isinstance(quad.graph, NamedNode):
@@ -234,9 +240,7 @@ def _named_graphs(operations: Sequence[Operation]) -> Iterator[str]:
 
 
 def _modify(operation: Modify, staging: StagingDataset, ask: WhereEvaluator) -> None:
-    where = operation.where
-    holes = () if where is None else where.variables
-    rows = [()] if where is None else list(_limit_rows(ask(where)))
+    holes, rows = operation.where.variables, list(_limit_rows(ask(operation.where)))
     removed = [quad for row in rows for quad in fill_templates(operation.deletes, dict(zip(holes, row, strict=True)))]
     added = [quad for row in rows for quad in fill_templates(operation.inserts, dict(zip(holes, row, strict=True)))]
     staging.remove(dict.fromkeys(removed))

@@ -93,7 +93,7 @@ class UpdateEvaluator:
 
 
 def _wheres(operations: Sequence[Operation]) -> Iterator[Where]:
-    return (each.where for each in operations if isinstance(each, Modify) and each.where is not None)
+    return (each.where for each in operations if isinstance(each, Modify))
 
 
 def _scope(asked: Sequence[_Asked], graphs: frozenset[str]) -> frozenset[str] | None:

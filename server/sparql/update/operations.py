@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import NamedTuple, TypeAlias
+from typing import ClassVar, NamedTuple, TypeAlias
 
-from pyoxigraph import BlankNode, Literal, NamedNode
+from pyoxigraph import BlankNode, Literal, NamedNode, Quad
 
 
 class TemplateVariable(NamedTuple):
@@ -61,16 +61,25 @@ class Where:
 
 
 @dataclass(frozen=True, slots=True)
-class Modify:
-    """DELETE and INSERT: for each solution of `where` (None: just once) some quads go, then others come.
+class ChangeData:
+    """INSERT DATA and DELETE DATA, and the result of a LOAD, `silent` as that.
 
-    `silent`: it is what a LOAD SILENT has found.
+    Quads in the default graph belong to the one graph that the update is about.
     """
 
-    deletes: tuple[QuadTemplate, ...] = ()
-    inserts: tuple[QuadTemplate, ...] = ()
-    where: Where | None = None
+    deletes: tuple[Quad, ...] = ()
+    inserts: tuple[Quad, ...] = ()
     silent: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Modify:
+    """DELETE and INSERT with WHERE: for each solution quads are removed, then quads are added."""
+
+    deletes: tuple[QuadTemplate, ...]
+    inserts: tuple[QuadTemplate, ...]
+    where: Where
+    silent: ClassVar[bool] = False
 
 
 class GraphVerb(Enum):
@@ -115,4 +124,4 @@ class Load:
     silent: bool = False
 
 
-Operation: TypeAlias = "Modify | ManageGraph | Load"
+Operation: TypeAlias = "ChangeData | Modify | ManageGraph | Load"

@@ -15,16 +15,17 @@ from rosld.server.sparql.analysis import Analyser
 from rosld.server.sparql.protocol import UpdateRequest
 from rosld.server.sparql.syntax.lexer import DEFAULT_BOUNDS, tokens
 from rosld.server.sparql.syntax.token import Kind
-from rosld.server.sparql.update.operations import Modify, Operation
+from rosld.server.sparql.update.operations import ChangeData, Modify, Operation
 from rosld.server.sparql.update.parser import read_update
 
 BASE = "http://robot/"
+DEFAULT = pyoxigraph.NamedNode("http://robot/data/default")
 ANALYSER = Analyser(BASE, "https://w3id.org/rosld/types/", prefixes={})
 
 
 def read(text: str) -> tuple[Operation, ...]:
     """The operations of a text."""
-    return read_update(UpdateRequest(text), {}, BASE, DEFAULT_BOUNDS)
+    return read_update(UpdateRequest(text), {}, BASE, DEFAULT_BOUNDS, DEFAULT.value)
 
 
 def refusal(text: str) -> Problem | None:
@@ -50,6 +51,11 @@ VALID = [
     "MOVE SILENT GRAPH <a> TO GRAPH <b> ; ADD DEFAULT TO <c> ; LOAD <urn:d> INTO GRAPH <e> ; LOAD SILENT <urn:x>",
     "INSERT DATA { } ; DELETE DATA { GRAPH <x> { } } ; DELETE WHERE { } ; INSERT { } WHERE { } ; DELETE { } INSERT { } "
     "WHERE { }",
+    "PREFIX e: <urn:e:> # a comment { \nBASE <http://x/y/> INSERT DATA { GRAPH e:g { e:a e:b 1 , -2.5 , 'x'@en ; a "
+    "[ e:p ( <z> true ) ] } }",
+    "insert data { GRAPH <g> { <a> <b> 'it' , 1.5 . _:x <c> _:x . } } ;",
+    "DELETE DATA { GRAPH <g> { <a> <b> 'it' , 1.5 . <x> <c> <d> } }",
+    "INSERT DATA { <a> <b> 'it' . [] <c> () }",
     "PREFIX a: <b>",
     "PREFIX e: <urn:e:> INSERT DATA { e:a\\,b e:%41 e:c.d . e: e:1 e:x-y }",
     'INSERT DATA { <a\\u0041> <b> \'\\u00e9\\n\' , \'a\\\'b\' , """a"b""" }',
@@ -99,7 +105,7 @@ def taken_here(text: str) -> str | None:
     if problem is not None:
         return problem.detail
     for operation in read(text):
-        if isinstance(operation, Modify) and operation.where is not None:
+        if isinstance(operation, Modify):
             try:
                 pyoxigraph.Store().query(ANALYSER.analyse(operation.where.query).text, base_iri=BASE)
             except (SyntaxError, Problem) as error:
@@ -145,6 +151,8 @@ def taken_here_only(text: str) -> bool:
 @settings(max_examples=200)
 @example("PREFIX a:a: <b>")
 @example("INSERT DATA { <a> <b> <c> . . }")
+@example("INSERT DATA { GRAPH _:b { <a> <b> <c> } }")
+@example("INSERT DATA { GRAPH <g> { <a> <b> <c> # } }")
 @example("INSERT DATA { GRAPH <g> { } . . }")
 def test_what_is_taken_is_what_the_store_would_take(text: str) -> None:
     here, there = taken_here(text), taken_there(text)
@@ -152,6 +160,32 @@ def test_what_is_taken_is_what_the_store_would_take(text: str) -> None:
         assert REFUSED_HERE_ONLY.search(here), f"{text!r} is refused here only: {here}"
     elif here is None and there is not None:
         assert taken_here_only(text), f"{text!r} is taken here only: {there}"
+
+
+@given(mutated())
+@settings(max_examples=200)
+def test_data_are_those_that_the_store_would_insert(text: str) -> None:
+    if taken_here(text) is not None or taken_there(text) is not None:
+        return
+    operations = read(text)
+    if any(not isinstance(each, ChangeData) for each in operations):
+        return
+    ours, theirs = pyoxigraph.Store(), pyoxigraph.Store()
+    for operation in operations:
+        for quad in operation.deletes:
+            ours.remove(quad)
+        ours.extend(operation.inserts)
+    theirs.update(text, base_iri=BASE)
+    in_default = [*theirs.quads_for_pattern(None, None, None, pyoxigraph.DefaultGraph())]
+    theirs.clear_graph(pyoxigraph.DefaultGraph())
+    theirs.extend(pyoxigraph.Quad(each.subject, each.predicate, each.object, DEFAULT) for each in in_default)
+    assert _canonical(ours) == _canonical(theirs)
+
+
+def _canonical(store: pyoxigraph.Store) -> pyoxigraph.Dataset:
+    dataset = pyoxigraph.Dataset(store)
+    dataset.canonicalize(pyoxigraph.CanonicalizationAlgorithm.UNSTABLE)
+    return dataset
 
 
 @given(st.text(max_size=200) | st.lists(st.sampled_from(PIECES), max_size=30).map(" ".join))

@@ -157,8 +157,7 @@ class UpdateService:
         """
         async with contextlib.AsyncExitStack() as held:
             with contextlib.suppress(Problem):
-                for graph in sorted(named_graphs(operations)):
-                    await held.enter_async_context(self._update_lock.acquire(graph))
+                await held.enter_async_context(self._update_lock.acquire(*named_graphs(operations)))
             yield
 
     async def _evaluate_and_write(self, operations: Sequence[Operation], permissions: Permissions) -> Response:
@@ -168,7 +167,7 @@ class UpdateService:
         locked: frozenset[str] = frozenset() if is_query else named_graphs(operations)
         for _ in range(ATTEMPTS):
             # Where others write these graphs all the time, a WHERE is evaluated under their locks, too.
-            async with self._lock_graphs(locked):
+            async with self._keyed_lock.acquire(*locked):
                 if not is_query:
                     delta = await self._evaluate_data(operations, by_change=documents is not None)
                 else:
@@ -309,26 +308,17 @@ class UpdateService:
         return found
 
     @contextlib.asynccontextmanager
-    async def _lock_graphs(self, graphs: Set[str]) -> AsyncIterator[None]:
-        """Within it nobody else carries out a write that depends on what one of these graphs says."""
-        async with contextlib.AsyncExitStack() as held:
-            for graph in sorted(graphs):
-                await held.enter_async_context(self._keyed_lock.acquire(graph))
-            yield
-
-    @contextlib.asynccontextmanager
-    async def _lock_targets(self, targets: Sequence[Target], held_already: Set[str]) -> AsyncIterator[None]:
-        """Within it nobody else changes what the plans for these targets depend on."""
-        async with contextlib.AsyncExitStack() as held:
-            await held.enter_async_context(
-                self._lock_graphs({target.resource.url for target in targets} - held_already)
-            )
+    async def _lock_targets(self, targets: Sequence[Target], locked: Set[str]) -> AsyncIterator[None]:
+        """Keep others from changing anything that the plans for these targets depend on; `locked` are locked."""
+        async with self._keyed_lock.acquire(*{target.resource.url for target in targets} - locked):
             members = [each.resource for each in targets if isinstance(each.resource, MemberResource | ComplexResource)]
-            if members:
-                tree = await self._affordances.tree()
-                names = [name for each in members for name in each.affected_names(tree)]
-                await held.enter_async_context(self._affordances.lock(tree, *names, modified=names))
-            yield
+            if not members:
+                yield
+                return
+            tree = await self._affordances.tree()
+            names = [name for each in members for name in each.affected_names(tree)]
+            async with self._affordances.lock(tree, *names, modified=names):
+                yield
 
     async def _is_current(self, delta: Delta, targets: Sequence[Target]) -> bool:
         """Whether all that the update was evaluated over is as it was."""

@@ -17,19 +17,21 @@ from rosld.server.dataset.replication import Mirror
 from rosld.server.events.broadcaster import Broadcasters
 from rosld.server.events.notification_channels import Channels
 from rosld.server.html import prepare_pages
-from rosld.server.http import link
+from rosld.server.http.fields import render_links
 from rosld.server.http.origin import OriginPolicy, origin_policy
+from rosld.server.middleware import Handler
+from rosld.server.middleware.access import (
+    AccessHeaders,
+    Authentication,
+    CrossOriginHeaders,
+    Preflight,
+    RejectTokensInUrls,
+    TrustedHosts,
+)
 from rosld.server.middleware.audit import Audit
-from rosld.server.middleware.authentication import AccessHeaders, Authentication
-from rosld.server.middleware.cors import CrossOriginHeaders, Preflight, TrustedHosts
-from rosld.server.middleware.dispatch import Dispatch, ServerOptions
-from rosld.server.middleware.error_responses import ErrorResponses
-from rosld.server.middleware.handler import Handler
+from rosld.server.middleware.dispatch import Dispatch, ErrorResponses, ServerOptions, WebSockets
 from rosld.server.middleware.lifespan import Job, Lifespan
-from rosld.server.middleware.rate_limits import Admission, RateLimits
-from rosld.server.middleware.scheduling import Scheduling
-from rosld.server.middleware.tokens_in_urls import RejectTokensInUrls
-from rosld.server.middleware.websockets import WebSockets
+from rosld.server.middleware.limits import Admission, RateLimits, Scheduling
 from rosld.server.receipts.journal import Journal
 from rosld.server.resources.about import AboutResources
 from rosld.server.resources.acl import AclResource
@@ -118,7 +120,7 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
         admission,
         broadcasters,
         router.route_names,
-        HttpApplication(handler, clients, settings, link.render([notifications.link])),
+        HttpApplication(handler, clients, settings, render_links([notifications.link])),
         WebSockets(names, admission, notifications),
         Lifespan(
             services.start,

@@ -167,7 +167,7 @@ def test_the_directions_are_really_held() -> None:
     assert not permitted("rosld.adapters.model.graph", "rosld.adapters.base")
     assert not permitted("rosld.ontology.lift", "rosld.shapes")
     assert not permitted("rosld.ontology.lift", "rosld.adapters.base")
-    assert not permitted("rosld.server.http.link", "rosld.server.robot.session")
+    assert not permitted("rosld.server.http.fields", "rosld.server.robot.session")
 
 
 LAYERS = [

@@ -13,9 +13,9 @@ from rosld.server.auth.agent import ANONYMOUS
 from rosld.server.auth.errors import forbidden, not_found, not_visible
 from rosld.server.auth.globs import path_at
 from rosld.server.auth.permissions import Permissions
-from rosld.server.auth.redaction.links import redact_link_field
+from rosld.server.auth.redaction import redact_link_field
 from rosld.server.auth.rules import Mode, mode_of
-from rosld.server.http.link import Link
+from rosld.server.http.fields import Link
 
 Headers = list[tuple[bytes, bytes]]
 _SHORT = 256

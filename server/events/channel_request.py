@@ -15,7 +15,7 @@ from pyoxigraph import Literal, NamedNode
 from rosld.ontology.body import BodyError, RdfBody, Subject, check_json_depth, parse_body
 from rosld.ontology.notifications import DEFINITIONS, KNOWN_CONTEXTS, notify, type_named
 from rosld.ontology.vocab import rdf
-from rosld.server.http import media, negotiation
+from rosld.server.http.negotiation import choose_offer, parse_media_type
 from rosld.server.http.problem import Problem
 
 MAX_BYTES = 16 * 1024
@@ -53,7 +53,7 @@ def check_profile(content_type: str | None) -> None:
     if content_type is None:
         return
     try:
-        profile = media.parse(content_type).parameter("profile")
+        profile = parse_media_type(content_type).parameter("profile")
     except ValueError as error:
         raise Problem(415, f"Content-Type: {error}.") from error
     for one in (profile or "").split():
@@ -184,7 +184,7 @@ def _text(body: RdfBody, channel: Subject, term: NamedNode) -> str | None:
 
 
 def _accept(accept: str | None) -> str:
-    found = negotiation.choose(accept, MESSAGE_TYPES)
+    found = choose_offer(accept, MESSAGE_TYPES)
     if found is None:
         raise _refusal(f"accept {accept!r}: notifications are written in {', '.join(MESSAGE_TYPES)}.")
     return found

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from rosld.server.http import header_syntax, negotiation
+from rosld.server.http.fields import parse_decimal
+from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
 
 EVENT_STREAM = "text/event-stream"
@@ -17,7 +18,7 @@ def stream_is_preferred(accept: str | None, offers: tuple[str, ...]) -> bool:
     """Whether an event stream is asked for by name and liked better than all other offers."""
     if accept is None or "event-stream" not in accept.lower():
         return False
-    return negotiation.choose(accept, (*offers, EVENT_STREAM)) == EVENT_STREAM
+    return choose_offer(accept, (*offers, EVENT_STREAM)) == EVENT_STREAM
 
 
 def parse_rate(query: Mapping[str, str], default: float = DEFAULT_RATE) -> float:
@@ -53,4 +54,4 @@ def _number(query: Mapping[str, str], name: str, default: float) -> float | None
     given = query.get(name)
     if given is None:
         return default
-    return header_syntax.parse_decimal(given)
+    return parse_decimal(given)

@@ -10,9 +10,10 @@ from jinja2 import DictLoader, Environment, StrictUndefined
 from markupsafe import Markup
 
 from rosld.server.html.auto_refresh import MAX_RATE
-from rosld.server.html.forms import CHOICE_FIELD, CSRF_FIELD, METHOD_FIELD
+from rosld.server.html.forms import CHOICE_FIELD, METHOD_FIELD
 from rosld.server.html.frame import Frame
 from rosld.server.html.view import escape_controls
+from rosld.server.http.origin import CSRF_FIELD
 
 _PARTS = re.compile(r"/?[^/_]+[/_]*|[/_]+")
 _LONGEST_WORD = 30

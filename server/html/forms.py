@@ -33,10 +33,8 @@ from rosld.server.html.inputs import (
 from rosld.server.html.name_groups import NameGroup, group_names
 from rosld.server.html.units import unit_symbol
 from rosld.server.html.view import escape_controls
-from rosld.server.http import csrf
 from rosld.shapes.value import Bounds, Measure, MessageShape, OpenShape, ScalarShape, ValueShape
 
-CSRF_FIELD = csrf.FIELD
 METHOD_FIELD = "method"
 CHOICE_FIELD = "?choice"
 """What a ticked box of a list of names sends: no field of a message begins so."""

@@ -1,1 +1,1 @@
-"""HTTP: one header a file, as pure functions of values; connections and bodies with bounds."""
+"""HTTP as pure functions of values: header fields, negotiation, conditions, problems, and bodies within bounds."""

@@ -1,43 +1,46 @@
-"""Reading a request's body: whole, within a size and a time (RFC 9110 8.4 to 8.6)."""
+"""Request bodies: reading within bounds (RFC 9110 8.4 to 8.6), charsets (8.3.2), and multipart/form-data (RFC 7578)."""
 
 from __future__ import annotations
 
 import asyncio
+import re
 import sys
 import time
 from collections.abc import AsyncIterator, Coroutine, Mapping
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import anyio
 from starlette.requests import ClientDisconnect
 from starlette.types import Receive
 
+from rosld.ontology.charsets import UTF_8, UnknownCharset, codec_of, decode, strip_encoding_declaration
+from rosld.server.http.negotiation import MediaType, parse_media_type
 from rosld.server.http.problem import Problem
 
 TIMEOUT = 30.0
 """Seconds a client has to send its body."""
 MIN_BYTES_PER_SECOND = 1024
-"""Bytes a second that a body must come at on the whole, where it is read as it comes."""
+"""Minimum average rate of a streamed body."""
 LINGER_SECONDS = 2.0
-"""How long a body that is too large is read on and thrown away, so that its client hears why."""
+"""How long the rest of a body that is too large is read and discarded, so that the client receives the response."""
 
 
 class IncomingRequest(Protocol):
-    """A request, as far as its body is concerned: Starlette's is one."""
+    """The parts of a request that its body needs; Starlette's Request is one."""
 
     @property
     def headers(self) -> Mapping[str, str]:
-        """Its header fields; names are in lower case."""
+        """The header fields; names are in lower case."""
         ...
 
     @property
     def receive(self) -> Receive:
-        """Gives its body, message by message."""
+        """The ASGI callable that receives the body."""
         ...
 
 
 async def read_body(request: IncomingRequest, *, limit: int, timeout: float = TIMEOUT) -> bytes:
-    """The body of a request, of at most `limit` bytes, sent within `timeout` seconds.
+    """Return the body of a request, of at most `limit` bytes, sent within `timeout` seconds.
 
     Raises Problems: 413 too large (before reading where Content-Length says so), 415 compressed, 408 too slow, 400 cut
     off or not as long as Content-Length says. A connection whose body was not read to its end is not used again.
@@ -63,7 +66,7 @@ async def read_body(request: IncomingRequest, *, limit: int, timeout: float = TI
 
 
 async def read_chunks(request: IncomingRequest, *, limit: int, timeout: float = TIMEOUT) -> AsyncIterator[bytes]:
-    """The body of a request as it comes, each chunk within `timeout` seconds; raises the Problems of `read_body`.
+    """Yield the body of a request as it comes, each chunk within `timeout` seconds; raises the Problems of `read_body`.
 
     All of it may take that long and a second more for each `MIN_BYTES_PER_SECOND`, so that no trickle goes on for ever.
     """
@@ -97,7 +100,7 @@ async def read_chunks(request: IncomingRequest, *, limit: int, timeout: float = 
 
 
 def require_identity_coding(coding: str | None) -> None:
-    """Raises a 415 Problem for a compressed body, which could grow without limit (RFC 9110 15.5.16)."""
+    """Raise a 415 Problem for a compressed body, which could grow without limit (RFC 9110 15.5.16)."""
     if coding is not None and coding.strip().lower() not in ("", "identity"):
         raise Problem(
             415,
@@ -107,7 +110,7 @@ def require_identity_coding(coding: str | None) -> None:
 
 
 def parse_content_length(text: str | None) -> int | None:
-    """The number in Content-Length, None where there is none; a 400 Problem where it is no number."""
+    """Return the number in Content-Length, None where there is none; a 400 Problem where it is no number."""
     if text is None:
         return None
     if not (text.isascii() and text.isdigit() and len(text) < 20):
@@ -119,7 +122,7 @@ _CLOSE = {"Connection": "close"}
 
 
 class _TooLarge(Exception):
-    """The body is larger than its limit."""
+    pass
 
 
 async def _collect(receive: Receive, limit: int) -> bytes:
@@ -140,7 +143,7 @@ async def _collect(receive: Receive, limit: int) -> bytes:
 
 
 async def _within(seconds: float, work: Coroutine[object, object, bytes]) -> bytes:
-    """What `work` returns, or TimeoutError. A timer and nothing else: most bodies are there at once."""
+    """Await `work`; raise TimeoutError after `seconds`. A bare timer, because most bodies arrive with the head."""
     loop = asyncio.get_running_loop()
     task = asyncio.current_task(loop)
     assert task is not None
@@ -164,9 +167,9 @@ async def _within(seconds: float, work: Coroutine[object, object, bytes]) -> byt
 
 
 async def _let_finish(request: IncomingRequest) -> None:
-    """Read on and throw away: a connection closed while its client sends is reset, and the answer with it.
+    """Read and discard the rest of a body: closing the connection earlier would reset it and lose the response.
 
-    A client that waits for 100 Continue is sent its answer at once.
+    A client that waits for 100 Continue gets its response at once.
     """
     if "expect" in request.headers:
         return
@@ -179,3 +182,97 @@ async def _let_finish(request: IncomingRequest) -> None:
 
 def _too_large(limit: int) -> Problem:
     return Problem(413, f"The body is larger than {limit} bytes, the most that is read here.", headers=_CLOSE)
+
+
+FORM = "application/x-www-form-urlencoded"
+
+
+def codec_for(media_type: MediaType) -> str:
+    """Return the Python codec of the charset that a media type states, UTF-8 where it states none.
+
+    Parts of a multipart body state their own. A form is ASCII with percent-encoded octets, which excludes UTF-16.
+    Raises a 415 Problem for an unsupported charset.
+    """
+    stated = media_type.parameter("charset")
+    if stated is None or media_type.type == "multipart":
+        return UTF_8
+    try:
+        found = codec_of(stated)
+    except UnknownCharset as error:
+        raise Problem(415, f"Content-Type: {media_type}: {error}.") from error
+    if found.startswith("utf-16") and media_type.essence == FORM:
+        raise Problem(415, f"Content-Type: {media_type}: a form is in a charset that has ASCII in it, such as UTF-8.")
+    return found
+
+
+def to_utf8(data: bytes, media_type: MediaType) -> bytes:
+    """Return a body in UTF-8. Raises Problems: 415 for unknown charsets, 400 for bytes outside the charset."""
+    stated = media_type.parameter("charset")
+    if stated is None:
+        return data
+    found, declares_another = codec_for(media_type), _is_xml(media_type)  # what the field says counts (RFC 7303 3.2)
+    if not data or (found == UTF_8 and not declares_another):
+        return data
+    try:
+        text = decode(data, found)
+    except UnicodeDecodeError as error:
+        raise Problem(400, f"The body is not in {stated}, as it says: {error.reason} at byte {error.start}.") from error
+    return (strip_encoding_declaration(text) if declares_another else text).encode()
+
+
+def _is_xml(media_type: MediaType) -> bool:
+    return media_type.subtype == "xml" or media_type.subtype.endswith("+xml")
+
+
+MULTIPART = "multipart/form-data"
+_BOUNDARY = re.compile(r"[0-9A-Za-z'()+_,./:=? -]{0,69}[0-9A-Za-z'()+_,./:=?-]")
+_DELIMITED = re.compile(rb"[ \t]*\r\n")
+_LONGEST_HEAD = 16 * 1024
+_MAX_PARTS = 1000
+_PLAIN_CODINGS = ("", "7bit", "8bit", "binary")
+
+
+class Part(NamedTuple):
+    """One part: its stated media type, or None, and its bytes."""
+
+    media_type: MediaType | None
+    body: bytes
+
+
+def split_parts(body: bytes, boundary: str | None) -> tuple[Part, ...]:
+    """Return the parts of a body in order, cut at `boundary`: what its Content-Type says it is (RFC 2046 5.1).
+
+    Raises ValueError naming what is wrong.
+    """
+    if boundary is None or not _BOUNDARY.fullmatch(boundary):
+        raise ValueError(f"boundary={boundary!r} cuts no multipart body: 1 to 70 characters of RFC 2046 5.1.1 do")
+    _, *pieces = (b"\r\n" + body).split(b"\r\n--" + boundary.encode("ascii"), _MAX_PARTS + 1)
+    if len(pieces) > _MAX_PARTS:
+        raise ValueError(f"the body has more than {_MAX_PARTS} parts")
+    found: list[Part] = []
+    for piece in pieces:
+        if piece.startswith(b"--"):
+            return tuple(found)
+        begin = _DELIMITED.match(piece)
+        if begin is None:
+            raise ValueError(f"part {len(found) + 1} does not begin on a line of its own")
+        found.append(_parse_part(piece[begin.end() :], len(found) + 1))
+    raise ValueError(f"the body does not end in --{boundary}--")
+
+
+def _parse_part(piece: bytes, number: int) -> Part:
+    head, blank, body = (b"\r\n" + piece).partition(b"\r\n\r\n")
+    if not blank or len(head) > _LONGEST_HEAD:
+        raise ValueError(f"part {number} has no blank line that ends its header fields")
+    fields: dict[str, str] = {}
+    for line in head.split(b"\r\n"):
+        name, _, value = line.decode("latin-1").partition(":")
+        fields.setdefault(name.strip().lower(), value.strip())
+    coding = fields.get("content-transfer-encoding", "")
+    if coding.lower() not in _PLAIN_CODINGS:
+        raise ValueError(f"part {number} is in {coding[:100]!r}: send its bytes as they are (RFC 7578 4.7)")
+    stated = fields.get("content-type")
+    try:
+        return Part(None if stated is None else parse_media_type(stated), body)
+    except ValueError as error:
+        raise ValueError(f"part {number}: {error}") from error

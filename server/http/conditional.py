@@ -1,8 +1,8 @@
-"""Conditional requests (RFC 9110 13) on strong entity tags of the form `"<boot>-<state>.<variant>"`.
+"""Conditional requests (RFC 9110 13) and byte ranges (RFC 9110 14).
 
-`<boot>-<state>` says what the resource is like, `<variant>` in which representation it was read. If-None-Match
-of a read compares all of it; If-Match, and If-None-Match of a write, the state only, so that somebody who read Turtle
-can guard a write in JSON.
+Entity tags are strong and have the form `"<boot>-<state>.<variant>"`: `<boot>-<state>` identifies the state of the
+resource, `<variant>` the representation. If-None-Match of a read compares the whole tag; If-Match, and If-None-Match of
+a write, compare the state only, so that a client that read Turtle can guard a write in JSON.
 """
 
 from __future__ import annotations
@@ -10,10 +10,12 @@ from __future__ import annotations
 import hashlib
 import re
 import secrets
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import Literal, TypeAlias
 
+from rosld.server.http.fields import require_field_value
 from rosld.server.http.problem import Problem
 
 # Looser than RFC 9110 8.8.3: a tag with a space in it is none of ours, so it matches nothing (412).
@@ -61,7 +63,7 @@ Tags: TypeAlias = "Literal['*'] | tuple[ReceivedTag, ...]"
 
 
 class PreconditionResult(Enum):
-    """What the preconditions of a request come to; the values are statuses, 0 for none."""
+    """Outcome of the preconditions; the value is the HTTP status, or 0 to proceed."""
 
     PROCEED = 0
     NOT_MODIFIED = 304
@@ -69,7 +71,7 @@ class PreconditionResult(Enum):
 
 
 def parse(text: str, name: str = "If-Match") -> Tags:
-    """The tags of an If-Match or If-None-Match field, or "*".
+    """Return the tags of an If-Match or If-None-Match field, or "*".
 
     What is no list of quoted strings is a 400 Problem: a guard that cannot be read must not let the write through.
     """
@@ -84,7 +86,7 @@ def parse(text: str, name: str = "If-Match") -> Tags:
 def evaluate(
     method: str, current: ETag | None, *, if_match: str | None, if_none_match: str | None
 ) -> PreconditionResult:
-    """Judges a request's preconditions in the order of RFC 9110 13.2.2; `current` is None where nothing is there.
+    """Evaluate preconditions in the order of RFC 9110 13.2.2; `current` is None for a missing resource.
 
     If-Match uses the strong comparison (a weak tag never matches), If-None-Match the weak one. A write changes all
     representations, so that the tag of any of them is the current one (RFC 9110 13.1.2).
@@ -112,7 +114,7 @@ def check_preconditions(method: str, current: ETag | None, *, if_match: str | No
 
 
 def require_if_match(if_match: str | None, why: str) -> str:
-    """The If-Match field, which this request must have; else a 428 Problem (RFC 6585 3) with `why`."""
+    """Return the If-Match field, which this request must have; else a 428 Problem (RFC 6585 3) with `why`."""
     if if_match is None:
         raise Problem(428, f"{why} Send If-Match with the ETag of the state you have read.")
     return if_match
@@ -135,8 +137,139 @@ def _any_tag(tags: Tags, current: ETag | None) -> bool:
 
 
 def digest(data: bytes) -> str:
-    """A short name for these bytes: another one for other bytes.
-
-    It tells nothing of them, not even to one who has all of them but a word to guess.
-    """
+    """Return a short digest of these bytes, keyed so that nobody can verify a guess of their content with it."""
     return hashlib.blake2b(data, digest_size=9, key=_SECRET).hexdigest()
+
+
+MAX_RANGES = 32
+"""Ranges of one request. Nobody who reads a file needs more; a field with more is ignored (RFC 9110 14.2)."""
+MIN_GAP = 128
+"""Bytes between two ranges that are sent along: to frame another part would take as many (RFC 9110 15.3.7.2)."""
+_NEXT = "\r\n"
+_FIELD = re.compile(r"[ \t]*bytes[ \t]*=(.*)", re.IGNORECASE | re.DOTALL)
+_SPEC = re.compile(r"([0-9]{0,20})[ \t]*-[ \t]*([0-9]{0,20})")
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """Bytes `start` to `stop`, this one excluded, of a representation."""
+
+    start: int
+    stop: int
+
+    def __len__(self) -> int:
+        return self.stop - self.start
+
+    def content_range(self, size: int) -> str:
+        """Return the Content-Range of this part of `size` bytes (RFC 9110 14.4)."""
+        return f"bytes {self.start}-{self.stop - 1}/{size}"
+
+
+def parse_ranges(text: str | None, size: int) -> tuple[Span, ...] | None:
+    """Return the spans of `size` bytes that a Range field requests, or None to send everything (200).
+
+    Fields in another unit than bytes, malformed ones, and those with more than `MAX_RANGES` ranges are ignored (RFC
+    9110 14.2). Ranges that overlap or nearly touch are joined, so that nothing is sent twice; the others keep their
+    order. Raises a 416 Problem if no range can be satisfied (RFC 9110 15.5.17).
+    """
+    asked = _asked(text)
+    if asked is None or size == 0:
+        return None
+    spans = [span for first, last in asked if (span := _span(first, last, size)) is not None]
+    if not spans:
+        raise Problem(
+            416,
+            f"There are {size} bytes, from 0 to {size - 1}: none of what Range asks for is among them.",
+            headers={"Content-Range": f"bytes */{size}"},
+        )
+    return _coalesce(spans)
+
+
+def is_unchanged(if_range: str | None, etag: str) -> bool:
+    """Whether If-Range lets the ranges be sent: it is missing, or it is this very entity tag (RFC 9110 13.1.5).
+
+    Weak tags never match. No date does, for a date in seconds is no strong validator.
+    """
+    return if_range is None or (if_range.strip(" \t") == etag and not etag.startswith("W/"))
+
+
+def select_ranges(range_: str | None, if_range: str | None, etag: str, size: int) -> tuple[Span, ...] | None:
+    """Return the spans to send (206), or None for everything (200). Raises the 416 Problem of `parse_ranges`."""
+    if range_ is None or not is_unchanged(if_range, etag):
+        return None
+    return parse_ranges(range_, size)
+
+
+@dataclass(frozen=True, slots=True)
+class MultipartFraming:
+    """Framing of several spans as multipart/byteranges (RFC 9110 14.6): the head of each part, and the tail."""
+
+    boundary: str
+    heads: tuple[bytes, ...]
+    tail: bytes
+
+    @property
+    def content_type(self) -> str:
+        """The media type of the whole."""
+        return f"multipart/byteranges; boundary={self.boundary}"
+
+    def length(self, spans: Sequence[Span]) -> int:
+        """Return the bytes of the whole."""
+        return sum(map(len, self.heads)) + sum(map(len, spans)) + len(self.tail)
+
+
+def frame_parts(spans: Sequence[Span], size: int, media_type: str) -> MultipartFraming:
+    """Return the framing of several spans, with an unpredictable boundary.
+
+    Raises ValueError for a media type that could end its header early.
+    """
+    boundary = secrets.token_hex(16)
+    kind = require_field_value(media_type)
+    heads = tuple(
+        f"{_NEXT if number else ''}--{boundary}\r\n"
+        f"Content-Type: {kind}\r\nContent-Range: {span.content_range(size)}\r\n\r\n".encode("ascii")
+        for number, span in enumerate(spans)
+    )
+    return MultipartFraming(boundary, heads, f"\r\n--{boundary}--\r\n".encode("ascii"))
+
+
+def _asked(text: str | None) -> list[tuple[int | None, int | None]] | None:
+    """First and last position of each range, None for what is left out; None for a field that is to be ignored."""
+    match = _FIELD.fullmatch(text or "")
+    if match is None:
+        return None
+    asked: list[tuple[int | None, int | None]] = []
+    for part in match[1].split(",", MAX_RANGES * 2):
+        stripped = part.strip(" \t")
+        if not stripped:
+            continue
+        spec = _SPEC.fullmatch(stripped)
+        if spec is None or not (spec[1] or spec[2]) or len(asked) == MAX_RANGES:
+            return None
+        first, last = int(spec[1]) if spec[1] else None, int(spec[2]) if spec[2] else None
+        if first is not None and last is not None and last < first:
+            return None
+        asked.append((first, last))
+    return asked or None
+
+
+def _span(first: int | None, last: int | None, size: int) -> Span | None:
+    """Return the bytes that a range names, None where there are none (RFC 9110 14.1.2)."""
+    if first is None:
+        assert last is not None
+        return Span(max(0, size - last), size) if last else None
+    return Span(first, size if last is None else min(last + 1, size)) if first < size else None
+
+
+def _coalesce(spans: Sequence[Span]) -> tuple[Span, ...]:
+    """Return the spans with those that overlap or nearly touch joined, at the place of the first of them."""
+    places = sorted(range(len(spans)), key=lambda place: (spans[place].start, spans[place].stop))
+    joined: list[tuple[int, Span]] = []
+    for place in places:
+        span = spans[place]
+        if joined and span.start <= joined[-1][1].stop + MIN_GAP:
+            earlier, before = joined[-1]
+            joined[-1] = (min(earlier, place), Span(before.start, max(before.stop, span.stop)))
+        else:
+            joined.append((place, span))
+    return tuple(span for _, span in sorted(joined, key=lambda pair: pair[0]))

@@ -1,24 +1,63 @@
-"""Proactive negotiation (RFC 9110 12.5.1): which of the offered media types a client wants most.
-
-One negotiation for everything that has representations: RDF syntaxes, SPARQL results, errors, pages.
-"""
+"""Content negotiation: media types and Accept (RFC 9110 8.3.1 and 12.5.1), Prefer (RFC 7240), Accept-Profile (W3C)."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from functools import lru_cache
 
-from rosld.server.http import header_syntax, media
-from rosld.server.http.media import MediaType
+from rosld.server.http.fields import is_token, parse_parameter, quote_string, require_field_value, split_members
+
+
+@dataclass(frozen=True, slots=True)
+class MediaType:
+    """A media type or range: type and subtype in lower case, parameters sorted by their lower-case names.
+
+    The value of `charset` is in lower case too, being case-insensitive (RFC 9110 8.3.2).
+    """
+
+    type: str
+    subtype: str
+    parameters: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def essence(self) -> str:
+        """`type/subtype` without parameters."""
+        return f"{self.type}/{self.subtype}"
+
+    def parameter(self, name: str) -> str | None:
+        """Return the value of a parameter, None where it is missing."""
+        return dict(self.parameters).get(name) if self.parameters else None
+
+    def __str__(self) -> str:
+        return self.essence + "".join(
+            f";{name}={value if is_token(value) else quote_string(value)}" for name, value in self.parameters
+        )
+
+
+@lru_cache(maxsize=256)
+def parse_media_type(text: str) -> MediaType:
+    """Return the media type in `text`, such as a Content-Type. Raises ValueError naming what is wrong."""
+    essence, *rest = split_members(text, ";") or [""]
+    kind, slash, subtype = essence.partition("/")
+    if not slash or not is_token(kind) or not is_token(subtype):
+        raise ValueError(f"{text!r} is no media type; one looks like text/turtle")
+    parameters: dict[str, str] = {}
+    for part in rest:
+        name, value = parse_parameter(part)
+        if name in parameters:
+            raise ValueError(f"the parameter {name!r} occurs twice in {text!r}")
+        parameters[name] = value.lower() if name == "charset" else value
+    return MediaType(kind.lower(), subtype.lower(), tuple(sorted(parameters.items())))
+
 
 _WEIGHT = re.compile(r"0(\.[0-9]{0,3})?|1(\.0{0,3})?")
 _RDF_XML = "application/rdf+xml"
 _XML = frozenset({"application/xml", "text/xml"})
 _LONGEST_CACHED = 1024
 _WISHES = frozenset({"profile", "version"})
-"""Parameters that state a wish and exclude nothing: JSON-LD's profile (its registration says so) and RDF's version."""
+"""Parameters that exclude no offer: JSON-LD's profile (as its registration states) and RDF's version."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,31 +77,31 @@ class MediaRange:
 
     @property
     def specificity(self) -> tuple[bool, bool, int]:
-        """Sorts ranges: the more specific is the greater (RFC 9110 12.5.1)."""
+        """Sort key of ranges: the more specific is the greater (RFC 9110 12.5.1)."""
         return (self.media.type != "*", self.media.subtype != "*", len(self.media.parameters))
 
 
-def choose(accept: str | None, offers: tuple[str, ...]) -> str | None:
-    """The offer a client prefers, None where none is acceptable (406).
+def choose_offer(accept: str | None, offers: tuple[str, ...]) -> str | None:
+    """Return the offer a client prefers, None where none is acceptable (406).
 
-    `offers` are media types, the server's favourite first: it wins ties, and whatever is asked for when the field is
-    missing or empty. Members that are malformed are passed over; a field with no valid member is as good as missing.
-    Who accepts nothing that is offered but XML gets RDF/XML, which is XML (RFC 3870).
+    `offers` are media types, the server's favourite first: it wins ties, and is the result if the field is missing or
+    empty. Malformed members are ignored; a field without a valid member counts as missing. A client that accepts XML
+    and none of the offers gets RDF/XML, which is XML (RFC 3870).
     """
     if accept is None or len(accept) > _LONGEST_CACHED:
-        return _choose(accept, offers)
+        return _choose_offer(accept, offers)
     return _remembered(accept, offers)
 
 
-def _choose(accept: str | None, offers: tuple[str, ...]) -> str | None:
+def _choose_offer(accept: str | None, offers: tuple[str, ...]) -> str | None:
     if accept is None or not accept.strip(" \t,"):
         return offers[0] if offers else None
-    ranges = tuple(parse(accept))
+    ranges = tuple(parse_accept(accept))
     if not ranges:
         return offers[0] if offers else None
     best, best_weight = None, 0.0
     for offer in offers:
-        weight = quality(media.parse(offer), ranges)
+        weight = quality(parse_media_type(offer), ranges)
         if weight > best_weight:
             best, best_weight = offer, weight
     if best is None and _RDF_XML in offers and any(one.weight and one.media.essence in _XML for one in ranges):
@@ -70,18 +109,18 @@ def _choose(accept: str | None, offers: tuple[str, ...]) -> str | None:
     return best
 
 
-_remembered = lru_cache(maxsize=1024)(_choose)
+_remembered = lru_cache(maxsize=1024)(_choose_offer)
 
 
 def quality(offer: MediaType, ranges: tuple[MediaRange, ...]) -> float:
-    """The weight of an offer: that of the most specific range which includes it, 0 where none does."""
+    """Return the weight of an offer: that of the most specific range which includes it, 0 where none does."""
     including = [one for one in ranges if one.matches(offer)]
     return max(including, key=lambda one: one.specificity).weight if including else 0.0
 
 
-def parse(accept: str) -> Iterator[MediaRange]:
-    """The valid members of an Accept field, in order."""
-    for member in header_syntax.split(accept, ","):
+def parse_accept(accept: str) -> Iterator[MediaRange]:
+    """Yield the valid members of an Accept field, in order."""
+    for member in split_members(accept, ","):
         try:
             yield _range(member)
         except ValueError:
@@ -89,14 +128,14 @@ def parse(accept: str) -> Iterator[MediaRange]:
 
 
 def _range(member: str) -> MediaRange:
-    essence, *rest = header_syntax.split(member, ";")
+    essence, *rest = split_members(member, ";")
     weight, kept = 1.0, [essence]
     for part in rest:
-        if part[:1] in "qQ" and header_syntax.parse_parameter(part)[0] == "q":
-            weight = _weight(header_syntax.parse_parameter(part)[1])
+        if part[:1] in "qQ" and parse_parameter(part)[0] == "q":
+            weight = _weight(parse_parameter(part)[1])
             break  # what follows are accept-ext, which RFC 9110 took out of the grammar
         kept.append(part)
-    found = media.parse(";".join(kept))
+    found = parse_media_type(";".join(kept))
     if found.type == "*" and found.subtype != "*":
         raise ValueError(f"{member!r} is no media range")
     return MediaRange(found, weight)
@@ -113,3 +152,142 @@ def _fits(name: str, value: str, offer: MediaType) -> bool:
         return True
     stated = offer.parameter(name)
     return stated == value or (name == "charset" and stated is None and value in ("utf-8", "utf8"))
+
+
+Parameters = tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Preference:
+    """One preference: its value ("" for none; RFC 7240 2 treats both alike) and its parameters."""
+
+    value: str = ""
+    parameters: Parameters = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Preferences:
+    """Preferences of a request by lower-case name; the first of several with the same name counts (RFC 7240 2)."""
+
+    named: Mapping[str, Preference] = field(default_factory=dict)
+
+    def value(self, name: str) -> str | None:
+        """Return the value of a preference in lower case, None where it is not stated."""
+        found = self.named.get(name)
+        return None if found is None else found.value.lower()
+
+    @property
+    def minimal(self) -> bool:
+        """return=minimal (RFC 7240 4.2)."""
+        return self.value("return") == "minimal"
+
+    @property
+    def representation(self) -> bool:
+        """return=representation (RFC 7240 4.2)."""
+        return self.value("return") == "representation"
+
+    @property
+    def wait(self) -> int | None:
+        """wait=SECONDS (RFC 7240 4.3); None where it is missing or no whole number."""
+        value = self.value("wait") or ""
+        return int(value) if value.isascii() and value.isdigit() and len(value) < 10 else None
+
+    @property
+    def include(self) -> frozenset[str]:
+        """The URIs of `include` of return=representation (LDP 7.2.2)."""
+        return self._uris("include")
+
+    @property
+    def omit(self) -> frozenset[str]:
+        """The URIs of `omit` of return=representation (LDP 7.2.2)."""
+        return self._uris("omit")
+
+    def _uris(self, name: str) -> frozenset[str]:
+        found = self.named.get("return") if self.representation else None
+        return frozenset(
+            uri for key, value in (found.parameters if found else ()) if key == name for uri in value.split()
+        )
+
+
+NO_PREFERENCES = Preferences()
+
+
+def parse_prefer(text: str | None) -> Preferences:
+    """Return the preferences in a Prefer field. Malformed members are ignored."""
+    if text is None:
+        return NO_PREFERENCES
+    named: dict[str, Preference] = {}
+    for member in split_members(text, ","):
+        try:
+            name, preference = _preference(member)
+        except ValueError:
+            continue
+        named.setdefault(name, preference)
+    return Preferences(named)
+
+
+def preference_applied(*names: str) -> str:
+    """Return the value of Preference-Applied for preferences such as `return=representation` (RFC 7240 3)."""
+    return require_field_value(", ".join(names))
+
+
+def render_prefer(preferences: Preferences) -> str:
+    """Return the Prefer field that states these preferences. Raises ValueError for what no header can hold."""
+    return ", ".join(_write(name, preference) for name, preference in preferences.named.items())
+
+
+def _preference(member: str) -> tuple[str, Preference]:
+    head, *rest = split_members(member, ";")
+    name, value = parse_parameter(head)
+    return name, Preference(value, tuple(parse_parameter(part) for part in rest))
+
+
+def _write(name: str, preference: Preference) -> str:
+    pairs = [(name, preference.value), *preference.parameters]
+    return "; ".join(_pair(key, value) for key, value in pairs)
+
+
+def _pair(name: str, value: str) -> str:
+    if not is_token(name):
+        raise ValueError(f"{name!r} is no preference name")
+    return name if not value else f"{name}={value if is_token(value) else quote_string(value)}"
+
+
+PROFILE_QUERY = "_profile"
+VARY_PROFILE = "Accept, Accept-Profile, Prefer"
+
+
+def choose_profile(
+    offers: Mapping[str, str], accept_profile: str | None, prefer: Preferences, query: str | None
+) -> str | None:
+    """Return the profile to answer in, by its IRI; None where the request names none that is offered.
+
+    `offers` are IRIs by their short names, which the query may have. The query goes before the headers, and among
+    several in `Accept-Profile` the highest quality wins, the first of equals.
+    """
+    if query is not None:
+        return offers.get(query) or (query if query in offers.values() else None)
+    for iri in _by_quality(accept_profile or ""):
+        if iri in offers.values():
+            return iri
+    preferred = prefer.named.get("profile")
+    wanted = None if preferred is None else preferred.value.strip("<>")
+    return wanted if wanted in offers.values() else offers.get(wanted or "")
+
+
+def _by_quality(text: str) -> list[str]:
+    """Return the IRIs in an Accept-Profile field by descending quality; malformed members are ignored."""
+    found: list[tuple[float, str]] = []
+    for member in split_members(text, ","):
+        iri, *parameters = (part.strip() for part in split_members(member, ";"))
+        quality = 1.0
+        for parameter in parameters:
+            name, _, value = parameter.partition("=")
+            if name.strip().lower() == "q":
+                try:
+                    quality = float(value)
+                except ValueError:
+                    quality = 0.0
+        if iri.startswith("<") and iri.endswith(">") and quality > 0:
+            found.append((-quality, iri[1:-1]))
+    return [iri for _, iri in sorted(found, key=lambda each: each[0])]

@@ -1,13 +1,16 @@
-"""Hosts and origins that may use this server: Host (RFC 9110 7.2), Origin (RFC 6454) and CORS (the Fetch standard).
+"""Hosts and origins that may use this server: Host (RFC 9110 7.2), Origin (RFC 6454), CORS (Fetch), CSRF tokens.
 
-A robot on somebody's own machine is reached by every page their browser shows. So a request must name this server
-(which stops DNS rebinding), and one that may change something must not come from a foreign page.
+A robot on somebody's own machine can be reached from every page in their browser. So a request must name this server
+(against DNS rebinding), and a request that may change something must not come from a foreign page.
 """
 
 from __future__ import annotations
 
+import hmac
+import secrets
+from base64 import urlsafe_b64encode
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from ipaddress import ip_address
 from urllib.parse import urlsplit
 
@@ -44,7 +47,7 @@ class OriginPolicy:
 
 
 def origin_policy(base: str, bound_host: str, bound_port: int, shared: Iterable[str] = ()) -> OriginPolicy:
-    """The names of a server with this base URL that is bound to this address.
+    """Return the names of a server with this base URL that is bound to this address.
 
     Accepted are the base's own and, where the address is loopback, the loopback names with the bound port.
     """
@@ -75,7 +78,7 @@ def is_wildcard(host: str) -> bool:
 
 
 def normalize_authority(authority: str, scheme: str) -> str:
-    """An authority in lower case, without its scheme's default port and without a final dot of the name."""
+    """Return an authority in lower case, without its scheme's default port and without a final dot of the name."""
     name, colon, port = authority.lower().rpartition(":")
     if not colon or not (port.isdigit() or not port):
         name, port = authority.lower(), ""
@@ -84,7 +87,7 @@ def normalize_authority(authority: str, scheme: str) -> str:
 
 
 def normalize_origin(origin: str) -> str:
-    """An origin as browsers write it (RFC 6454 6.2). Raises ValueError for what is none."""
+    """Return an origin as browsers write it (RFC 6454 6.2). Raises ValueError for what is none."""
     if origin == ANY_ORIGIN:
         return origin
     scheme, authority = _split(origin)
@@ -92,7 +95,7 @@ def normalize_origin(origin: str) -> str:
 
 
 def check_host(site: OriginPolicy, hosts: Sequence[str]) -> None:
-    """Raises a Problem unless the request names this server: 400 without exactly one Host, 421 for another's."""
+    """Raise a Problem unless the request names this server: 400 without exactly one Host, 421 for another's."""
     if len(hosts) != 1:
         raise Problem(400, f"A request has one Host header, this one has {len(hosts)} (RFC 9112 3.2).")
     named = hosts[0]
@@ -101,7 +104,7 @@ def check_host(site: OriginPolicy, hosts: Sequence[str]) -> None:
 
 
 def check_origin(site: OriginPolicy, method: str, origin: str | None, fetch_site: str | None = None) -> None:
-    """Raises a 403 Problem for a method that is not safe from a page of somebody else.
+    """Raise a 403 Problem for a method that is not safe from a page of somebody else.
 
     Without an Origin the request is no page's (curl, a robot), unless Sec-Fetch-Site says that it is.
     """
@@ -118,7 +121,7 @@ def check_origin(site: OriginPolicy, method: str, origin: str | None, fetch_site
 
 
 def cors_headers(site: OriginPolicy, method: str, origin: str | None, *, preflight: bool = False) -> Mapping[str, str]:
-    """The CORS headers of an answer: none for an origin that nothing is shared with.
+    """Return the CORS headers of an answer: none for an origin that nothing is shared with.
 
     `preflight`: the request is an OPTIONS with Access-Control-Request-Method. `vary` is among them whenever the answer
     depends on the origin; the caller adds it to the answer's own Vary.
@@ -148,3 +151,28 @@ def _split(url: str) -> tuple[str, str]:
         raise ValueError(f"{url!r} is no http or https URL")
     assert parts.port is None or parts.port >= 0  # reading it raises ValueError for a bad one
     return parts.scheme, normalize_authority(parts.netloc, parts.scheme)
+
+
+CSRF_FIELD = "csrf"
+"""The name of the hidden form field."""
+
+
+@dataclass(frozen=True, slots=True)
+class FormKey:
+    """The secret key of form tokens, another one in each run of the server."""
+
+    key: bytes = field(default_factory=lambda: secrets.token_bytes(32), repr=False)
+
+    def token(self, action: str) -> str:
+        """Return the token for a form that posts to `action` (a URL)."""
+        mac = hmac.digest(self.key, b"form " + action.encode("utf-8", "surrogatepass"), "sha256")
+        return urlsafe_b64encode(mac).decode().rstrip("=")
+
+    def is_valid(self, token: str, action: str) -> bool:
+        """Whether `token` was made for `action` in this run; takes the same time for any wrong token."""
+        return hmac.compare_digest(token.encode("utf-8", "replace"), self.token(action).encode())
+
+    def require(self, token: str | None, action: str) -> None:
+        """Raise a 403 Problem unless the token is valid."""
+        if token is None or not self.is_valid(token, action):
+            raise Problem(403, "This form is not from this run of the server. Load the page again, and send it again.")

@@ -32,14 +32,14 @@ _QUOTED = {
 
 
 class Problem(Exception):
-    """Ends a request with a status of 400 or more.
+    """A refusal or failure with a status of 400 or more.
 
     `detail` names the value and the next step; `title` is the status's phrase where none is given; `headers` go into
     the response; `extra` holds further members (RFC 9457 3.2); `violations` say field by field what does not fit.
     Words of the robot or of another agent stand in members of their own (`quoted`), never in `detail` or `title`; those
     of the shapes that were broken are taken from the violations.
-    `about` are URLs of what the reason speaks of: one who may not read them all is not told it. `near` are URLs of what
-    is there, where the one that was asked for is not and is spelt much like them.
+    `about` are URLs that the reason mentions: an agent that may not read them all does not get it. `near` are URLs of
+    existing resources with names similar to a missing one.
     """
 
     def __init__(
@@ -131,7 +131,7 @@ def one_line(words: object) -> str:
 
 
 def reason_phrase(status: int) -> str:
-    """The reason phrase of a status, such as "Not Found"."""
+    """Return the reason phrase of a status, such as "Not Found"."""
     try:
         return HTTPStatus(status).phrase
     except ValueError:

@@ -16,7 +16,8 @@ from rosld.ontology.serialize import Syntax, serialize
 from rosld.ontology.triples import integer, statements, text, triples_about
 from rosld.ontology.violations import Violation
 from rosld.ontology.vocab import rdf, rdfs, ros
-from rosld.server.http import header_syntax, negotiation
+from rosld.server.http.fields import is_token, require_field_value
+from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import AGENT_SAID, ROBOT_SAID, Problem
 from rosld.shapes.report import validation_report
 
@@ -38,18 +39,18 @@ class RenderedProblem:
     body: bytes
 
     def response(self, *, head: bool = False) -> Response:
-        """The Starlette response; `head` leaves the body out and its length in."""
+        """Return the Starlette response; `head` leaves the body out and its length in."""
         headers = {**self.headers, "content-length": str(len(self.body))}
         return Response(b"" if head else self.body, self.status, headers)
 
 
 def render(problem: Problem, accept: str | None = None, *, url: str = _NOWHERE) -> RenderedProblem:
-    """The problem in the form the client prefers: problem+json by default and whenever nothing else is acceptable.
+    """Return the problem in the form the client prefers, problem+json by default.
 
     `url` is the resource the problem is with; RDF is about it. Headers that could not be sent safely are left out, so
     that a hostile name can never turn a refusal into a failure.
     """
-    chosen = negotiation.choose(accept, _OFFERS) or JSON
+    chosen = choose_offer(accept, _OFFERS) or JSON
     if chosen in _SYNTAXES:
         body = _rdf(problem, _SYNTAXES[chosen], url)
     elif chosen == "text/html":
@@ -73,7 +74,7 @@ def render(problem: Problem, accept: str | None = None, *, url: str = _NOWHERE) 
 
 
 def members(problem: Problem) -> dict[str, object]:
-    """The problem details object (RFC 9457 3)."""
+    """Return the problem details object (RFC 9457 3)."""
     found: dict[str, object] = {
         **{name: value for name, value in problem.extra.items() if name not in ("type", "title", "status", "detail")},
         "type": problem.type,
@@ -101,7 +102,7 @@ def _json(problem: Problem) -> bytes:
 
 
 def document(problem: Problem, url: str = _NOWHERE) -> Document:
-    """The problem with the resource at `url`: a hydra:Error and, where fields do not fit, a sh:ValidationReport.
+    """Return the problem with the resource at `url`: a hydra:Error and, where fields do not fit, a sh:ValidationReport.
 
     What is near is linked by rdfs:seeAlso. The robot's words are ros:words, those of another agent ros:reason.
     """
@@ -159,7 +160,7 @@ def _clean(text: str) -> str:
 
 def _sendable(name: str, value: str) -> bool:
     try:
-        header_syntax.require_field_value(value)
+        require_field_value(value)
     except ValueError:
         return False
-    return header_syntax.is_token(name)
+    return is_token(name)

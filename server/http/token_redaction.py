@@ -29,7 +29,7 @@ def contains_token(text: str) -> bool:
 
 
 def redact_tokens(text: str) -> str:
-    """The text with `PLACEHOLDER` in place of every token, percent-encoded ones too."""
+    """Return the text with `PLACEHOLDER` in place of every token, percent-encoded ones too."""
     if PREFIX in text:
         text = _TOKEN.sub(PLACEHOLDER, text)
     if "%" in text and _TOKEN.search(unquote(text)):
@@ -38,7 +38,7 @@ def redact_tokens(text: str) -> str:
 
 
 def redact_tokens_in(value: object) -> object:
-    """The same of every string in a JSON value; other values are as they are."""
+    """Return the same of every string in a JSON value; other values are as they are."""
     if isinstance(value, str):
         return redact_tokens(value)
     if isinstance(value, dict):

@@ -1,4 +1,4 @@
-"""Audit: every write leaves a receipt, also a refused one, and its answer links to it."""
+"""Audit: every write, also a refused one, leaves a receipt that its response links to."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rosld.ontology.urls import Space
 from rosld.ontology.vocab import prov
 from rosld.server.auth import enforcement
 from rosld.server.auth.agent import ANONYMOUS
-from rosld.server.middleware.handler import Handler
+from rosld.server.middleware import Handler
 from rosld.server.receipts.audit_entry import AuditEntry, excerpt
 from rosld.server.receipts.journal import Journal
 from rosld.server.rest.exchange import Exchange
@@ -24,7 +24,7 @@ _REFUSED = frozenset({403, *ABSENT})
 
 
 class Recorder:
-    """Records the writes of one server in its journal."""
+    """Writer of receipts to the journal of a server."""
 
     def __init__(self, journal: Journal, space: Space) -> None:
         self._journal = journal
@@ -33,7 +33,7 @@ class Recorder:
         self._after = f'>; rel="{prov.has_provenance.value}"'
 
     def note(self, exchange: Exchange, scope: Scope, response: Response) -> str:
-        """Note a write; the identifier of its receipt. `scope` is the request as it came."""
+        """Record a write and return the identifier of its receipt; `scope` is that of the original request."""
         context, body = exchange.audit, exchange.consumed_body
         kept, digest = (None, None) if body is None else excerpt(body)
         length = context.length if body is None else len(body)
@@ -62,12 +62,12 @@ class Recorder:
         )
 
     def link(self, id: str) -> Header:
-        """The Link field that says where a receipt is."""
+        """Return the Link field that leads to a receipt."""
         return b"link", f"{self._before}{id}{self._after}".encode("latin-1")
 
 
 class Audit:
-    """Records a write when its answer is ready, before it is sent."""
+    """Receipts of writes, recorded before the response is sent."""
 
     def __init__(self, next: Handler, journal: Journal, space: Space) -> None:
         self._next = next
@@ -91,10 +91,7 @@ class Audit:
         return response
 
     def _note_refusal(self, exchange: Exchange, status: int) -> None:
-        """Have a write of a known agent leave a receipt where it was refused for want of rights, or of anything there.
-
-        Of nobody in particular, what is not there leaves none.
-        """
+        """Record writes refused for lack of permission or of a resource; of anonymous agents only the former."""
         if exchange.agent == ANONYMOUS:
             if status in ABSENT:
                 exchange.audit.mark_read_only()
@@ -103,13 +100,13 @@ class Audit:
 
 
 def _with_receipt(location: bytes, id: str) -> bytes:
-    """The URL of a page that tells of a receipt."""
+    """Return the URL of a page that tells of a receipt."""
     return location + (b"&" if b"?" in location else b"?") + f"receipt={id}".encode("ascii")
 
 
 @lru_cache(maxsize=4096)
 def _path(raw: bytes, root: int) -> str:
-    """The path below the base of a path as it was sent, fit to stand in a URL."""
+    """Return the path below the base of a path as it was sent, fit to stand in a URL."""
     return quote(raw[root:], safe="/%:@!$&'()*+,;=~")
 
 

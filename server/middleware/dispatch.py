@@ -1,32 +1,114 @@
-"""The end of the middleware stack: the resource at the path answers."""
+"""The ends of the middleware stack: resources and channels answer, and exceptions become responses."""
 
 from __future__ import annotations
 
+import asyncio
+import logging
 from collections.abc import Awaitable, Callable
+from urllib.parse import quote
 
 from starlette.responses import Response
-from starlette.types import Scope
+from starlette.types import Receive, Scope, Send
 
+from rosld.adapters.model import RosError
+from rosld.ontology.body import BodyError
+from rosld.ontology.lower import LoweringError
+from rosld.ontology.urls import Space
+from rosld.server.auth import enforcement
+from rosld.server.auth.agent import ANONYMOUS
+from rosld.server.auth.rate_limit import RETRY_SECONDS, RateLimitExceeded
+from rosld.server.auth.redaction import redact_problem
+from rosld.server.events import websocket
+from rosld.server.http.origin import OriginPolicy
 from rosld.server.http.problem import Problem
-from rosld.server.middleware.handler import Handler
-from rosld.server.middleware.rate_limits import Admission
+from rosld.server.http.problem_details import render
+from rosld.server.http.token_redaction import redact_tokens
+from rosld.server.middleware import Handler
+from rosld.server.middleware.limits import Admission
+from rosld.server.resources.channels import Notifications
 from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.pages import PageRenderer
 from rosld.server.rest.resource import Resource
+from rosld.server.rest.ros_problems import problem_of, problem_of_body, problem_of_out_of_memory
 from rosld.server.routing.dispatcher import Dispatcher
+from rosld.server.runtime.process_memory import is_out_of_memory
+from rosld.server.sparql.protocol import UPDATE_MEDIA_TYPE
+from rosld.server.storage.record import StorageError
+
+_log = logging.getLogger("rosld")
+
+
+class ErrorResponses:
+    """Exceptions as pages or problem details (RFC 9457), redacted for the agent."""
+
+    def __init__(self, next: Handler, admission: Admission, pages: PageRenderer, space: Space) -> None:
+        self._next = next
+        self._admission = admission
+        self._pages = pages
+        self._space = space
+
+    async def __call__(self, exchange: Exchange) -> Response:
+        """Answer as the next handler does, or describe what it raises."""
+        try:
+            return await self._next(exchange)
+        except Exception as raised:
+            error = self._admission.count_refused(exchange, raised)
+            if isinstance(error, RateLimitExceeded):
+                await asyncio.sleep(RETRY_SECONDS)
+            return self._failure(exchange, error)
+
+    def _failure(self, exchange: Exchange, error: Exception) -> Response:
+        """Return the response for an error. An unexpected error is logged in full, and the client gets one sentence."""
+        scope = exchange.request.scope
+        if isinstance(error, RosError):
+            error = problem_of(error)
+        elif isinstance(error, BodyError | LoweringError):
+            error = problem_of_body(error)
+        elif isinstance(error, StorageError):
+            error = Problem(507, str(error)) if error.full else Problem(503, str(error), headers={"Retry-After": "1"})
+        elif is_out_of_memory(error):
+            _log.error("%s %s: %s", exchange.method, scope["path"], error or "no memory is left")
+            error = problem_of_out_of_memory(error, is_write=self._would_write(exchange))
+        if not isinstance(error, Problem):
+            _log.exception("%s %s failed", exchange.method, scope["path"], exc_info=error)
+            error = Problem(500, "The server failed on this request; its log says more.")
+        error = redact_problem(error, exchange.permissions, enforcement.location_of(scope, self._space))
+        self._explain_release(error, exchange)
+        exchange.audit.set_refusal(error.with_quotes, error.about)
+        path = quote(scope["raw_path"].lstrip(b"/"), safe="/%:@!$&'()*+,;=~")
+        url = redact_tokens(self._space.base + path)
+        return self._pages.problem(exchange, error, url) or render(error, exchange.accept, url=url).response()
+
+    def _explain_release(self, error: Problem, exchange: Exchange) -> None:
+        """Explain how to release the stop, only to an agent that may release it."""
+        if error.status != 423 or not exchange.permissions.may("DELETE", self._space.stop):
+            return
+        if exchange.agent == ANONYMOUS:
+            error.detail += f" A person can release the stop at {self._space.stop}."
+        else:
+            error.detail += f" DELETE of {self._space.stop} releases the stop."
+
+    def _would_write(self, exchange: Exchange) -> bool:
+        """Whether a request is a write, as far as it was read; a form sent to `/sparql` is judged by its content."""
+        if exchange.audit.is_write or exchange.method in ("PUT", "PATCH"):
+            return True
+        is_write = enforcement.is_write(exchange.method, enforcement.location_of(exchange.request.scope, self._space))
+        return exchange.essence == UPDATE_MEDIA_TYPE or is_write
+
 
 _OF_SERVER = {"allow": "DELETE, GET, HEAD, OPTIONS, PATCH, POST, PUT"}
-"""The answer to `OPTIONS *`: methods that some resource here has (RFC 9110 9.3.7)."""
+"""Response to `OPTIONS *`: methods of any resource (RFC 9110 9.3.7)."""
 
 
 class ServerOptions:
-    """Answers `OPTIONS *`, which is for the whole server (RFC 9112 3.2.4)."""
+    """Responses to `OPTIONS *`, which is about the whole server (RFC 9112 3.2.4)."""
 
     def __init__(self, next: Handler, admission: Admission) -> None:
         self._next = next
         self._admission = admission
 
     def __call__(self, exchange: Exchange) -> Awaitable[Response]:
-        """Answer for `*`, and as the next handler does for a path. Raises a 400 Problem for other methods of `*`."""
+        """Answer for `*`, and as the next handler does for a path. Raises a 400 Problem for other methods on `*`."""
         return self._next(exchange) if exchange.request.scope["raw_path"] != b"*" else self._answer(exchange)
 
     async def _answer(self, exchange: Exchange) -> Response:
@@ -37,12 +119,38 @@ class ServerOptions:
 
 
 class Dispatch:
-    """Finds the resource and has it answer."""
+    """The innermost handler: finds the resource and lets it answer."""
 
     def __init__(self, resolve: Callable[[Scope], Resource], dispatcher: Dispatcher) -> None:
         self._resolve = resolve
         self._dispatcher = dispatcher
 
     def __call__(self, exchange: Exchange) -> Awaitable[Response]:
-        """Answer. Raises what resources raise."""
+        """Return the response of the resource. Raises what resources raise."""
         return self._dispatcher.answer(exchange, self._resolve(exchange.request.scope))
+
+
+class WebSockets:
+    """The ASGI application of WebSockets."""
+
+    def __init__(self, site: OriginPolicy, admission: Admission, notifications: Notifications) -> None:
+        self._site = site
+        self._admission = admission
+        self._notifications = notifications
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve a WebSocket, or refuse its handshake with a problem."""
+        client = scope["client"]
+        if not self._admission.admit_websocket(client[0] if client else None):
+            await asyncio.sleep(RETRY_SECONDS)
+            await websocket.reject_handshake(
+                scope, send, Problem(429, "You open too many WebSockets a second: open fewer.")
+            )
+            return
+        try:
+            websocket.check_request(self._site, scope)
+            receiver = self._notifications.websocket_receiver(scope)
+        except Problem as problem:
+            await websocket.reject_handshake(scope, send, problem)
+            return
+        await receiver(scope, receive, send)

@@ -1,4 +1,4 @@
-"""The lifespan of the application (ASGI): what runs beside its requests is started first, and ended in order."""
+"""The lifespan of the application (ASGI): start and stop of everything that runs in the background."""
 
 from __future__ import annotations
 
@@ -16,10 +16,9 @@ Job: TypeAlias = Callable[[], Awaitable[None]]
 
 
 class Lifespan:
-    """Opens the robot after the query process, runs what goes on beside requests, and closes all of it.
+    """Start of the query process, the robot and background jobs, and their end in reverse order.
 
-    `start` opens the robot, and `stop` gives it back. `background` are what runs until the end, `closings` what is
-    called when that has ended.
+    `start` opens the robot, and `stop` releases it. `background` jobs run until the end; then `closings` are called.
     """
 
     def __init__(
@@ -39,7 +38,7 @@ class Lifespan:
         self._closings = closings
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Start, and stop when told to. Raises what opening the robot raises."""
+        """Start, and stop on request. Raises what opening the robot raises."""
         await receive()
         await self._process.start()
         try:

@@ -16,10 +16,9 @@ from rosld.server.auth import enforcement
 from rosld.server.auth.authenticator import UNRESTRICTED
 from rosld.server.auth.permissions import Permissions
 from rosld.server.history.recordings import Recordings
-from rosld.server.http import negotiation
 from rosld.server.http.conditional import ETag, digest
-from rosld.server.http.link import Link
-from rosld.server.http.link import render as render_links
+from rosld.server.http.fields import Link, render_links
+from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.json_schema import OBJECT, Schema
@@ -115,7 +114,7 @@ class OpenApiResource(Resource):
         return PathItem("This description", MEDIA_TYPES, OBJECT, query, streams=False)
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
-        media_type = negotiation.choose(exchange.accept, MEDIA_TYPES)
+        media_type = choose_offer(exchange.accept, MEDIA_TYPES)
         if media_type is None:
             raise Problem(406, f"None of {exchange.accept!r} is offered; there are {', '.join(MEDIA_TYPES)}.")
         part = parse_part(exchange.query)

@@ -13,7 +13,7 @@ from rosld.ontology.charsets import UTF_8, codec_of, decode
 from rosld.ontology.triples import text, triples_about
 from rosld.ontology.urls import Space, decode_segment
 from rosld.ontology.vocab import dcterms, rdf, ros
-from rosld.server.http import media
+from rosld.server.http.negotiation import parse_media_type
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.stored_query import StoredQuery, outline, read_stored_query, shipped_queries
 from rosld.server.sparql.syntax.lexer import QueryBounds
@@ -118,7 +118,7 @@ class StoredQueries:
         if blob.size > 4 * self.bounds.size:
             raise ValueError(f"{name}: {blob.size} bytes are more than a query may have")
         data = self._records.file(blob).read_bytes()
-        charset = media.parse(blob.media_type).parameter("charset") or UTF_8
+        charset = parse_media_type(blob.media_type).parameter("charset") or UTF_8
         try:
             return data.decode("utf-8") if codec_of(charset) == UTF_8 else decode(data, codec_of(charset))
         except UnicodeDecodeError as error:

@@ -32,7 +32,7 @@ from rosld.ontology.lift import lifter
 from rosld.ontology.literals import date_time
 from rosld.ontology.urls import Space
 from rosld.server.html import DeleteForm, Form, MessageForm
-from rosld.server.http.link import to_uri
+from rosld.server.http.fields import to_uri
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import DataSchema
 from rosld.server.hypermedia.json_schema import TEXT, URI, nullable

@@ -18,7 +18,7 @@ from rosld.server.events import query_params
 from rosld.server.html import MemberColumns, SequenceLink
 from rosld.server.html.page import Cell
 from rosld.server.http.conditional import digest
-from rosld.server.http.link import render
+from rosld.server.http.fields import render_links
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import ANYTHING
 from rosld.server.hypermedia.message_schemas import MessageSchemas
@@ -133,7 +133,7 @@ class ActivityContainer(Resource):
         page, told = self._page(self._place)
 
         def make() -> State:
-            headers = {"link": render([*self.links, *page.links()]), "vary": "Accept, Prefer"}
+            headers = {"link": render_links([*self.links, *page.links()]), "vary": "Accept, Prefer"}
             part = f"p{digest(page.token.encode())}"
             return State(lambda: page.add_to(self._document(told)), part=part, headers=headers)
 

@@ -16,8 +16,8 @@ from rosld.ontology.urls import Space
 from rosld.server.history.bag_export import EXPORT_FORMATS, CannotExport, ExportFormat, require_encoding
 from rosld.server.history.ordered_recording import RecordingRefused
 from rosld.server.history.recordings import Recordings
-from rosld.server.http import negotiation
 from rosld.server.http.conditional import ETag, check_preconditions, digest
+from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.bags import BagResource
@@ -95,8 +95,8 @@ class BagFile(Resource):
         name = exchange.query.get("format")
         if name is None:
             own = [each.media_type for each in EXPORT_FORMATS.values() if each.encoding is self._encoding]
-            media_type = negotiation.choose(exchange.accept, (UNKNOWN, *own))
-            media_type = media_type or negotiation.choose(exchange.accept, _EXPORTED)  # whose refusal says why
+            media_type = choose_offer(exchange.accept, (UNKNOWN, *own))
+            media_type = media_type or choose_offer(exchange.accept, _EXPORTED)  # whose refusal says why
             return next((one for one in EXPORT_FORMATS.values() if one.media_type == media_type), None)
         if name not in EXPORT_FORMATS:
             others = " and ".join(f"?format={each}" for each in EXPORT_FORMATS)

@@ -21,9 +21,9 @@ from rosld.ontology.triples import date_time_literal
 from rosld.server.auth.permissions import Permissions
 from rosld.server.html import MemberColumns, SequenceLink
 from rosld.server.html.page import Cell
-from rosld.server.http import negotiation
 from rosld.server.http.conditional import digest
-from rosld.server.http.link import Link
+from rosld.server.http.fields import Link
+from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
 from rosld.server.resources.messages import lift_sample
 from rosld.server.resources.recorded_messages import DecodedRecord, decode_records, record_triples
@@ -213,5 +213,5 @@ def _number(name: str, text: str, least: int, most: int) -> int:
 def detail_of(exchange: Exchange) -> Detail:
     """What of messages the representation that a request prefers tells."""
     asked = exchange.query.get("format")
-    chosen = FORMATS.get(asked) if asked else negotiation.choose(exchange.accept, OFFERS)
+    chosen = FORMATS.get(asked) if asked else choose_offer(exchange.accept, OFFERS)
     return {HTML: Detail.LIST, JSON: Detail.JSON}.get(chosen or "", Detail.RDF)

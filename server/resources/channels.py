@@ -27,16 +27,16 @@ from rosld.ontology.notifications import (
 from rosld.ontology.urls import Location, Space, locate
 from rosld.server.auth import enforcement
 from rosld.server.auth.authenticator import AuthContext
-from rosld.server.auth.redaction.problems import redact_problem
+from rosld.server.auth.redaction import redact_problem
 from rosld.server.events.broadcaster import Broadcasters
 from rosld.server.events.channel_request import JSON_LD, MAX_BYTES, MEDIA_TYPES, check_profile, read_subscription
 from rosld.server.events.channel_stream import LINES, ChannelStream, headers_of
 from rosld.server.events.notification_channels import Channel, Channels
 from rosld.server.events.websocket import WebSocketReceiver
-from rosld.server.http import negotiation
 from rosld.server.http.body import read_body
 from rosld.server.http.conditional import ETag, digest
-from rosld.server.http.link import Link
+from rosld.server.http.fields import Link
+from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.origin import OriginPolicy, normalize_authority
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import DataSchema
@@ -198,7 +198,7 @@ def prefers_json(exchange: Exchange, offers: tuple[str, ...] = OFFERS) -> bool:
     """Whether JSON(-LD) is asked for: it is written for clients without RDF, then."""
     if exchange.request.scope["query_string"] and (wanted := exchange.query.get("format")):
         return wanted in ("jsonld", "json")
-    return negotiation.choose(exchange.accept, offers) in (JSON_LD, JSON)
+    return choose_offer(exchange.accept, offers) in (JSON_LD, JSON)
 
 
 class DescribedResource(Resource):

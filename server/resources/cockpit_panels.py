@@ -15,7 +15,7 @@ from rosld.adapters.model import RosError
 from rosld.ontology.cockpit import Cockpit, Panel, PanelKind
 from rosld.ontology.urls import Location
 from rosld.server.auth.permissions import Permissions
-from rosld.server.auth.redaction.problems import redact_problem
+from rosld.server.auth.redaction import redact_problem
 from rosld.server.history.history import History
 from rosld.server.html import EditForm, Form, HoldForm, MessageForm, PageResults, forms_of
 from rosld.server.html.labels import capitalize, split_words

@@ -30,9 +30,9 @@ from rosld.server.html import (
     render_cockpit,
 )
 from rosld.server.html.panels import FilledPanel
-from rosld.server.http import negotiation
-from rosld.server.http.charset import FORM
+from rosld.server.http.body import FORM
 from rosld.server.http.conditional import digest
+from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.policies.stored_cockpits import DEFAULT, ROUTE, cockpit_titles
@@ -81,7 +81,7 @@ def wants_page(exchange: Exchange) -> bool:
     if exchange.method not in ("GET", "HEAD"):
         return False
     wanted = exchange.query.get("format")
-    return FORMATS.get(wanted) == HTML if wanted else negotiation.choose(exchange.accept, OFFERS) == HTML
+    return FORMATS.get(wanted) == HTML if wanted else choose_offer(exchange.accept, OFFERS) == HTML
 
 
 async def filled_state(cockpit: Cockpit, document: State, reader: PanelReader) -> CockpitState:

@@ -16,7 +16,7 @@ from rosld.ontology.body import index_triples
 from rosld.ontology.lower import parse_json
 from rosld.server.auth.permissions import Permissions
 from rosld.server.html import Form, forms_of
-from rosld.server.http.link import Link
+from rosld.server.http.fields import Link
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import AffordanceService, Snapshot
 from rosld.server.hypermedia.conditions import url_of

@@ -9,7 +9,7 @@ from rosld.ontology.describe_graph import SECTIONS, ServerProblems, entry_docume
 from rosld.server.history.recordings import Recordings
 from rosld.server.html import Csrf, EntryCount, EntryPage, Form, Notice, Site, render_entry
 from rosld.server.html.page import NoticeLevel
-from rosld.server.http.link import Link
+from rosld.server.http.fields import Link
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.namespaces import listed_graph
 from rosld.server.rest.path_item import PathItem

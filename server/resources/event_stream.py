@@ -17,9 +17,9 @@ from rosld.ontology.document import Document
 from rosld.ontology.urls import Space
 from rosld.server.history.history import History
 from rosld.server.http.conditional import digest
-from rosld.server.http.link import Link
+from rosld.server.http.fields import Link
+from rosld.server.http.negotiation import PROFILE_QUERY, VARY_PROFILE, choose_profile
 from rosld.server.http.problem import Problem
-from rosld.server.http.profiles import QUERY, VARY, choose_profile
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.messages import lift_sample
 from rosld.server.resources.recorded_messages import DecodedRecord, decode_records, record_document
@@ -37,7 +37,7 @@ _SHORT = 2
 _NAME = re.compile(r"[0-9a-f]+-[0-9]{1,2}-[0-9]{1,15}", re.ASCII)
 _PROFILES = {"ros": StreamProfile.RECORD.value, "sosa": StreamProfile.OBSERVATION.value}
 PROFILE = QueryParameter(
-    QUERY, "What members are described as, before Accept-Profile.", {"type": "string", "enum": [*_PROFILES]}
+    PROFILE_QUERY, "What members are described as, before Accept-Profile.", {"type": "string", "enum": [*_PROFILES]}
 )
 
 
@@ -122,11 +122,11 @@ class EventStreamResource(Resource):
 
         Raises a 406 Problem for a profile that there is not.
         """
-        asked = exchange.query.get(QUERY)
+        asked = exchange.query.get(PROFILE_QUERY)
         found = choose_profile(_PROFILES, exchange.header("accept-profile"), exchange.prefer, asked)
         if asked is not None and found is None:
-            raise Problem(406, f"?{QUERY}={asked[:60]} is unknown; there are {', '.join(_PROFILES)}.")
-        suffix = "" if asked is None or found is None else f"?{QUERY}={_short_name(found)}"
+            raise Problem(406, f"?{PROFILE_QUERY}={asked[:60]} is unknown; there are {', '.join(_PROFILES)}.")
+        suffix = "" if asked is None or found is None else f"?{PROFILE_QUERY}={_short_name(found)}"
         chosen = EventStreamResource(self.session, self.states, self.history, self.recording, self._page, suffix)
         chosen._profile = StreamProfile(found) if found else StreamProfile.RECORD
         chosen.links = (RESOURCE, RDF_SOURCE, Link(chosen._profile.value, "profile"))
@@ -152,7 +152,7 @@ class EventStreamResource(Resource):
             self.session.space.document_shape("Record") if self._profile is StreamProfile.RECORD else None,
         )
         age = f"max-age={_YEAR}, immutable" if is_immutable else f"max-age={_SHORT}"
-        headers = {"cache-control": age, "vary": VARY, "content-profile": f"<{self._profile.value}>"}
+        headers = {"cache-control": age, "vary": VARY_PROFILE, "content-profile": f"<{self._profile.value}>"}
         token = digest(f"{key} {version}".encode())
         return self.states.put(key, version, State(lambda: document, token=token, headers=headers, is_long=True))
 

@@ -19,8 +19,8 @@ from rosld.server.diagrams import dot, svg
 from rosld.server.diagrams.diagram import Diagram, Selection, Traffic, draw_graph, namespaces_of
 from rosld.server.diagrams.fold import fold
 from rosld.server.html import Csrf, Form, GraphPage, Notice, Site, render_graph
-from rosld.server.http import negotiation
 from rosld.server.http.conditional import ETag, digest
+from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import DataSchema
 from rosld.server.hypermedia.json_schema import TEXT, URI
@@ -177,9 +177,7 @@ class GraphResource(Resource):
         """The drawing as SVG, folded where it is large, or whole as DOT, where that is preferred."""
         wanted = exchange.query.get("format")
         media_type = (
-            negotiation.choose(exchange.accept, (*OFFERS, *_DRAWINGS.values()))
-            if wanted is None
-            else _DRAWINGS.get(wanted)
+            choose_offer(exchange.accept, (*OFFERS, *_DRAWINGS.values())) if wanted is None else _DRAWINGS.get(wanted)
         )
         if media_type not in _DRAWINGS.values():
             return None

@@ -22,8 +22,8 @@ from rosld.ontology.triples import text, triples_about
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import dcterms, rdf, rdfs, sd
 from rosld.server.auth import enforcement
-from rosld.server.http.link import to_uri
-from rosld.server.http.multipart import MULTIPART
+from rosld.server.http.body import MULTIPART
+from rosld.server.http.fields import to_uri
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import ANYTHING
 from rosld.server.hypermedia.message_schemas import MessageSchemas

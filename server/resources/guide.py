@@ -5,9 +5,9 @@ from __future__ import annotations
 from starlette.responses import Response
 
 from rosld.ontology.urls import Space
-from rosld.server.http import negotiation
 from rosld.server.http.conditional import ETag, digest
-from rosld.server.http.link import Link
+from rosld.server.http.fields import Link
+from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import OBJECT
 from rosld.server.hypermedia.message_schemas import MessageSchemas
@@ -34,7 +34,7 @@ class GuideResource(Resource):
         return PathItem("What a language model needs to know", (MEDIA_TYPE,), OBJECT, (), streams=False)
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
-        if negotiation.choose(exchange.accept, (MEDIA_TYPE, "text/markdown")) is None:
+        if choose_offer(exchange.accept, (MEDIA_TYPE, "text/markdown")) is None:
             raise Problem(406, f"None of {exchange.accept!r} is offered; there is {MEDIA_TYPE}.")
         etag = ETag(digest(self._data), "txt")
         return bytes_response(

@@ -37,7 +37,7 @@ from rosld.server.html import DeleteForm, Form, HoldForm
 from rosld.server.html.drive_pad import drive_pad
 from rosld.server.html.forms import HoldTerms
 from rosld.server.html.inputs import Json
-from rosld.server.http import header_syntax
+from rosld.server.http.fields import parse_decimal
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import DataSchema
 from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, URI, nullable
@@ -381,7 +381,7 @@ def _number(exchange: Exchange, name: str, limit: float, words: str) -> float | 
     if name not in exchange.query:
         return None
     given = exchange.query[name]
-    value = header_syntax.parse_decimal(given)
+    value = parse_decimal(given)
     if value is None or not MIN_OF_HOLDS <= value <= limit:
         raise Problem(400, f"?{name}={given[:100]}: it must be {words}.")
     return value

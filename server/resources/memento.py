@@ -17,8 +17,8 @@ from rosld.ontology.describe_time_map import time_map_document
 from rosld.ontology.literals import date_time
 from rosld.ontology.urls import Space
 from rosld.server.history.history import History
-from rosld.server.http import negotiation
-from rosld.server.http.link import Link, render
+from rosld.server.http.fields import Link, render_links
+from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import OFFERS
@@ -78,7 +78,7 @@ def parse_accept_datetime(text: str) -> int:
 
 def found(location: str, links: Sequence[Link]) -> Problem:
     """302 from a TimeGate to a memento (RFC 7089 4.1.1)."""
-    headers = {"Location": location, "Vary": VARY, "Link": render(links)}
+    headers = {"Location": location, "Vary": VARY, "Link": render_links(links)}
     return Problem(302, f"It is at {location}", title="Found", headers=headers)
 
 
@@ -170,7 +170,7 @@ def time_map_response(
     resource: Resource, exchange: Exchange, original: str, times: Sequence[int], after: str | None
 ) -> Response | None:
     """A TimeMap as links, where that is preferred: of mementos of these times (ns), and of the TimeMap after it."""
-    if "format" in exchange.query or negotiation.choose(exchange.accept, (LINK_FORMAT, *OFFERS)) != LINK_FORMAT:
+    if "format" in exchange.query or choose_offer(exchange.accept, (LINK_FORMAT, *OFFERS)) != LINK_FORMAT:
         return None
     ends = (("from", memento_datetime(times[0])), ("until", memento_datetime(times[-1]))) if times else ()
     rels = ["memento"] * len(times)

@@ -15,7 +15,7 @@ from rosld.ontology.namespaces import IdentityCache, Members, members_of
 from rosld.ontology.urls import Space, decode_segment, encode_segment
 from rosld.server.html import MemberColumns, SequenceLink
 from rosld.server.http.conditional import digest
-from rosld.server.http.link import render
+from rosld.server.http.fields import render_links
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.latest_values import LatestValue, LatestValues
 from rosld.server.hypermedia.message_schemas import MessageSchemas
@@ -257,7 +257,7 @@ class NamespaceContainer(Resource):
             document = self._document(now, told, outlines)
             if page is None:
                 return State(lambda: document, token=token)
-            headers = {"link": render([*self.links, *page.links()]), "vary": "Accept, Prefer"}
+            headers = {"link": render_links([*self.links, *page.links()]), "vary": "Accept, Prefer"}
             part = f"p{digest(page.token.encode())}"
             return State(lambda: page.add_to(document), token=token, part=part, headers=headers)
 

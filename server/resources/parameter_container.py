@@ -11,10 +11,10 @@ from rosld.ontology.document import Document
 from rosld.ontology.parameters import Outline, parameter_container_document
 from rosld.ontology.urls import encode_segment
 from rosld.server.auth.permissions import Permissions
-from rosld.server.auth.redaction.trees import redact_tree
+from rosld.server.auth.redaction import redact_tree
 from rosld.server.html import MemberColumns, SequenceLink
 from rosld.server.http.conditional import digest
-from rosld.server.http.link import render
+from rosld.server.http.fields import render_links
 from rosld.server.http.problem import Problem
 from rosld.server.resources.limit_checks import LimitChecks
 from rosld.server.resources.namespaces import (
@@ -134,7 +134,7 @@ class ParameterContainer(ParameterBase):
                 lambda: self._plain(held),
                 digest(whole),
                 part=f"p{digest(page.token.encode())}",
-                headers={"link": render([*self.links, *page.links()]), "vary": "Accept, Prefer"},
+                headers={"link": render_links([*self.links, *page.links()]), "vary": "Accept, Prefer"},
             )
 
         return self.states.get_or_make(page.url, whole, make)

@@ -25,8 +25,8 @@ from rosld.ontology.vocab import rdfs, ros
 from rosld.server.auth.enforcement import require_subtree
 from rosld.server.events.query_params import EVENT_STREAM
 from rosld.server.html import DeleteForm, Form
-from rosld.server.http import negotiation
 from rosld.server.http.conditional import digest
+from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
 from rosld.server.http.token_redaction import redact_tokens
 from rosld.server.hypermedia.data_schema import DataSchema
@@ -374,4 +374,4 @@ def _wants_value(exchange: Exchange) -> bool:
     wanted = exchange.query.get("format")
     if wanted:
         return wanted == "json"
-    return negotiation.choose(exchange.accept, (*OFFERS, EVENT_STREAM)) in (JSON, EVENT_STREAM)
+    return choose_offer(exchange.accept, (*OFFERS, EVENT_STREAM)) in (JSON, EVENT_STREAM)

@@ -9,8 +9,8 @@ from starlette.responses import Response
 
 from rosld.adapters.base import Watch
 from rosld.adapters.model import MessageSchema, RosError, Sample, TypeRef
-from rosld.server.http import negotiation
 from rosld.server.http.conditional import ETag, check_preconditions, digest
+from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import ROBOT_SAID, Problem
 from rosld.server.pictures.form import (
     DEFAULT_RANGE,
@@ -65,7 +65,7 @@ def picture_type(exchange: Exchange, *, is_picture: bool) -> str | None:
     accept = exchange.accept
     if accept is None or ("image/" not in accept and "multipart/" not in accept):
         return None
-    found = negotiation.choose(accept, (*OFFERS, *PICTURES))
+    found = choose_offer(accept, (*OFFERS, *PICTURES))
     if found is None:
         raise Problem(406, f"None of {accept!r} is offered; there are {', '.join((*OFFERS, *PICTURES))}.")
     return found if found in PICTURES else None
@@ -76,9 +76,9 @@ def explicit_picture_type(exchange: Exchange) -> str | None:
     if b"format=" in exchange.request.scope["query_string"] and exchange.query.get("format"):
         return PICTURE_FORMATS.get(exchange.query["format"])
     accept = exchange.accept
-    if accept is None or "image/" not in accept or negotiation.choose(accept, OFFERS) is not None:
+    if accept is None or "image/" not in accept or choose_offer(accept, OFFERS) is not None:
         return None
-    return negotiation.choose(accept, (JPEG, PNG))
+    return choose_offer(accept, (JPEG, PNG))
 
 
 def require_picture(name: str, types: Sequence[TypeRef]) -> None:

@@ -8,8 +8,8 @@ from functools import partial
 from starlette.responses import Response
 
 from rosld.adapters.model import RosError, Sample, TypeRef
-from rosld.server.http import negotiation
 from rosld.server.http.conditional import ETag
+from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import ROBOT_SAID, Problem
 from rosld.server.pictures.picture_cache import PictureCache
 from rosld.server.pictures.refusal import CannotDraw
@@ -50,7 +50,7 @@ def cloud_is_preferred(exchange: Exchange, *, is_cloud: bool) -> bool:
     accept = exchange.accept
     if not is_cloud or accept is None or "application/octet-stream" not in accept.lower():
         return False
-    return negotiation.choose(accept, (*OFFERS, PLY)) == PLY
+    return choose_offer(accept, (*OFFERS, PLY)) == PLY
 
 
 def require_cloud(name: str, types: Sequence[TypeRef]) -> None:

@@ -18,7 +18,7 @@ from rosld.ontology.fields import field_bytes
 from rosld.ontology.lower import parse_json
 from rosld.ontology.vocab import rdf, ros
 from rosld.server.html import Form, action_form, cancel_forms, property_form
-from rosld.server.http.link import Link
+from rosld.server.http.fields import Link
 from rosld.server.http.problem import ROBOT_SAID, Problem
 from rosld.server.hypermedia.affordance_service import AffordanceService, Snapshot
 from rosld.server.hypermedia.conditions import url_of

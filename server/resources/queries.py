@@ -22,9 +22,9 @@ from rosld.ontology.vocab import dcterms, ldp, rdfs
 from rosld.server import html
 from rosld.server.html import MemberColumns, Notice, PageResults, QueryPage, StoredQueryParameter
 from rosld.server.html.page import NoticeLevel
-from rosld.server.http import negotiation
 from rosld.server.http.body import parse_content_length
 from rosld.server.http.conditional import ETag, check_preconditions, digest
+from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import DataSchema
 from rosld.server.hypermedia.json_schema import ANYTHING, TEXT
@@ -132,7 +132,7 @@ class QueryRunner:
         is_description = form not in GRAPH_FORMS and not given
         formats = {"html", *available_formats(form), *(available_formats("DESCRIBE") if is_description else ())}
         accept = accept_of(exchange, [name for name in FORMATS if name in formats])
-        if is_description and negotiation.choose(accept, OFFERS) in _DESCRIPTIONS:
+        if is_description and choose_offer(accept, OFFERS) in _DESCRIPTIONS:
             return None
         request = replace(asked, text=bind_parameters(query, given, self.base))
         disconnected = disconnect.disconnection_of(exchange.request.receive)
@@ -235,7 +235,7 @@ class ShippedQueryResource(Resource):
     async def custom_get(self, exchange: Exchange) -> Response | None:
         if (
             not exchange.query.get("format")
-            and negotiation.choose(exchange.accept, (*OFFERS, QUERY_MEDIA_TYPE)) == QUERY_MEDIA_TYPE
+            and choose_offer(exchange.accept, (*OFFERS, QUERY_MEDIA_TYPE)) == QUERY_MEDIA_TYPE
         ):
             return Response(self._query.text, media_type=f"{QUERY_MEDIA_TYPE}; charset=utf-8")
         return await self._runner.answer(exchange, self, self._query)
@@ -275,7 +275,7 @@ class StoredQueryResource(StoredFile):
     async def custom_get(self, exchange: Exchange) -> Response | None:
         if (
             not exchange.query.get("format")
-            and negotiation.choose(exchange.accept, (*OFFERS, QUERY_MEDIA_TYPE)) == QUERY_MEDIA_TYPE
+            and choose_offer(exchange.accept, (*OFFERS, QUERY_MEDIA_TYPE)) == QUERY_MEDIA_TYPE
         ):
             return await super().custom_get(exchange)
         record = self.require_record()

@@ -22,7 +22,7 @@ from rosld.server.history.columns import columns_of, number_paths
 from rosld.server.history.history import History
 from rosld.server.history.message_block import MessageBlock
 from rosld.server.history.series import Point, Series, SeriesRange, SeriesTooLong, read_series
-from rosld.server.http import negotiation
+from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
 from rosld.server.resources.memento import is_recorded
 from rosld.server.rest.exchange import Exchange
@@ -76,7 +76,7 @@ class SeriesResource(Resource):
     async def custom_get(self, exchange: Exchange) -> Response | None:
         """The columns as CSV (RFC 4180), where that is asked for."""
         asked = exchange.query.get("format")
-        wanted = negotiation.choose(exchange.accept, (*OFFERS, CSV)) if asked is None else asked
+        wanted = choose_offer(exchange.accept, (*OFFERS, CSV)) if asked is None else asked
         if wanted not in (CSV, "csv"):
             return None
         table = columns(await self._read())

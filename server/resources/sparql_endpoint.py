@@ -16,8 +16,8 @@ from rosld.server import html
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.html import Notice, PageResults, SparqlPage, StoredQueryLink
 from rosld.server.html.page import NoticeLevel
-from rosld.server.http import negotiation
-from rosld.server.http.charset import FORM
+from rosld.server.http.body import FORM
+from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import DataSchema
 from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, URI
@@ -80,7 +80,7 @@ _PROTOCOL = frozenset({"query", "update", "default-graph-uri", "named-graph-uri"
 def available_formats(form: str | None) -> Mapping[str, str]:
     """Those of `FORMATS` that the results of a query of this form can be had in, pages aside."""
     offers = media_types_of(form)
-    return {name: accept for name, accept in FORMATS.items() if negotiation.choose(accept, offers) is not None}
+    return {name: accept for name, accept in FORMATS.items() if choose_offer(accept, offers) is not None}
 
 
 _OF_GRAPHS = frozenset({"graph", "default", "all"})
@@ -100,7 +100,7 @@ def accept_of(exchange: Exchange, formats: Collection[str] = FORMATS.keys()) -> 
 
 def prefers_page(accept: str | None) -> bool:
     """Whether HTML is preferred to every machine-readable form of results."""
-    return negotiation.choose(accept, OFFERS) == HTML
+    return choose_offer(accept, OFFERS) == HTML
 
 
 async def answer_query(

@@ -10,7 +10,7 @@ from starlette.responses import Response
 from rosld.ontology.urls import Space
 from rosld.server.html import ASSETS
 from rosld.server.http.conditional import ETag, check_preconditions, digest
-from rosld.server.http.link import Link
+from rosld.server.http.fields import Link
 from rosld.server.hypermedia.json_schema import OBJECT
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.rest.exchange import Exchange

@@ -11,9 +11,9 @@ from rosld.ontology.serialize import serialize
 from rosld.ontology.urls import Space
 from rosld.server.auth.authenticator import UNRESTRICTED
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
-from rosld.server.auth.redaction.thing_descriptions import redact_thing_description
-from rosld.server.http import negotiation
+from rosld.server.auth.redaction import redact_thing_description
 from rosld.server.http.conditional import ETag, digest
+from rosld.server.http.negotiation import choose_offer
 from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.json_schema import OBJECT
@@ -42,7 +42,7 @@ def wants_thing(exchange: Exchange) -> bool:
     if exchange.request.scope["query_string"] and "format" in exchange.query:
         return exchange.query["format"] == FORMAT
     accept = exchange.accept
-    return accept is not None and MEDIA_TYPE in accept and negotiation.choose(accept, _OFFERS) == MEDIA_TYPE
+    return accept is not None and MEDIA_TYPE in accept and choose_offer(accept, _OFFERS) == MEDIA_TYPE
 
 
 class ThingDescriptions:
@@ -150,7 +150,7 @@ class ThingDescriptions:
 
 def _choose_syntax(exchange: Exchange) -> str:
     """In which of its syntaxes a Thing Description is asked for: JSON, unless one of RDF is preferred."""
-    return negotiation.choose(exchange.accept, (MEDIA_TYPE, *RDF_BODIES)) or MEDIA_TYPE
+    return choose_offer(exchange.accept, (MEDIA_TYPE, *RDF_BODIES)) or MEDIA_TYPE
 
 
 class RobotThing(Resource):

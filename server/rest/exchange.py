@@ -16,8 +16,8 @@ from rosld.server.auth.authenticator import UNRESTRICTED
 from rosld.server.auth.enforcement import Protected
 from rosld.server.auth.permissions import Permissions
 from rosld.server.auth.rate_limit import Client
-from rosld.server.http import charset, media, prefer
-from rosld.server.http.body import TIMEOUT, read_body, read_chunks
+from rosld.server.http.body import TIMEOUT, codec_for, read_body, read_chunks, to_utf8
+from rosld.server.http.negotiation import MediaType, Preferences, parse_media_type, parse_prefer
 from rosld.server.http.problem import Problem
 from rosld.server.receipts.audit_context import AuditContext
 from rosld.server.runtime.process_memory import PER_BYTE, PROCESS_MEMORY
@@ -82,9 +82,9 @@ class Exchange:
         return self.headers.get("accept")
 
     @property
-    def prefer(self) -> prefer.Preferences:
+    def prefer(self) -> Preferences:
         """The request's preferences (RFC 7240)."""
-        return prefer.parse(self.header("prefer"))
+        return parse_prefer(self.header("prefer"))
 
     @property
     def media_type(self) -> str:
@@ -95,14 +95,14 @@ class Exchange:
         found = self._content_type
         if found is None:
             raise Problem(415, "The request has a body of unknown type: send Content-Type.")
-        charset.codec_for(found)
+        codec_for(found)
         return found.essence
 
     @property
     def codec(self) -> str:
         """The Python codec of the charset that the body states, UTF-8 where it states none. Raises a 415 Problem."""
         found = self._content_type
-        return UTF_8 if found is None else charset.codec_for(found)
+        return UTF_8 if found is None else codec_for(found)
 
     @property
     def essence(self) -> str | None:
@@ -111,10 +111,10 @@ class Exchange:
         return None if found is None else found.essence
 
     @property
-    def _content_type(self) -> media.MediaType | None:
+    def _content_type(self) -> MediaType | None:
         stated = self.header("content-type")
         try:
-            return None if stated is None else media.parse(stated)
+            return None if stated is None else parse_media_type(stated)
         except ValueError as error:
             raise Problem(415, f"Content-Type: {error}.") from error
 
@@ -153,7 +153,7 @@ class Exchange:
     def to_utf8(self, data: bytes) -> bytes:
         """What was read of the body in UTF-8. Raises a 415 and a 400 Problem as `body`."""
         found = self._content_type
-        return data if found is None else charset.to_utf8(data, found)
+        return data if found is None else to_utf8(data, found)
 
     @property
     def consumed_body(self) -> bytes | None:

@@ -18,7 +18,9 @@ from urllib.parse import quote
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
-from rosld.server.http import header_syntax, media, ranges
+from rosld.server.http.conditional import Span, frame_parts, select_ranges
+from rosld.server.http.fields import quote_string, require_field_value
+from rosld.server.http.negotiation import parse_media_type
 from rosld.server.http.problem import Problem
 from rosld.server.rest.raw_response import RawResponse
 from rosld.server.runtime.woken_task import end_tasks
@@ -37,7 +39,7 @@ _ATTACHED = frozenset({"application/pdf"})
 """What browsers refuse to show in a sandbox: it is offered for saving."""
 _PLAIN_NAME = frozenset("!#$&+-.^_`|~ ()[]{},;=@'")
 
-Piece: TypeAlias = "bytes | ranges.Span"
+Piece: TypeAlias = "bytes | Span"
 _T = TypeVar("_T")
 
 
@@ -49,8 +51,8 @@ def exact_media_type(stated: str | None) -> str:
     if stated is None:
         return UNKNOWN
     try:
-        media.parse(stated)
-        return header_syntax.require_field_value(stated.strip(" \t"))
+        parse_media_type(stated)
+        return require_field_value(stated.strip(" \t"))
     except ValueError as error:
         raise Problem(415, f"Content-Type: {error}.") from error
 
@@ -74,16 +76,16 @@ async def file_response(
     is called when it is saved. The file is opened here, off the loop, and what is removed afterwards is still sent
     whole. Raises a 416 Problem and FileNotFoundError.
     """
-    spans = None if head else ranges.select_ranges(range_, if_range, etag, size)
+    spans = None if head else select_ranges(range_, if_range, etag, size)
     pieces: list[Piece]
     added = {"content-type": media_type}
     if spans is None:
-        pieces = [ranges.Span(0, size)]
+        pieces = [Span(0, size)]
     elif len(spans) == 1:
         pieces = [spans[0]]
         added["content-range"] = spans[0].content_range(size)
     else:
-        frame = ranges.frame_parts(spans, size, media_type)
+        frame = frame_parts(spans, size, media_type)
         pieces = [each for pair in zip(frame.heads, spans, strict=True) for each in pair] + [frame.tail]
         added["content-type"] = frame.content_type
     length = sum(map(len, pieces))
@@ -98,7 +100,7 @@ async def file_response(
 
 def file_stream(headers: list[tuple[bytes, bytes]], file: FileIO, size: int) -> Response:
     """200 with all of a file that is open, which is closed when it was sent."""
-    return _FileStream(200, headers, file, [ranges.Span(0, size)])
+    return _FileStream(200, headers, file, [Span(0, size)])
 
 
 async def unless_gone(receive: Receive, work: Coroutine[object, object, _T]) -> _T:
@@ -150,7 +152,7 @@ class _FileStream(Response):
             self._sent += 1
         await send({"type": "http.response.body", "body": b"", "more_body": False})
 
-    async def _read(self, span: ranges.Span) -> bytes:
+    async def _read(self, span: Span) -> bytes:
         self._reading = asyncio.get_running_loop().run_in_executor(None, _bytes, self._file, span)
         return await asyncio.shield(self._reading)
 
@@ -175,10 +177,10 @@ def _parts(pieces: Iterable[Piece]) -> Iterator[Piece]:
             yield piece
         else:
             for start in range(piece.start, piece.stop, CHUNK):
-                yield ranges.Span(start, min(start + CHUNK, piece.stop))
+                yield Span(start, min(start + CHUNK, piece.stop))
 
 
-def _bytes(file: FileIO, span: ranges.Span) -> bytes:
+def _bytes(file: FileIO, span: Span) -> bytes:
     """Exactly these bytes of a file."""
     file.seek(span.start)
     parts: list[bytes] = []
@@ -215,11 +217,8 @@ def _disposition(media_type: str, name: str | None) -> str:
         return kind
     plain = "".join(char if char.isascii() and (char.isalnum() or char in _PLAIN_NAME) else "_" for char in name)
     extended = "" if plain == name else f"; filename*=UTF-8''{quote(name, safe='', errors='replace')}"
-    return f"{kind}; filename={header_syntax.quote(plain)}{extended}"
+    return f"{kind}; filename={quote_string(plain)}{extended}"
 
 
 def _encode(headers: Mapping[str, str]) -> list[tuple[bytes, bytes]]:
-    return [
-        (name.encode("ascii"), header_syntax.require_field_value(value).encode("ascii"))
-        for name, value in headers.items()
-    ]
+    return [(name.encode("ascii"), require_field_value(value).encode("ascii")) for name, value in headers.items()]

@@ -12,7 +12,7 @@ from pyoxigraph import NamedNode, Triple
 from rosld.ontology.body import RdfBody
 from rosld.ontology.syntax import Syntax
 from rosld.ontology.vocab import ldp, rdf
-from rosld.server.http.link import Link
+from rosld.server.http.fields import Link
 from rosld.server.http.problem import Problem
 from rosld.server.storage import NO_MEMBER, Membership, Model
 from rosld.server.storage.models import MODEL_TYPES

@@ -36,8 +36,8 @@ from rosld.server.html import (
 from rosld.server.html.page import NoticeLevel
 from rosld.server.html.receipt_notice import receipt_notice
 from rosld.server.html.site import SECTIONS
-from rosld.server.http import negotiation
-from rosld.server.http.csrf import FormKey
+from rosld.server.http.negotiation import choose_offer
+from rosld.server.http.origin import FormKey
 from rosld.server.http.problem import Problem
 from rosld.server.receipts.journal import Journal, NoSuchReceipt
 from rosld.server.rest.exchange import Exchange
@@ -151,7 +151,7 @@ class PageRenderer:
 
     def problem(self, exchange: Exchange, problem: Problem, url: str) -> Response | None:
         """A problem with the resource at `url` as a page, for those who prefer one; None for all others."""
-        if negotiation.choose(exchange.accept, _PROBLEM_OFFERS) != "text/html":
+        if choose_offer(exchange.accept, _PROBLEM_OFFERS) != "text/html":
             return None
         page = ProblemPage(
             self.site_for(exchange.permissions),

@@ -20,8 +20,8 @@ from rosld.ontology.document import Document
 from rosld.ontology.triples import triples_about
 from rosld.ontology.vocab import ldp, rdf, xhv
 from rosld.server.html import SequenceLink
-from rosld.server.http.link import Link, to_uri
-from rosld.server.http.prefer import Preferences
+from rosld.server.http.fields import Link, to_uri
+from rosld.server.http.negotiation import Preferences
 from rosld.server.http.problem import Problem
 from rosld.server.rest.exchange import Exchange
 

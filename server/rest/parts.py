@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from urllib.parse import quote
 
-from rosld.server.http.link import Link
+from rosld.server.http.fields import Link
 from rosld.server.http.problem import Problem
 from rosld.server.rest.path_item import QueryParameter
 

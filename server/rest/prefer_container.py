@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from rosld.ontology.vocab import ldp
-from rosld.server.http import prefer
-from rosld.server.http.prefer import Preferences
+from rosld.server.http.negotiation import Preferences, preference_applied
 
 _CONTAINMENT = f"{ldp.iri}PreferContainment"
 _MEMBERSHIP = f"{ldp.iri}PreferMembership"
@@ -39,7 +38,7 @@ class ContainerParts:
     @property
     def preference_applied(self) -> str | None:
         """The value of Preference-Applied (RFC 7240 3); None where no preference was."""
-        return prefer.preference_applied("return=representation") if self.applied else None
+        return preference_applied("return=representation") if self.applied else None
 
 
 ALL_PARTS = ContainerParts()

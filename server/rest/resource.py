@@ -20,7 +20,7 @@ from rosld.ontology.describe_graph import SECTIONS
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.dataset.base import TripleChanges
 from rosld.server.html import Csrf, Form, MemberColumns, Notice, Page, SequenceLink, Site
-from rosld.server.http.link import Link, to_uri
+from rosld.server.http.fields import Link, to_uri
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.rest.exchange import Exchange

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import lru_cache
 
-from rosld.server.http.link import Link, render
+from rosld.server.http.fields import Link, render_links
 from rosld.server.rest.resource import CONFORMS_TO, LDP, Resource
 
 ACCEPT_FIELDS = {"PUT": "Accept-Put", "POST": "Accept-Post", "PATCH": "Accept-Patch"}
@@ -32,5 +32,5 @@ def resource_headers(
     return headers
 
 
-rendered = lru_cache(maxsize=4096)(render)
+rendered = lru_cache(maxsize=4096)(render_links)
 """The Link field of links that are the same from one request to the next."""

@@ -12,7 +12,7 @@ import orjson
 from rosld.ontology.document import Document
 from rosld.ontology.serialize import Syntax, serialize
 from rosld.server.auth.permissions import Permissions
-from rosld.server.auth.redaction.documents import redact_document
+from rosld.server.auth.redaction import redact_document
 from rosld.server.http.conditional import digest
 from rosld.server.runtime.process_memory import PER_CHARACTER, PROCESS_MEMORY
 

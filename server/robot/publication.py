@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from rosld.adapters.base import Published
 from rosld.adapters.model import Kind, Message, MessageSchema, TypeRef
-from rosld.server.http.link import Link
+from rosld.server.http.fields import Link
 from rosld.server.http.problem import Problem
 from rosld.server.receipts.audit_context import record_step
 from rosld.server.robot.publish_rate import PublishLimiter

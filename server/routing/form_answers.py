@@ -8,9 +8,9 @@ from rosld.adapters.model import RosError
 from rosld.ontology.lower import LoweringError
 from rosld.ontology.urls import Space
 from rosld.server.auth import enforcement
-from rosld.server.auth.redaction.problems import redact_problem
-from rosld.server.http import link
-from rosld.server.http.charset import FORM
+from rosld.server.auth.redaction import redact_problem
+from rosld.server.http.body import FORM
+from rosld.server.http.fields import to_uri
 from rosld.server.http.problem import Problem
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.pages import InvalidForm, PageRenderer
@@ -62,7 +62,7 @@ class FormAnswers:
         if form.method == "DELETE" and not (isinstance(answer, Response) and answer.status_code == 202):
             back = resource.url.rstrip("/").rpartition("/")[0] + "/"
         exchange.audit.leads_to_page = True
-        return Response(status_code=303, headers={"Location": link.to_uri(back)})
+        return Response(status_code=303, headers={"Location": to_uri(back)})
 
 
 def is_form(exchange: Exchange, resource: Resource) -> bool:

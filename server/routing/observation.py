@@ -9,7 +9,7 @@ from starlette.responses import Response
 
 from rosld.server.auth import enforcement
 from rosld.server.auth.errors import invalid_token
-from rosld.server.auth.redaction.problems import redact_problem
+from rosld.server.auth.redaction import redact_problem
 from rosld.server.events import query_params
 from rosld.server.events.broadcaster import Broadcasters
 from rosld.server.events.event_stream import HEADERS, EventStream, StreamEnd, StreamFormat

@@ -10,8 +10,9 @@ from starlette.responses import Response
 from rosld.ontology.serialize import CannotCarry, Syntax, serialize
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.html import Notice
-from rosld.server.http import link, negotiation
 from rosld.server.http.conditional import ETag, check_preconditions, digest
+from rosld.server.http.fields import to_uri
+from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.file_response import file_stream
@@ -130,7 +131,7 @@ class Representations:
         etag = str(ETag(self.name(state), _variant(media_type, exchange.permissions) + state.part))
         headers = _headers(resource, state, media_type, etag)
         del headers["content-type"]
-        return RawResponse(204, b"", encode_headers({**headers, "content-location": link.to_uri(resource.url)}))
+        return RawResponse(204, b"", encode_headers({**headers, "content-location": to_uri(resource.url)}))
 
     def receipt_notices(self, exchange: Exchange, media_type: str) -> Sequence[Notice]:
         """What a page says of the write that led to it (`?receipt=`)."""
@@ -157,7 +158,7 @@ def negotiate(exchange: Exchange) -> str:
         if wanted not in FORMATS:
             raise Problem(406, f"?format={wanted} is unknown; there are {', '.join(FORMATS)}.")
         return FORMATS[wanted]
-    found = negotiation.choose(exchange.accept, OFFERS)
+    found = choose_offer(exchange.accept, OFFERS)
     if found is None:
         raise Problem(406, f"None of {exchange.accept!r} is offered; there are {', '.join(OFFERS)}.")
     return found

@@ -7,7 +7,7 @@ from dataclasses import replace
 from starlette.responses import Response
 
 from rosld.adapters.model import RosError
-from rosld.server.http import link
+from rosld.server.http.fields import render_links, to_uri
 from rosld.server.http.problem import Problem
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.raw_response import RawResponse
@@ -28,7 +28,7 @@ class WriteAnswers:
 
         It says also what that is which the request was sent to (LDP 5.2.1.4).
         """
-        headers = [(b"location", link.to_uri(created.location).encode("ascii"))]
+        headers = [(b"location", to_uri(created.location).encode("ascii"))]
         is_member = created.location != resource.url
         links, rendering = created.links, None
         if created.state is not None and not exchange.prefer.minimal:
@@ -36,7 +36,7 @@ class WriteAnswers:
         if rendering is None:
             links = (*(resource if is_member else created.resource).links, *links)
             if links:
-                headers.append((b"link", link.render(links).encode("latin-1")))
+                headers.append((b"link", render_links(links).encode("latin-1")))
             headers.append((b"content-length", b"0"))
             if exchange.prefer.minimal:
                 headers.append((b"preference-applied", b"return=minimal"))
@@ -45,13 +45,13 @@ class WriteAnswers:
             types = (replace(each, anchor=resource.url) for each in resource.links if each.rel == "type")
             links = (*links, *types)
         if links:
-            headers.append((b"link", link.render(links).encode("latin-1")))
+            headers.append((b"link", render_links(links).encode("latin-1")))
         return RawResponse(201, rendering.body, [*rendering.headers, *headers, (b"content-location", headers[0][1])])
 
     async def shown(self, exchange: Exchange, shown: ShownAnswer) -> Response:
         """200 with the representation of the resource that shows it (RFC 9110 8.7), or 204 where less is preferred."""
-        location = (b"content-location", link.to_uri(shown.resource.url).encode("ascii"))
-        added = [(b"link", link.render(shown.links).encode("latin-1"))] if shown.links else []
+        location = (b"content-location", to_uri(shown.resource.url).encode("ascii"))
+        added = [(b"link", render_links(shown.links).encode("latin-1"))] if shown.links else []
         if exchange.prefer.minimal:
             return RawResponse(204, b"", [location, *added, (b"preference-applied", b"return=minimal")])
         rendering = await self._outcome(exchange, shown.resource, shown.state)
@@ -70,7 +70,7 @@ class WriteAnswers:
         if rendering is None:
             return response
         headers = [*rendering.headers, (b"preference-applied", b"return=representation")]
-        headers.append((b"content-location", link.to_uri(resource.url).encode("ascii")))
+        headers.append((b"content-location", to_uri(resource.url).encode("ascii")))
         if "link" in response.headers:
             headers.append((b"link", response.headers["link"].encode("latin-1")))
         return RawResponse(200, rendering.body, headers)

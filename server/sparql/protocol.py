@@ -11,9 +11,9 @@ from urllib.parse import parse_qsl
 from pyoxigraph import NamedNode
 
 from rosld.ontology.charsets import UTF_8
-from rosld.server.http import header_syntax, media
-from rosld.server.http.charset import FORM, codec_for, to_utf8
-from rosld.server.http.media import MediaType
+from rosld.server.http.body import FORM, codec_for, to_utf8
+from rosld.server.http.fields import parse_decimal
+from rosld.server.http.negotiation import MediaType, parse_media_type
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.syntax.lexer import line_and_column, tokens
 from rosld.server.sparql.syntax.token import Kind
@@ -117,7 +117,7 @@ def _media_type(content_type: str | None) -> MediaType:
             headers=_ACCEPTED,
         )
     try:
-        found = media.parse(content_type)
+        found = parse_media_type(content_type)
     except ValueError as error:
         raise Problem(415, f"{error}.", headers=_ACCEPTED) from error
     if codec_for(found).startswith("utf-16"):
@@ -162,7 +162,7 @@ def requested_timeout(parameters: Iterable[tuple[str, str]]) -> float | None:
     given = [value for name, value in parameters if name == "timeout"]
     if not given:
         return None
-    seconds = header_syntax.parse_decimal(given[0])
+    seconds = parse_decimal(given[0])
     if len(given) > 1 or seconds is None or not 0 < seconds < inf:
         raise Problem(400, f"timeout={given[0]} is no number of seconds above 0, such as 2.5, given once.")
     return seconds

@@ -18,7 +18,7 @@ from pyoxigraph import RdfFormat, parse, serialize
 
 from rosld.ontology.document import Document
 from rosld.server.auth.permissions import Permissions
-from rosld.server.auth.redaction.documents import redact_document
+from rosld.server.auth.redaction import redact_document
 from rosld.server.dataset import Edit
 from rosld.server.sparql.process.client import QueryProcess
 from rosld.server.sparql.process.work import DumpGraphs, ListGraphs

@@ -24,7 +24,7 @@ from rosld.ontology.vocab import PREFIXES
 from rosld.server.dataset import Results
 from rosld.server.dataset.base import Term
 from rosld.server.dataset.encoding import Decoder, decode_term, decode_triple
-from rosld.server.http import negotiation
+from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.xml_output import MAX_HELD_BYTES, XmlOutput, not_in_xml
 
@@ -69,7 +69,7 @@ _PREFIXES = dict(PREFIXES)
 def choose_media_type(form: str | None, accept: str | None) -> str:
     """The media type of the answer to a query of this form; Problem 406 where none is acceptable."""
     offers = media_types_of(form)
-    chosen = negotiation.choose(accept, offers)
+    chosen = choose_offer(accept, offers)
     if chosen is None:
         of = "A dataset" if form == QUADS else f"The results of {form or 'a query'}"
         raise Problem(406, f"{of} can be had as {', '.join(offers)}.")
@@ -88,7 +88,7 @@ _SOLUTIONS, _GRAPHS, _DATASETS = tuple(SOLUTIONS), tuple(GRAPHS), tuple(DATASETS
 
 def without_xml(form: str | None, accept: str | None) -> str | None:
     """The media type of the answer to a query of this form that is not XML, None where none is acceptable."""
-    return negotiation.choose(accept, tuple(offer for offer in media_types_of(form) if not offer.endswith("xml")))
+    return choose_offer(accept, tuple(offer for offer in media_types_of(form) if not offer.endswith("xml")))
 
 
 def content_type(media_type: str) -> str:

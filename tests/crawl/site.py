@@ -23,7 +23,7 @@ from pyoxigraph import Literal, NamedNode, RdfFormat, Triple, parse
 
 from rosld.ontology.serialize import Syntax
 from rosld.ontology.vocab import rdf, xsd
-from rosld.server.http.link import parse as parse_links
+from rosld.server.http.fields import parse_links
 from rosld.shapes.message import SHACL_SHACL
 from tests.crawl.robots import ROBOTS
 from tests.interop.stamps import made_once

@@ -10,7 +10,8 @@ from urllib.parse import quote
 import httpx
 import pytest
 
-from rosld.server.html.forms import CSRF_FIELD, METHOD_FIELD
+from rosld.server.html.forms import METHOD_FIELD
+from rosld.server.http.origin import CSRF_FIELD
 from tests.server.auth.conftest import RULES, TURTLE, Guarded, clients, guard, token, tokens
 from tests.server.conftest import Served
 

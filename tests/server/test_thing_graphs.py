@@ -15,7 +15,7 @@ from rdflib import RDF, Graph, Literal, URIRef
 from rdflib.namespace import SH, XSD
 
 from rosld.server.auth.permissions import ALLOW_ALL
-from rosld.server.auth.redaction.thing_descriptions import redact_thing_description
+from rosld.server.auth.redaction import redact_thing_description
 from rosld.server.hypermedia.thing_graph import thing_document
 
 pytestmark = pytest.mark.slow

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 
-from rosld.server.middleware.scheduling import RequestScheduler
+from rosld.server.middleware.limits import RequestScheduler
 
 
 def test_no_turn_begins_more_than_it_may_and_everybody_has_one_in_order() -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import httpx
 import pytest
 
-from rosld.server.http.link import parse
+from rosld.server.http.fields import parse_links
 
 TURTLE = {"Content-Type": "text/turtle"}
 NTRIPLES = {"Accept": "application/n-triples"}
@@ -28,7 +28,7 @@ def mementos(http: Any, path: str = PLAN) -> list[Any]:
     """The mementos that the TimeMap of a document lists."""
     answer = http.get(f"{path}?timemap")
     assert answer.headers["content-type"].startswith("application/link-format"), answer.text
-    return [each for each in parse(answer.text.replace("\n", "")) if "memento" in each.rel.split()]
+    return [each for each in parse_links(answer.text.replace("\n", "")) if "memento" in each.rel.split()]
 
 
 def steps(http: Any, url: str) -> str:
@@ -54,7 +54,7 @@ def test_versions_are_kept_bounded_durably_and_found_by_time(tmp_path: Path, ser
         memento = http.get(each.target, headers=NTRIPLES)
         assert memento.headers["memento-datetime"] == dict(each.attributes)["datetime"]
         assert memento.headers["allow"] == "GET, HEAD, OPTIONS"
-        assert {"original", "timegate", "timemap"} <= {one.rel for one in parse(memento.headers["link"])}
+        assert {"original", "timegate", "timemap"} <= {one.rel for one in parse_links(memento.headers["link"])}
     now = http.get(PLAN, headers=NTRIPLES)
     assert "accept-datetime" in now.headers["vary"].lower()
     assert "memento-datetime" not in now.headers

@@ -16,7 +16,7 @@ from rosld.adapters.model import Choice, Descriptor, ParameterType, Range
 from rosld.ontology.parameters import lower_term
 from rosld.ontology.violations import LoweringError
 from rosld.ontology.vocab import rdf, ros, xsd
-from rosld.server.http.link import parse
+from rosld.server.http.fields import parse_links
 from rosld.shapes.message import SHACL_SHACL
 from tests.crawl.site import CONFORMS_TO, CONSTRAINED_BY
 from tests.server.robots.made_up import MadeUp, served
@@ -111,10 +111,10 @@ def served_robot(folder: Path) -> Iterator[httpx.Client]:
 def linked_shape(client: httpx.Client, url: str) -> rdflib.Graph:
     """The shapes graph that a resource says its writes are constrained by."""
     link = ", ".join(client.get(url).headers.get_list("link"))
-    (shape,) = {each.target for each in parse(link) if each.rel == CONSTRAINED_BY}
+    (shape,) = {each.target for each in parse_links(link) if each.rel == CONSTRAINED_BY}
     answer = client.get(shape, headers={"Accept": "application/n-triples"})
     assert answer.status_code == 200, answer.text
-    links = parse(", ".join(answer.headers.get_list("link")))
+    links = parse_links(", ".join(answer.headers.get_list("link")))
     assert SHACL_SHACL in {each.target for each in links if each.rel == CONFORMS_TO}
     return parsed(answer.text)
 

@@ -10,8 +10,7 @@ from pyoxigraph import NamedNode, Triple
 
 from rosld.ontology.body import read_ntriples
 from rosld.ontology.vocab import ldp
-from rosld.server.http.link import Link
-from rosld.server.http.link import parse as parse_links
+from rosld.server.http.fields import Link, parse_links
 from rosld.server.http.problem import Problem
 from rosld.server.resources.ldp.documents import Documents
 from rosld.server.resources.ldp.representation import all_members, member_uris

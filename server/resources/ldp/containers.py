@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from rosld.ontology.urls import encode_segment
 from rosld.server.html import Form, SequenceLink
-from rosld.server.http.link import Link
+from rosld.server.http.fields import Link
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.ldp.base import DELETES, EXTRA_STATUSES, StoredResource, conflict_problem
 from rosld.server.resources.ldp.bodies import model_of_request, receive_blob

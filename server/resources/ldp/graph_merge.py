@@ -7,9 +7,8 @@ from functools import partial
 from pyoxigraph import Triple
 
 from rosld.ontology.body import parse_triples
-from rosld.server.http import media
-from rosld.server.http.charset import to_utf8
-from rosld.server.http.multipart import MULTIPART, Part, split_parts
+from rosld.server.http.body import MULTIPART, Part, split_parts, to_utf8
+from rosld.server.http.negotiation import parse_media_type
 from rosld.server.http.problem import Problem
 from rosld.server.resources.ldp.statements import Statements, is_small, parse_statements, rename_blank_nodes
 from rosld.server.rest.exchange import Exchange
@@ -29,7 +28,7 @@ async def merged_statements(workers: WorkerPool, exchange: Exchange, url: str, s
     The parts are resolved against `url`. Raises BodyError and Problems: 400 for what cannot be cut into parts, 415 for
     parts that are no RDF.
     """
-    data, stated = await exchange.raw_body(), media.parse(exchange.header("content-type") or "")
+    data, stated = await exchange.raw_body(), parse_media_type(exchange.header("content-type") or "")
     work = partial(_unite, data, stated.parameter("boundary"), url, subject)
     return work() if is_small(data) else await workers.run(work)
 

@@ -11,7 +11,7 @@ from pyoxigraph import Triple
 
 from rosld.server.dataset.base import TripleChanges
 from rosld.server.html import DeleteForm, Form
-from rosld.server.http.multipart import MULTIPART
+from rosld.server.http.body import MULTIPART
 from rosld.server.patches.patch import TooManyTriples
 from rosld.server.resources.ldp.base import StoredResource
 from rosld.server.resources.ldp.bodies import (

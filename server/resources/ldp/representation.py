@@ -9,7 +9,7 @@ from functools import partial
 from pyoxigraph import Triple
 
 from rosld.ontology.urls import Space
-from rosld.server.http.link import render
+from rosld.server.http.fields import render_links
 from rosld.server.resources.ldp.documents import Documents
 from rosld.server.resources.ldp.stored_document import member_derived_uris_of, stored_document
 from rosld.server.rest.interaction import model_links
@@ -61,7 +61,7 @@ def page_state(documents: Documents, record: Record, parts: ContainerParts, plac
     def make() -> State:
         page, found = page_at(documents, record, place)
         links = page.links(f"{documents.records.identity}-{_tag(record)}.any")
-        headers = {"link": render([*model_links(record.model), *links])}
+        headers = {"link": render_links([*model_links(record.model), *links])}
         return _state(documents, record, parts, found, headers=headers, page=f"p{place.token}", said=page.triples())
 
     return documents.states.get_or_make(

@@ -10,7 +10,7 @@ from pyoxigraph import Triple
 
 from rosld.ontology.document import Document
 from rosld.ontology.urls import Location
-from rosld.server.http.multipart import MULTIPART
+from rosld.server.http.body import MULTIPART
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import ANYTHING
 from rosld.server.hypermedia.message_schemas import MessageSchemas

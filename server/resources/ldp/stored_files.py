@@ -11,10 +11,10 @@ from pathlib import Path
 from starlette.responses import Response
 
 from rosld.ontology.lower import parse_json
-from rosld.server.http import media
-from rosld.server.http.charset import codec_for, to_utf8
+from rosld.server.http.body import codec_for, to_utf8
 from rosld.server.http.conditional import ETag, check_preconditions
-from rosld.server.http.link import Link
+from rosld.server.http.fields import Link
+from rosld.server.http.negotiation import parse_media_type
 from rosld.server.http.problem import Problem
 from rosld.server.patches.patch import merge_patch
 from rosld.server.resources.ldp.base import ANYTHING, StoredResource
@@ -128,7 +128,7 @@ class StoredFile(StoredResource):
 
 def merge_json_file(path: Path, patch: bytes, media_type: str) -> bytes:
     """The JSON of a file of a media type after a merge patch (RFC 7396). Raises FileNotFoundError, LoweringError."""
-    stated = media.parse(media_type)
+    stated = parse_media_type(media_type)
     before = parse_json(to_utf8(path.read_bytes(), stated))
     return json.dumps(merge_patch(before, parse_json(patch))).encode(codec_for(stated))  # integers of any size
 

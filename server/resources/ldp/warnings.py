@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rosld.server.http.link import to_uri
+from rosld.server.http.fields import to_uri
 from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
 from rosld.server.policies.stored_mappings import ROUTE

@@ -9,8 +9,8 @@ from pyoxigraph import NamedNode, Quad, Triple
 
 from rosld.ontology.body import MEDIA_TYPES, parse_triples
 from rosld.server.dataset.endpoint_client import Endpoint, StoreError
-from rosld.server.http import media
-from rosld.server.http.charset import to_utf8
+from rosld.server.http.body import to_utf8
+from rosld.server.http.negotiation import parse_media_type
 from rosld.server.http.problem import AGENT_SAID, Problem
 from rosld.server.sparql.update.operations import ChangeData, Load, Operation
 
@@ -52,7 +52,7 @@ def _read(document: str, seconds: float, limit: int) -> Sequence[Triple]:
         answer = endpoint.get(", ".join(MEDIA_TYPES))
         if answer.media_type not in MEDIA_TYPES:
             raise ValueError(f"it is {answer.media_type or 'of no type'}, not one of {MEDIA_TYPES}")
-        body = to_utf8(answer.body, media.parse(answer.content_type))
+        body = to_utf8(answer.body, parse_media_type(answer.content_type))
         triples = parse_triples(body, answer.media_type, document)
     except StoreError as error:
         raise Problem(502, f"LOAD: {error.sentence}", extra={AGENT_SAID: error.words}) from error

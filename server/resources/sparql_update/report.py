@@ -14,7 +14,7 @@ from rosld.adapters.model import RosError, Sent
 from rosld.ontology.body import BodyError
 from rosld.ontology.lower import LoweringError
 from rosld.server.auth.permissions import Permissions
-from rosld.server.auth.redaction.problems import redact_problem
+from rosld.server.auth.redaction import redact_problem
 from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import members
 from rosld.server.rest.ros_problems import problem_of, problem_of_body

@@ -14,8 +14,7 @@ import pytest
 from pyoxigraph import NamedNode, RdfFormat, Triple, parse
 
 from rosld.ontology.vocab import ldp
-from rosld.server.http import link
-from rosld.server.http.link import Link
+from rosld.server.http.fields import Link, parse_links
 from tests.serving_thread import ServingThread
 
 TURTLE = "text/turtle"
@@ -118,7 +117,7 @@ def triples(answer: httpx.Response) -> set[Triple]:
 
 def links(answer: httpx.Response) -> list[Link]:
     """The links of an answer."""
-    return list(link.parse(", ".join(answer.headers.get_list("link"))))
+    return list(parse_links(", ".join(answer.headers.get_list("link"))))
 
 
 def models(answer: httpx.Response) -> set[str]:

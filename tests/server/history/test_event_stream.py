@@ -9,8 +9,7 @@ from typing import Any
 import pytest
 from pyoxigraph import NamedNode, RdfFormat, parse
 
-from rosld.server.http.prefer import parse as parse_prefer
-from rosld.server.http.profiles import choose_profile
+from rosld.server.http.negotiation import choose_profile, parse_prefer
 from rosld.server.resources.event_stream import MEMBERS, PageNumber, pages_between, top_level
 from tests.adapters.recording.recorder import lines, write_rosbag1
 from tests.server.auth.conftest import token, tokens

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from rosld.server.http.link import parse
+from rosld.server.http.fields import parse_links
 from tests.waiting import until
 
 pytestmark = pytest.mark.slow
@@ -33,7 +33,7 @@ def gate(start_server: Callable[..., Any]) -> Any:
 def links(answer: Any) -> dict[str, list[Any]]:
     """The links of an answer by relation."""
     found: dict[str, list[Any]] = {}
-    for each in parse(", ".join(answer.headers.get_list("link"))):
+    for each in parse_links(", ".join(answer.headers.get_list("link"))):
         for rel in each.rel.split():
             found.setdefault(rel, []).append(each)
     return found
@@ -41,7 +41,7 @@ def links(answer: Any) -> dict[str, list[Any]]:
 
 def mementos(http: Any) -> list[Any]:
     """The mementos in the TimeMap of the topic."""
-    listed = parse(http.get(f"/topics{SPEED}?timemap").text.replace("\n", ""))
+    listed = parse_links(http.get(f"/topics{SPEED}?timemap").text.replace("\n", ""))
     return [each for each in listed if "?at=" in each.target]
 
 
@@ -64,7 +64,7 @@ def test_a_recorded_topic_is_its_own_timegate_and_names_its_timemap(gate: Any) -
 def test_a_timemap_lists_each_memento_with_its_time_in_link_format_and_rdf(gate: Any) -> None:
     answer = gate.http.get(f"/topics{SPEED}?timemap")
     assert answer.headers["content-type"].startswith("application/link-format")
-    listed = parse(answer.text.replace("\n", ""))
+    listed = parse_links(answer.text.replace("\n", ""))
     mementos = [each for each in listed if "memento" in each.rel.split()]
     assert any("original" in each.rel.split() and each.target == f"{gate.url}topics{SPEED}" for each in listed)
     for each in (mementos[0], mementos[len(mementos) // 2], mementos[-1]):
@@ -156,7 +156,7 @@ def test_the_timemap_of_a_resource_lists_the_messages_that_its_values_come_from(
         lists_messages(gate, path)
     empty = gate.http.get("/resources/aircraft/power?timemap")
     assert empty.status_code == 200
-    assert "memento" not in {rel for each in parse(empty.text.replace("\n", "")) for rel in each.rel.split()}
+    assert "memento" not in {rel for each in parse_links(empty.text.replace("\n", "")) for rel in each.rel.split()}
 
 
 def lists_messages(gate: Any, path: str) -> None:
@@ -165,7 +165,7 @@ def lists_messages(gate: Any, path: str) -> None:
     assert [each.target for each in links(now)["timemap"]] == [f"{url}?timemap"]
     assert "accept-datetime" in now.headers["vary"].lower()
     times = [each.target.partition("?at=")[2] for each in mementos(gate.http)]
-    listed = parse(gate.http.get(f"/resources{path}?timemap").text.replace("\n", ""))
+    listed = parse_links(gate.http.get(f"/resources{path}?timemap").text.replace("\n", ""))
     found = [each for each in listed if "memento" in each.rel.split()]
     assert [each.target for each in found][: len(times)] == [f"{url}?at={each}" for each in times]
     one = gate.http.get(found[0].target, headers=JSON)

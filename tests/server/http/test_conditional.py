@@ -8,13 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rosld.server.http.conditional import (
-    ETag,
-    PreconditionResult,
-    ReceivedTag,
-    evaluate,
-    parse,
-)
+from rosld.server.http.conditional import ETag, PreconditionResult, ReceivedTag, evaluate, parse
 from rosld.server.http.problem import Problem
 
 NOW = ETag("b00t-42", "ttl")

@@ -9,14 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rosld.server.http import link
-from rosld.server.http.link import Link
+from rosld.server.http.fields import Link, parse_links, render_links, to_uri
 
 LDP = "http://www.w3.org/ns/ldp#"
 
 
 def test_links_are_written_in_order() -> None:
-    written = link.render([Link(f"{LDP}Resource", "type"), Link("/topics/", "up", title='the "topics"')])
+    written = render_links([Link(f"{LDP}Resource", "type"), Link("/topics/", "up", title='the "topics"')])
     assert written == f'<{LDP}Resource>; rel="type", </topics/>; rel="up"; title="the \\"topics\\""'
 
 
@@ -24,7 +23,7 @@ def test_a_title_beyond_ascii_is_extended() -> None:
     assert str(Link("/topics/höhe", "item")) == '</topics/h%C3%B6he>; rel="item"'
     written = str(Link("/a", "up", title="Höhe %"))
     assert written == "</a>; rel=\"up\"; title*=UTF-8''H%C3%B6he%20%25"
-    assert link.parse(written)[0].title == "Höhe %"
+    assert parse_links(written)[0].title == "Höhe %"
 
 
 def test_nothing_can_be_injected() -> None:
@@ -47,7 +46,7 @@ def test_a_title_with_a_line_break_is_encoded() -> None:
 
 
 def test_links_of_a_client_are_read() -> None:
-    read = link.parse(f'<{LDP}BasicContainer>; rel="type"; foo, <a,b;c>;rel=next , nonsense, <x>, <y>; rel=a; rel=b')
+    read = parse_links(f'<{LDP}BasicContainer>; rel="type"; foo, <a,b;c>;rel=next , nonsense, <x>, <y>; rel=a; rel=b')
     assert [(one.target, one.rel) for one in read] == [(f"{LDP}BasicContainer", "type"), ("a,b;c", "next"), ("y", "a")]
     assert read[0].attributes == (("foo", ""),)
 
@@ -63,10 +62,10 @@ _links = st.builds(Link, _targets, _plain, st.none() | _plain, _titles, st.none(
 
 @given(st.lists(_links, max_size=4))
 def test_links_are_read_as_they_were_written(links: list[Link]) -> None:
-    written = link.render(links)
+    written = render_links(links)
     assert written.isascii()
     assert not set(written) & {"\r", "\n", "\0"}
-    read = link.parse(written)
+    read = parse_links(written)
     assert [(one.rel, one.type, one.title, one.attributes) for one in read] == [
         (one.rel, one.type, one.title, one.attributes) for one in links
     ]
@@ -75,5 +74,5 @@ def test_links_are_read_as_they_were_written(links: list[Link]) -> None:
 
 @given(st.text(max_size=200))
 def test_no_text_whatever_makes_reading_fail(text: str) -> None:
-    for one in link.parse(text):
-        assert link.to_uri(one.target) == one.target
+    for one in parse_links(text):
+        assert to_uri(one.target) == one.target

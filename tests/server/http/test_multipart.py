@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rosld.server.http import media
-from rosld.server.http.multipart import Part, split_parts
+from rosld.server.http.body import Part, split_parts
+from rosld.server.http.negotiation import parse_media_type
 
-TURTLE = media.parse("text/turtle")
+TURTLE = parse_media_type("text/turtle")
 
 
 def body(boundary: str, *contents: bytes, head: bytes = b"Content-Type: text/turtle") -> bytes:

@@ -6,8 +6,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rosld.server.http.conditional import (
+    MAX_RANGES,
+    MIN_GAP,
+    Span,
+    frame_parts,
+    is_unchanged,
+    parse_ranges,
+    select_ranges,
+)
 from rosld.server.http.problem import Problem
-from rosld.server.http.ranges import MAX_RANGES, MIN_GAP, Span, frame_parts, is_unchanged, parse_ranges, select_ranges
 
 SIZE = 10_000
 TAG = '"a-1.any"'

@@ -7,7 +7,7 @@ from pyoxigraph import Triple
 
 from rosld.ontology.body import parse_body
 from rosld.ontology.vocab import ldp, rdf
-from rosld.server.http.link import Link
+from rosld.server.http.fields import Link
 from rosld.server.http.problem import Problem
 from rosld.server.rest.interaction import (
     parse_membership,

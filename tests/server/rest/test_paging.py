@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rosld.server.http import prefer
+from rosld.server.http.negotiation import NO_PREFERENCES, Preferences, parse_prefer
 from rosld.server.http.problem import Problem
 from rosld.server.rest.paging import (
     MAX_PAGE_SIZE,
@@ -25,8 +25,8 @@ from rosld.server.rest.paging import (
 ROOT = "http://host/data/"
 
 
-def asked(text: str) -> prefer.Preferences:
-    return prefer.parse(text)
+def asked(text: str) -> Preferences:
+    return parse_prefer(text)
 
 
 def test_a_token_that_names_no_place_is_404_and_says_where_to_begin() -> None:
@@ -44,8 +44,8 @@ def test_a_token_that_names_no_place_among_names_is_404() -> None:
 
 
 def test_a_container_of_many_members_redirects_to_its_first_page() -> None:
-    assert redirect_to_first(ROOT, MAX_PAGE_SIZE, prefer.NO_PREFERENCES) is None
-    found = redirect_to_first(ROOT, MAX_PAGE_SIZE + 1, prefer.NO_PREFERENCES)
+    assert redirect_to_first(ROOT, MAX_PAGE_SIZE, NO_PREFERENCES) is None
+    found = redirect_to_first(ROOT, MAX_PAGE_SIZE + 1, NO_PREFERENCES)
     assert found is not None
     assert (found.status, found.headers["Location"]) == (303, f"{ROOT}?page=0")
     assert "Prefer" in found.headers["Vary"]

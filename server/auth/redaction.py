@@ -1,24 +1,31 @@
-"""Redaction of an RDF document: remove the triples about resources that the agent may not read.
+"""Redaction: remove from what the server says everything that the agent who asked may not read.
 
-Removed are triples that mention a URL of this server which the agent may not read, affordances of which it may not use
-any form, and the blank nodes and fragments that only removed triples led to. Every triple that is left is one of the
-document's own, so that it is as true as it was; only lists are closed over the members they lost, and a value that
-cannot be read from something hidden is said to be unreadable without the reason.
+All functions are pure, and take the thing first and then the agent's permissions. States (`rest/state.py`) and views
+(`hypermedia/views.py`) redact themselves with these; the OpenAPI description is made of the operations that the agent
+may use (`openapi/permitted_paths.py`), and SPARQL queries a redacted dataset (`sparql/restricted.py`).
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable
+from copy import copy
 from dataclasses import replace
+from functools import lru_cache
 from typing import TypeAlias
-from urllib.parse import unquote
+from urllib.parse import unquote, urljoin
 
+import orjson
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
 from rosld.ontology.document import Document, LiftedMessage
+from rosld.ontology.urls import Location, encode_segment
+from rosld.ontology.violations import Violation
 from rosld.ontology.vocab import hctl, htv, mapping, rdf, ros, td
-from rosld.server.auth.errors import WITHHELD
+from rosld.server.auth.errors import WITHHELD, gone, not_found, withhold_reason
 from rosld.server.auth.permissions import Permissions
+from rosld.server.http.fields import parse_links, render_links
+from rosld.server.http.problem import Problem
 
 _Term: TypeAlias = "NamedNode | BlankNode | Literal | Triple"
 
@@ -238,3 +245,110 @@ def _remove_orphans(after: list[Triple], before: Iterable[Triple], own: str) -> 
 def _is_part(term: _Term, own: str) -> bool:
     """Whether a term is reached from other nodes of the document only: a blank node or a fragment."""
     return isinstance(term, BlankNode) or (isinstance(term, NamedNode) and term.value.startswith(f"{own}#"))
+
+
+def redact_link_field(field: str, permissions: Permissions) -> str:
+    """Return the value of a Link field without links to what the agent may not read, empty where none is left."""
+    if permissions.is_unrestricted:
+        return field
+    # Where rights depend on types the answer may change from request to request.
+    return (
+        _redact_links(field, permissions) if permissions.rights.is_typed else _redact_links_cached(field, permissions)
+    )
+
+
+def _redact_links(field: str, permissions: Permissions) -> str:
+    return render_links(each for each in parse_links(field) if permissions.may_read(each.target))
+
+
+_redact_links_cached = lru_cache(maxsize=4096)(_redact_links)
+
+
+_OFFERED_METHODS = frozenset({"allow", "accept-put", "accept-post", "accept-patch"})
+"""The fields of a 404 or 410 that say what may be made there."""
+
+
+def redact_problem(problem: Problem, permissions: Permissions, place: Location | None) -> Problem:
+    """Remove from a problem about `place` what the agent may not see.
+
+    A 410 becomes a 404 unless the agent may know of any type there, and so does a redirect to a hidden Location.
+    Reasons that mention other hidden resources are removed, and so are the IRIs of hidden shapes.
+    """
+    if permissions.is_unrestricted:
+        return problem
+    if problem.status in (404, 410):
+        return _redact_absence(problem, permissions, place)
+    if not all(permissions.may_read(url) or permissions.locate(url) == place for url in problem.about):
+        return withhold_reason(problem)
+    violations = tuple(_redact_violation(each, permissions) for each in problem.violations)
+    if violations != problem.violations:
+        problem = copy(problem)  # the instance may be shared
+        problem.violations = violations
+    target = problem.headers.get("Location")
+    if target is not None and problem.status < 400 and not permissions.may_read(target):
+        return not_found()
+    return problem
+
+
+def _redact_violation(violation: Violation, permissions: Permissions) -> Violation:
+    shape = violation.shape
+    is_hidden = isinstance(shape, NamedNode) and not permissions.may_read(shape.value)
+    return replace(violation, shape=None) if is_hidden else violation
+
+
+def _redact_absence(problem: Problem, permissions: Permissions, place: Location | None) -> Problem:
+    if place is None or not permissions.may_know_any_type(place):
+        return not_found()
+    if permissions.may_read_all:
+        return problem
+    found = gone() if problem.status == 410 else not_found()
+    found.headers |= {name: value for name, value in problem.headers.items() if name.lower() in _OFFERED_METHODS}
+    return found
+
+
+_SECURITY: dict[str, dict[str, object]] = {
+    "token_sc": {"scheme": "combo", "oneOf": ["bearer_sc", "basic_sc"]},
+    "bearer_sc": {"scheme": "bearer", "in": "header", "format": "opaque"},
+    "basic_sc": {"scheme": "basic", "in": "header"},
+}
+"""WoT TD 1.1, 5.3.3: either of them."""
+
+
+def redact_thing_description(data: bytes, permissions: Permissions) -> bytes:
+    """Return a description with the forms that the agent may use, what has such forms, and the security it takes."""
+    thing = orjson.loads(data)
+    base = thing["id"]
+    thing["securityDefinitions"], thing["security"] = _SECURITY, ["token_sc"]
+    if permissions.is_unrestricted:
+        return orjson.dumps(thing)
+
+    def usable(forms: list[dict[str, str]]) -> list[dict[str, str]]:
+        return [
+            one
+            for one in forms
+            if permissions.may(one.get("htv:methodName", "GET"), urljoin(base, one["href"].partition("{?")[0]))
+        ]
+
+    for kind in ("properties", "actions", "events"):
+        if kind not in thing:
+            continue
+        left = {name: {**one, "forms": usable(one["forms"])} for name, one in thing[kind].items()}
+        thing[kind] = {name: one for name, one in left.items() if one["forms"]}
+    if "forms" in thing:
+        thing["forms"] = usable(thing["forms"])
+        if not thing["forms"]:
+            del thing["forms"]
+    thing["links"] = [one for one in thing.get("links", ()) if permissions.may_read(urljoin(base, one["href"]))]
+    return orjson.dumps(thing)
+
+
+def redact_tree(data: bytes, url: str, permissions: Permissions) -> bytes:
+    """Return the JSON object at a container's URL without the members, at any depth, whose URLs may not be read."""
+
+    def redact(value: object, at: str) -> object:
+        if not isinstance(value, dict):
+            return value
+        ends = {key: encode_segment(key) + ("/" if isinstance(inner, dict) else "") for key, inner in value.items()}
+        return {key: redact(value[key], at + end) for key, end in ends.items() if permissions.may_read(at + end)}
+
+    return json.dumps(redact(json.loads(data), url), ensure_ascii=False, separators=(",", ":")).encode()

@@ -16,7 +16,7 @@ from rosld.server.auth.rate_limit import ClientLimiter, ClientLimits
 from rosld.server.dataset.replication import Mirror
 from rosld.server.events.broadcaster import Broadcasters
 from rosld.server.events.notification_channels import Channels
-from rosld.server.html import prepare_pages
+from rosld.server.html.frame import prepare_pages
 from rosld.server.http.fields import render_links
 from rosld.server.http.origin import OriginPolicy, origin_policy
 from rosld.server.middleware import Handler

@@ -19,7 +19,7 @@ from rosld.server.auth.oidc import Claims, InvalidToken, TokenVerifier, issuer_o
 from rosld.server.auth.permissions import ALLOW_ALL, AboutAt, Permissions, TypesAt
 from rosld.server.auth.rules import AUTHENTICATED
 from rosld.server.auth.tokens import parse_credentials
-from rosld.server.runtime.signals import Signal
+from rosld.server.runtime.tasks import Signal
 
 _POLL_SECONDS = 1.0
 """Seconds between looks at whether the file has changed."""

@@ -16,7 +16,7 @@ from rosld.server.cli.failure import user_errors
 from rosld.server.robot.hold_notes import HoldNote, HoldNotes
 from rosld.server.robot.interrupted_holds import end_interrupted
 from rosld.server.robot.session import Session
-from rosld.server.runtime.woken_task import end_tasks
+from rosld.server.runtime.tasks import end_tasks
 from rosld.server.serving import http_server
 from rosld.server.serving.end_signals import end_signals
 from rosld.server.settings import Settings

@@ -19,8 +19,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.rest.resource import Resource
 from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import State
-from rosld.server.runtime.signals import Signal, call_every
-from rosld.server.runtime.woken_task import end_tasks
+from rosld.server.runtime.tasks import Signal, call_every, end_tasks
 
 MAX_READERS = 2000
 """Streams and waiting requests at a time; one more is answered 503."""

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from starlette.types import Receive
 
+from rosld.server.auth.rate_limit import TokenBucket
 from rosld.server.events import frame, query_params
 from rosld.server.events.broadcaster import Broadcaster, Broadcasters, Observation, Waiter
 from rosld.server.events.endless_response import EndlessResponse, Headers, Tell
@@ -18,7 +19,6 @@ from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
 from rosld.server.rest.resource import Resource
 from rosld.server.rest.state import MessageState, State
-from rosld.server.runtime.token_bucket import TokenBucket
 
 BURST = 1.25
 """Events of the bucket of a slow stream: one may come a quarter of an interval early.

@@ -21,7 +21,7 @@ from rosld.server.history.ordered_recording import (
 from rosld.server.history.recording_notes import ARMED, RecordingNotes
 from rosld.server.receipts.audit_context import record_step
 from rosld.server.runtime.dry_run import end_dry_run
-from rosld.server.runtime.woken_task import end_tasks
+from rosld.server.runtime.tasks import end_tasks
 
 log = logging.getLogger("rosld.history")
 MAX_ARMED = 16

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from rosld.adapters.base import Watch
-from rosld.server.runtime.signals import Signal
+from rosld.server.runtime.tasks import Signal
 
 _CHUNK = 1024 * 1024
 _DATA = frozenset({".bag", ".db3", ".mcap"})

@@ -42,8 +42,8 @@ from rosld.server.history.uploads import (
 from rosld.server.history.uploads import NAME as FILE_NAME
 from rosld.server.receipts.audit_context import record_step
 from rosld.server.runtime.dry_run import end_dry_run
-from rosld.server.runtime.loop_time import loop_time
 from rosld.server.runtime.offload import WorkerPool
+from rosld.server.runtime.tasks import loop_time
 from rosld.server.settings import Settings
 
 log = logging.getLogger("rosld.history")

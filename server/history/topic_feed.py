@@ -11,7 +11,7 @@ from rosld.adapters.base import Adapter, Subscription
 from rosld.adapters.model import RosError, Sample, TypeRef
 from rosld.server.history.latched_messages import LatchedMessages
 from rosld.server.history.recorder import SAMPLE_OVERHEAD, Arrival, Recorder, Sink
-from rosld.server.runtime.woken_task import end_tasks
+from rosld.server.runtime.tasks import end_tasks
 
 log = logging.getLogger("rosld.history")
 PERIOD = 0.1

@@ -1,17 +1,383 @@
-"""The page of a cockpit as a value, and the style that puts its panels into their places."""
+"""The page of a cockpit: its panels with what they show, and their places."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from importlib.resources import files
+from typing import TypeAlias
+from urllib.parse import quote
 
-from rosld.ontology.cockpit import COLUMNS, Cockpit
+from rosld.adapters.model import Primitive
+from rosld.ontology.cockpit import COLUMNS, Cockpit, Panel, PanelKind
+from rosld.ontology.describe_plot import PlottedNumber
+from rosld.ontology.document import Document, LiftedMessage
+from rosld.ontology.fields import field_at
+from rosld.ontology.vocab import rdf, ros
 from rosld.server.html.cockpit_form import CopyForm, EditForm
-from rosld.server.html.forms import DeleteForm
-from rosld.server.html.page import Csrf, Notice
-from rosld.server.html.panels import FilledPanel
-from rosld.server.html.site import Site
+from rosld.server.html.description import describe, objects_of
+from rosld.server.html.forms import DeleteForm, Form, HoldForm
+from rosld.server.html.graphics import PictureView, plot_prefix, plot_query
+from rosld.server.html.messages import message_view, scalar_view
+from rosld.server.html.offer import FormTarget, PropertyValueView, form_targets, value_of
+from rosld.server.html.page import Csrf, Notice, Offer, PageResults
+from rosld.server.html.site import Anchor, Site
+from rosld.server.html.values import ResultsTable, results_table
+from rosld.server.html.view import TableRow, TableView, TextView, View, escape_controls
+from rosld.server.hypermedia.views import ComplexView, PropertyView
+from rosld.server.robot.diagnostic_states import DiagnosticState, Level
+
+MAX_STREAM = 16
+"""Numbers of one stream."""
+STREAMS = 3
+"""Plots, views and moving pictures of a page that each keep a connection: browsers have six, two are for sending."""
+MAX_STATES = 12
+LEVELS: Mapping[Level, tuple[str, str]] = {
+    Level.ERROR: ("Error", "error"),
+    Level.STALE: ("Stale", "warning"),
+    Level.WARN: ("Warning", "warning"),
+    Level.OK: ("OK", "good"),
+}
+"""The word of a level, and its tone."""
+
+
+@dataclass(frozen=True, slots=True)
+class WordsContent:
+    """Why nothing is shown, in a sentence."""
+
+    words: str
+
+
+@dataclass(frozen=True, slots=True)
+class ValueContent:
+    """A resource: what it says, and where it is one of `/resources/` its view."""
+
+    document: Document
+    view: Offer | None
+
+
+@dataclass(frozen=True, slots=True)
+class StatesContent:
+    """Diagnostics, the worst first."""
+
+    states: tuple[DiagnosticState, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class PlotContent:
+    """Numbers over time, and the references (`y`) that name them."""
+
+    numbers: tuple[PlottedNumber, ...]
+    references: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class PictureContent:
+    """The picture of a topic, and the number of its newest message."""
+
+    view: PictureView
+    sequence: int
+
+
+@dataclass(frozen=True, slots=True)
+class FormsContent:
+    """What can be sent, each form with the URL that it posts to."""
+
+    forms: tuple[Form, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class DriveContent:
+    """The form of a topic that commands a velocity."""
+
+    form: HoldForm
+
+
+@dataclass(frozen=True, slots=True)
+class TableContent:
+    """The results of a query."""
+
+    results: PageResults
+
+
+@dataclass(frozen=True, slots=True)
+class SpaceContent:
+    """The view of space that a reference names, relative to the base."""
+
+    reference: str
+
+
+PanelContent: TypeAlias = (
+    WordsContent
+    | ValueContent
+    | StatesContent
+    | PlotContent
+    | PictureContent
+    | FormsContent
+    | DriveContent
+    | TableContent
+    | SpaceContent
+)
+
+
+@dataclass(frozen=True, slots=True)
+class FilledPanel:
+    """A panel and what it shows now; another `version` whenever that is something else."""
+
+    panel: Panel
+    content: PanelContent
+    version: str
+
+
+@dataclass(frozen=True, slots=True)
+class ValueRow:
+    """A named value of a panel."""
+
+    label: str
+    value: PropertyValueView
+    anchor: Anchor | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ValueBody:
+    """Named values, or without any the table of all that is said."""
+
+    rows: tuple[ValueRow, ...]
+    table: TableView | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class StatesBody:
+    """The first states; there are `more`."""
+
+    states: tuple[DiagnosticState, ...]
+    more: int
+
+
+@dataclass(frozen=True, slots=True)
+class PlotBody:
+    """What the script draws from, as JSON, and links to the plots of single numbers."""
+
+    config: str
+    numbers: tuple[Anchor, ...]
+
+
+PanelBody: TypeAlias = (
+    str | ValueBody | StatesBody | PlotBody | PictureView | tuple[FormTarget, ...] | ResultsTable | None
+)
+
+
+@dataclass(frozen=True, slots=True)
+class PanelView:
+    """A panel for the template: `part` names what draws its body, `key` tells it from others while the page changes."""
+
+    part: str
+    key: str
+    title: str
+    anchor: Anchor | None
+    panel: Panel
+    body: PanelBody = None
+
+
+def panel_views(panels: Sequence[FilledPanel], site: Site, csrf: Csrf) -> tuple[PanelView, ...]:
+    """Return the panels as the template draws them."""
+    streams = _streams(panels, site)
+    left = STREAMS - len(set(map(_stream_of, streams.values())))
+    left -= sum(isinstance(each.content, SpaceContent) for each in panels)
+    found = []
+    for number, filled in enumerate(panels):
+        moves = left > 0
+        left -= isinstance(filled.content, PictureContent)
+        found.append(_view(filled, number, site, csrf, streams.get(number, ""), moves=moves))
+    return tuple(found)
+
+
+def _view(filled: FilledPanel, number: int, site: Site, csrf: Csrf, plot: str, *, moves: bool) -> PanelView:
+    panel = filled.panel
+    target = panel.shows[0] if panel.shows else ""
+    anchor = site.anchor(target) if target else None
+    title = escape_controls(panel.title or _default_title(panel, site))
+    kind = "unknown" if panel.kind is None else panel.kind.value
+    view = PanelView(kind, f"{number} {kind} {target}", title, anchor, panel)
+    match filled.content:
+        case WordsContent(words):
+            return replace(view, part="words", body=escape_controls(words))
+        case StatesContent(states):
+            return replace(view, part="states", body=StatesBody(states[:MAX_STATES], max(0, len(states) - MAX_STATES)))
+        case ValueContent(document) if _is_silent(document):
+            return replace(view, part="words", body="No message has come yet.")
+        case ValueContent():
+            return replace(view, part="value", body=_values(filled.content, panel.fields, site))
+        case PlotContent(numbers, references):
+            href = f"{site.root}plot{plot_query(references)}"
+            links = tuple(
+                Anchor(f"{site.root}plot{plot_query([reference])}", escape_controls(each.field), reference)
+                for each, reference in zip(numbers, references, strict=True)
+            )
+            return replace(view, part="plot", body=PlotBody(plot, links), anchor=Anchor(href, title, target))
+        case PictureContent(picture, sequence):
+            return replace(view, part="picture", body=_picture(picture, target, site, sequence, moves=moves))
+        case FormsContent(forms):
+            return replace(view, part="forms", body=form_targets(forms, (), csrf, site))
+        case DriveContent(form):
+            return replace(view, part="drive", body=form_targets((_aim_pad(form, site),), (), csrf, site))
+        case TableContent(results):
+            return replace(view, part="table", body=results_table(results, site))
+        case SpaceContent(reference):
+            href = f"{site.root}{reference}"
+            return replace(view, part="space", body=href, anchor=Anchor(href, title, target))
+
+
+def _is_silent(document: Document) -> bool:
+    """Whether a document is that of a topic without a message: what else it says is no value of the robot."""
+    is_topic = ros.Topic in objects_of(document, rdf.type)
+    return is_topic and not document.messages and not objects_of(document, ros.unreadable)
+
+
+def _default_title(panel: Panel, site: Site) -> str:
+    """What a panel without a title is called: what it shows."""
+    if panel.kind is PanelKind.PLOT and panel.fields:
+        return f"{site.short_name(panel.shows[0])} {', '.join(panel.fields)}"
+    return ", ".join(site.short_name(each) for each in panel.shows) or "A panel"
+
+
+def _aim_pad(form: HoldForm, site: Site) -> HoldForm:
+    """Return the form with a pad that knows where its topic is."""
+    path = site.href(form.action) or ""
+    return form if form.pad is None else replace(form, pad=replace(form.pad, path=path))
+
+
+def _picture(view: PictureView, url: str, site: Site, sequence: int, *, moves: bool) -> PictureView:
+    """Return the picture with references that are right on any page; what does not move is fetched anew when it changes."""
+    path = site.href(url) or ""
+    still = f"{path}{view.still}" + ("" if moves else f"&v={sequence}")
+    return replace(view, still=still, motion=f"{path}{view.motion}" if moves and view.motion else "")
+
+
+# Values
+
+
+def _values(content: ValueContent, fields: Sequence[str], site: Site) -> ValueBody:
+    """Return the rows of a resource, or else the table of all that it says."""
+    view, document = content.view, content.document
+    match view:
+        case PropertyView(affordance, reading):
+            if not fields:
+                return ValueBody((ValueRow("", value_of(affordance, reading, view.field, site)),))
+            picked = (ValueRow(name, value_of(affordance, reading, each, site)) for each, name in _labels(fields))
+            return ValueBody(tuple(picked))
+        case ComplexView():
+            rows = (
+                ValueRow(
+                    escape_controls(each.affordance.title or each.affordance.name),
+                    value_of(each.affordance, each.reading, each.field, site),
+                    site.anchor(each.affordance.url),
+                )
+                for each in view.members
+            )
+            return ValueBody(tuple(rows))
+    if document.messages:
+        message = document.messages[0]
+        if fields:
+            picked = (ValueRow(name, _field(message, document, each, site)) for each, name in _labels(fields))
+            return ValueBody(tuple(picked))
+        return ValueBody((), _message(message, document, site))
+    sections = describe(document, site)
+    return ValueBody((), sections[0].body if sections else None)
+
+
+def _labels(fields: Sequence[str]) -> Iterator[tuple[str, str]]:
+    """Paths of fields, each with what it is called beside the others: what all begin with is left out."""
+    parts = [each.split(".") for each in fields]
+    common = 0
+    while len(fields) > 1 and all(len(each) > common + 1 and each[common] == parts[0][common] for each in parts):
+        common += 1
+    for field, steps in zip(fields, parts, strict=True):
+        yield field, escape_controls(".".join(steps[common:]))
+
+
+def _message(message: LiftedMessage, document: Document, site: Site) -> TableView:
+    octets = f"{site.href(document.url) or ''}?field="
+    return message_view(
+        message.lifter.schema,
+        message.message,
+        simulated_time=document.simulated_time,
+        octets=octets,
+        plots=plot_prefix(document.url, site),
+    )
+
+
+def _field(message: LiftedMessage, document: Document, path: str, site: Site) -> PropertyValueView:
+    """One field of a message, by its path."""
+    schema = message.lifter.schema
+    try:
+        kind, value = field_at(schema, message.message, path)
+    except ValueError as error:
+        return PropertyValueView(None, message=escape_controls(str(error)), failed=True)
+    if isinstance(kind, Primitive):
+        view = scalar_view(kind, value)
+        plots = plot_prefix(document.url, site)
+        is_number = isinstance(view, TextView) and view.tone == "number"
+        if plots is not None and is_number and isinstance(view, TextView):
+            view = replace(view, plot=f"{plots}{quote(path, safe='')}")
+        return PropertyValueView(view)
+    found = _walk(_message(message, document, site), path.split("."))
+    return PropertyValueView(found, message="" if found is not None else "too large to be shown here")
+
+
+def _walk(table: TableView, path: Sequence[str]) -> View | None:
+    """What stands in a table of tables at a path of labels."""
+    view: View = table
+    for step in path:
+        row = next((each for each in view.rows if each.label == step), None) if isinstance(view, TableView) else None
+        if row is None:
+            return None
+        view = row.values[0]
+    return TableView((TableRow(path[-1], (view,)),)) if not isinstance(view, TableView) else view
+
+
+# Plots
+
+
+def _streams(panels: Sequence[FilledPanel], site: Site) -> Mapping[int, str]:
+    """What the script draws each plot from, by the number of its panel: plots share streams as far as they fit."""
+    found: dict[int, str] = {}
+    group: list[tuple[int, PlotContent]] = []
+    for number, filled in enumerate(panels):
+        if isinstance(filled.content, PlotContent):
+            if sum(len(each.numbers) for _, each in group) + len(filled.content.numbers) > MAX_STREAM:
+                found.update(_stream(group, site))
+                group = []
+            group.append((number, filled.content))
+    found.update(_stream(group, site))
+    return found
+
+
+def _stream_of(config: str) -> str:
+    """Return the address of the stream that a plot is drawn from."""
+    return str(json.loads(config)["stream"])
+
+
+def _stream(group: Iterable[tuple[int, PlotContent]], site: Site) -> Mapping[int, str]:
+    group = list(group)
+    references = list(dict.fromkeys(each for _, content in group for each in content.references))
+    stream = f"{site.root}plot{plot_query(references)}"
+    return {number: json.dumps({"stream": stream, "y": _lines(content, references, site)}) for number, content in group}
+
+
+def _lines(content: PlotContent, references: Sequence[str], site: Site) -> list[dict[str, str | int | None]]:
+    """Return the lines of a plot, each with its place among the numbers of the stream."""
+    is_single = len({number.topic for number in content.numbers}) == 1
+    return [
+        {
+            "label": number.field if is_single else f"{site.short_name(number.topic)} {number.field}",
+            "series": None if number.series is None else site.href(number.series),
+            "place": references.index(reference),
+        }
+        for number, reference in zip(content.numbers, content.references, strict=True)
+    ]
+
 
 _ROWS = 99
 _WIDE = "(min-width: 48rem)"
@@ -40,7 +406,7 @@ class CockpitPage:
 
 
 def cockpit_style() -> bytes:
-    """The style of cockpits: policies of pages allow none in attributes, so each place has a rule."""
+    """Return the style of cockpits: policies of pages allow none in attributes, so each place has a rule."""
     own = (files("rosld.server.html") / "cockpit.css").read_bytes()
     return own + "\n".join((f"@media {_WIDE} {{", *_places(), "}", "")).encode("ascii")
 

@@ -1,17 +1,20 @@
-"""The forms of cockpits: one that writes all panels anew, one that makes a copy; and how they are read."""
+"""What all forms have in common: their methods, and the pairs that they send."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import ClassVar, Literal, TypeAlias
 
 from rosld.ontology.cockpit import COLUMNS, Cockpit, GridArea, Panel, PanelKind
 from rosld.ontology.violations import LoweringError, Violation
-from rosld.server.html.form_types import Method, Pairs
 from rosld.server.html.inputs import Control, Input
 from rosld.server.html.view import escape_controls
+
+Method: TypeAlias = Literal["PUT", "POST", "PATCH", "DELETE"]
+Pairs: TypeAlias = Sequence[tuple[str, str]]
+
 
 ADDED = 2
 """Rows of the form for panels that are not there yet."""
@@ -53,7 +56,7 @@ class EditForm:
     controls: ClassVar[tuple[Control, ...]] = ()
 
     def with_submitted(self, pairs: Pairs, violations: Iterable[Violation]) -> EditForm:
-        """The same form as it was sent."""
+        """Return the same form as it was sent."""
         return replace(self, submitted=tuple(pairs), violations=tuple(violations))
 
     @property
@@ -86,7 +89,7 @@ class CopyForm:
     violations: tuple[Violation, ...] = ()
 
     def with_submitted(self, pairs: Pairs, violations: Iterable[Violation]) -> CopyForm:
-        """The same form as it was sent."""
+        """Return the same form as it was sent."""
         given = dict(pairs)
         return replace(
             self,
@@ -107,7 +110,7 @@ class CopyForm:
 
 
 def parse_copy(pairs: Pairs) -> dict[str, object]:
-    """The plain JSON of a form that makes a copy. Raises LoweringError."""
+    """Return the plain JSON of a form that makes a copy. Raises LoweringError."""
     given = dict(pairs)
     name, source = given.get("name", "").strip(), given.get("source", "").strip()
     if not name:
@@ -116,7 +119,7 @@ def parse_copy(pairs: Pairs) -> dict[str, object]:
 
 
 def parse_edit(pairs: Pairs) -> dict[str, object]:
-    """The plain JSON of a form that writes a cockpit. Raises LoweringError with what is no number."""
+    """Return the plain JSON of a form that writes a cockpit. Raises LoweringError with what is no number."""
     given, rows = dict(pairs), _rows(pairs)
     violations: list[Violation] = []
     panels = []
@@ -154,7 +157,7 @@ def _number(panel: int, name: str, text: str, most: int, violations: list[Violat
 
 
 def cockpit_of_form(value: Mapping[str, object], base: str) -> Cockpit:
-    """The cockpit that the plain JSON of a form describes; references are relative to the base of the server."""
+    """Return the cockpit that the plain JSON of a form describes; references are relative to the base of the server."""
     rows = value.get("panels")
     panels = [_panel(row, base) for row in (rows if isinstance(rows, list) else []) if isinstance(row, dict)]
     return Cockpit(str(value.get("title", "")), tuple(panels))
@@ -186,7 +189,7 @@ def _whole(value: object) -> int | None:
 
 
 def _absolute(reference: str, base: str) -> str:
-    """A reference as an IRI: one without a scheme is below the base."""
+    """Return a reference as an IRI: one without a scheme is below the base."""
     if re.match(r"[A-Za-z][A-Za-z0-9+.-]*:", reference):
         return reference
     return base + reference.lstrip("/")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 from pyoxigraph import BlankNode, Literal, NamedNode
@@ -13,7 +13,7 @@ from rosld.ontology.vocab import av, ldp, mapping, rdf, rdfs, ros
 from rosld.server.html.labels import label, local_name
 from rosld.server.html.page import Term
 from rosld.server.html.site import Site
-from rosld.server.html.terms import term_view
+from rosld.server.html.values import term_view
 from rosld.server.html.view import TableListView, TableRow, TableView, View, escape_controls
 
 _DEEPEST = 12
@@ -57,7 +57,7 @@ class _Walk:
 def describe(
     document: Document, site: Site, *, without: Iterable[NamedNode] = (), apart: Iterable[NamedNode] = ()
 ) -> tuple[Section, ...]:
-    """The sections of a document.
+    """Return the sections of a document.
 
     `without` are predicates of the resource itself that are shown elsewhere, with the parts that they lead to; `apart`
     are other subjects that are.
@@ -134,7 +134,7 @@ def _title(walk: _Walk, subject: Subject) -> str:
 
 
 def fragment(subject: Subject, url: str) -> str:
-    """The id of a subject's section: its IRI's fragment where it is one of this page or of the vocabulary."""
+    """Return the id of a subject's section: its IRI's fragment where it is one of this page or of the vocabulary."""
     if isinstance(subject, BlankNode) or "#" not in subject.value:
         return ""
     if subject.value.startswith((f"{url}#", ros.iri, mapping.iri, av.iri)):
@@ -208,12 +208,34 @@ def _list(walk: _Walk, terms: list[Term], depth: int) -> View:
 
 
 def objects_of(document: Document, predicate: NamedNode) -> list[Term]:
-    """The objects of `predicate` for the resource itself."""
+    """Return the objects of `predicate` for the resource itself."""
     own = NamedNode(document.url)
     return [triple.object for triple in document.triples if triple.subject == own and triple.predicate == predicate]
 
 
 def first_text(document: Document, predicate: NamedNode) -> str:
-    """The first literal of `predicate` for the resource itself, or an empty text."""
+    """Return the first literal of `predicate` for the resource itself, or an empty text."""
     found = (term.value for term in objects_of(document, predicate) if isinstance(term, Literal))
     return escape_controls(next(found, ""))
+
+
+MAX_SECTIONS = 40
+"""Sections that a page shows one below the other. More of them are folded, by kind."""
+
+
+@dataclass(frozen=True, slots=True)
+class SectionGroup:
+    """The sections of one kind."""
+
+    title: str
+    sections: tuple[Section, ...]
+
+
+def group_sections(sections: Sequence[Section]) -> tuple[SectionGroup, ...]:
+    """Return the sections by kind, in the order in which kinds first come; none where they are few."""
+    if len(sections) <= MAX_SECTIONS:
+        return ()
+    kinds: dict[str, list[Section]] = {}
+    for section in sections:
+        kinds.setdefault(section.kind or "others", []).append(section)
+    return tuple(SectionGroup(kind, tuple(each)) for kind, each in kinds.items())

@@ -13,7 +13,7 @@ from rosld.ontology.violations import LoweringError, Violation
 from rosld.ontology.vocab import xsd
 from rosld.server.html.forms import CHOICE_FIELD, METHOD_FIELD, PARAMETER_TYPES, TYPE_FIELD, VALUE_FIELD
 from rosld.server.html.inputs import FLOATS, MAX_TEXT, is_base64, is_fieldset
-from rosld.server.html.terms import NUMBERS
+from rosld.server.html.values import NUMBERS
 from rosld.server.http.origin import CSRF_FIELD
 from rosld.shapes.value import Bounds, MessageShape, OpenShape, ScalarShape, ValueShape
 

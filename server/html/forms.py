@@ -14,9 +14,8 @@ from typing import ClassVar, TypeAlias
 from rosld.adapters.model import MessageSchema
 from rosld.ontology.violations import Violation
 from rosld.server.html.bounds import describe_bounds
-from rosld.server.html.cockpit_form import CopyForm, EditForm
+from rosld.server.html.cockpit_form import CopyForm, EditForm, Method, Pairs
 from rosld.server.html.drive_pad import DrivePad
-from rosld.server.html.form_types import Method, Pairs
 from rosld.server.html.inputs import (
     MAX_TEXT,
     Control,
@@ -30,8 +29,7 @@ from rosld.server.html.inputs import (
     number_text,
     scalar_input,
 )
-from rosld.server.html.name_groups import NameGroup, group_names
-from rosld.server.html.units import unit_symbol
+from rosld.server.html.labels import NameGroup, group_names, unit_symbol
 from rosld.server.html.view import escape_controls
 from rosld.shapes.value import Bounds, Measure, MessageShape, OpenShape, ScalarShape, ValueShape
 

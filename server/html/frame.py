@@ -1,18 +1,125 @@
-"""The frame of every page: its title, its notices, the navigation to the other sections."""
+"""The frame of every page (title, notices, navigation), its assets, and the environment of its template."""
 
 from __future__ import annotations
 
+import hashlib
+import re
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+
+from jinja2 import DictLoader, Environment, StrictUndefined
+from markupsafe import Markup
+from pyoxigraph import Literal
 
 from rosld.ontology.describe_graph import SECTIONS
-from rosld.server.html.assets import ASSETS, ASSETS_VERSION
-from rosld.server.html.breadcrumb import breadcrumb
-from rosld.server.html.page import Notice, NoticeLevel
-from rosld.server.html.site import Anchor, Site
+from rosld.ontology.vocab import ros
+from rosld.server.html.cockpit import cockpit_style
+from rosld.server.html.description import objects_of
+from rosld.server.html.forms import CHOICE_FIELD, METHOD_FIELD
+from rosld.server.html.page import EntryPage, Notice, NoticeLevel, Page
+from rosld.server.html.site import Anchor, Site, readable_path
 from rosld.server.html.view import escape_controls
+from rosld.server.http.origin import CSRF_FIELD
+
+MAX_RATE = 3
+"""At most so many times a second a page is brought up to date."""
+
+_ROUTES = frozenset(
+    {"", "resources", "nodes", "topics", "services", "actions", "goals", "parameters", "mappings", "calls", "data"}
+)
+_RECORDING = frozenset({"recording", "armed"})
+"""The states of a recording that changes by itself."""
+_UNDERWAY = frozenset({ros.Accepted, ros.Executing, ros.Canceling})
+
+
+def is_refreshed(page: Page | EntryPage) -> bool:
+    """Whether a page follows its resource. One that answers a form stays as it is: its reader is in the midst of it."""
+    if not all(notice.is_lasting for notice in page.notices) or not page.document.url.startswith(page.site.base):
+        return False
+    route, _, name = page.document.url.removeprefix(page.site.base).partition("/")
+    if route == "calls" and name:
+        return ros.Running in objects_of(page.document, ros.state)
+    if route == "goals" and name:
+        return not _UNDERWAY.isdisjoint(objects_of(page.document, ros.status))
+    if route == "bags" and name:
+        return not _RECORDING.isdisjoint(
+            each.value for each in objects_of(page.document, ros.recordingStatus) if isinstance(each, Literal)
+        )
+    return route in _ROUTES and not any(form.violations for form in getattr(page, "forms", ()))
+
+
+_OWN = (
+    "style.css",
+    "query_editor.css",
+    "icon.svg",
+    "live.js",
+    "ages.js",
+    "filter.js",
+    "find.js",
+    "drive.js",
+    "picture.js",
+    "chart.js",
+    "plot.js",
+    "spark.js",
+    "space_view.js",
+    "space.js",
+    "space3d.js",
+    "query_terms.js",
+    "query_parameters.js",
+    "query_views.js",
+    "query_editor.js",
+)
+_VENDORED = ("three.js", "uplot.js", "uplot.css", "yasgui.js", "yasgui.css")
+"""What others wrote; the licence of each lies beside it in `vendor/`."""
+
+
+def _read_assets() -> dict[str, bytes]:
+    here = files("rosld.server.html")
+    own = {name: (here / name).read_bytes() for name in _OWN}
+    vendored = {name: (here / "vendor" / name).read_bytes() for name in _VENDORED}
+    return {**own, **vendored, "cockpit.css": cockpit_style()}
+
+
+ASSETS: Mapping[str, bytes] = _read_assets()
+"""The bytes of each file, by its name below the base, where it is served."""
+ASSETS_VERSION = hashlib.blake2b(b"".join(ASSETS.values()), digest_size=4).hexdigest()
+"""Another one whenever a file changes: pages name it in the URLs of files, so that no browser keeps an old one."""
+
 
 _VIEWS = (("space", "Space"), ("graph", "Graph"), ("diagnostics", "Diagnostics"))
 _LOUDEST_FIRST = (NoticeLevel.ERROR, NoticeLevel.WARNING, NoticeLevel.GOOD, NoticeLevel.INFO)
+
+
+_CONTAINERS = {"bags": "recordings"}
+"""Containers at the top that are called otherwise than in URLs."""
+
+
+def breadcrumb(site: Site, url: str) -> tuple[Anchor, ...]:
+    """Return a link for each level above `url` and, last, one for itself; none for URLs that are not of this site."""
+    path = url.partition("#")[0].partition("?")[0]
+    if not path.startswith(site.base):
+        return ()
+    parts = path.removeprefix(site.base).split("/")
+    leaf = parts.pop()
+    crumbs = [_crumb(site, site.base, site.name)]
+    here = site.base
+    for part in parts:
+        here = f"{here}{part}/"
+        crumbs.append(_crumb(site, here, _words(part) if len(crumbs) > 1 else _CONTAINERS.get(part) or _words(part)))
+    if leaf:
+        crumbs.append(_crumb(site, f"{here}{leaf}", _words(leaf)))
+    return tuple(crumb for crumb in crumbs if crumb.url == path or site.may("GET", crumb.url))
+
+
+def _crumb(site: Site, url: str, text: str) -> Anchor:
+    return Anchor(site.href(url) or "", text, url)
+
+
+def _words(segment: str) -> str:
+    text = readable_path(segment)
+    return escape_controls(text[1:] if text.startswith("~") else text) or "(empty)"
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +137,7 @@ class Frame:
     """What stands in the box that searches."""
 
     def asset(self, name: str) -> str:
-        """The reference to a file of `ASSETS`, in the version that is served now. Raises KeyError for any other."""
+        """Return the reference to a file of `ASSETS`, in the version that is served now. Raises KeyError for any other."""
         if name not in ASSETS:
             raise KeyError(name)
         return f"{self.site.root}{name}?v={ASSETS_VERSION}"
@@ -58,7 +165,61 @@ class Frame:
 def page_frame(
     site: Site, title: str, url: str, notices: tuple[Notice, ...], live: bool = False, query: str = ""
 ) -> Frame:
-    """The frame of a page: its notices, the loudest first, with one where the robot cannot be seen."""
+    """Return the frame of a page: its notices, the loudest first, with one where the robot cannot be seen."""
     stale = (Notice(f"The robot cannot be seen: {site.stale}", NoticeLevel.WARNING),) if site.stale else ()
     ordered = sorted(stale + notices, key=lambda notice: _LOUDEST_FIRST.index(notice.level))
     return Frame(site, escape_controls(title), breadcrumb(site, url), url, tuple(ordered), live, query)
+
+
+_PARTS = re.compile(r"/?[^/_]+[/_]*|[/_]+")
+_LONGEST_WORD = 30
+"""Characters that fit into a line on a phone."""
+
+
+@cache
+def _environment() -> Environment:
+    folder = files("rosld.server.html") / "templates"
+    texts = {each.name: each.read_text("utf-8") for each in folder.iterdir() if each.name.endswith(".html")}
+    environment = Environment(
+        loader=DictLoader(texts),
+        autoescape=True,
+        undefined=StrictUndefined,
+        finalize=_printable,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["breakable"] = _breakable
+    environment.filters["grouped"] = lambda number: f"{number:,}"
+    environment.globals |= {"csrf_field": CSRF_FIELD, "method_field": METHOD_FIELD, "choice_field": CHOICE_FIELD}
+    environment.globals["live_rate"] = MAX_RATE
+    return environment
+
+
+def prepare_pages() -> None:
+    """Compile the templates, which takes a quarter of a second, so that no page waits for it. From any thread."""
+    environment = _environment()
+    for name in environment.list_templates():
+        environment.get_template(name)
+
+
+def render_template(template: str, frame: Frame, **values: object) -> bytes:
+    """Return the page that a template of `templates/` makes of a frame and values, in UTF-8.
+
+    A value that the template names and that is not given is an error; half a surrogate pair becomes a question mark.
+    """
+    text = _environment().get_template(template).render(frame=frame, site=frame.site, **values)
+    return text.encode("utf-8", "replace")
+
+
+def _breakable(text: str) -> Markup:
+    """Return a name that lines break after its slashes and underscores, and within a word only where that is very long."""
+    parts = _PARTS.findall(escape_controls(text))
+    name = Markup("<wbr>").join(parts)
+    if len(parts) <= 1 or max(map(len, parts)) > _LONGEST_WORD:
+        return name
+    return Markup('<span class="whole">{}</span>').format(name)
+
+
+def _printable(value: object) -> object:
+    """What the templates print: escaping makes text harmless, this makes it something HTML can hold."""
+    return escape_controls(value) if type(value) is str else value

@@ -1,9 +1,13 @@
-"""Labels: the words a page uses for predicates, fields and kinds."""
+"""Labels: the words for predicates and fields, the symbols of units, and the groups of many names."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
+from math import ceil
+from typing import Generic, TypeVar
 
 _HUMP = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 _WORDS = {
@@ -27,17 +31,116 @@ def local_name(iri: str) -> str:
 
 @lru_cache(maxsize=4096)
 def label(iri: str) -> str:
-    """The words for a predicate: `hasMessageType` is "message type"."""
+    """Return the words for a predicate: `hasMessageType` is "message type"."""
     name = local_name(iri)
     return _WORDS.get(name) or split_words(name).removeprefix("has ")
 
 
 def split_words(name: str) -> str:
-    """`messageType` and `message_type` as "message type"; abbreviations in capitals stay as they are."""
+    """Return `messageType` and `message_type` as "message type"; abbreviations in capitals stay as they are."""
     parts = _HUMP.sub(" ", name.replace("_", " ")).split()
     return " ".join(part if part.isupper() else part.lower() for part in parts) or name
 
 
 def capitalize(text: str) -> str:
-    """`text` with a capital at its beginning."""
+    """Return `text` with a capital at its beginning."""
     return text[:1].upper() + text[1:]
+
+
+QUDT = "http://qudt.org/vocab/unit/"
+
+_SYMBOLS = {
+    "A": "A", "ARCMIN": "′", "ARCSEC": "″", "BAR": "bar", "BIT": "bit", "BYTE": "B", "C": "C",
+    "CD": "cd", "DAY": "d", "DEG": "°", "DEG_C": "°C", "DEG_F": "°F", "EV": "eV", "F": "F", "FT": "ft", "GAUSS": "G",
+    "GM": "g", "H": "H", "HR": "h", "HZ": "Hz", "IN": "in", "J": "J", "K": "K", "KN": "kn", "L": "L",
+    "LM": "lm", "LUX": "lx", "M": "m", "MI": "mi", "MIN": "min", "MOL": "mol", "N": "N", "OHM": "Ω", "PA": "Pa",
+    "PERCENT": "%", "PSI": "psi", "RAD": "rad", "REV": "rev", "S": "S", "SEC": "s", "SR": "sr", "T": "T", "V": "V",
+    "W": "W", "WB": "Wb",
+}  # fmt: skip
+_PREFIXES = {
+    "Tera": "T", "Giga": "G", "Mega": "M", "Kilo": "k", "Hecto": "h", "Deca": "da", "Deci": "d", "Centi": "c",
+    "Milli": "m", "Micro": "µ", "Nano": "n", "Pico": "p",
+}  # fmt: skip
+_WHOLE = {"REV-PER-MIN": "rpm", "UNITLESS": "", "NUM": "", "W-HR": "Wh", "KiloW-HR": "kWh"}
+_PART = re.compile(rf"({'|'.join(_PREFIXES)})?([A-Z][A-Z_]*)([2-9])?")
+_POWERS = dict(zip("23456789", "²³⁴⁵⁶⁷⁸⁹", strict=True))
+
+
+@lru_cache(maxsize=1024)
+def unit_symbol(iri: str) -> str:
+    """Return the symbol of a unit of QUDT; the last part of the IRI for one that is not known here."""
+    name = local_name(iri)
+    if not iri.startswith(QUDT):
+        return name
+    if name in _WHOLE:
+        return _WHOLE[name]
+    above, _, below = name.partition("PER-")
+    over, under = _product(above.strip("-")), _product(below)
+    if over is None or under is None:
+        return name
+    return f"{over or '1'}/{f'({under})' if '·' in under else under}" if under else over
+
+
+def _product(text: str) -> str | None:
+    """Return the symbols of units multiplied; None where one is not known."""
+    found = [_symbol(each) for each in text.split("-")] if text else []
+    return "·".join(each for each in found if each) if None not in found else None
+
+
+def _symbol(text: str) -> str | None:
+    match = _PART.fullmatch(text)
+    if match is None or match[2] not in _SYMBOLS:
+        return None
+    return f"{_PREFIXES.get(match[1] or '', '')}{_SYMBOLS[match[2]]}{_POWERS.get(match[3] or '', '')}"
+
+
+MAX_ROWS = 40
+"""Rows of a table that a page shows one below the other. More of them are folded, by namespace."""
+MAX_OPEN = 16
+"""Rows of a group that is unfolded from the beginning."""
+_MAX_GROUPS = 40
+_T = TypeVar("_T")
+_V = TypeVar("_V")
+
+
+@dataclass(frozen=True, slots=True)
+class NameGroup(Generic[_T]):
+    """What has names of one namespace, or names next to each other; `is_open`: it is unfolded from the beginning."""
+
+    title: str
+    items: tuple[_T, ...]
+    is_open: bool = False
+
+
+def group_names(items: Sequence[_T], name: Callable[[_T], str]) -> tuple[NameGroup[_T], ...]:
+    """Return the items by the first part of their names, those in no namespace first; none where they are few.
+
+    A page has a bounded number of groups: of very many namespaces several are one, and so are very many names in none.
+    """
+    if len(items) <= MAX_ROWS:
+        return ()
+    namespaces: dict[str, list[_T]] = {}
+    direct: list[_T] = []
+    for item in items:
+        first, slash, _ = name(item).partition("/")
+        (namespaces.setdefault(first, []) if slash else direct).append(item)
+    return (*_groups_of_names(direct, name), *_groups_of_namespaces(namespaces))
+
+
+def _groups_of_names(items: Sequence[_T], name: Callable[[_T], str]) -> Iterator[NameGroup[_T]]:
+    for part in _parts(items, max(1, ceil(len(items) / MAX_ROWS))):
+        title = name(part[0]) if len(part) == 1 else f"{name(part[0])} … {name(part[-1])}"
+        yield NameGroup(title, tuple(part), is_open=len(items) <= MAX_OPEN)
+
+
+def _groups_of_namespaces(namespaces: dict[str, list[_T]]) -> Iterator[NameGroup[_T]]:
+    for part in _parts(list(namespaces), _MAX_GROUPS):
+        title = f"{part[0]}/" if len(part) == 1 else f"{part[0]}/ … {part[-1]}/"
+        yield NameGroup(title, tuple(item for first in part for item in namespaces[first]))
+
+
+def _parts(items: Sequence[_V], limit: int) -> Iterator[Sequence[_V]]:
+    """Yield the items in at most `limit` parts of one size, in their order."""
+    size = max(1, ceil(len(items) / min(limit, _MAX_GROUPS)))
+    for start in range(0, len(items), size):
+        yield items[start : start + size]

@@ -9,11 +9,10 @@ from pyoxigraph import Literal, NamedNode
 from rosld.ontology.document import Document
 from rosld.ontology.vocab import ldp, rdf, rdfs, ros
 from rosld.server.html.description import objects_of
-from rosld.server.html.labels import label
-from rosld.server.html.name_groups import NameGroup, group_names
+from rosld.server.html.labels import NameGroup, group_names, label
 from rosld.server.html.page import Cell, MemberColumns, Thumbnail
 from rosld.server.html.site import Anchor, Site
-from rosld.server.html.terms import cell_view
+from rosld.server.html.values import cell_view
 from rosld.server.html.view import View, escape_controls
 
 _MAX_COLUMNS = 4

@@ -13,9 +13,20 @@ import numpy.typing as npt
 
 from rosld.adapters.model import Array, Field, Message, MessageSchema, MessageType, Nested, Primitive
 from rosld.ontology.literals import OCTETS, STRINGS
-from rosld.server.html.numbers import number_view, shorten_number
-from rosld.server.html.timestamps import duration_view, time_view
-from rosld.server.html.view import ArrayView, BytesView, TableListView, TableRow, TableView, TextView, View, text_view
+from rosld.server.html.view import (
+    ArrayView,
+    BytesView,
+    TableListView,
+    TableRow,
+    TableView,
+    TextView,
+    View,
+    duration_view,
+    number_view,
+    shorten_number,
+    text_view,
+    time_view,
+)
 
 TIME = "builtin_interfaces/msg/Time"
 DURATION = "builtin_interfaces/msg/Duration"

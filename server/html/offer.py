@@ -6,23 +6,18 @@ The forms of a page are placed where they belong: beside the property that they 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, TypeAlias
 
 from pyoxigraph import NamedNode
 
 from rosld.ontology.vocab import ros
-from rosld.server.html.brief import brief_text
-from rosld.server.html.forms import Form
-from rosld.server.html.labels import label
-from rosld.server.html.name_groups import NameGroup, group_names
+from rosld.server.html.forms import DeleteForm, Form, MessageForm, ValueForm
+from rosld.server.html.labels import NameGroup, capitalize, group_names, label, split_words, unit_symbol
 from rosld.server.html.page import Csrf, Offer
 from rosld.server.html.site import Anchor, Site, readable_path
-from rosld.server.html.terms import iri_view
-from rosld.server.html.timestamps import time_view
-from rosld.server.html.units import unit_symbol
-from rosld.server.html.values import value_view
-from rosld.server.html.view import LinkView, TableRow, TableView, TextView, View, escape_controls
+from rosld.server.html.values import brief_text, iri_view, plain_value, value_view
+from rosld.server.html.view import LinkView, TableRow, TableView, TextView, View, escape_controls, time_view
 from rosld.server.hypermedia.brief_value import brief_json
 from rosld.server.hypermedia.value import Reading, Value
 from rosld.server.hypermedia.views import (
@@ -158,7 +153,7 @@ OfferView: TypeAlias = ComplexOffer | PropertyOffer | ActionOffer
 
 
 def form_targets(forms: Iterable[Form], allow: Iterable[str], csrf: Csrf, site: Site) -> tuple[FormTarget, ...]:
-    """The forms of a page with their tokens.
+    """Return the forms of a page with their tokens.
 
     Those to the page's own URL as far as `allow` permits their methods, those to others unless this server is
     read-only.
@@ -217,7 +212,7 @@ def _complex(view: ComplexView, site: Site, posted: Mapping[str, FormTarget]) ->
 
 
 def _named_link(url: str, name: str, site: Site) -> Anchor:
-    """A link to a resource under a name of its own."""
+    """Return a link to a resource under a name of its own."""
     found = site.anchor(url) or Anchor("", "", url)
     return Anchor(found.href, escape_controls(name), url, found.external)
 
@@ -249,7 +244,7 @@ def _link_rows(links: Iterable[LinkAffordance], site: Site) -> Iterator[LinkRow]
 
 
 def value_of(affordance: PropertyAffordance, reading: Reading, field: str | None, site: Site) -> PropertyValueView:
-    """The value of a property, or one field of it, with its unit and when it was read."""
+    """Return the value of a property, or one field of it, with its unit and when it was read."""
     read = time_view(reading.read_ns) if reading.read_ns is not None else None
     if reading.value is not None:
         view = value_view(reading.value, site, field)
@@ -260,7 +255,7 @@ def value_of(affordance: PropertyAffordance, reading: Reading, field: str | None
 
 
 def _brief(value: Value, view: View) -> str:
-    """A message of many fields, or of nested ones, in a line; empty for all else."""
+    """Return a message of many fields, or of nested ones, in a line; empty for all else."""
     if not isinstance(view, TableView) or not (len(view.rows) > _MOST_ROWS or any(row.nested for row in view.rows)):
         return ""
     try:
@@ -278,7 +273,7 @@ def _unit(affordance: PropertyAffordance, site: Site) -> Anchor | None:
 
 
 def _facts(shape: ValueShape, site: Site) -> Iterator[View]:
-    """The type of a value, and its kind of quantity."""
+    """Yield the type of a value, and its kind of quantity."""
     match shape:
         case MessageShape(schema):
             yield iri_view(f"{site.types}{schema.ref.name}", site)
@@ -292,7 +287,7 @@ def _facts(shape: ValueShape, site: Site) -> Iterator[View]:
 
 
 def _behind(site: Site, *relations: tuple[NamedNode, Iterable[str]]) -> TableView:
-    """The topics, services and parameters behind something, by their relation to it."""
+    """Return the topics, services and parameters behind something, by their relation to it."""
     rows = []
     for relation, urls in relations:
         views = tuple(_source(url, site) for url in urls)
@@ -310,3 +305,63 @@ def _source(url: str, site: Site) -> View:
     anchor = site.anchor(url)
     kind = url.removeprefix(site.base).partition("/")[0]
     return LinkView(anchor, _KINDS.get(kind, "")) if anchor is not None else TextView(escape_controls(url), tone="iri")
+
+
+MAX_FORMS = 100
+"""Properties that can be set right on the page of their complex resource; the others have pages of their own."""
+
+
+def forms_of(view: Offer) -> tuple[Form, ...]:
+    """Return the forms on the page of a view. Those that post elsewhere than to the page's own URL say so in `action`.
+
+    On the page of a complex resource there is one for each action, and one for each property that is a single scalar.
+    """
+    match view:
+        case PropertyView(affordance, reading):
+            return (property_form(affordance, reading),) if affordance.write else ()
+        case ActionView(affordance):
+            invoke = _once(action_form(affordance)) if affordance.is_open else ()
+            return (*invoke, *cancel_forms(affordance))
+        case ComplexView():
+            actions = (form for one in view.actions for form in _once(action_form(one), one.url))
+            return (*_member_forms(view), *actions)
+
+
+def property_form(affordance: PropertyAffordance, reading: Reading) -> ValueForm:
+    """Return the form for the value of a property."""
+    return ValueForm(
+        affordance.shape,
+        value=plain_value(reading.value),
+        about=escape_controls(affordance.description or ""),
+        label=affordance.title or affordance.name,
+    )
+
+
+def _member_forms(view: ComplexView) -> Iterator[ValueForm]:
+    settable = [member for member in view.members if is_scalar_member(member)]
+    for member in settable[:MAX_FORMS]:
+        yield replace(property_form(member.affordance, member.reading), action=member.affordance.url)
+
+
+def is_scalar_member(member: Member) -> bool:
+    """Whether a member can be set by one input: a scalar that is all of its property."""
+    return member.affordance.write and member.field is None and isinstance(member.affordance.shape, ScalarShape)
+
+
+def action_form(affordance: ActionAffordance) -> MessageForm | None:
+    """Return the form that invokes an action, just a button where nothing is to be sent; None where it cannot be invoked."""
+    if affordance.request is None:
+        return None
+    button = affordance.title or capitalize(split_words(affordance.name))
+    return MessageForm(affordance.request, "POST", affordance.title or affordance.name, button)
+
+
+def cancel_forms(affordance: ActionAffordance) -> tuple[DeleteForm, ...]:
+    """Return the button that cancels the goals of an action, where that can be done."""
+    if affordance.goals is None or not affordance.goals.can_cancel:
+        return ()
+    return (DeleteForm("Cancel", "Cancel the goal", "Cancels every goal that was sent from here and has not ended."),)
+
+
+def _once(form: MessageForm | None, action: str = "") -> tuple[MessageForm, ...]:
+    return () if form is None else (replace(form, action=action),)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
+from rosld.ontology.describe_activities import Receipt
 from rosld.ontology.describe_plot import PlottedNumber
 from rosld.ontology.describe_search import SearchResult
 from rosld.ontology.document import Document
@@ -22,6 +23,7 @@ from rosld.server.space.transform import Transform
 
 if TYPE_CHECKING:
     from rosld.server.html.forms import Form
+
 
 Term: TypeAlias = NamedNode | BlankNode | Literal | Triple
 
@@ -106,7 +108,7 @@ THING = Alternate("Thing Description", "application/td+json", "td")
 
 
 def no_csrf_token(action: str) -> str:
-    """The token of forms on pages that have none."""
+    """Return the token of forms on pages that have none."""
     return ""
 
 
@@ -362,3 +364,23 @@ class ProblemPage:
     violations: tuple[Violation, ...] = ()
     near: tuple[str, ...] = ()
     quotes: tuple[tuple[str, str], ...] = ()
+
+
+_STEPS = 3
+"""Steps that are told one by one."""
+
+
+def receipt_notice(receipt: Receipt, link: NoticeLink | None) -> Notice:
+    """Return the notice about a write: what was done, how many it reached, or why it was refused."""
+    if receipt.status >= 400:
+        return Notice(f"Not done: {receipt.words or 'it was refused'}", NoticeLevel.ERROR, link=link, is_lasting=True)
+    steps = "; ".join(receipt.plan[:_STEPS]) or f"{receipt.method} was carried out"
+    more = f"; and {len(receipt.plan) - _STEPS} more" if len(receipt.plan) > _STEPS else ""
+    if receipt.matched is None:
+        return Notice(f"Done: {steps}{more}.", NoticeLevel.GOOD, link=link, is_lasting=True)
+    if not receipt.matched:
+        return Notice(
+            f"Done: {steps}{more}. Nobody was there to get it.", NoticeLevel.WARNING, link=link, is_lasting=True
+        )
+    whom = "one subscriber" if receipt.matched == 1 else f"{receipt.matched} subscribers"
+    return Notice(f"Done: {steps}{more}. It reached {whom}.", NoticeLevel.GOOD, link=link, is_lasting=True)

@@ -15,17 +15,13 @@ from rosld.ontology.document import Document
 from rosld.ontology.modules import home_of_terms, module_url
 from rosld.ontology.neutral_message import COMMANDS
 from rosld.ontology.vocab import PREFIXES, ldp, rdf, ros, td
-from rosld.server.html.auto_refresh import is_refreshed
-from rosld.server.html.brief import brief_text
-from rosld.server.html.cockpit import CockpitPage
+from rosld.server.html.cockpit import LEVELS, CockpitPage, panel_views
 from rosld.server.html.cockpit_form import kinds_of_panels
-from rosld.server.html.description import describe, first_text, objects_of
-from rosld.server.html.endpoints import endpoint_table
-from rosld.server.html.environment import render_template
+from rosld.server.html.description import describe, first_text, group_sections, objects_of
 from rosld.server.html.forms import Form, ValueForm
-from rosld.server.html.frame import page_frame
+from rosld.server.html.frame import is_refreshed, page_frame, render_template
+from rosld.server.html.graphics import PlotRow, SpaceRow, frame_row, plot_config, plot_query, pose_words, space_query
 from rosld.server.html.listing import container_table, parameter_columns, parameters_below
-from rosld.server.html.message_sections import message_sections
 from rosld.server.html.offer import FormTarget, form_targets, offer_view
 from rosld.server.html.page import (
     ALTERNATES,
@@ -47,16 +43,10 @@ from rosld.server.html.page import (
     SpacePage,
     SparqlPage,
 )
-from rosld.server.html.panels import LEVELS, panel_views
-from rosld.server.html.plot import PlotRow, plot_config, plot_query
-from rosld.server.html.section_groups import group_sections
+from rosld.server.html.sections import endpoint_table, message_sections, stop_steps
 from rosld.server.html.site import Site, readable_path
-from rosld.server.html.space_view import SpaceRow, frame_row, pose_words, space_query
-from rosld.server.html.stop_steps import stop_steps
-from rosld.server.html.tables import results_table
-from rosld.server.html.terms import thumbnail_view
-from rosld.server.html.timestamps import time_view
-from rosld.server.html.view import escape_controls
+from rosld.server.html.values import brief_text, results_table, thumbnail_view
+from rosld.server.html.view import escape_controls, time_view
 from rosld.server.hypermedia.views import ComplexView, PropertyView
 from rosld.server.robot.diagnostic_states import Level
 from rosld.server.space.drawing import PLACED_TYPES

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from urllib.parse import unquote, urlsplit
 
@@ -81,7 +81,7 @@ class Site:
         return urlsplit(self.base).path
 
     def page_url(self, iri: str) -> str | None:
-        """The URL on this server that describes `iri`: itself, or the page of a type or of a term of the vocabulary."""
+        """Return the URL on this server that describes `iri`: itself, or the page of a type or of a term of the vocabulary."""
         if iri.startswith(self.base) or iri == self.base:
             return iri
         if iri.startswith(self.types) and iri != self.types:
@@ -105,7 +105,7 @@ class Site:
         return url if path.startswith("//") else path
 
     def anchor(self, iri: str, here: str = "") -> Anchor | None:
-        """The link to `iri` on the page at `here`, None for what must not be one."""
+        """Return the link to `iri` on the page at `here`, None for what must not be one."""
         href = self.href(iri)
         if href is None:
             return None
@@ -123,7 +123,7 @@ class Site:
         return self.prefixed_name(iri)
 
     def prefixed_name(self, iri: str) -> str:
-        """`prefix:name` for a term of a known vocabulary, else the IRI."""
+        """Return `prefix:name` for a term of a known vocabulary, else the IRI."""
         for prefix, namespace in PREFIXES.items():
             if iri.startswith(namespace) and iri != namespace:
                 return f"{prefix}:{iri.removeprefix(namespace)}"
@@ -148,5 +148,30 @@ def _place(path: str) -> str:
 
 
 def readable_path(path: str) -> str:
-    """A path as people read it: percent-encoding undone, what is not UTF-8 replaced."""
+    """Return a path as people read it: percent-encoding undone, what is not UTF-8 replaced."""
     return unquote(path, errors="replace")
+
+
+CONTENT_SECURITY_POLICY = "; ".join(
+    (
+        "default-src 'none'",
+        "style-src 'self'",
+        "script-src 'self'",
+        "connect-src 'self'",
+        "img-src 'self'",
+        "form-action 'self'",
+        "base-uri 'none'",
+        "frame-ancestors 'none'",
+    )
+)
+"""Nothing but our own files is loaded and run, nothing of a page itself is run, and all goes nowhere else."""
+
+QUERY_EDITOR_POLICY = CONTENT_SECURITY_POLICY.replace("style-src 'self'", "style-src 'self' 'unsafe-inline'")
+"""The policy of the page at `/sparql` alone: its editor writes styles into what it draws."""
+
+HEADERS: Mapping[str, str] = {
+    "content-security-policy": CONTENT_SECURITY_POLICY,
+    "x-content-type-options": "nosniff",
+    "referrer-policy": "same-origin",
+}
+"""What every page is sent with."""

@@ -1,20 +1,192 @@
-"""Values of properties: how one is shown, and as what plain JSON it stands in a form."""
+"""Values as people read them: RDF terms, tables, brief values, and readings."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import islice
 from typing import cast
 from urllib.parse import quote
 
+from pyoxigraph import BlankNode, Literal, NamedNode, Triple
+
 from rosld.ontology.body import parse_json
 from rosld.ontology.lift import LiftSettings
+from rosld.ontology.vocab import rdf, xsd
+from rosld.server.html.graphics import plot_prefix
 from rosld.server.html.inputs import Json, editable_json
 from rosld.server.html.messages import message_view
-from rosld.server.html.plot import plot_prefix
+from rosld.server.html.page import Cell, PageResults, Term, Thumbnail
 from rosld.server.html.site import Site
-from rosld.server.html.terms import cell_view
-from rosld.server.html.view import TextView, View, escape_controls, text_view
+from rosld.server.html.view import (
+    ArrayView,
+    BytesView,
+    LinkView,
+    TextView,
+    ThumbnailView,
+    View,
+    escape_controls,
+    number_view,
+    text_view,
+    time_view_of_text,
+)
 from rosld.server.hypermedia.value import MessageValue, Value, plain_json, value_literal
+
+_PLAIN = frozenset({xsd.string, rdf.langString})
+NUMBERS = frozenset(
+    {xsd.integer, xsd.decimal, xsd.float, xsd.double, xsd.byte, xsd.short, xsd.int, xsd.long}
+    | {xsd.unsignedByte, xsd.unsignedShort, xsd.unsignedInt, xsd.unsignedLong, xsd.nonNegativeInteger}
+)
+_LONGEST_JSON = 200_000
+_HEAD = 8
+
+
+def term_view(term: Term, site: Site, here: str = "") -> View:
+    """How a term is shown on the page at `here`."""
+    if isinstance(term, NamedNode):
+        return iri_view(term.value, site, here)
+    if isinstance(term, Literal):
+        return literal_view(term, site)
+    if isinstance(term, BlankNode):
+        return TextView(f"_:{term.value}", tone="quiet")
+    return _triple_view(term)
+
+
+def cell_view(cell: Cell, site: Site) -> View:
+    """Return a cell of a listing: text as it is, a term as a term without its datatype."""
+    if isinstance(cell, str):
+        return text_view(cell)
+    if isinstance(cell, Thumbnail):
+        return thumbnail_view(cell, site)
+    if isinstance(cell, Literal) and (cell.datatype in NUMBERS or cell.datatype == xsd.boolean):
+        return number_view(cell.value)
+    if isinstance(cell, Literal) and cell.datatype == xsd.dateTime:
+        return time_view_of_text(escape_controls(cell.value))
+    return term_view(cell, site)
+
+
+def thumbnail_view(cell: Thumbnail, site: Site) -> View:
+    """Return the small picture of a topic, where the reader may see it; else its value in words."""
+    anchor = site.anchor(cell.url)
+    if anchor is None:
+        return text_view(cell.words)
+    return ThumbnailView(f"{anchor.href}?{cell.query}", anchor.href, f"Picture of {anchor.text}", cell.words)
+
+
+def iri_view(iri: str, site: Site, here: str = "") -> View:
+    """Return an IRI as a link, or as text where it must not be one (`javascript:` and its like)."""
+    anchor = site.anchor(iri, here)
+    return TextView(escape_controls(iri), tone="iri") if anchor is None else LinkView(anchor)
+
+
+def literal_view(literal: Literal, site: Site) -> View:
+    """Return a literal by its datatype: times readable, arrays shortened, bytes counted, everything else as it is written."""
+    datatype = literal.datatype
+    hint = literal_hint(literal, site)
+    if datatype == xsd.dateTime:
+        return time_view_of_text(escape_controls(literal.value), hint)
+    if datatype == rdf.JSON:
+        return _json_view(literal.value)
+    if datatype == xsd.base64Binary:
+        return BytesView(len(literal.value) * 3 // 4 - literal.value[-2:].count("="), hint=hint)
+    if datatype in NUMBERS:
+        return number_view(literal.value, hint)
+    return text_view(literal.value, hint)
+
+
+def literal_hint(literal: Literal, site: Site) -> str:
+    """Return the quiet word beside a literal: its language, or its datatype unless it is a plain string."""
+    if literal.language:
+        return literal.language if literal.language != "en" else ""
+    if literal.datatype in _PLAIN:
+        return ""
+    if literal.datatype.value.startswith(xsd.iri):
+        return escape_controls(literal.datatype.value.removeprefix(xsd.iri))
+    return escape_controls(site.prefixed_name(literal.datatype.value))
+
+
+def _json_view(text: str) -> View:
+    try:
+        value = json.loads(text) if len(text) <= _LONGEST_JSON else None
+    except (ValueError, RecursionError):
+        value = None
+    if not isinstance(value, list):
+        return text_view(text, "JSON")
+    items = [each if isinstance(each, str) else json.dumps(each, ensure_ascii=False) for each in value[:2_000]]
+    head, full = escape_controls(", ".join(items[:_HEAD])), escape_controls(", ".join(items))
+    return ArrayView(len(value), head, full if len(value) > _HEAD else None, hint="JSON")
+
+
+def _triple_view(triple: Triple) -> View:
+    return TextView(escape_controls(f"<<{triple}>>"), tone="iri")
+
+
+@dataclass(frozen=True, slots=True)
+class ResultsTable:
+    """Rows of views under headings; `cut` says that there were more rows than are shown."""
+
+    columns: tuple[str, ...]
+    rows: tuple[tuple[View | None, ...], ...]
+    is_truncated: bool = False
+    boolean: bool | None = None
+    note: str = ""
+
+
+def results_table(results: PageResults, site: Site) -> ResultsTable:
+    """Return the table of a query's results: at most `results.limit` rows are read and shown."""
+    columns = tuple(escape_controls(name) for name in results.variables)
+    if results.boolean is not None:
+        return ResultsTable(columns, (), boolean=results.boolean, note=results.note)
+    taken = list(islice(results.rows, results.limit + 1))
+    rows = tuple(tuple(_view(term, site) for term in row) for row in taken[: results.limit])
+    return ResultsTable(columns, rows, is_truncated=len(taken) > results.limit, note=results.note)
+
+
+def _view(term: Term | None, site: Site) -> View | None:
+    if term is None:
+        return None
+    return cell_view(term, site) if isinstance(term, Literal) else term_view(term, site)
+
+
+_MAX_CHARACTERS = 110
+_MORE = "..."
+
+
+def brief_text(value: str) -> str:
+    """Return the line for a brief value, a part of it where that is too long."""
+    parsed: object = json.loads(value)
+    if isinstance(parsed, dict) and parsed.keys() == {"data"}:
+        parsed = parsed["data"]
+    parts = list(_parts(parsed, ""))
+    line = ", ".join(part for part in parts if part != _MORE)
+    if len(line) > _MAX_CHARACTERS:
+        cut = line[:_MAX_CHARACTERS]
+        return escape_controls(f"{cut.rpartition(',')[0] or cut} …")
+    return escape_controls(f"{line} …".lstrip() if _MORE in parts else line)
+
+
+def _parts(value: object, path: str) -> Iterator[str]:
+    """Yield the scalars of a value, each after the path that leads to it."""
+    if isinstance(value, dict):
+        for name, inner in value.items():
+            if name == _MORE:
+                yield _MORE
+            else:
+                yield from _parts(inner, f"{path}.{name}" if path else name)
+    elif isinstance(value, list) and any(isinstance(each, dict) for each in value):
+        for index, inner in enumerate(value):
+            yield from _parts(inner, f"{path}[{index}]") if inner != _MORE else iter([_MORE])
+    else:
+        text = _scalar(value) if not isinstance(value, list) else f"[{', '.join(map(_scalar, value))}]"
+        yield f"{path} {text}" if path else text
+
+
+def _scalar(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+
 
 _LIFTING = LiftSettings()
 
@@ -35,7 +207,7 @@ def value_view(value: Value, site: Site, field: str | None = None) -> View:
 
 
 def _with_plot_link(view: View, value: Value, field: str | None, site: Site) -> View:
-    """The view with a link to its plot, where it is a number of a topic."""
+    """Return the view with a link to its plot, where it is a number of a topic."""
     if not isinstance(value, MessageValue) or not isinstance(view, TextView) or view.tone != "number":
         return view
     plots, path = plot_prefix(value.origin, site), field or value.fields[0].name
@@ -43,7 +215,7 @@ def _with_plot_link(view: View, value: Value, field: str | None, site: Site) -> 
 
 
 def plain_value(value: Value | None) -> Json:
-    """The plain JSON that a form of the value is filled with: the bare scalar, or an object of its fields.
+    """Return the plain JSON that a form of the value is filled with: the bare scalar, or an object of its fields.
 
     None where there is no value, or none that could be typed.
     """

@@ -1,9 +1,10 @@
-"""Views: what one value looks like on a page, ready for the templates. Everything in them is plain text."""
+"""Views: values on a page (texts, numbers, times, tables), ready for the templates. All of it is plain text."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from datetime import datetime, timedelta, timezone
 from typing import ClassVar, TypeAlias
 
 from rosld.server.html.site import Anchor
@@ -136,7 +137,7 @@ View: TypeAlias = (
 
 
 def escape_controls(text: str) -> str:
-    """`text` with what HTML cannot hold made visible: control characters as their pictures, surrogates replaced."""
+    """Return `text` with what HTML cannot hold made visible: control characters as their pictures, surrogates replaced."""
     return _UNASSIGNED.sub("\ufffd", text.translate(_PICTURES))
 
 
@@ -150,3 +151,55 @@ def text_view(text: str, hint: str = "", tone: str = "") -> View:
     if len(shown) > _LONG:
         return TextView(shown[: _LONG // 4], hint, full=shown, tone=tone)
     return TextView(shown, hint, tone=tone)
+
+
+_DIGITS = 6
+_LONGEST = 9
+"""Characters of a number that is shown as it is."""
+
+
+def number_view(text: str, hint: str = "") -> TextView:
+    """Return a number by its text: one of many digits behind the point is shown with few, and has all of them beside."""
+    shown = shorten_number(text)
+    return TextView(escape_controls(shown), hint, tone="number", exact=escape_controls(text) if shown != text else "")
+
+
+def shorten_number(text: str) -> str:
+    """Return a number with six significant digits where it has more and is no integer; anything else as it is."""
+    if len(text) <= _LONGEST or not ("." in text or "e" in text.lower()):
+        return text
+    try:
+        return f"{float(text):.{_DIGITS}g}"
+    except ValueError:
+        return text
+
+
+_EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
+
+
+def time_view(nanoseconds: int, hint: str = "") -> View:
+    """Return a wall-clock time given in nanoseconds since 1970: to the millisecond for people, exact for machines."""
+    seconds, rest = divmod(nanoseconds, 1_000_000_000)
+    try:
+        when = _EPOCH + timedelta(seconds=seconds)
+    except OverflowError:
+        return TextView(f"{seconds}.{rest:09d} s", hint)
+    day = when.strftime("%Y-%m-%d %H:%M:%S") if when.year >= 1000 else when.isoformat(" ")[:19]
+    return TimeView(f"{day.replace(' ', 'T')}.{rest:09d}Z", f"{day}.{rest // 1_000_000:03d} UTC", hint)
+
+
+def time_view_of_text(text: str, hint: str = "") -> View:
+    """Return a time in the lexical form of xsd:dateTime; shown as it is where it cannot be read."""
+    main, dot, rest = text.removesuffix("Z").partition(".")
+    if text.endswith("Z") and len(main) == 19 and (not dot or rest.isdigit()):
+        fraction = f".{rest[:3]:0<3}" if dot else ""
+        return TimeView(text, f"{main.replace('T', ' ')}{fraction} UTC", hint)
+    return TextView(text, hint)
+
+
+def duration_view(seconds: int, nanoseconds: int, hint: str = "") -> View:
+    """Return a duration of ROS: whole seconds and nanoseconds to be added to them."""
+    total = seconds * 1_000_000_000 + nanoseconds
+    whole, rest = divmod(abs(total), 1_000_000_000)
+    digits = f"{rest:09d}".rstrip("0")
+    return TextView(f"{'-' if total < 0 else ''}{whole}{'.' if digits else ''}{digits} s", hint)

@@ -40,8 +40,7 @@ from rosld.server.hypermedia.views import (
     PropertyView,
 )
 from rosld.server.robot.session import Session
-from rosld.server.runtime.loop_time import loop_time
-from rosld.server.runtime.signals import Signal, call_every, combine_watches
+from rosld.server.runtime.tasks import Signal, call_every, combine_watches, loop_time
 from rosld.server.runtime.version_cache import VersionCache
 from rosld.server.settings import Settings
 from rosld.shapes.limits import Limits

@@ -46,7 +46,7 @@ from rosld.server.robot.declared_parameters import has_other_values
 from rosld.server.robot.publication import prepare, publish
 from rosld.server.robot.session import Session
 from rosld.server.robot.write_policy import denied_reason, parameter_denied_reason
-from rosld.server.runtime.loop_time import loop_time
+from rosld.server.runtime.tasks import loop_time
 from rosld.server.settings import Settings
 from rosld.shapes.parameter import require_form
 

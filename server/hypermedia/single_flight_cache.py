@@ -8,7 +8,7 @@ from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass
 from typing import Generic, TypeAlias, TypeVar
 
-from rosld.server.runtime.woken_task import end_tasks
+from rosld.server.runtime.tasks import end_tasks
 
 K = TypeVar("K", bound=Hashable)
 V = TypeVar("V")

@@ -8,8 +8,8 @@ from typing import TypeAlias
 
 from starlette.types import Receive, Scope, Send
 
+from rosld.server.runtime.tasks import end_tasks
 from rosld.server.runtime.watchdog import Watchdog
-from rosld.server.runtime.woken_task import end_tasks
 from rosld.server.sparql.process.client import QueryProcess
 
 Job: TypeAlias = Callable[[], Awaitable[None]]

@@ -19,7 +19,7 @@ from rosld.ontology.describe_activities import Receipt
 from rosld.server.receipts.audit_entry import AuditEntry, receipt_of, touched_urls
 from rosld.server.receipts.sqlite_log import SqliteLog
 from rosld.server.runtime.identifiers import new_identifier
-from rosld.server.runtime.signals import Signal
+from rosld.server.runtime.tasks import Signal
 
 WRITE_SECONDS = 0.2
 """How long what was noted waits for more before it is written to the disk: what a process that is killed may lose."""

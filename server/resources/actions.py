@@ -31,7 +31,7 @@ from rosld.ontology.document import Document, Envelope
 from rosld.ontology.lift import lifter
 from rosld.ontology.literals import date_time
 from rosld.ontology.urls import Space
-from rosld.server.html import DeleteForm, Form, MessageForm
+from rosld.server.html.forms import DeleteForm, Form, MessageForm
 from rosld.server.http.fields import to_uri
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import DataSchema
@@ -55,7 +55,7 @@ from rosld.server.robot.goals import GoalSubmission
 from rosld.server.robot.session import Session
 from rosld.server.robot.write_policy import resources_only_reason
 from rosld.server.runtime.dry_run import DryRunEnded, expect_status
-from rosld.server.runtime.loop_time import loop_time
+from rosld.server.runtime.tasks import loop_time
 from rosld.server.runtime.version_cache import IdentityKey, VersionCache
 
 _READ_ONLY = "This server is read-only."

@@ -15,8 +15,7 @@ from rosld.ontology.literals import date_time
 from rosld.ontology.urls import Space
 from rosld.server.auth.permissions import Permissions
 from rosld.server.events import query_params
-from rosld.server.html import MemberColumns, SequenceLink
-from rosld.server.html.page import Cell
+from rosld.server.html.page import Cell, MemberColumns, SequenceLink
 from rosld.server.http.conditional import digest
 from rosld.server.http.fields import render_links
 from rosld.server.http.problem import Problem

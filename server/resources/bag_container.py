@@ -9,7 +9,7 @@ from functools import partial
 from rosld.ontology.describe_containers import container_document
 from rosld.server.history.ordered_recording import RecordingOrder, RecordingRefused
 from rosld.server.history.recordings import Recordings
-from rosld.server.html import Form
+from rosld.server.html.forms import Form
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.bag_descriptions import bag_urls

@@ -11,7 +11,7 @@ from rosld.adapters.base import RecordedMessage, Recording
 from rosld.adapters.model import NotFound
 from rosld.ontology.describe_bags import bag_messages_document
 from rosld.ontology.document import Document
-from rosld.server.html import SequenceLink
+from rosld.server.html.page import SequenceLink
 from rosld.server.http.fields import Link
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import ANYTHING

@@ -14,7 +14,7 @@ from rosld.adapters.model import RosError
 from rosld.ontology.describe_bags import bag_moment_document
 from rosld.ontology.document import Document
 from rosld.ontology.literals import date_time
-from rosld.server.html import SequenceLink
+from rosld.server.html.page import SequenceLink
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.bag_selection import BagSelection, Detail, detail_of, topics_of
 from rosld.server.resources.recorded_messages import DecodedRecord

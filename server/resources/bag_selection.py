@@ -19,8 +19,7 @@ from rosld.ontology.document import Document
 from rosld.ontology.literals import date_time
 from rosld.ontology.triples import date_time_literal
 from rosld.server.auth.permissions import Permissions
-from rosld.server.html import MemberColumns, SequenceLink
-from rosld.server.html.page import Cell
+from rosld.server.html.page import Cell, MemberColumns, SequenceLink
 from rosld.server.http.conditional import digest
 from rosld.server.http.fields import Link
 from rosld.server.http.negotiation import choose_offer

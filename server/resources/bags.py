@@ -9,7 +9,8 @@ from starlette.responses import Response
 from rosld.adapters.base import Recording, Watch
 from rosld.ontology.urls import Space
 from rosld.server.history.recordings import Recordings
-from rosld.server.html import DeleteForm, Form, SequenceLink
+from rosld.server.html.forms import DeleteForm, Form
+from rosld.server.html.page import SequenceLink
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.bag_descriptions import describe_bag
 from rosld.server.rest.exchange import Exchange

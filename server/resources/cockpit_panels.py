@@ -17,9 +17,7 @@ from rosld.ontology.urls import Location
 from rosld.server.auth.permissions import Permissions
 from rosld.server.auth.redaction import redact_problem
 from rosld.server.history.history import History
-from rosld.server.html import EditForm, Form, HoldForm, MessageForm, PageResults, forms_of
-from rosld.server.html.labels import capitalize, split_words
-from rosld.server.html.panels import (
+from rosld.server.html.cockpit import (
     MAX_STREAM,
     DriveContent,
     FilledPanel,
@@ -33,8 +31,12 @@ from rosld.server.html.panels import (
     ValueContent,
     WordsContent,
 )
-from rosld.server.html.picture_view import picture_view
-from rosld.server.html.space_view import space_query
+from rosld.server.html.cockpit_form import EditForm
+from rosld.server.html.forms import Form, HoldForm, MessageForm
+from rosld.server.html.graphics import picture_view, space_query
+from rosld.server.html.labels import capitalize, split_words
+from rosld.server.html.offer import forms_of
+from rosld.server.html.page import PageResults
 from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import AffordanceService
@@ -51,7 +53,7 @@ from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import State
 from rosld.server.robot.session import Session
 from rosld.server.robot.software_stop import SoftwareStop
-from rosld.server.runtime.signals import call_every, combine_watches
+from rosld.server.runtime.tasks import call_every, combine_watches
 from rosld.server.sparql.protocol import QueryRequest
 from rosld.server.sparql.query_service import QueryService
 from rosld.server.sparql.stored_query import OTHER_SETTINGS, StoredQuery, bind_parameters

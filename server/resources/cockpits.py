@@ -16,20 +16,12 @@ from rosld.ontology.triples import RDF_SOURCE, triples_about
 from rosld.ontology.urls import Location
 from rosld.server.auth.errors import forbidden
 from rosld.server.auth.permissions import Permissions
-from rosld.server.html import (
-    CockpitPage,
-    CopyForm,
-    Csrf,
-    DeleteForm,
-    EditForm,
-    Form,
-    MemberColumns,
-    Notice,
-    Site,
-    cockpit_of_form,
-    render_cockpit,
-)
-from rosld.server.html.panels import FilledPanel
+from rosld.server.html.cockpit import CockpitPage, FilledPanel
+from rosld.server.html.cockpit_form import CopyForm, EditForm, cockpit_of_form
+from rosld.server.html.forms import DeleteForm, Form
+from rosld.server.html.page import Csrf, MemberColumns, Notice
+from rosld.server.html.render import render_cockpit
+from rosld.server.html.site import Site
 from rosld.server.http.body import FORM
 from rosld.server.http.conditional import digest
 from rosld.server.http.negotiation import choose_offer
@@ -58,7 +50,7 @@ from rosld.server.rest.resource import RDF_SOURCE as RDF_SOURCE_LINK
 from rosld.server.rest.resource import RESOURCE, Answer, CreatedAnswer, Resource
 from rosld.server.rest.slug import choose_name
 from rosld.server.rest.state import State
-from rosld.server.runtime.signals import combine_watches
+from rosld.server.runtime.tasks import combine_watches
 from rosld.server.storage import Conflict, Model, Record, Write
 
 _MAX_TABS = 20

@@ -15,7 +15,8 @@ from rosld.adapters.base import Watch
 from rosld.ontology.body import index_triples
 from rosld.ontology.lower import parse_json
 from rosld.server.auth.permissions import Permissions
-from rosld.server.html import Form, forms_of
+from rosld.server.html.forms import Form
+from rosld.server.html.offer import forms_of
 from rosld.server.http.fields import Link
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import AffordanceService, Snapshot

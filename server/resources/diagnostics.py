@@ -16,7 +16,10 @@ from rosld.ontology.describe_diagnostics import PartState, diagnostics_document
 from rosld.ontology.literals import date_time
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.history.history import History
-from rosld.server.html import Csrf, DiagnosticsPage, Form, Notice, Site, render_diagnostics
+from rosld.server.html.forms import Form
+from rosld.server.html.page import Csrf, DiagnosticsPage, Notice
+from rosld.server.html.render import render_diagnostics
+from rosld.server.html.site import Site
 from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import DataSchema
@@ -40,7 +43,7 @@ from rosld.server.robot.diagnostic_states import (
     worst_first,
 )
 from rosld.server.robot.session import Session
-from rosld.server.runtime.signals import call_every, combine_watches
+from rosld.server.runtime.tasks import call_every, combine_watches
 
 _LOOK_SECONDS = 2.0
 """How often is looked for what has fallen silent."""

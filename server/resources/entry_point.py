@@ -7,8 +7,10 @@ from collections.abc import Callable, Collection, Sequence
 from rosld.adapters.model import Graph
 from rosld.ontology.describe_graph import SECTIONS, ServerProblems, entry_document
 from rosld.server.history.recordings import Recordings
-from rosld.server.html import Csrf, EntryCount, EntryPage, Form, Notice, Site, render_entry
-from rosld.server.html.page import NoticeLevel
+from rosld.server.html.forms import Form
+from rosld.server.html.page import Csrf, EntryCount, EntryPage, Notice, NoticeLevel
+from rosld.server.html.render import render_entry
+from rosld.server.html.site import Site
 from rosld.server.http.fields import Link
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.namespaces import listed_graph

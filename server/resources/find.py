@@ -17,8 +17,10 @@ from rosld.ontology.describe_search import SearchResult, search_document, search
 from rosld.ontology.document import Document
 from rosld.ontology.vocab import ros
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
-from rosld.server.html import Csrf, Form, Notice, SearchPage, Site, render_search
-from rosld.server.html.page import Thumbnail
+from rosld.server.html.forms import Form
+from rosld.server.html.page import Csrf, Notice, SearchPage, Thumbnail
+from rosld.server.html.render import render_search
+from rosld.server.html.site import Site
 from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import AffordanceService
@@ -38,7 +40,7 @@ from rosld.server.rest.path_item import FORMAT, PathItem, QueryParameter
 from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource
 from rosld.server.rest.state import State
 from rosld.server.robot.session import Session
-from rosld.server.runtime.loop_time import loop_time
+from rosld.server.runtime.tasks import loop_time
 from rosld.server.search.entry import Entry, EntryKind
 from rosld.server.search.index import Hit, Match, terms_of
 

@@ -13,7 +13,10 @@ from rosld.ontology.literals import date_time
 from rosld.ontology.urls import Space
 from rosld.server.auth.errors import not_found
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
-from rosld.server.html import Csrf, Form, FramesPage, Notice, Site, render_frames
+from rosld.server.html.forms import Form
+from rosld.server.html.page import Csrf, FramesPage, Notice
+from rosld.server.html.render import render_frames
+from rosld.server.html.site import Site
 from rosld.server.http.conditional import digest
 from rosld.server.hypermedia.data_schema import DataSchema
 from rosld.server.hypermedia.json_schema import TEXT, URI, nullable
@@ -24,7 +27,7 @@ from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource
 from rosld.server.rest.state import State
 from rosld.server.robot.audited_adapter import AuditedAdapter
 from rosld.server.robot.scene import Scene
-from rosld.server.runtime.signals import call_every
+from rosld.server.runtime.tasks import call_every
 from rosld.server.space.drawing import pose_json
 from rosld.server.space.frame_buffer import TOPICS
 from rosld.server.space.frame_tree import FrameNode, frame_tree

@@ -18,7 +18,10 @@ from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.diagrams import dot, svg
 from rosld.server.diagrams.diagram import Diagram, Selection, Traffic, draw_graph, namespaces_of
 from rosld.server.diagrams.fold import fold
-from rosld.server.html import Csrf, Form, GraphPage, Notice, Site, render_graph
+from rosld.server.html.forms import Form
+from rosld.server.html.page import Csrf, GraphPage, Notice
+from rosld.server.html.render import render_graph
+from rosld.server.html.site import Site
 from rosld.server.http.conditional import ETag, digest
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
@@ -37,7 +40,7 @@ from rosld.server.robot.diagnostic_states import STALE_SECONDS
 from rosld.server.robot.session import Session
 from rosld.server.robot.topic_view import EMPTY_VIEW, TopicView
 from rosld.server.robot.velocity import OCCASIONAL_TYPES
-from rosld.server.runtime.signals import call_every
+from rosld.server.runtime.tasks import call_every
 
 _DRAWINGS = {"svg": svg.MEDIA_TYPE, "dot": dot.MEDIA_TYPE}
 _MAX_NAME = 300

@@ -33,9 +33,8 @@ from rosld.ontology.lower import LoweringError, find_message, lowerer, parse_jso
 from rosld.ontology.neutral_message import COMMANDS, TWISTS, with_zeros
 from rosld.ontology.urls import Space
 from rosld.server.auth.errors import not_found
-from rosld.server.html import DeleteForm, Form, HoldForm
 from rosld.server.html.drive_pad import drive_pad
-from rosld.server.html.forms import HoldTerms
+from rosld.server.html.forms import DeleteForm, Form, HoldForm, HoldTerms
 from rosld.server.html.inputs import Json
 from rosld.server.http.fields import parse_decimal
 from rosld.server.http.problem import Problem

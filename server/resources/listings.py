@@ -16,8 +16,7 @@ from rosld.ontology.describe_services import call_outline
 from rosld.ontology.document import Document
 from rosld.ontology.triples import date_time_literal
 from rosld.ontology.urls import Space
-from rosld.server.html import MemberColumns
-from rosld.server.html.page import Cell
+from rosld.server.html.page import Cell, MemberColumns
 from rosld.server.http.conditional import digest
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.rest.path_item import PathItem
@@ -27,7 +26,7 @@ from rosld.server.robot.calls import Call, Calls, CallState
 from rosld.server.robot.goal_store import Goal
 from rosld.server.robot.goals import Goals
 from rosld.server.robot.hold_store import Hold, Holds, InterruptedHold
-from rosld.server.runtime.signals import Signal
+from rosld.server.runtime.tasks import Signal
 from rosld.server.runtime.version_cache import VersionCache
 
 _OUTCOMES = {CallState.UNKNOWN: "outcome unknown", CallState.NOT_SENT: "not sent"}

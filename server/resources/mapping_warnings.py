@@ -8,7 +8,7 @@ import logging
 from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.mappings import Mappings
 from rosld.server.rest.state import State
-from rosld.server.runtime.loop_time import loop_time
+from rosld.server.runtime.tasks import loop_time
 
 _DISCOVERY = 5.0
 """Seconds that a robot is given to be discovered: in ROS 2 nodes are heard of one after the other."""

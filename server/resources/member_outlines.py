@@ -11,8 +11,8 @@ from rosld.ontology.describe_members import MemberOutline
 from rosld.ontology.namespaces import Members
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import ros
-from rosld.server.html.brief import brief_text
 from rosld.server.html.page import Cell, Thumbnail
+from rosld.server.html.values import brief_text
 from rosld.server.hypermedia.latest_values import LatestValue
 from rosld.server.pictures.form import OCCUPANCY_GRID
 

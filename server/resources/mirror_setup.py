@@ -17,7 +17,7 @@ from rosld.server.dataset.replication import Mirror
 from rosld.server.http.origin import is_loopback
 from rosld.server.http.problem import Problem
 from rosld.server.robot.session import Session
-from rosld.server.runtime.loop_time import loop_time
+from rosld.server.runtime.tasks import loop_time
 from rosld.server.settings import Settings
 from rosld.server.sparql.materializer import Materializer
 from rosld.server.sparql.needs import Needs, needs_of_documents

@@ -13,7 +13,7 @@ from rosld.ontology.describe_members import MemberOutline, member_triples
 from rosld.ontology.document import Document
 from rosld.ontology.namespaces import IdentityCache, Members, members_of
 from rosld.ontology.urls import Space, decode_segment, encode_segment
-from rosld.server.html import MemberColumns, SequenceLink
+from rosld.server.html.page import MemberColumns, SequenceLink
 from rosld.server.http.conditional import digest
 from rosld.server.http.fields import render_links
 from rosld.server.http.problem import Problem

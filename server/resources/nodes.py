@@ -15,7 +15,7 @@ from rosld.ontology.describe_graph import NodeView, node_document, node_views
 from rosld.ontology.lower import lowerer, parse_json
 from rosld.ontology.violations import LoweringError, Violation
 from rosld.ontology.vocab import ros
-from rosld.server.html import ChoiceForm, Form
+from rosld.server.html.forms import ChoiceForm, Form
 from rosld.server.http.problem import Problem, one_line
 from rosld.server.hypermedia.json_schema import TEXT
 from rosld.server.hypermedia.message_schemas import MessageSchemas
@@ -31,7 +31,7 @@ from rosld.server.rest.state import State
 from rosld.server.robot.session import Session
 from rosld.server.robot.write_policy import resources_only_reason
 from rosld.server.runtime.dry_run import expect_status
-from rosld.server.runtime.loop_time import loop_time
+from rosld.server.runtime.tasks import loop_time
 from rosld.server.runtime.version_cache import VersionCache
 
 TRANSITION = "transition"

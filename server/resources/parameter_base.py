@@ -18,8 +18,7 @@ from rosld.server.rest.resource import Answer, ShownAnswer
 from rosld.server.robot.declared_parameters import has_other_values
 from rosld.server.robot.session import Session
 from rosld.server.robot.write_policy import parameter_denied_reason, resources_only_reason
-from rosld.server.runtime.loop_time import loop_time
-from rosld.server.runtime.signals import call_every, combine_watches
+from rosld.server.runtime.tasks import call_every, combine_watches, loop_time
 
 _LOOK_AGAIN_SECONDS = 1.0
 """How often a parameter that is watched is read again: not every kind of robot tells of all changes."""

@@ -12,7 +12,7 @@ from rosld.ontology.parameters import Outline, parameter_container_document
 from rosld.ontology.urls import encode_segment
 from rosld.server.auth.permissions import Permissions
 from rosld.server.auth.redaction import redact_tree
-from rosld.server.html import MemberColumns, SequenceLink
+from rosld.server.html.page import MemberColumns, SequenceLink
 from rosld.server.http.conditional import digest
 from rosld.server.http.fields import render_links
 from rosld.server.http.problem import Problem

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from rosld.adapters.model import Descriptor
 from rosld.ontology.parameters import Json
-from rosld.server.html import Form, ParameterForm, ValueForm
+from rosld.server.html.forms import Form, ParameterForm, ValueForm
 from rosld.server.html.view import escape_controls
 from rosld.shapes.parameter import choice_words, declared_shape
 from rosld.shapes.value import OpenShape

@@ -24,7 +24,7 @@ from rosld.ontology.triples import text, triples_about
 from rosld.ontology.vocab import rdfs, ros
 from rosld.server.auth.enforcement import require_subtree
 from rosld.server.events.query_params import EVENT_STREAM
-from rosld.server.html import DeleteForm, Form
+from rosld.server.html.forms import DeleteForm, Form
 from rosld.server.http.conditional import digest
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
@@ -50,7 +50,7 @@ from rosld.server.rest.state import State
 from rosld.server.robot.session import Session
 from rosld.server.robot.write_policy import parameter_denied_reason
 from rosld.server.runtime.dry_run import DryRunEnded, end_dry_run, expect_status
-from rosld.server.runtime.loop_time import loop_time
+from rosld.server.runtime.tasks import loop_time
 from rosld.server.runtime.version_cache import VersionCache
 from rosld.shapes.parameter import declared_triples, require_form
 

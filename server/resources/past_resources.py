@@ -16,7 +16,7 @@ from starlette.responses import Response
 
 from rosld.adapters.model import RosError
 from rosld.server.history.history import History
-from rosld.server.html import Form
+from rosld.server.html.forms import Form
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import AffordanceService, Snapshot
 from rosld.server.hypermedia.catalogue import Getter, ParameterSource, Property, TopicSource, source_url

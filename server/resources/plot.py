@@ -16,8 +16,11 @@ from rosld.server.events.event_stream import HEADERS
 from rosld.server.events.query_params import EVENT_STREAM, stream_is_preferred
 from rosld.server.events.sample_stream import FollowedTopic, SampleStream
 from rosld.server.history.history import History
-from rosld.server.html import Csrf, Form, Notice, PlotPage, Site, render_plot
-from rosld.server.html.plot import plot_query
+from rosld.server.html.forms import Form
+from rosld.server.html.graphics import plot_query
+from rosld.server.html.page import Csrf, Notice, PlotPage
+from rosld.server.html.render import render_plot
+from rosld.server.html.site import Site
 from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import AffordanceService

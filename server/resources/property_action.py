@@ -17,7 +17,8 @@ from rosld.ontology.document import Document
 from rosld.ontology.fields import field_bytes
 from rosld.ontology.lower import parse_json
 from rosld.ontology.vocab import rdf, ros
-from rosld.server.html import Form, action_form, cancel_forms, property_form
+from rosld.server.html.forms import Form
+from rosld.server.html.offer import action_form, cancel_forms, property_form
 from rosld.server.http.fields import Link
 from rosld.server.http.problem import ROBOT_SAID, Problem
 from rosld.server.hypermedia.affordance_service import AffordanceService, Snapshot

@@ -19,9 +19,16 @@ from rosld.ontology.serialize import Syntax
 from rosld.ontology.triples import RDF_SOURCE, statements, text, triples_about
 from rosld.ontology.urls import Location, Space
 from rosld.ontology.vocab import dcterms, ldp, rdfs
-from rosld.server import html
-from rosld.server.html import MemberColumns, Notice, PageResults, QueryPage, StoredQueryParameter
-from rosld.server.html.page import NoticeLevel
+from rosld.server.html.page import (
+    MemberColumns,
+    Notice,
+    NoticeLevel,
+    PageResults,
+    QueryPage,
+    StoredQueryLink,
+    StoredQueryParameter,
+)
+from rosld.server.html.render import render_query
 from rosld.server.http.body import parse_content_length
 from rosld.server.http.conditional import ETag, check_preconditions, digest
 from rosld.server.http.negotiation import choose_offer
@@ -180,7 +187,7 @@ class QueryRunner:
                 notices, status, also = (Notice(problem.detail, NoticeLevel.ERROR),), problem.status, problem.headers
         page = QueryPage(
             self.pages.site_for(exchange.permissions),
-            html.StoredQueryLink(resource.url, query.name, query.purpose, query.text),
+            StoredQueryLink(resource.url, query.name, query.purpose, query.text),
             tuple(
                 StoredQueryParameter(one.name, one.about, given.get(one.name, one.default or ""))
                 for one in query.parameters
@@ -195,7 +202,7 @@ class QueryRunner:
             "cache-control": "no-cache",
         }
         headers = {**also, **fixed_headers}
-        return Response(html.render_query(page), status, headers, "text/html; charset=utf-8")
+        return Response(render_query(page), status, headers, "text/html; charset=utf-8")
 
 
 class ShippedQueryResource(Resource):

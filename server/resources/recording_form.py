@@ -7,7 +7,7 @@ from functools import cache
 
 from rosld.adapters.model import MessageSchema
 from rosld.adapters.model.library import TypeLibrary
-from rosld.server.html import MessageForm, NameChoices
+from rosld.server.html.forms import MessageForm, NameChoices
 
 _FIELDS = """string name
 float64 duration

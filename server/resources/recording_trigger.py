@@ -28,7 +28,7 @@ from rosld.server.rest.resource import Resource
 from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import State
 from rosld.server.robot.session import Session
-from rosld.server.runtime.signals import call_every
+from rosld.server.runtime.tasks import call_every
 from rosld.server.settings import Settings
 
 NOTHING_IS_RECORDED = "Nothing is recorded here: this server is read-only, or serves a recording."

@@ -17,7 +17,7 @@ from rosld.server.rest.formats import JSON
 from rosld.server.rest.ros_problems import problem_of
 from rosld.server.robot.calls import CallOutcome, IdempotencyKeyReused
 from rosld.server.robot.session import Session
-from rosld.server.runtime.loop_time import loop_time
+from rosld.server.runtime.tasks import loop_time
 
 
 async def read_request(

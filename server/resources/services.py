@@ -13,7 +13,7 @@ from rosld.ontology.describe_services import CallView, call_document, service_do
 from rosld.ontology.document import Document
 from rosld.ontology.lift import lifter
 from rosld.ontology.literals import date_time
-from rosld.server.html import DeleteForm, Form, MessageForm
+from rosld.server.html.forms import DeleteForm, Form, MessageForm
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import DataSchema
 from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, URI, nullable

@@ -21,9 +21,11 @@ from rosld.server.events.event_stream import HEADERS
 from rosld.server.events.query_params import EVENT_STREAM, stream_is_preferred
 from rosld.server.events.space_stream import ShownTopic, SpaceSource, SpaceStream, place_drawing
 from rosld.server.history.history import History
-from rosld.server.html import Csrf, Form, Notice, Site, SpacePage, SpaceTopic, render_space
-from rosld.server.html.page import NoticeLevel
-from rosld.server.html.space_view import VIEW_3D, space_query
+from rosld.server.html.forms import Form
+from rosld.server.html.graphics import VIEW_3D, space_query
+from rosld.server.html.page import Csrf, Notice, NoticeLevel, SpacePage, SpaceTopic
+from rosld.server.html.render import render_space
+from rosld.server.html.site import Site
 from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import DataSchema

@@ -12,10 +12,10 @@ from rosld.ontology.document import Document
 from rosld.ontology.triples import statements, triples_about
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import rdf, rdfs, ros, sd
-from rosld.server import html
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
-from rosld.server.html import Notice, PageResults, SparqlPage, StoredQueryLink
-from rosld.server.html.page import NoticeLevel
+from rosld.server.html.page import Notice, NoticeLevel, PageResults, SparqlPage, StoredQueryLink
+from rosld.server.html.render import render_sparql
+from rosld.server.html.site import QUERY_EDITOR_POLICY
 from rosld.server.http.body import FORM
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
@@ -365,6 +365,6 @@ class SparqlResource(Resource):
         examples = tuple(each for each in self._examples() if permissions.may_read(each.url))
         page = SparqlPage(self._pages.site_for(permissions), text, examples, results, notices)
         status, also = (200, {}) if problem is None else (problem.status, problem.headers)
-        policy = {"content-security-policy": html.QUERY_EDITOR_POLICY}
+        policy = {"content-security-policy": QUERY_EDITOR_POLICY}
         headers = {**also, **self._pages.headers, **policy, "Vary": "Accept", "Cache-Control": "no-cache"}
-        return Response(html.render_sparql(page), status, headers, "text/html; charset=utf-8")
+        return Response(render_sparql(page), status, headers, "text/html; charset=utf-8")

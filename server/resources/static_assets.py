@@ -8,7 +8,7 @@ from functools import partial
 from starlette.responses import Response
 
 from rosld.ontology.urls import Space
-from rosld.server.html import ASSETS
+from rosld.server.html.frame import ASSETS
 from rosld.server.http.conditional import ETag, check_preconditions, digest
 from rosld.server.http.fields import Link
 from rosld.server.hypermedia.json_schema import OBJECT

@@ -16,7 +16,7 @@ from rosld.ontology.urls import Space
 from rosld.ontology.vocab import ros
 from rosld.server.auth.agent import ANONYMOUS
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
-from rosld.server.html import DeleteForm, Form
+from rosld.server.html.forms import DeleteForm, Form
 from rosld.server.http.problem import Problem
 from rosld.server.http.token_redaction import redact_tokens
 from rosld.server.hypermedia.data_schema import DataSchema

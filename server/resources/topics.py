@@ -20,7 +20,7 @@ from rosld.ontology.lift import lifter
 from rosld.ontology.literals import date_time
 from rosld.ontology.lower import parse_json
 from rosld.server.history.history import History
-from rosld.server.html import DeleteForm, Form, MessageForm
+from rosld.server.html.forms import DeleteForm, Form, MessageForm
 from rosld.server.html.inputs import Json
 from rosld.server.http.conditional import digest, require_if_match
 from rosld.server.http.problem import Problem
@@ -77,7 +77,7 @@ from rosld.server.robot.publication import publish
 from rosld.server.robot.session import Session
 from rosld.server.robot.topic_view import TopicView
 from rosld.server.robot.velocity import is_velocity_topic
-from rosld.server.runtime.signals import combine_watches
+from rosld.server.runtime.tasks import combine_watches
 from rosld.server.runtime.version_cache import IdentityKey, VersionCache
 
 

@@ -12,8 +12,9 @@ from rosld.adapters.base import Watch
 from rosld.ontology.urls import Space
 from rosld.server.history.armed_recordings import ArmedRecording
 from rosld.server.history.recordings import Recordings, RunningRecording
-from rosld.server.html import ChoiceForm, Csrf, DeleteForm, Form, Notice, Page, Site
-from rosld.server.html.page import NoticeLevel
+from rosld.server.html.forms import ChoiceForm, DeleteForm, Form
+from rosld.server.html.page import Csrf, Notice, NoticeLevel, Page
+from rosld.server.html.site import Site
 from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import DataSchema
@@ -25,8 +26,7 @@ from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import PathItem, WriteMethod
 from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, READ, RESOURCE, Answer, Resource, ShownAnswer
 from rosld.server.rest.state import State
-from rosld.server.runtime.loop_time import loop_time
-from rosld.server.runtime.signals import call_every
+from rosld.server.runtime.tasks import call_every, loop_time
 from rosld.server.runtime.version_cache import VersionCache
 from rosld.server.settings import Settings
 

@@ -23,7 +23,7 @@ from rosld.server.http.fields import quote_string, require_field_value
 from rosld.server.http.negotiation import parse_media_type
 from rosld.server.http.problem import Problem
 from rosld.server.rest.raw_response import RawResponse
-from rosld.server.runtime.woken_task import end_tasks
+from rosld.server.runtime.tasks import end_tasks
 
 CHUNK = 128 * 1024
 """Bytes read at a time; answers of no more are read at once."""

@@ -14,28 +14,22 @@ from starlette.responses import Response
 from rosld.adapters.model import Stale
 from rosld.ontology.lower import LoweringError
 from rosld.ontology.urls import Space
-from rosld.server import html
 from rosld.server.auth.agent import ANONYMOUS
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
-from rosld.server.html import (
-    ChoiceForm,
-    CopyForm,
-    Csrf,
-    DeleteForm,
-    EditForm,
-    Form,
-    HoldForm,
-    MessageForm,
-    Notice,
-    NoticeLink,
-    ParameterForm,
-    ProblemPage,
-    Site,
-    ValueForm,
+from rosld.server.html.cockpit_form import CopyForm, EditForm, parse_copy, parse_edit
+from rosld.server.html.form_parser import (
+    parse_choice,
+    parse_form,
+    parse_parameter,
+    parse_value,
+    split_choices,
+    split_hidden,
+    split_query,
 )
-from rosld.server.html.page import NoticeLevel
-from rosld.server.html.receipt_notice import receipt_notice
-from rosld.server.html.site import SECTIONS
+from rosld.server.html.forms import ChoiceForm, DeleteForm, Form, HoldForm, MessageForm, ParameterForm, ValueForm
+from rosld.server.html.page import Csrf, Notice, NoticeLevel, NoticeLink, ProblemPage, receipt_notice
+from rosld.server.html.render import render_page, render_problem
+from rosld.server.html.site import HEADERS, SECTIONS, Site
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.origin import FormKey
 from rosld.server.http.problem import Problem
@@ -59,7 +53,7 @@ _SHORT_PAGE = 300
 class PageRenderer:
     """Renders the pages of one robot's resources."""
 
-    headers: Mapping[str, str] = {name.lower(): value for name, value in html.HEADERS.items()}
+    headers: Mapping[str, str] = {name.lower(): value for name, value in HEADERS.items()}
 
     def __init__(self, session: Session, stops: SoftwareStop, large: LargeDocuments, receipts: Journal) -> None:
         self._session = session
@@ -146,8 +140,8 @@ class PageRenderer:
         if isinstance(page, bytes):
             return page
         if len(page.document.triples) <= _SHORT_PAGE:
-            return html.render_page(page)
-        return await asyncio.to_thread(html.render_page, page)
+            return render_page(page)
+        return await asyncio.to_thread(render_page, page)
 
     def problem(self, exchange: Exchange, problem: Problem, url: str) -> Response | None:
         """A problem with the resource at `url` as a page, for those who prefer one; None for all others."""
@@ -169,7 +163,7 @@ class PageRenderer:
             "Vary": problem.headers.get("Vary", "Accept"),
             "Cache-Control": "no-store",
         }
-        return Response(html.render_problem(page), problem.status, headers, "text/html; charset=utf-8")
+        return Response(render_problem(page), problem.status, headers, "text/html; charset=utf-8")
 
     async def read_form(self, exchange: Exchange, resource: Resource) -> Form:
         """Check a posted form and turn the request into the one it means; return the form.
@@ -177,13 +171,13 @@ class PageRenderer:
         Raises Problems (403 for a foreign form, 405 for a method without one), InvalidForm where it does not fit.
         """
         pairs = await self._pairs(exchange)
-        token, method, typed = html.split_hidden(pairs)
+        token, method, typed = split_hidden(pairs)
         self._keys.require(token, _of_agent(resource.url, exchange.permissions))
         forms = await resource.forms()
         form = next((form for form in forms if form.method == method and not form.action), None)
         if form is None:
             raise resource.not_allowed(method or "POST")
-        query, fields = html.split_query(typed) if isinstance(form, HoldForm | DeleteForm) else ({}, typed)
+        query, fields = split_query(typed) if isinstance(form, HoldForm | DeleteForm) else ({}, typed)
         try:
             value = _value(form, fields)
         except LoweringError as error:
@@ -286,22 +280,22 @@ def _value(form: Form, typed: Sequence[tuple[str, str]]) -> object:
     if isinstance(form, DeleteForm):
         return None
     if isinstance(form, EditForm):
-        return html.parse_edit(typed)
+        return parse_edit(typed)
     if isinstance(form, CopyForm):
-        return html.parse_copy(typed)
+        return parse_copy(typed)
     if isinstance(form, ChoiceForm):
-        return html.parse_choice(form.name, typed)
+        return parse_choice(form.name, typed)
     if isinstance(form, ParameterForm):
-        return html.parse_parameter(typed)
+        return parse_parameter(typed)
     if isinstance(form, ValueForm):
-        return html.parse_value(form.shape, typed)
+        return parse_value(form.shape, typed)
     if isinstance(form, MessageForm) and form.choices is not None:
-        names, typed = html.split_choices(typed)
-        value = html.parse_form(form.schema, typed)
+        names, typed = split_choices(typed)
+        value = parse_form(form.schema, typed)
         assert isinstance(value, dict)
         field = form.choices.field
         return {**value, field: " ".join([str(value[field]), *names])}
-    return html.parse_form(form.schema, typed)
+    return parse_form(form.schema, typed)
 
 
 def _moment(nanoseconds: int) -> str:

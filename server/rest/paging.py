@@ -19,7 +19,7 @@ from pyoxigraph import NamedNode, Triple
 from rosld.ontology.document import Document
 from rosld.ontology.triples import triples_about
 from rosld.ontology.vocab import ldp, rdf, xhv
-from rosld.server.html import SequenceLink
+from rosld.server.html.page import SequenceLink
 from rosld.server.http.fields import Link, to_uri
 from rosld.server.http.negotiation import Preferences
 from rosld.server.http.problem import Problem

@@ -19,7 +19,9 @@ from rosld.adapters.model import RosError
 from rosld.ontology.describe_graph import SECTIONS
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.dataset.base import TripleChanges
-from rosld.server.html import Csrf, Form, MemberColumns, Notice, Page, SequenceLink, Site
+from rosld.server.html.forms import Form
+from rosld.server.html.page import Csrf, MemberColumns, Notice, Page, SequenceLink
+from rosld.server.html.site import Site
 from rosld.server.http.fields import Link, to_uri
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.message_schemas import MessageSchemas

@@ -16,8 +16,7 @@ from rosld.server.http.problem import one_line
 from rosld.server.receipts.audit_context import Sender, record_step
 from rosld.server.runtime.dry_run import end_dry_run, is_dry_run
 from rosld.server.runtime.identifiers import new_identifier
-from rosld.server.runtime.signals import Signal
-from rosld.server.runtime.woken_task import end_tasks
+from rosld.server.runtime.tasks import Signal, end_tasks
 
 
 class CallState(Enum):

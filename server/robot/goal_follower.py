@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 from rosld.adapters.base import Adapter, Watch
 from rosld.adapters.model import RosError
-from rosld.server.runtime.loop_time import loop_time
-from rosld.server.runtime.woken_task import end_tasks
+from rosld.server.runtime.tasks import end_tasks, loop_time
 
 _SWEEP = 1.0
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from rosld.adapters.model import ActionSchema, GoalId, GoalStatus, Message
 from rosld.server.receipts.audit_context import Sender
 from rosld.server.robot.calls import Gone
-from rosld.server.runtime.signals import Signal
+from rosld.server.runtime.tasks import Signal
 
 MAX_REMEMBERED = 10_000
 """Goals of which it is remembered that they are gone."""

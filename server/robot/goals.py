@@ -31,7 +31,7 @@ from rosld.server.robot.goal_follower import GoalFollower
 from rosld.server.robot.goal_store import MAX_REMEMBERED, Feedback, Goal, GoalStore
 from rosld.server.runtime.dry_run import end_dry_run, is_dry_run
 from rosld.server.runtime.identifiers import new_identifier
-from rosld.server.runtime.signals import Signal
+from rosld.server.runtime.tasks import Signal
 
 _log = logging.getLogger("rosld")
 _ORDER: Mapping[GoalStatus, int] = {GoalStatus.ACCEPTED: 0, GoalStatus.EXECUTING: 1, GoalStatus.CANCELING: 2}

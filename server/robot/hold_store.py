@@ -30,8 +30,7 @@ from rosld.server.robot.session import Session
 from rosld.server.robot.write_policy import denied_reason
 from rosld.server.runtime.dry_run import end_dry_run
 from rosld.server.runtime.identifiers import new_identifier
-from rosld.server.runtime.loop_time import loop_time
-from rosld.server.runtime.signals import Signal
+from rosld.server.runtime.tasks import Signal, loop_time
 
 _REMEMBERED = 1000
 _LAST_SECONDS = 1.0

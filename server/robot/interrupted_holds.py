@@ -22,7 +22,7 @@ from rosld.server.robot.interlock import Holder
 from rosld.server.robot.session import Session
 from rosld.server.robot.velocity import subscribers_of
 from rosld.server.robot.zero_publisher import Repetition
-from rosld.server.runtime.loop_time import loop_time
+from rosld.server.runtime.tasks import loop_time
 
 SUBSCRIBER_SECONDS = 60.0
 """Seconds to wait for a subscriber of the topic, once the robot is there."""

@@ -11,9 +11,7 @@ from rosld.adapters.model import RosError
 from rosld.server.history.topic_feed import PERIOD, TopicFeed
 from rosld.server.robot.fold import QUEUE_DEPTH
 from rosld.server.robot.schemas import Schemas
-from rosld.server.runtime.loop_time import loop_time
-from rosld.server.runtime.signals import Signal
-from rosld.server.runtime.woken_task import end_tasks
+from rosld.server.runtime.tasks import Signal, end_tasks, loop_time
 from rosld.server.space.frame_buffer import STATIC_TOPIC, TOPICS, TYPES, FrameBuffer
 
 

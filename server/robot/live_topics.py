@@ -14,8 +14,7 @@ from rosld.adapters.model import Endpoint, Graph, Message, MessageSchema, RosErr
 from rosld.server.robot.fold import FOLDS, QUEUE_DEPTH, FoldedTopic, decoder_of
 from rosld.server.robot.schemas import Schemas
 from rosld.server.robot.topic_view import EMPTY_VIEW, RateEstimator, TopicView
-from rosld.server.runtime.loop_time import loop_time
-from rosld.server.runtime.woken_task import end_tasks
+from rosld.server.runtime.tasks import end_tasks, loop_time
 
 _SWEEP = 0.5
 """Seconds between sweeps, which fold what came and give back what nobody looks at any more."""

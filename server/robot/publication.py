@@ -13,7 +13,7 @@ from rosld.server.robot.publish_rate import PublishLimiter
 from rosld.server.robot.session import Session
 from rosld.server.robot.velocity import goes_on, passes_stop
 from rosld.server.runtime.dry_run import is_dry_run
-from rosld.server.runtime.loop_time import loop_time
+from rosld.server.runtime.tasks import loop_time
 
 
 class Publication(NamedTuple):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from rosld.server.runtime.token_bucket import TokenBucket
+from rosld.server.auth.rate_limit import TokenBucket
 
 
 @dataclass(slots=True)

@@ -12,8 +12,7 @@ from rosld.adapters.base import Watch
 from rosld.adapters.model import RosError
 from rosld.server.robot.session import Session
 from rosld.server.robot.velocity import commanded_topics
-from rosld.server.runtime.loop_time import loop_time
-from rosld.server.runtime.woken_task import WokenTask
+from rosld.server.runtime.tasks import WokenTask, loop_time
 
 _log = logging.getLogger("rosld")
 _PATIENCE = 5.0

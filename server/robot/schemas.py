@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from rosld.adapters.base import Adapter
 from rosld.adapters.model import ActionSchema, MessageSchema, Schema, ServiceSchema, TypeRef, UnknownType
-from rosld.server.runtime.loop_time import loop_time
+from rosld.server.runtime.tasks import loop_time
 
 
 class Schemas:

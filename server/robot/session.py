@@ -21,9 +21,7 @@ from rosld.server.robot.publish_rate import PublishLimiter
 from rosld.server.robot.robot_name import host_name, naming_parameters, read_robot_name, shown_name
 from rosld.server.robot.schemas import Schemas
 from rosld.server.runtime.dry_run import is_dry_run
-from rosld.server.runtime.loop_time import loop_time
-from rosld.server.runtime.signals import Signal
-from rosld.server.runtime.woken_task import WokenTask
+from rosld.server.runtime.tasks import Signal, WokenTask, loop_time
 from rosld.server.settings import Settings
 
 OPEN_SECONDS = 5.0

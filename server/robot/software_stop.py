@@ -25,8 +25,7 @@ from rosld.server.robot.write_policy import any_number_hint, takes_finite_number
 from rosld.server.robot.zero_publisher import Receivers, ZeroPublisher
 from rosld.server.runtime.dry_run import end_dry_run, is_dry_run
 from rosld.server.runtime.identifiers import new_identifier
-from rosld.server.runtime.loop_time import loop_time
-from rosld.server.runtime.signals import Signal
+from rosld.server.runtime.tasks import Signal, loop_time
 from rosld.shapes.command_numbers import require_finite_message
 
 _log = logging.getLogger("rosld")

@@ -9,7 +9,7 @@ from starlette.responses import Response
 
 from rosld.ontology.serialize import CannotCarry, Syntax, serialize
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
-from rosld.server.html import Notice
+from rosld.server.html.page import Notice
 from rosld.server.http.conditional import ETag, check_preconditions, digest
 from rosld.server.http.fields import to_uri
 from rosld.server.http.negotiation import choose_offer

@@ -9,7 +9,7 @@ from starlette.types import Scope
 
 from rosld.adapters.base import Recording
 from rosld.ontology.urls import Location
-from rosld.server.html import StoredQueryLink
+from rosld.server.html.page import StoredQueryLink
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.latest_values import LatestValues
 from rosld.server.hypermedia.resource_tree import path_of

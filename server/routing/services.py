@@ -30,7 +30,7 @@ from rosld.server.robot.hold_store import Holds
 from rosld.server.robot.session import Session
 from rosld.server.robot.software_stop import SoftwareStop, StopCommand
 from rosld.server.runtime.offload import WorkerPool
-from rosld.server.runtime.signals import Signal
+from rosld.server.runtime.tasks import Signal
 from rosld.server.runtime.version_cache import VersionCache
 from rosld.server.settings import Settings
 from rosld.server.sparql.syntax.lexer import QueryBounds

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import httpx
 import rdflib
 
-from rosld.server.html.numbers import shorten_number
+from rosld.server.html.view import shorten_number
 from tests.server.conftest import Served
 from tests.server.robots.made_up import MadeUp, Serving
 

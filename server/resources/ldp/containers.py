@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from rosld.ontology.urls import encode_segment
-from rosld.server.html import Form, SequenceLink
+from rosld.server.html.forms import Form
+from rosld.server.html.page import SequenceLink
 from rosld.server.http.fields import Link
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.ldp.base import DELETES, EXTRA_STATUSES, StoredResource, conflict_problem

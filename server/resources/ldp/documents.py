@@ -9,7 +9,7 @@ from rosld.ontology.urls import Space
 from rosld.server.resources.ldp.validation import Validator
 from rosld.server.rest.state import State
 from rosld.server.runtime.offload import WorkerPool
-from rosld.server.runtime.signals import Signal
+from rosld.server.runtime.tasks import Signal
 from rosld.server.runtime.version_cache import VersionCache
 from rosld.server.settings import Settings
 from rosld.server.storage import Records

@@ -10,7 +10,7 @@ from functools import partial
 from pyoxigraph import Triple
 
 from rosld.server.dataset.base import TripleChanges
-from rosld.server.html import DeleteForm, Form
+from rosld.server.html.forms import DeleteForm, Form
 from rosld.server.http.body import MULTIPART
 from rosld.server.patches.patch import TooManyTriples
 from rosld.server.resources.ldp.base import StoredResource

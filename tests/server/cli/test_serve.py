@@ -19,7 +19,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from rosld.server.cli.main import main
-from rosld.server.runtime.woken_task import end_tasks
+from rosld.server.runtime.tasks import end_tasks
 
 pytestmark = pytest.mark.slow
 

@@ -21,7 +21,7 @@ from rosld.server.events.notification_channels import Channel, Channels
 from rosld.server.http.problem import Problem
 from rosld.server.rest.resource import BASIC_CONTAINER, Resource
 from rosld.server.rest.state import State
-from rosld.server.runtime.signals import Signal
+from rosld.server.runtime.tasks import Signal
 
 URL = "http://robot.example/things/"
 

@@ -16,7 +16,7 @@ from rosld.server.events import broadcaster, event_stream, frame
 from rosld.server.http.problem import Problem
 from rosld.server.rest.resource import Resource
 from rosld.server.rest.state import State
-from rosld.server.runtime.signals import Signal
+from rosld.server.runtime.tasks import Signal
 
 pytestmark = pytest.mark.slow
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 import tests.server.html.devtools
-from rosld.server.html import render_page
+from rosld.server.html.render import render_page
 from tests.server.html.hostile_pages import hostile_offer, hostile_page
 from tests.server.html.real_pages import real_pages
 

@@ -12,8 +12,10 @@ from rosld.ontology.lift import LiftSettings
 from rosld.ontology.lower import Violation
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import av, ldp, rdf, rdfs, ros
-from rosld.server.html import DeleteForm, MemberColumns, MessageForm, Notice, Page, ParameterForm, Site, forms_of
-from rosld.server.html.page import NoticeLevel
+from rosld.server.html.forms import DeleteForm, MessageForm, ParameterForm
+from rosld.server.html.offer import forms_of
+from rosld.server.html.page import MemberColumns, Notice, NoticeLevel, Page
+from rosld.server.html.site import Site
 from rosld.server.hypermedia.value import MessageValue, Reading, StoredValue
 from rosld.server.hypermedia.view_documents import complex_document
 from rosld.server.hypermedia.views import ActionAffordance, ComplexView, LinkAffordance, Member, PropertyAffordance

@@ -7,7 +7,7 @@ from rosld.ontology.describe import node_document, node_views, topic_document
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import ros, td
 from rosld.server.html.description import describe
-from rosld.server.html.endpoints import endpoint_table
+from rosld.server.html.sections import endpoint_table
 from rosld.server.html.site import Site
 
 SPACE, SITE = Space("http://robot/"), Site("http://robot/", "robot")

@@ -33,21 +33,12 @@ from rosld.ontology.document import Document
 from rosld.ontology.lift import lifter
 from rosld.ontology.literals import OCTETS, STRINGS
 from rosld.ontology.lower import LoweringError, Violation, lowerer
-from rosld.server.html import (
-    DeleteForm,
-    Form,
-    MessageForm,
-    Page,
-    ParameterForm,
-    Site,
-    ValueForm,
-    parse_form,
-    parse_parameter,
-    parse_value,
-    render_page,
-    split_hidden,
-)
+from rosld.server.html.form_parser import parse_form, parse_parameter, parse_value, split_hidden
+from rosld.server.html.forms import DeleteForm, Form, MessageForm, ParameterForm, ValueForm
 from rosld.server.html.inputs import Json
+from rosld.server.html.page import Page
+from rosld.server.html.render import render_page
+from rosld.server.html.site import Site
 from rosld.shapes.value import Bounds, MessageShape, OpenShape, ScalarShape, ValueShape
 
 URL = "http://127.0.0.1:8080/topics/x"

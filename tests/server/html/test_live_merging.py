@@ -12,7 +12,8 @@ from urllib.parse import parse_qs, urlsplit
 
 import pytest
 
-from rosld.server.html import ASSETS, HEADERS
+from rosld.server.html.frame import ASSETS
+from rosld.server.html.site import HEADERS
 
 pytestmark = pytest.mark.slow
 

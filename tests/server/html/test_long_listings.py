@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rosld.server.html.name_groups import MAX_ROWS, group_names
+from rosld.server.html.labels import MAX_ROWS, group_names
 from tests.server.robots.made_up import MadeUp, Serving, robot, serving
 from tests.server.robots.many import COUNT, furnish
 

@@ -10,7 +10,8 @@ from itertools import pairwise
 import html5rdf  # type: ignore[import-untyped]
 import pytest
 
-from rosld.server.html import ASSETS, CONTENT_SECURITY_POLICY
+from rosld.server.html.frame import ASSETS
+from rosld.server.html.site import CONTENT_SECURITY_POLICY
 from tests.crawl.site import HTML, site
 from tests.server.html.hostile_pages import HOSTILE
 

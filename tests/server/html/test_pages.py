@@ -16,11 +16,22 @@ from rosld.ontology.describe import topic_document
 from rosld.ontology.document import Document
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import ldp, rdf, ros, xsd
-from rosld.server.html import Page, PageResults, Site, SparqlPage, render_page, render_sparql
 from rosld.server.html.messages import message_view
-from rosld.server.html.page import Term
-from rosld.server.html.timestamps import duration_view, time_view, time_view_of_text
-from rosld.server.html.view import ArrayView, BytesView, TableListView, TableView, TextView, TimeView, View
+from rosld.server.html.page import Page, PageResults, SparqlPage, Term
+from rosld.server.html.render import render_page, render_sparql
+from rosld.server.html.site import Site
+from rosld.server.html.view import (
+    ArrayView,
+    BytesView,
+    TableListView,
+    TableView,
+    TextView,
+    TimeView,
+    View,
+    duration_view,
+    time_view,
+    time_view_of_text,
+)
 from tests.server.html.messages import BASE, lifted, message, schema
 
 SITE = Site(BASE, "robot")

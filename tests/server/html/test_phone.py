@@ -11,7 +11,8 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from rosld.server.html import ASSETS, HEADERS
+from rosld.server.html.frame import ASSETS
+from rosld.server.html.site import HEADERS
 
 pytestmark = pytest.mark.slow
 

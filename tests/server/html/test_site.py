@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rosld.ontology.urls import Space
-from rosld.server.html.breadcrumb import breadcrumb
+from rosld.server.html.frame import breadcrumb
 from rosld.server.html.site import Site
 
 SITE = Site("http://127.0.0.1:8080/", "robot")

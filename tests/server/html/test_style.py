@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from importlib.resources import files
 
-from rosld.server.html import ASSETS
+from rosld.server.html.frame import ASSETS
 from rosld.server.resources.static_assets import FILES
 
 TEXT = ASSETS["style.css"].decode()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rosld.server.html.units import QUDT, unit_symbol
+from rosld.server.html.labels import QUDT, unit_symbol
 
 SYMBOLS = {
     "M-PER-SEC": "m/s", "M-PER-SEC2": "m/s²", "KiloM-PER-HR": "km/h", "RAD-PER-SEC": "rad/s", "REV-PER-MIN": "rpm",

@@ -1,0 +1,184 @@
+"""Graphics of pages: plots of numbers over time, pictures, and messages in space."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from urllib.parse import quote
+
+from rosld.adapters.model import Message, MessageSchema
+from rosld.server.html.page import PlotPage
+from rosld.server.html.site import Anchor, Site
+from rosld.server.html.view import View, escape_controls, time_view
+from rosld.server.pictures.form import COMPRESSED_IMAGE, DEFAULT_RANGE, OCCUPANCY_GRID, can_draw
+from rosld.server.pictures.refusal import CannotDraw
+from rosld.server.space.drawing import can_place
+from rosld.server.space.frame_tree import FrameNode
+from rosld.server.space.transform import Transform, heading
+
+
+@dataclass(frozen=True, slots=True)
+class PlotRow:
+    """A number in the table: its topic, field and type, what is recorded of it, and the plot without it."""
+
+    topic: Anchor | None
+    field: str
+    type: str
+    series: str | None
+    without: str
+
+
+def plot_query(references: Sequence[str]) -> str:
+    """Return the query of the plot of these numbers."""
+    return "?" + "&".join(f"y={quote(each, safe='/:')}" for each in references) if references else ""
+
+
+def plot_config(page: PlotPage) -> str:
+    """What the script draws from, as JSON: the stream of the numbers, and of each its label and what is recorded."""
+    names = {number.topic for number in page.numbers}
+    numbers = [
+        {
+            "label": number.field if len(names) == 1 else f"{page.site.short_name(number.topic)} {number.field}",
+            "series": None if number.series is None else page.site.href(number.series),
+        }
+        for number in page.numbers
+    ]
+    return json.dumps({"stream": f"{page.site.root}plot{plot_query(page.references)}", "y": numbers})
+
+
+def plot_prefix(topic: str, site: Site) -> str | None:
+    """Return the reference of the plot of a field of the topic at a URL, but for the field's path; None where none may be."""
+    path = site.href(topic)
+    if path is None or not topic.startswith(f"{site.base}topics/") or not site.may("GET", f"{site.base}plot"):
+        return None
+    below = topic.removeprefix(site.base)
+    return f"{site.root}plot?y={quote(f'{below}#', safe='/:')}"
+
+
+MAX_WIDTH, MAX_RATE = 960, 15
+"""Of the picture on a page: at most so many pixels wide, and so many times a second."""
+
+
+@dataclass(frozen=True, slots=True)
+class PictureView:
+    """The picture of a message: where it is, where it moves (empty: nowhere), and what is to be said beside it.
+
+    `refused` says why it is not drawn. `width` and `height` are 0 where they are not known.
+    """
+
+    still: str
+    motion: str = ""
+    words: str = ""
+    refused: str = ""
+    width: int = 0
+    height: int = 0
+
+
+def picture_view(schema: MessageSchema, message: Message, query: str, *, moves: bool) -> PictureView | None:
+    """Return the picture of a message, None where it is none. `query` is what the URL of its page ends in."""
+    if not can_draw(schema.ref.name):
+        return None
+    from rosld.server.pictures.raw_image import ENCODINGS, read_raw_image  # Pillow, as in `PictureCache`
+
+    before = f"?{query}&" if query else "?"
+    still = f"{before}format=jpeg&width={MAX_WIDTH}"
+    if schema.ref.name == OCCUPANCY_GRID:
+        return PictureView(f"{before}format=png&width={MAX_WIDTH}", words="Light is free, dark is occupied.")
+    motion = f"{before}format=mjpeg&width={MAX_WIDTH}&rate={MAX_RATE}" if moves and not query else ""
+    if schema.ref.name == COMPRESSED_IMAGE:
+        return PictureView(still, motion, _words(str(getattr(message, "format", "")).partition(";")[0].strip()))
+    try:
+        image = read_raw_image(message)
+    except CannotDraw as error:
+        return PictureView(still, refused=f"{error}.")
+    if image.encoding not in ENCODINGS:
+        return PictureView(
+            still, refused=f"Images of the encoding {escape_controls(image.encoding[:40])} are not drawn."
+        )
+    if image.width <= 0 or image.height <= 0:
+        return PictureView(still, refused="The image has no pixels.")
+    shown = min(image.width, MAX_WIDTH)
+    return PictureView(
+        still, motion, _words(image.encoding), "", shown, max(1, round(image.height * shown / image.width))
+    )
+
+
+def _words(encoding: str) -> str:
+    from rosld.server.pictures.raw_image import depth_scale
+
+    if depth_scale(encoding) is None:
+        return ""
+    nearest, farthest = DEFAULT_RANGE
+    return f"Distances from {nearest:g} m (bright) to {farthest:g} m (dark); black is unknown. ?range= asks for others."
+
+
+VIEW_3D = "3d"
+"""`?view=` of what is drawn in three dimensions."""
+_MAX_DEPTH = 12
+"""Of the indentation of frames."""
+
+
+@dataclass(frozen=True, slots=True)
+class SpaceRow:
+    """A topic of a view: how its messages are called, the frame they name, where that is, or why it is not known."""
+
+    topic: Anchor | None
+    kind: str
+    frame: str
+    where: str
+    problem: str
+
+
+@dataclass(frozen=True, slots=True)
+class FrameRow:
+    """A frame in the table of frames: how deep it is, and what is said of it; `received` is None of a root."""
+
+    name: str
+    depth: int
+    parent: str
+    where: str
+    is_static: bool
+    received: View | None
+    publishers: tuple[Anchor, ...]
+    problem: str
+
+
+def frame_row(node: FrameNode, site: Site, node_url: Callable[[str], str]) -> FrameRow:
+    """Return the row of a frame."""
+    newest = node.newest
+    anchors = (site.anchor(node_url(each)) for each in node.publishers if each)
+    return FrameRow(
+        escape_controls(node.name),
+        min(node.depth, _MAX_DEPTH),
+        "" if newest is None else escape_controls(newest.parent),
+        "" if newest is None else pose_words(newest.transform),
+        newest is not None and newest.is_static,
+        None if newest is None else time_view(newest.source.received_ns),
+        tuple(each for each in anchors if each is not None),
+        escape_controls(node.problem),
+    )
+
+
+def space_query(frame: str, references: Sequence[str], *, is_3d: bool = False) -> str:
+    """Return the query of the view that is fixed to a frame and shows these topics, from above or in three dimensions."""
+    asked = [("frame", frame)] if frame else []
+    asked += [("show", each) for each in references]
+    asked += [("view", VIEW_3D)] if is_3d else []
+    said = "&".join(f"{name}={quote(value.encode('utf-8', 'replace'), safe='/:')}" for name, value in asked)
+    return f"?{said}" if said else ""
+
+
+def topic_view(type_name: str, url: str, site: Site) -> str:
+    """Return the address of the view of one topic; empty where its messages are not drawn, or may not be looked at."""
+    if not can_place(type_name) or not site.may("GET", f"{site.base}space") or not url.startswith(site.base):
+        return ""
+    return f"{site.root}space{space_query('', [url.removeprefix(site.base)])}"
+
+
+def pose_words(pose: Transform) -> str:
+    """Where something is, as people say it."""
+    x, y, z = pose.translation
+    above = f", {z:.2f} m up" if abs(z) >= 0.005 else ""
+    return f"{x:.2f}, {y:.2f} m{above}, turned by {math.degrees(heading(pose)):.0f}°"

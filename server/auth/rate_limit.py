@@ -15,10 +15,10 @@ _ROUNDING = 1e-9
 
 
 class TokenBucket:
-    """A token bucket: `rate` tokens a second flow in, at most `burst` (from 1.0) are in it, and it begins full.
+    """Token bucket with `rate` tokens a second and room for `burst` (at least 1.0), initially full.
 
-    It is kept as one number, the time at which it will be full again: the theoretical arrival time of the generic cell
-    rate algorithm (ITU-T I.371), which is the same thing. Times are seconds of a monotonic clock.
+    The state is one number, the time at which it is full again: the theoretical arrival time of the generic cell rate
+    algorithm (ITU-T I.371), which is equivalent. Times are seconds of a monotonic clock.
     """
 
     __slots__ = ("_burst", "_full_at", "_interval")
@@ -34,11 +34,11 @@ class TokenBucket:
         return seconds if seconds > _ROUNDING else 0.0
 
     def take(self, now: float, *, debt: float = math.inf) -> None:
-        """Take a token, also where there is none: then the next ones wait for it, for `debt` tokens at the most."""
+        """Take a token; from an empty bucket on credit of at most `debt` tokens, which later ones wait for."""
         self._full_at = min(max(self._full_at, now), now + (self._burst + debt - 1.0) * self._interval) + self._interval
 
     def is_full(self, now: float) -> bool:
-        """Whether it is as a new one."""
+        """Whether the bucket is full."""
         return self._full_at <= now
 
 

@@ -82,7 +82,7 @@ class PictureContent:
 
 @dataclass(frozen=True, slots=True)
 class FormsContent:
-    """What can be sent, each form with the URL that it posts to."""
+    """Forms, each with the URL that it posts to."""
 
     forms: tuple[Form, ...]
 
@@ -157,7 +157,7 @@ class StatesBody:
 
 @dataclass(frozen=True, slots=True)
 class PlotBody:
-    """What the script draws from, as JSON, and links to the plots of single numbers."""
+    """Configuration of the plot as JSON, and links to the plots of single numbers."""
 
     config: str
     numbers: tuple[Anchor, ...]
@@ -170,7 +170,7 @@ PanelBody: TypeAlias = (
 
 @dataclass(frozen=True, slots=True)
 class PanelView:
-    """A panel for the template: `part` names what draws its body, `key` tells it from others while the page changes."""
+    """A panel for the template: `part` is the template of its body, `key` identifies it across updates."""
 
     part: str
     key: str
@@ -236,7 +236,7 @@ def _is_silent(document: Document) -> bool:
 
 
 def _default_title(panel: Panel, site: Site) -> str:
-    """What a panel without a title is called: what it shows."""
+    """Return the title of a panel without one: the name of its subject."""
     if panel.kind is PanelKind.PLOT and panel.fields:
         return f"{site.short_name(panel.shows[0])} {', '.join(panel.fields)}"
     return ", ".join(site.short_name(each) for each in panel.shows) or "A panel"
@@ -249,7 +249,7 @@ def _aim_pad(form: HoldForm, site: Site) -> HoldForm:
 
 
 def _picture(view: PictureView, url: str, site: Site, sequence: int, *, moves: bool) -> PictureView:
-    """Return the picture with references that are right on any page; what does not move is fetched anew when it changes."""
+    """Return the picture with references that are valid on any page; a still picture changes its URL with it."""
     path = site.href(url) or ""
     still = f"{path}{view.still}" + ("" if moves else f"&v={sequence}")
     return replace(view, still=still, motion=f"{path}{view.motion}" if moves and view.motion else "")
@@ -288,7 +288,7 @@ def _values(content: ValueContent, fields: Sequence[str], site: Site) -> ValueBo
 
 
 def _labels(fields: Sequence[str]) -> Iterator[tuple[str, str]]:
-    """Paths of fields, each with what it is called beside the others: what all begin with is left out."""
+    """Return paths of fields with their labels: the paths without their common prefix."""
     parts = [each.split(".") for each in fields]
     common = 0
     while len(fields) > 1 and all(len(each) > common + 1 and each[common] == parts[0][common] for each in parts):
@@ -327,7 +327,7 @@ def _field(message: LiftedMessage, document: Document, path: str, site: Site) ->
 
 
 def _walk(table: TableView, path: Sequence[str]) -> View | None:
-    """What stands in a table of tables at a path of labels."""
+    """Return the value in a table of tables at a path of labels."""
     view: View = table
     for step in path:
         row = next((each for each in view.rows if each.label == step), None) if isinstance(view, TableView) else None
@@ -341,7 +341,7 @@ def _walk(table: TableView, path: Sequence[str]) -> View | None:
 
 
 def _streams(panels: Sequence[FilledPanel], site: Site) -> Mapping[int, str]:
-    """What the script draws each plot from, by the number of its panel: plots share streams as far as they fit."""
+    """Return the configuration of each plot by the number of its panel; plots share streams up to their limit."""
     found: dict[int, str] = {}
     group: list[tuple[int, PlotContent]] = []
     for number, filled in enumerate(panels):

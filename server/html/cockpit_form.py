@@ -25,7 +25,7 @@ _MOST = 99
 
 @dataclass(frozen=True, slots=True)
 class PanelInputs:
-    """The inputs of one panel: what stands in each. `number` is 0 for one that is not there yet."""
+    """Values of the inputs of one panel. `number` is 0 for a new panel."""
 
     prefix: str
     number: int
@@ -100,7 +100,7 @@ class CopyForm:
 
     @property
     def controls(self) -> tuple[Control, ...]:
-        """Its inputs."""
+        """The inputs of the form."""
         given = dict(self.submitted or ())
         error = escape_controls("; ".join(each.message for each in self.violations))
         return (
@@ -232,5 +232,5 @@ def _panel_inputs(number: int, said: Mapping[str, str]) -> PanelInputs:
 
 
 def kinds_of_panels() -> Sequence[str]:
-    """What may be chosen as the kind of a panel."""
+    """Return the kinds of panels to choose from."""
     return _KINDS

@@ -79,7 +79,7 @@ def describe(
 
 
 def main_subject(document: Document, found: Outline) -> Subject:
-    """What a document is about: the resource at its URL; or else the first thing it describes."""
+    """Return the main subject of a document: the resource at its URL, or else the first subject."""
     own = NamedNode(document.url)
     if own in found.subjects:
         return own
@@ -87,7 +87,7 @@ def main_subject(document: Document, found: Outline) -> Subject:
 
 
 def _shown_elsewhere(found: Outline, main: Subject, skipped: frozenset[NamedNode]) -> set[Subject]:
-    """What is linked by these predicates, and the parts of it that are described here."""
+    """Return the objects of these predicates, and their parts that are described here."""
     own = found.subjects.get(main, {})
     left = [term for predicate in skipped for term in own.get(predicate, ()) if isinstance(term, NamedNode | BlankNode)]
     hidden: set[Subject] = set()
@@ -120,7 +120,7 @@ def _others(walk: _Walk, hidden: set[Subject]) -> Iterator[Section]:
 
 
 def _kind(said: Statements) -> str:
-    """What a subject is, in words: the first of its types that tells something."""
+    """Return the words for the first informative type of a subject."""
     types = _order_types(rdf.type, said.get(rdf.type, []))
     return label(types[0].value) if types and isinstance(types[0], NamedNode) else ""
 

@@ -137,7 +137,7 @@ class Frame:
     """What stands in the box that searches."""
 
     def asset(self, name: str) -> str:
-        """Return the reference to a file of `ASSETS`, in the version that is served now. Raises KeyError for any other."""
+        """Return the versioned reference to a file in `ASSETS`. Raises KeyError for other names."""
         if name not in ASSETS:
             raise KeyError(name)
         return f"{self.site.root}{name}?v={ASSETS_VERSION}"
@@ -157,7 +157,7 @@ class Frame:
         return tuple((each, self._lies_in(each.url)) for each in found if site.may("GET", each.url))
 
     def _lies_in(self, section: str) -> bool:
-        """Whether the page is this section or below it; the default cockpit stands for all."""
+        """Whether the page is this section or below it; every cockpit is in the section of the default one."""
         path = self.url.partition("?")[0]
         return path == section or path.startswith(f"{section.removesuffix('default').removesuffix('/')}/")
 
@@ -212,7 +212,7 @@ def render_template(template: str, frame: Frame, **values: object) -> bytes:
 
 
 def _breakable(text: str) -> Markup:
-    """Return a name that lines break after its slashes and underscores, and within a word only where that is very long."""
+    """Return a name with line breaks allowed after slashes and underscores, and within very long words."""
     parts = _PARTS.findall(escape_controls(text))
     name = Markup("<wbr>").join(parts)
     if len(parts) <= 1 or max(map(len, parts)) > _LONGEST_WORD:
@@ -221,5 +221,5 @@ def _breakable(text: str) -> Markup:
 
 
 def _printable(value: object) -> object:
-    """What the templates print: escaping makes text harmless, this makes it something HTML can hold."""
+    """Replace the characters of a printed string that HTML cannot hold."""
     return escape_controls(value) if type(value) is str else value

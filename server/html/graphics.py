@@ -36,7 +36,7 @@ def plot_query(references: Sequence[str]) -> str:
 
 
 def plot_config(page: PlotPage) -> str:
-    """What the script draws from, as JSON: the stream of the numbers, and of each its label and what is recorded."""
+    """Return the configuration of a plot as JSON: the stream of the numbers, and the label and recording of each."""
     names = {number.topic for number in page.numbers}
     numbers = [
         {
@@ -49,7 +49,7 @@ def plot_config(page: PlotPage) -> str:
 
 
 def plot_prefix(topic: str, site: Site) -> str | None:
-    """Return the reference of the plot of a field of the topic at a URL, but for the field's path; None where none may be."""
+    """Return the reference of the plots of a topic's fields, without the field's path; None if none is permitted."""
     path = site.href(topic)
     if path is None or not topic.startswith(f"{site.base}topics/") or not site.may("GET", f"{site.base}plot"):
         return None
@@ -63,9 +63,9 @@ MAX_WIDTH, MAX_RATE = 960, 15
 
 @dataclass(frozen=True, slots=True)
 class PictureView:
-    """The picture of a message: where it is, where it moves (empty: nowhere), and what is to be said beside it.
+    """The picture of a message: its URL, that of its stream (or empty), and its caption.
 
-    `refused` says why it is not drawn. `width` and `height` are 0 where they are not known.
+    `refused` is the reason why it is not drawn. `width` and `height` are 0 if unknown.
     """
 
     still: str
@@ -162,7 +162,7 @@ def frame_row(node: FrameNode, site: Site, node_url: Callable[[str], str]) -> Fr
 
 
 def space_query(frame: str, references: Sequence[str], *, is_3d: bool = False) -> str:
-    """Return the query of the view that is fixed to a frame and shows these topics, from above or in three dimensions."""
+    """Return the query string of the view of these topics in a fixed frame, from above or in three dimensions."""
     asked = [("frame", frame)] if frame else []
     asked += [("show", each) for each in references]
     asked += [("view", VIEW_3D)] if is_3d else []
@@ -178,7 +178,7 @@ def topic_view(type_name: str, url: str, site: Site) -> str:
 
 
 def pose_words(pose: Transform) -> str:
-    """Where something is, as people say it."""
+    """Return a pose in words."""
     x, y, z = pose.translation
     above = f", {z:.2f} m up" if abs(z) >= 0.005 else ""
     return f"{x:.2f}, {y:.2f} m{above}, turned by {math.degrees(heading(pose)):.0f}°"

@@ -25,7 +25,7 @@ _WORDS = {
 
 @lru_cache(maxsize=4096)
 def local_name(iri: str) -> str:
-    """What follows the last `#`, `/` or `:` of an IRI that is not its end."""
+    """Return the part of an IRI after the last `#`, `/` or `:`, trailing ones ignored."""
     return re.split(r"[#/:]", iri.rstrip("#/:"))[-1] or iri
 
 
@@ -105,7 +105,7 @@ _V = TypeVar("_V")
 
 @dataclass(frozen=True, slots=True)
 class NameGroup(Generic[_T]):
-    """What has names of one namespace, or names next to each other; `is_open`: it is unfolded from the beginning."""
+    """Items with names of one namespace, or a run of neighbours; `is_open`: unfolded at first."""
 
     title: str
     items: tuple[_T, ...]

@@ -174,7 +174,7 @@ def _form_targets(forms: Iterable[Form], allowed: frozenset[str], csrf: Csrf, si
 
 
 def offer_view(offer: Offer, site: Site, posted: Iterable[FormTarget]) -> OfferView:
-    """What is on offer, with the forms that post elsewhere than to its page beside what they are about."""
+    """Return the view of an offer; forms that post to other URLs are placed next to their subjects."""
     match offer:
         case ComplexView():
             return _complex(offer, site, {each.form.action: each for each in posted if each.form.action})
@@ -349,7 +349,7 @@ def is_scalar_member(member: Member) -> bool:
 
 
 def action_form(affordance: ActionAffordance) -> MessageForm | None:
-    """Return the form that invokes an action, just a button where nothing is to be sent; None where it cannot be invoked."""
+    """Return the form that invokes an action (a bare button without a request), or None if it cannot be invoked."""
     if affordance.request is None:
         return None
     button = affordance.title or capitalize(split_words(affordance.name))
@@ -357,7 +357,7 @@ def action_form(affordance: ActionAffordance) -> MessageForm | None:
 
 
 def cancel_forms(affordance: ActionAffordance) -> tuple[DeleteForm, ...]:
-    """Return the button that cancels the goals of an action, where that can be done."""
+    """Return the button that cancels the goals of an action, if they can be cancelled."""
     if affordance.goals is None or not affordance.goals.can_cancel:
         return ()
     return (DeleteForm("Cancel", "Cancel the goal", "Cancels every goal that was sent from here and has not ended."),)

@@ -122,12 +122,11 @@ class SequenceLink:
 
 @dataclass(frozen=True, slots=True)
 class MemberColumns:
-    """What a container's table shows beside names: the headings, and each member's cells by its URL.
+    """Columns of a container's table: the headings, and the cells of each member by its URL.
 
-    What is told of here without being a direct member (a name in a namespace below) gets a row of its own.
-    `total` is the number of members, or of the names told of, where the table may not have them all. `names` are what
-    members are called whose URLs end in an identifier, `failed` the URLs of those that did not do what they were to do.
-    `note` is a sentence below the table.
+    A described resource that is not a direct member (a name in a nested namespace) gets its own row. `total` is the
+    number of all members if the table may be incomplete. `names` label members whose URLs end in an identifier,
+    `failed` are the URLs of members that failed. `note` is a sentence below the table.
     """
 
     columns: tuple[str, ...] = ()
@@ -142,10 +141,9 @@ class MemberColumns:
 class Page:
     """The page of a resource. `forms` are shown as far as `allow` permits their methods, those with an `action` always.
 
-    `title` is a ROS name as a rule, `kind` what it is ("Topic"); `csrf` tells the tokens of its forms. `summary` is one
-    sentence for the reader. A page drawn as the answer to a form that did not fit carries that form refilled. With an
-    `offer` the page shows that, and keeps the document's triples folded. `query` is what the URL ends in where this is
-    one page of several (`page=2`).
+    `title` is a ROS name as a rule, `kind` what it is ("Topic"); `csrf` makes the tokens of its forms. `summary` is one
+    sentence for the reader. The response to an invalid form contains that form with its values. With an `offer` the
+    page shows it, and folds the document's triples. `query` is the query string of one page of several (`page=2`).
     """
 
     site: Site
@@ -222,7 +220,7 @@ class PageResults:
 
 @dataclass(frozen=True, slots=True)
 class SparqlPage:
-    """The page at `/sparql`; `query` is what stands in the box."""
+    """The page at `/sparql`; `query` is the text in the editor."""
 
     site: Site
     query: str = ""
@@ -273,9 +271,8 @@ class PlotPage:
 class SpacePage:
     """The page at `/space`: a view of topics, in the order in which they are drawn, in the frame `fixed`.
 
-    `asked` is the frame that was asked for. `references` (`show`) name the topics where they were asked for; `omitted`
-    are those that are too many. `is_3d`: it is drawn in three dimensions, with the
-    robot's model that is at the URL `model`, which is empty where there is none.
+    `asked` is the requested frame. `references` (`show`) name the requested topics; `omitted` are those beyond the
+    limit. `is_3d`: drawn in three dimensions, with the robot's model at the URL `model`, or empty.
     """
 
     site: Site
@@ -333,8 +330,8 @@ class DiagnosticsPage:
 class GraphPage:
     """The page at `/graph`: `svg` is its drawing, already escaped, of `shown` vertices that stand for `total` things.
 
-    `below` is the name that it is limited to, `namespaces` are those to choose from, `problems` are what is wrong, each
-    with the URL of what it is wrong with.
+    `below` is the name that limits it, `namespaces` are the choices, `problems` are sentences with the URL of the
+    resource that has the problem.
     """
 
     site: Site
@@ -351,9 +348,9 @@ class GraphPage:
 
 @dataclass(frozen=True, slots=True)
 class ProblemPage:
-    """An error for people: RFC 9457's members, and the fields that did not fit. `url` is what was asked for.
+    """An error for people: RFC 9457's members, and the fields that did not fit. `url` is that of the request.
 
-    `near` are URLs of what is there and is spelt much like it, `quotes` who else said what.
+    `near` are URLs of resources with similar names, `quotes` words of others by speaker.
     """
 
     site: Site

@@ -45,9 +45,9 @@ class MessageSection:
 
 
 def message_sections(document: Document, site: Site, query: str = "") -> tuple[MessageSection, ...]:
-    """Return the sections of a document's messages; those of single publishers stand aside when there are several.
+    """Return the sections of a document's messages; those of single publishers are folded if there are several.
 
-    `query` is what the URL of the page ends in.
+    `query` is the query string of the page's URL.
     """
     roles = _roles(document)
     return tuple(
@@ -127,7 +127,7 @@ class EndpointTable:
 
 
 def endpoint_table(document: Document, site: Site) -> EndpointTable | None:
-    """Return the table of the endpoints of the document's resource, None where it tells of none."""
+    """Return the table of the endpoints of the document's resource, or None without endpoints."""
     subjects = outline(document.triples).subjects
     own = subjects.get(NamedNode(document.url), {})
     found = [each for each in own.get(ros.hasEndpoint, ()) if isinstance(each, NamedNode)]
@@ -174,7 +174,7 @@ def _row(
 
 
 def _more(said: Statements, qos: Statements) -> Iterable[str]:
-    """What only some endpoints have to say."""
+    """Return the cells that only some endpoints have."""
     if not qos and _first(said, ros.latched) == "true":
         yield "latched"
     for predicate in _TIMES:
@@ -201,9 +201,9 @@ _TONES = {ros.Succeeded: "good", ros.Failed: "error", ros.Running: "warning"}
 
 @dataclass(frozen=True, slots=True)
 class StepRow:
-    """A step: what it does, what that is about, how many subscribers got it (empty: none is told), what became of it.
+    """A step: its description, its subject, the number of subscribers it reached (empty if unknown), and its outcome.
 
-    `tone` is "good", "warning", "error", or empty for what has not been done.
+    `tone` is "good", "warning", "error", or empty for a step that was not done.
     """
 
     does: str
@@ -223,7 +223,7 @@ class StopSteps:
 
 
 def stop_steps(document: Document, site: Site) -> StopSteps | None:
-    """Return the steps that a document tells of, None where it tells of none."""
+    """Return the steps that a document describes, or None without steps."""
     subjects = outline(document.triples).subjects
     own = subjects.get(NamedNode(document.url), {})
     steps = [term for term in own.get(ros.stopStep, ()) if isinstance(term, NamedNode)]

@@ -81,7 +81,7 @@ class Site:
         return urlsplit(self.base).path
 
     def page_url(self, iri: str) -> str | None:
-        """Return the URL on this server that describes `iri`: itself, or the page of a type or of a term of the vocabulary."""
+        """Return the URL on this server that describes `iri`: itself, or that of a type or a term of the vocabulary."""
         if iri.startswith(self.base) or iri == self.base:
             return iri
         if iri.startswith(self.types) and iri != self.types:
@@ -89,10 +89,10 @@ class Site:
         return term_url(iri, self.base)
 
     def href(self, iri: str) -> str | None:
-        """What to put into an `href` for `iri`, None for what must not be a link.
+        """Return the `href` for `iri`, or None if it must not be a link.
 
-        Only http and https are ever linked, and of this server what the reader may read. URLs of this server become
-        references without scheme and host (RFC 3986 4.2), so that they work under every name the server is reached by.
+        Only http and https are linked, and resources of this server only if the agent may read them. URLs of this
+        server become references without scheme and host (RFC 3986 4.2), so that they work under every host name.
         """
         if _UNSAFE.search(iri) or not iri.lower().startswith(("http://", "https://")):
             return None
@@ -115,7 +115,7 @@ class Site:
         return Anchor(href, self.short_name(iri), iri, external=self.page_url(iri) is None)
 
     def short_name(self, iri: str) -> str:
-        """How `iri` is called on a page: a ROS name, a type's name, `prefix:name`, or else itself."""
+        """Return the name of `iri` on a page: a ROS name, a type's name, `prefix:name`, or the IRI itself."""
         if iri.startswith(self.types):
             return readable_path(iri.removeprefix(self.types))
         if iri.startswith(self.base):
@@ -136,7 +136,7 @@ class Site:
 
 
 def _place(path: str) -> str:
-    """What lies at a path below the base: `topics/a/b` is the ROS name `/a/b`, `types/a/b/c` is `a/b/c`."""
+    """Return the name of the resource at a path: `topics/a/b` is the ROS name `/a/b`, `types/a/b/c` is `a/b/c`."""
     try:
         kind, segments, is_container = locate(f"/{path}")
     except ValueError:

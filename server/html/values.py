@@ -43,7 +43,7 @@ _HEAD = 8
 
 
 def term_view(term: Term, site: Site, here: str = "") -> View:
-    """How a term is shown on the page at `here`."""
+    """Return the view of a term on the page at `here`."""
     if isinstance(term, NamedNode):
         return iri_view(term.value, site, here)
     if isinstance(term, Literal):
@@ -81,7 +81,7 @@ def iri_view(iri: str, site: Site, here: str = "") -> View:
 
 
 def literal_view(literal: Literal, site: Site) -> View:
-    """Return a literal by its datatype: times readable, arrays shortened, bytes counted, everything else as it is written."""
+    """Return the view of a literal by its datatype: readable times, shortened arrays, counted bytes, others as written."""
     datatype = literal.datatype
     hint = literal_hint(literal, site)
     if datatype == xsd.dateTime:
@@ -96,7 +96,7 @@ def literal_view(literal: Literal, site: Site) -> View:
 
 
 def literal_hint(literal: Literal, site: Site) -> str:
-    """Return the quiet word beside a literal: its language, or its datatype unless it is a plain string."""
+    """Return the hint of a literal: its language, or its datatype unless it is a plain string."""
     if literal.language:
         return literal.language if literal.language != "en" else ""
     if literal.datatype in _PLAIN:
@@ -192,7 +192,7 @@ _LIFTING = LiftSettings()
 
 
 def value_view(value: Value, site: Site, field: str | None = None) -> View:
-    """How a value is shown; with `field`, one scalar of it by its dotted path."""
+    """Return the view of a value, or of one of its scalars by the dotted path `field`."""
     try:
         scalar = value_literal(value, field)
     except ValueError as error:

@@ -123,7 +123,7 @@ class TableView:
 
 @dataclass(frozen=True, slots=True)
 class TableListView:
-    """An array of tables, of which `items` are shown."""
+    """An array of tables; `items` are those shown."""
 
     kind: ClassVar[str] = "many"
     count: int
@@ -137,12 +137,12 @@ View: TypeAlias = (
 
 
 def escape_controls(text: str) -> str:
-    """Return `text` with what HTML cannot hold made visible: control characters as their pictures, surrogates replaced."""
+    """Return `text` with control characters as their pictures, and characters that HTML cannot hold replaced."""
     return _UNASSIGNED.sub("\ufffd", text.translate(_PICTURES))
 
 
 def text_view(text: str, hint: str = "", tone: str = "") -> View:
-    """How a string is shown: several lines as a block, a long one shortened."""
+    """Return the view of a string: several lines as a block, a long one shortened."""
     shown = escape_controls(text)
     if not shown:
         return TextView("empty", hint, tone="none")
@@ -159,7 +159,7 @@ _LONGEST = 9
 
 
 def number_view(text: str, hint: str = "") -> TextView:
-    """Return a number by its text: one of many digits behind the point is shown with few, and has all of them beside."""
+    """Return the view of a number: shortened if it has many decimals, with all digits in `exact`."""
     shown = shorten_number(text)
     return TextView(escape_controls(shown), hint, tone="number", exact=escape_controls(text) if shown != text else "")
 

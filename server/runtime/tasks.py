@@ -11,33 +11,31 @@ from typing import Any
 from rosld.adapters.base import Watch
 
 loop_time = time.monotonic
-"""What `loop.time()` returns, of asyncio's loops and of uvloop's alike.
+"""Clock of deadlines: the value of `loop.time()`, of asyncio and of uvloop.
 
-To ask for the running loop is a system call before Python 3.12, and a request would do so many times.
+Getting the running loop is a system call before Python 3.12, and each request would do it many times.
 """
 
 
 class Signal:
-    """Wakes its watches whenever it is emitted; to be used on the server's loop."""
+    """A signal that wakes its watches when emitted; not thread-safe. Wake-ups may be spurious: read the state again."""
 
     def __init__(self) -> None:
         self._watches: dict[_SignalWatch, None] = {}
 
     def watch(self, wake: Callable[[], None], concerns: Callable[[str], bool] | None = None) -> Watch:
-        """Call `wake` whenever the signal is given, or only when `concerns` says so of what it is about."""
+        """Call `wake` when the signal is emitted, if `concerns` (if given) accepts its subject."""
         watch = _SignalWatch(wake, concerns, self._watches)
         self._watches[watch] = None
         return watch
 
     def emit(self, about: str = "") -> None:
-        """Wake those whom it concerns."""
+        """Wake the watches that the subject concerns."""
         for watch in tuple(self._watches):
             watch.take(about)
 
 
 class _SignalWatch:
-    """A watch of a signal, for what `concerns` says; None: for everything."""
-
     def __init__(
         self, wake: Callable[[], None], concerns: Callable[[str], bool] | None, among: dict[_SignalWatch, None]
     ) -> None:
@@ -55,8 +53,6 @@ class _SignalWatch:
 
 
 class _Every:
-    """A watch that wakes at intervals, for what can only be polled."""
-
     def __init__(self, seconds: float, wake: Callable[[], None]) -> None:
         self._loop = asyncio.get_running_loop()
         self._seconds = seconds
@@ -73,8 +69,6 @@ class _Every:
 
 
 class _Together:
-    """Several watches as one."""
-
     def __init__(self, watches: tuple[Watch, ...]) -> None:
         self._watches = watches
 
@@ -85,25 +79,25 @@ class _Together:
 
 
 def call_every(seconds: float, wake: Callable[[], None]) -> Watch:
-    """Call `wake` every so many seconds."""
+    """Call `wake` at this interval until the watch is closed."""
     return _Every(seconds, wake)
 
 
 def combine_watches(*watches: Watch) -> Watch:
-    """Several watches as one: for a resource that is made of several things."""
+    """Return one watch that closes several."""
     return _Together(watches)
 
 
 _AGAIN_SECONDS = 0.5
-"""Seconds after which a task that has not ended is cancelled again."""
+"""Interval of repeated cancellations."""
 
 _log = logging.getLogger("rosld")
 
 
 class WokenTask:
-    """Does `work` once started and after each `wake`, one run after the other; wakes during a run are one more run.
+    """A task that runs `work` once started and after each `wake`; wakes during a run cause one more run.
 
-    A run that fails is logged. To be used on the server's loop.
+    A failed run is logged. Not thread-safe.
     """
 
     def __init__(self, work: Callable[[], Awaitable[None]]) -> None:
@@ -112,16 +106,16 @@ class WokenTask:
         self._task: asyncio.Task[None] | None = None
 
     def wake(self) -> None:
-        """Do the work again, once it has started."""
+        """Request another run."""
         self._woken.set()
 
     def start(self) -> None:
-        """Do the work now, and from now on."""
+        """Start with the first run."""
         self._woken.set()
         self._task = asyncio.get_running_loop().create_task(self._run())
 
     async def stop(self) -> None:
-        """Cancel what is under way, and do nothing more. Idempotent."""
+        """Cancel the current run, and end. Idempotent."""
         if self._task is not None:
             await end_tasks([self._task])
 
@@ -136,10 +130,10 @@ class WokenTask:
 
 
 async def end_tasks(tasks: Iterable[asyncio.Future[Any]]) -> None:
-    """Cancel tasks until they have ended, whatever came of them.
+    """Cancel tasks until they have ended; their results and exceptions are ignored.
 
-    Once is not enough: before Python 3.12, `asyncio.wait_for` drops a cancellation that comes just as its wait is over
-    (python/cpython#86296), so that a task that waits in a loop goes on for ever.
+    One cancellation is not enough: before Python 3.12, `asyncio.wait_for` loses one that arrives as its wait ends
+    (python/cpython#86296), so that a task that waits in a loop would never end.
     """
     pending = {*tasks}
     while pending:

@@ -8,8 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from rosld.server.storage.file_lock import FileLock
-from rosld.server.storage.note import write_note
+from rosld.server.storage.files import FileLock, write_note
 
 NAME = "base-url"
 LOCK = "lock"

@@ -20,7 +20,7 @@ from rosld.server.runtime.tasks import end_tasks
 from rosld.server.serving import http_server
 from rosld.server.serving.end_signals import end_signals
 from rosld.server.settings import Settings
-from rosld.server.storage.file_lock import FileLock
+from rosld.server.storage.files import FileLock
 
 LOOK_SECONDS = 0.1
 """Between two looks at whether the rosld that is watched lives."""

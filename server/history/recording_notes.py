@@ -9,7 +9,7 @@ from typing import cast
 
 import orjson
 
-from rosld.server.storage.note import remove_note, write_note
+from rosld.server.storage.files import remove_note, write_note
 
 log = logging.getLogger("rosld.history")
 ARMED = ".armed"

@@ -81,7 +81,7 @@ def iri_view(iri: str, site: Site, here: str = "") -> View:
 
 
 def literal_view(literal: Literal, site: Site) -> View:
-    """Return the view of a literal by its datatype: readable times, shortened arrays, counted bytes, others as written."""
+    """Return the view of a literal by its datatype: readable times, short arrays, counted bytes, others unchanged."""
     datatype = literal.datatype
     hint = literal_hint(literal, site)
     if datatype == xsd.dateTime:

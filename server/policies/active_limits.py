@@ -11,8 +11,8 @@ from pyoxigraph import RdfFormat, Triple, parse
 from rosld.adapters.base import Adapter
 from rosld.ontology.urls import Space
 from rosld.server.settings import Settings
-from rosld.server.storage import Records
-from rosld.server.storage.packing import unpack
+from rosld.server.storage.record_documents import unpack_triples
+from rosld.server.storage.sqlite import Records
 from rosld.shapes.limits import Limits, read_limits
 
 ROUTE = "shapes/"
@@ -69,7 +69,7 @@ class ActiveLimits:
                 if record is None or record.model.is_container:
                     continue
                 try:
-                    self.replace(url, self.check(url, unpack(record.triples)))
+                    self.replace(url, self.check(url, unpack_triples(record.triples)))
                 except ValueError as error:
                     _log.error("The limits %s are kept and not in force: %s", url, error)
 

@@ -11,8 +11,8 @@ from rosld.ontology.cockpit import read_cockpit
 from rosld.ontology.urls import Space, decode_segment
 from rosld.ontology.violations import LoweringError, Violation, brief_value
 from rosld.ontology.vocab import rdf, ros
-from rosld.server.storage import Records
-from rosld.server.storage.packing import unpack
+from rosld.server.storage.record_documents import unpack_triples
+from rosld.server.storage.sqlite import Records
 from rosld.shapes.cockpit import MAX_PANELS
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ def cockpit_titles(records: Records, space: Space, limit: int) -> list[tuple[str
     for member in records.members(ROUTE, limit=limit):
         record, url = records.get(member.path), space.base + member.path
         if record is not None and not record.model.is_container:
-            triples = (quad.triple for quad in parse(unpack(record.triples), RdfFormat.N_TRIPLES))
+            triples = (quad.triple for quad in parse(unpack_triples(record.triples), RdfFormat.N_TRIPLES))
             found.append((url, read_cockpit(triples, url).title or name_of(member.path)))
     return found
 

@@ -13,9 +13,9 @@ from rosld.ontology.urls import Space
 from rosld.server.hypermedia.mapping_parser import MappingDocument, load_mapping, mapping_of
 from rosld.server.hypermedia.mappings import Mappings
 from rosld.server.settings import Settings
-from rosld.server.storage import Model, Put, Records
-from rosld.server.storage.packing import unpack
-from rosld.server.storage.record_documents import to_ntriples
+from rosld.server.storage.record import Model, Put
+from rosld.server.storage.record_documents import to_ntriples, unpack_triples
+from rosld.server.storage.sqlite import Records
 
 ROUTE = "mappings/"
 _log = logging.getLogger("rosld")
@@ -57,6 +57,6 @@ async def load_stored_mappings(mappings: Mappings, records: Records, settings: S
         if record is None or url in begun or (url in mappings.documents and url in named):
             continue
         try:
-            mappings.replace(stored_mapping(unpack(record.triples), url))
+            mappings.replace(stored_mapping(unpack_triples(record.triples), url))
         except ValueError as error:
             _log.error("The mapping %s is kept and not in force: %s", url, error)

@@ -17,7 +17,8 @@ from rosld.server.http.negotiation import parse_media_type
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.stored_query import StoredQuery, outline, read_stored_query, shipped_queries
 from rosld.server.sparql.syntax.lexer import QueryBounds
-from rosld.server.storage import Blob, Model, Record, RecordChange, Records
+from rosld.server.storage.record import Blob, Model, Record, RecordChange
+from rosld.server.storage.sqlite import Records
 
 ROUTE = "queries/"
 _KEPT = 256

@@ -51,7 +51,7 @@ from rosld.server.rest.resource import RESOURCE, Answer, CreatedAnswer, Resource
 from rosld.server.rest.slug import choose_name
 from rosld.server.rest.state import State
 from rosld.server.runtime.tasks import combine_watches
-from rosld.server.storage import Conflict, Model, Record, Write
+from rosld.server.storage.record import Conflict, Model, Record, Write
 
 _MAX_TABS = 20
 _MAX_SUGGESTIONS = 200

@@ -11,8 +11,8 @@ from rosld.server.policies import stored_cockpits, stored_mappings
 from rosld.server.policies.stored_queries import StoredQueries
 from rosld.server.resources.ldp.documents import Documents
 from rosld.server.search.entry import Entry, EntryKind
-from rosld.server.storage import Record
-from rosld.server.storage.packing import unpack_prefix
+from rosld.server.storage.record import Record
+from rosld.server.storage.record_documents import unpack_prefix
 
 MAX_KEPT = 500
 """Documents that are looked through, those that lie highest first: the rest is for SPARQL."""

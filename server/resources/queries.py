@@ -80,7 +80,7 @@ from rosld.server.sparql.stored_query import (
     StoredQuery,
     bind_parameters,
 )
-from rosld.server.storage import Put, Record
+from rosld.server.storage.record import Put, Record
 from rosld.server.storage.record_documents import record_document
 
 _DESCRIPTIONS = frozenset(syntax.media_type for syntax in Syntax)

@@ -41,7 +41,7 @@ from rosld.server.robot.schemas import Schemas
 from rosld.server.robot.session import Session, used_types
 from rosld.server.runtime.version_cache import IdentityKey, VersionCache
 from rosld.server.settings import Settings
-from rosld.server.storage import Put, Record
+from rosld.server.storage.record import Put, Record
 from rosld.server.storage.record_documents import record_document
 from rosld.shapes.cockpit import cockpit_shape
 from rosld.shapes.data import data_shape, documents_shape, query_shape, recording_shape

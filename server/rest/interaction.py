@@ -14,8 +14,7 @@ from rosld.ontology.syntax import Syntax
 from rosld.ontology.vocab import ldp, rdf
 from rosld.server.http.fields import Link
 from rosld.server.http.problem import Problem
-from rosld.server.storage import NO_MEMBER, Membership, Model
-from rosld.server.storage.models import MODEL_TYPES
+from rosld.server.storage.record import MODEL_TYPES, NO_MEMBER, Membership, Model
 
 _RDF = frozenset(syntax.media_type for syntax in Syntax)
 _LINKS: Mapping[Model, tuple[Link, ...]] = {

@@ -6,7 +6,7 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from rosld.server.storage import Write
+from rosld.server.storage.record import Write
 
 
 @dataclass(frozen=True, slots=True)

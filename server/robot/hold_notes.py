@@ -16,7 +16,7 @@ from typing import cast
 
 import orjson
 
-from rosld.server.storage.note import remove_note, write_note
+from rosld.server.storage.files import remove_note, write_note
 
 FOLDER = "holds"
 _SUFFIX = ".json"

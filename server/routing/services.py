@@ -34,8 +34,8 @@ from rosld.server.runtime.tasks import Signal
 from rosld.server.runtime.version_cache import VersionCache
 from rosld.server.settings import Settings
 from rosld.server.sparql.syntax.lexer import QueryBounds
-from rosld.server.storage import RecordChange, Records
-from rosld.server.storage.sqlite import open_records
+from rosld.server.storage.record import RecordChange
+from rosld.server.storage.sqlite import Records, open_records
 
 _ROUTES = (stored_mappings.ROUTE, stored_queries.ROUTE, active_limits.ROUTE, stored_cockpits.ROUTE)
 """The containers of what clients keep that has an effect here."""

@@ -14,7 +14,7 @@ from rosld.server.rest.raw_response import RawResponse
 from rosld.server.rest.resource import CreatedAnswer, Resource, ShownAnswer
 from rosld.server.rest.state import Rendering, State
 from rosld.server.routing.representations import Representations
-from rosld.server.storage import StorageError
+from rosld.server.storage.record import StorageError
 
 
 class WriteAnswers:

@@ -28,13 +28,23 @@ from typing import IO, NamedTuple, cast
 
 import pyoxigraph
 
-from rosld.server.storage import packing
 from rosld.server.storage.blobs import ID, Blobs
-from rosld.server.storage.record import NO_MEMBER, Blob, Membership, Model, Put, Record, StorageError
-from rosld.server.storage.record_paths import check_write, container_of
+from rosld.server.storage.record import (
+    NO_MEMBER,
+    Blob,
+    DatabaseBusy,
+    Membership,
+    Model,
+    Put,
+    Record,
+    StorageError,
+    check_write,
+    container_of,
+    database_error,
+)
+from rosld.server.storage.record_documents import pack_triples, unpack_triples
 from rosld.server.storage.record_table import NumberedRecord, RecordTable
 from rosld.server.storage.sqlite import BLOBS, DATABASE, connect
-from rosld.server.storage.sqlite_errors import DatabaseBusy, storage_error
 
 FORMAT = 1
 _ABOUT, _RECORDS, _GONE = "rosld.json", "records.jsonl", "gone.jsonl"
@@ -97,7 +107,7 @@ def _snapshot(folder: Path, gone: IO[bytes]) -> Iterator[NumberedRecord]:
                 gone.write(_line(path))
             connection.execute("ROLLBACK")
     except sqlite3.Error as error:
-        raise storage_error(error) from error
+        raise database_error(error) from error
 
 
 class ArchiveReader:
@@ -202,8 +212,8 @@ class _Moved:
                 membership.content and self._iri(membership.content),
             )
         begins = b"<" + self._new.encode()
-        said = packing.unpack(record.triples)
-        triples = packing.pack(self._token.sub(lambda found: begins if found[0][:1] == b"<" else found[0], said))
+        said = unpack_triples(record.triples)
+        triples = pack_triples(self._token.sub(lambda found: begins if found[0][:1] == b"<" else found[0], said))
         member = record.member and self._iri(record.member)
         return replace(record, triples=triples, member=member, membership=membership)
 
@@ -220,7 +230,7 @@ def _replace_all(connection: sqlite3.Connection, entries: Iterable[NumberedRecor
         freed = table.restore(entries, gone, time.time_ns())
         table.commit()
     except sqlite3.Error as error:
-        raise storage_error(error) from error
+        raise database_error(error) from error
     except DatabaseBusy as error:
         raise StorageError("Something else is writing to these records for too long: try again.") from error
     finally:
@@ -236,7 +246,7 @@ def _entry_json(entry: NumberedRecord) -> dict[str, object]:
         "model": record.model.value,
         "created": record.created_ns,
         "modified": record.modified_ns,
-        "triples": packing.unpack(record.triples).decode("utf-8", "surrogateescape"),
+        "triples": unpack_triples(record.triples).decode("utf-8", "surrogateescape"),
     }
     if record.member is not None:
         told["member"] = record.member
@@ -260,7 +270,7 @@ def _entry(line: bytes) -> NumberedRecord:
         0,
         created,
         modified,
-        packing.pack(told["triples"].encode("utf-8", "surrogateescape")),
+        pack_triples(told["triples"].encode("utf-8", "surrogateescape")),
         None if blob is None else _blob(blob),
         None if membership is None else _membership(membership),
         None if told.get("member") is None else _member(told["member"]),
@@ -297,7 +307,7 @@ def _check(record: Record, sizes: dict[str, int]) -> None:
     if not container_of(record.path) and record.model is not Model.BASIC_CONTAINER:
         raise ValueError(f"{record.path} is in no container")
     try:
-        for _ in pyoxigraph.parse(packing.unpack(record.triples), pyoxigraph.RdfFormat.N_TRIPLES, lenient=True):
+        for _ in pyoxigraph.parse(unpack_triples(record.triples), pyoxigraph.RdfFormat.N_TRIPLES, lenient=True):
             pass
     except SyntaxError as error:
         raise ValueError(f"the triples of {record.path} are no N-Triples: {error}") from error

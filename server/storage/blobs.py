@@ -13,13 +13,14 @@ import os
 import re
 import secrets
 import shutil
+import tempfile
 from collections.abc import AsyncIterator, Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
-from rosld.server.storage.file_lock import FileLock
-from rosld.server.storage.record import StorageError
+from rosld.server.storage.files import FileLock, sync_folder
+from rosld.server.storage.record import Blob, StorageError
 
 ID = re.compile(r"[0-9a-f]{32}")
 _PART = ".part"
@@ -37,13 +38,13 @@ class Blobs:
         self._lock = FileLock(folder.parent / f"{folder.name}.lock") if durable else None
 
     def path(self, id: str) -> Path:
-        """Where the file of a blob is."""
+        """Return the path of the file of a blob."""
         return self._folder / id
 
     async def receive(self, chunks: AsyncIterator[bytes], limit: int) -> tuple[str, int]:
-        """Write a new file from what comes; its id and its size. Raises ValueError beyond `limit` bytes, StorageError.
+        """Write a new file from chunks; return its id and size. Raises ValueError beyond `limit` bytes, StorageError.
 
-        What was written of a file that fails, or that nobody waits for any more, is removed.
+        On failure or cancellation the file is removed.
         """
         id = secrets.token_hex(16)
         part = self._folder / (id + _PART)
@@ -74,9 +75,9 @@ class Blobs:
                 os.rename(part, path)  # noqa: PTH104 - as quick as the thread would be to begin
 
     def add(self, file: IO[bytes], size: int) -> str:
-        """Copy a file that must hold so many bytes: the id of the copy, whose name is durable after `sync`.
+        """Copy a file of known size; return the id of the copy, whose name is durable after `sync`.
 
-        Raises ValueError where it holds another number of bytes, and OSError; then no copy is left.
+        Raises ValueError for another size, and OSError; then no copy is left.
         """
         id = secrets.token_hex(16)
         path = self.path(id)
@@ -110,7 +111,7 @@ class Blobs:
         _unlink(self.path(id))
 
     def sweep(self, used: Callable[[], Collection[str]]) -> None:
-        """Remove what an earlier process left behind: all files but those `used` tells of."""
+        """Remove files left by an earlier process: all but those in `used`."""
         with self.try_removal_lock() as free:
             if free:
                 keep = used()
@@ -149,17 +150,8 @@ class Blobs:
             self._lock.close()
 
 
-def sync_folder(folder: Path) -> None:
-    """The names in a folder are durable."""
-    handle = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
-
-
 def storage_error(error: OSError) -> StorageError:
-    """What a failed write of a file means."""
+    """Return the StorageError for a failed write of a file."""
     full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
     words = error.strerror or str(error)
     return StorageError(f"The file could not be kept: {words}.", full=full)
@@ -193,7 +185,7 @@ async def _fill(file: int, chunks: AsyncIterator[bytes], limit: int) -> int:
 
 
 async def _finish(work: Callable[..., None], *arguments: object) -> None:
-    """Do it in another thread, to its end even where nobody waits any more: it holds a file that is closed next."""
+    """Run in another thread, to the end even if the wait is cancelled: it uses a file that is closed next."""
     doing = asyncio.get_running_loop().run_in_executor(None, work, *arguments)
     cancelled: asyncio.CancelledError | None = None
     while not doing.done():
@@ -218,3 +210,71 @@ def _write(file: int, chunks: Iterable[bytes]) -> None:
 def _unlink(path: Path) -> None:
     with contextlib.suppress(OSError):
         path.unlink()
+
+
+class ReceivedBlobs:
+    """Receives blobs and discards those that no write has referred to after `keep_seconds`. Belongs to one loop.
+
+    They are in the folder that `use` was given, or in a private one, made when it is first needed.
+    """
+
+    def __init__(self, keep_seconds: float) -> None:
+        self._keep_seconds = keep_seconds
+        self._blobs: Blobs | None = None
+        self._temporary: tempfile.TemporaryDirectory[str] | None = None
+        self._timers: dict[str, asyncio.TimerHandle] = {}
+        self._closed = False
+
+    def use(self, blobs: Blobs) -> None:
+        """Keep the blobs in this folder."""
+        self._blobs = blobs
+
+    def folder(self) -> Blobs:
+        """Return the folder of blobs. Raises StorageError after `close`."""
+        if self._closed:
+            raise StorageError("The records are closed.")
+        if self._blobs is None:
+            self._temporary = tempfile.TemporaryDirectory(prefix="rosld-", ignore_cleanup_errors=True)
+            self._blobs = Blobs(Path(self._temporary.name) / "blobs", durable=False)
+        return self._blobs
+
+    async def receive(self, chunks: AsyncIterator[bytes], media_type: str, limit: int) -> Blob:
+        """Keep what comes as a blob for a while. Raises ValueError beyond `limit` bytes, StorageError."""
+        id, size = await self.folder().receive(chunks, limit)
+        self.keep((id,))
+        return Blob(id, size, media_type)
+
+    def keep(self, ids: Iterable[str]) -> None:
+        """Keep blobs for a while, until a write refers to them."""
+        loop = asyncio.get_running_loop()
+        self._timers.update({id: loop.call_later(self._keep_seconds, self.discard, id) for id in ids})
+
+    def claim(self, ids: Iterable[str]) -> list[str]:
+        """Keep these blobs, because a write refers to them; return those that were waiting to be discarded."""
+        taken = []
+        for id in ids:
+            timer = self._timers.pop(id, None)
+            if timer is not None:
+                timer.cancel()
+                taken.append(id)
+        return taken
+
+    def discard(self, id: str) -> None:
+        """Remove a blob that no write refers to."""
+        timer = self._timers.pop(id, None)
+        if timer is not None:
+            timer.cancel()
+            self.folder().discard(id)
+
+    def discard_all(self) -> None:
+        """Remove all blobs that no write refers to."""
+        for id in tuple(self._timers):
+            self.discard(id)
+
+    def close(self) -> None:
+        """Let go of the folder."""
+        self._closed = True
+        if self._blobs is not None:
+            self._blobs.close()
+        if self._temporary is not None:
+            self._temporary.cleanup()

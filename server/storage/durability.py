@@ -1,26 +1,75 @@
-"""Durability: one thread that waits for the disk, for as many writes at a time as have come meanwhile.
-
-SQLite has written them to its log (in WAL mode, without waiting), so they survive the end of the process already. They
-are acknowledged once the log has reached the disk, and what they set free is removed only then. After a sync that
-failed nothing is: the log is cut back to what was synced before, opened anew and carried over first (`synced_log.py`).
-"""
+"""A reserve of disk space, so that deletes still work on a full disk."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
 import logging
+import os
 import sqlite3
 import threading
 from collections.abc import Callable
 from pathlib import Path
 
 from rosld.server.storage.blobs import Blobs, storage_error
-from rosld.server.storage.disk_reserve import DiskReserve
-from rosld.server.storage.record import StorageError
-from rosld.server.storage.sqlite_errors import is_full
-from rosld.server.storage.synced_log import SyncedLog
-from rosld.server.storage.write_ahead_log import checkpoint, close_without_checkpoint
+from rosld.server.storage.record import StorageError, is_disk_full
+from rosld.server.storage.write_ahead_log import SyncedLog, checkpoint, close_without_checkpoint
+
+_RESERVE_NAME = "reserve"
+_RESERVE_BYTES = 4 * 1024 * 1024
+"""Bytes: a deletion writes some pages to the log before it frees anything."""
+LOW_BYTES = 1024 * 1024
+"""Bytes left on the disk at which it is taken for full."""
+
+
+class DiskReserve:
+    """A file in a folder that only reserves space."""
+
+    def __init__(self, folder: Path) -> None:
+        self._path = folder / _RESERVE_NAME
+
+    @property
+    def is_full(self) -> bool:
+        """Whether the space is reserved."""
+        try:
+            found = self._path.stat()
+        except OSError:
+            return False
+        return found.st_size == _RESERVE_BYTES
+
+    def fill(self) -> bool:
+        """Reserve the space; return False if the disk has less."""
+        if self.is_full:
+            return True
+        try:
+            file = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o600)
+            try:
+                _allocate(file)
+            finally:
+                os.close(file)
+        except OSError:
+            self.release()
+            return False
+        return True
+
+    def release(self) -> None:
+        """Free the reserved space."""
+        with contextlib.suppress(OSError):
+            self._path.unlink()
+
+
+def free_bytes(folder: Path) -> int:
+    """Return the number of bytes that can still be written to the disk of a folder. Raises OSError."""
+    found = os.statvfs(folder)
+    return found.f_bavail * found.f_frsize
+
+
+def _allocate(file: int) -> None:
+    if hasattr(os, "posix_fallocate"):
+        os.posix_fallocate(file, 0, _RESERVE_BYTES)
+    else:
+        os.write(file, bytes(_RESERVE_BYTES))
+
 
 _log = logging.getLogger("rosld")
 
@@ -79,7 +128,7 @@ class Durability:
         self._log.close()
 
     def free_space(self, *, last: bool) -> None:
-        """Where the disk is full: give back what the log takes, and if it is the `last` resort what is set aside."""
+        """On a full disk: free the space of the log, and as the `last` resort the reserve."""
         with self._at_work:
             self._is_short = True
             self._carry_over()
@@ -126,7 +175,7 @@ class Durability:
                 if not checkpoint_with_reserve(connection, self._reserve):
                     raise sqlite3.OperationalError("something else reads the database")
             except sqlite3.Error as error:
-                if not self._log.needs_truncation or not is_full(error):  # what was not cut off is on the disk
+                if not self._log.needs_truncation or not is_disk_full(error):  # what was not cut off is on the disk
                     return self._not_reopened(error, connection)
             self._log.mark_all_synced()
             self.failure = None

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import sqlite3
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 from typing import TypeAlias
+
+from pyoxigraph import NamedNode
+
+from rosld.ontology.vocab import ldp
 
 
 class Model(Enum):
@@ -32,7 +38,7 @@ class Blob:
 
 @dataclass(frozen=True, slots=True)
 class Membership:
-    """What membership triples of a Direct or Indirect container are made of (LDP 5.4, 5.5), as IRIs.
+    """Pattern of the membership triples of a Direct or Indirect container (LDP 5.4, 5.5), as IRIs.
 
     `relation` is ldp:hasMemberRelation, or with `inverse` ldp:isMemberOfRelation; `content` is
     ldp:insertedContentRelation, None for a Direct container.
@@ -50,15 +56,14 @@ NO_MEMBER = ""
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """A resource that is kept.
+    """A stored resource.
 
     `path` is its URL without the base, encoded as in the URL (`data/rooms/kitchen`); that of a container ends in a
-    slash. `triples` are N-Triples of what clients say of it, spelt as they spelt them, without anything that the server
-    manages; for a non-RDF source they are its description's. `version` rises with each change of the record, `listed`
-    (of a container) with each change of its members; both are numbers of `Records.version`. `modified_ns` is when the
-    later of the two was. `member` is the IRI that stands for it in the membership triples of the container it was made
-    in; None: its own URL, as it is as a rule; `NO_MEMBER`: it has no membership triple yet. `count` is how many members
-    a container has.
+    slash. `triples` are the client's statements as N-Triples in their original spelling, without server-managed ones;
+    for a non-RDF source they are those of its description. `version` rises with each change of the record, `listed`
+    (of a container) with each change of its members; both are numbers of `Records.version`. `modified_ns` is the later
+    of the two times. `member` is the IRI in the membership triples of the container it was created in: usually its own
+    URL (None), or `NO_MEMBER` for none yet. `count` is the number of a container's members.
     """
 
     path: str
@@ -76,9 +81,9 @@ class Record:
 
 @dataclass(frozen=True, slots=True)
 class Member:
-    """A member of a container: `number` orders members by when they were made, and never changes.
+    """A member of a container: `number` orders members by creation, and never changes.
 
-    `member` is that of its record: None stands for its own URL, `NO_MEMBER` for nothing.
+    `member` is that of its record: None means its own URL, `NO_MEMBER` none.
     """
 
     number: int
@@ -89,10 +94,10 @@ class Member:
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """What a write changes of what a record says, as N-Triples without blank nodes: `removed`, then `added`.
+    """Change of a record's triples by a write, as N-Triples without blank nodes: `removed`, then `added`.
 
-    `before` is the record as it was; `times` is when it was created and modified as its first writer says, which no
-    write changes. Nothing in it is the server's to say.
+    `before` is the previous record; `times` are the creation and modification times stated by its first writer, which
+    no write changes. Server-managed triples are excluded.
     """
 
     before: Record
@@ -103,13 +108,13 @@ class Difference:
 
 @dataclass(frozen=True, slots=True)
 class Put:
-    """Make or replace a record. `expected` is the version it must have, 0: it must not be there, None: whatever.
+    """Creation or replacement of a record. `expected` is the version it must have; 0: it must not exist; None: any.
 
-    A new one is listed in its container, which is the path up to its last segment and must be there. Its model never
-    changes. `member` None leaves what a record that is there has; everything else is replaced: a non-RDF source that
-    keeps its bytes says so with the blob it has. `only_if_absent` leaves a record that is there as it is.
-    `unused` makes it only where no record of its path was ever removed: a server that finds names never gives one
-    twice (LDP 5.2.3.11). `difference` is what it changes, where that is known and little.
+    A new record is listed in its container, which is the path up to its last segment and must exist. Its model never
+    changes. `member` None keeps that of an existing record; everything else is replaced, so a non-RDF source that keeps
+    its bytes repeats its blob. `only_if_absent` leaves an existing record unchanged. `unused` requires that no record
+    of its path was ever removed: a server-assigned name is never reused (LDP 5.2.3.11). `difference` is the change, if
+    it is known and small.
     """
 
     path: str
@@ -184,8 +189,66 @@ class StorageError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class RecordChange:
-    """A path whose record, or whose list of members, changed after some version; `is_removed`: it is no more."""
+    """A path whose record, or whose list of members, changed after some version; `is_removed`: it was removed."""
 
     path: str
     version: int
     is_removed: bool
+
+
+_DIRECT = (Model.DIRECT_CONTAINER, Model.INDIRECT_CONTAINER)
+
+
+def container_of(path: str) -> str:
+    """Return the path of the container a record is in: `data/` of `data/a` and of `data/a/`; empty for a root."""
+    return path[: path.rfind("/", 0, -1) + 1]
+
+
+def check_write(write: Write) -> None:
+    """Raise ValueError for a write that makes no sense whatever is there."""
+    path = write.path
+    if not path or path[0] == "/" or "//" in path:
+        raise ValueError(f"{path!r} is no path of a record: it has an empty segment")
+    if not isinstance(write, Put):
+        return
+    model = write.model
+    if (path[-1] == "/") != model.is_container:
+        raise ValueError(f"{path!r} cannot be a {model.value}: containers, and only they, end in a slash")
+    if (write.blob is not None) != (model is Model.NON_RDF_SOURCE):
+        raise ValueError(f"{path!r}: non-RDF sources, and only they, have a blob")
+    if (write.membership is not None) != (model in _DIRECT):
+        raise ValueError(f"{path!r}: Direct and Indirect containers, and only they, have a membership")
+
+
+_PLAIN = (ldp.Resource, ldp.RDFSource)
+MODEL_TYPES: Mapping[Model, tuple[NamedNode, ...]] = {
+    Model.RDF_SOURCE: _PLAIN,
+    Model.NON_RDF_SOURCE: (ldp.Resource, ldp.NonRDFSource),
+    Model.BASIC_CONTAINER: (*_PLAIN, ldp.Container, ldp.BasicContainer),
+    Model.DIRECT_CONTAINER: (*_PLAIN, ldp.Container, ldp.DirectContainer),
+    Model.INDIRECT_CONTAINER: (*_PLAIN, ldp.Container, ldp.IndirectContainer),
+}
+
+
+def rdf_types(model: Model) -> tuple[NamedNode, ...]:
+    """Return the classes that a resource of this model is said to be of in its RDF (LDP 4.3.1.2, 5.2.1.2)."""
+    return MODEL_TYPES[model]
+
+
+class DatabaseBusy(Exception):
+    """Another process is writing just now."""
+
+
+def database_error(error: sqlite3.Error) -> Exception:
+    """Return the exception that an error of SQLite is raised as: DatabaseBusy, or a StorageError with its words."""
+    words = str(error)
+    if "locked" in words or "busy" in words:
+        return DatabaseBusy(words)
+    if is_disk_full(error):
+        return StorageError(f"There is no space left to keep this: {words}.", full=True)
+    return StorageError(f"The database of records failed: {words}.")
+
+
+def is_disk_full(error: Exception) -> bool:
+    """Whether SQLite says that there is no space left."""
+    return "full" in str(error)

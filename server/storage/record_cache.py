@@ -1,10 +1,13 @@
-"""Records that were looked at lately, up to a weight; the longest unused go first."""
+"""Caches of records: those read lately, and the differences of recent writes."""
 
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
 
-from rosld.server.storage.record import Record
+from rosld.server.storage.record import Difference, Put, Record
 
 MAX_WEIGHT = 64 * 1024 * 1024
 _EACH = 1024
@@ -22,7 +25,7 @@ class RecordCache:
         self._weight = 0
 
     def get(self, path: str) -> Record | None:
-        """A record that is kept, None for one that is not."""
+        """A cached record, or None."""
         kept = self._kept
         found = kept.get(path)
         if found is not None:
@@ -30,7 +33,7 @@ class RecordCache:
         return found
 
     def put(self, record: Record) -> None:
-        """Keep this one from now on."""
+        """Add a record, and evict the longest unused above the limit."""
         self.drop(record.path)
         self._kept[record.path] = record
         self._weight += _EACH + len(record.triples)
@@ -38,12 +41,60 @@ class RecordCache:
             self._weight -= _EACH + len(self._kept.popitem(last=False)[1].triples)
 
     def drop(self, path: str) -> None:
-        """Forget one."""
+        """Remove a record."""
         old = self._kept.pop(path, None)
         if old is not None:
             self._weight -= _EACH + len(old.triples)
 
     def clear(self) -> None:
-        """Forget all."""
+        """Remove all records."""
         self._kept.clear()
         self._weight = 0
+
+
+MAX_BYTES = 16 * 1024
+"""Bytes of N-Triples in the difference of one write; what changes more is told whole."""
+_WRITES = 64
+"""Writes of one record, and records, whose differences are kept: the oldest go first."""
+
+
+class RecordWrite(NamedTuple):
+    """One write of a record: the record before and after (client statements reduced to times), and the difference."""
+
+    before: Record
+    after: Record
+    difference: Difference
+
+
+class RecentWrites:
+    """The differences of the last writes, by record."""
+
+    def __init__(self) -> None:
+        self._steps: OrderedDict[str, list[RecordWrite]] = OrderedDict()
+
+    def add(self, put: Put, record: Record) -> None:
+        """Add the difference of a write that produced this record."""
+        difference = put.difference
+        if difference is None or put.expected != difference.before.version:
+            self._steps.pop(record.path, None)
+            return
+        before, after = (replace(each, triples=difference.times) for each in (difference.before, record))
+        steps = self._steps.setdefault(record.path, [])
+        if steps and steps[-1].after.version != before.version:
+            steps.clear()
+        steps.append(RecordWrite(before, after, difference))
+        del steps[:-_WRITES]
+        self._steps.move_to_end(record.path)
+        if len(self._steps) > _WRITES:
+            self._steps.popitem(last=False)
+
+    def since(self, record: Record, after: int) -> Sequence[RecordWrite] | None:
+        """The writes that led from a version to this record, or None if they are unknown."""
+        steps = [each for each in self._steps.get(record.path, ()) if each.after.version > after]
+        if not steps or steps[0].before.version > after or steps[-1].after.version != record.version:
+            return None
+        return steps
+
+    def clear(self) -> None:
+        """Remove all differences."""
+        self._steps.clear()

@@ -1,8 +1,14 @@
-"""Records described: what a client said of a resource, and what the server adds to it (LDP 4.2, 5.2). Pure."""
+"""Large N-Triples, packed: what a record says is kept compressed from a size on, so that the loop handles little of it.
+
+A million triples of one kind are some hundred megabytes of N-Triples, and three packed. What is small stays as it is,
+byte for byte. Packing and unpacking what is large take a second or so: worker processes do that.
+"""
 
 from __future__ import annotations
 
 import re
+import struct
+import zlib
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -12,9 +18,52 @@ from pyoxigraph import NamedNode, RdfFormat, Triple, parse
 from rosld.ontology.document import Document
 from rosld.ontology.triples import Statement, date_time_literal, integer, statements, text, triples_about
 from rosld.ontology.vocab import dcterms, ldp, rdf, ros
-from rosld.server.storage.models import rdf_types
-from rosld.server.storage.packing import unpack, unpack_prefix
-from rosld.server.storage.record import Model, Record
+from rosld.server.storage.record import Model, Record, rdf_types
+
+LARGE_BYTES = 256 * 1024
+"""Bytes of N-Triples from which they are packed: some 2,500 triples, which a parser takes 5 ms for."""
+MAX_BYTES = 2 * 1024 * 1024 * 1024
+"""Bytes of N-Triples that may be packed at the most."""
+_MARK = b"\x00z1"
+"""What packed bytes begin with, and N-Triples never do."""
+_HEAD = struct.Struct("<3sQ")
+_LEVEL = 1
+"""The quickest: lines of N-Triples are much alike."""
+
+
+def pack_triples(ntriples: bytes) -> bytes:
+    """N-Triples as stored: packed if they are large."""
+    if len(ntriples) < LARGE_BYTES:
+        return ntriples
+    return _HEAD.pack(_MARK, len(ntriples)) + zlib.compress(ntriples, _LEVEL)
+
+
+def unpack_triples(kept: bytes) -> bytes:
+    """The N-Triples in packed or plain form."""
+    return zlib.decompress(memoryview(kept)[_HEAD.size :], bufsize=unpacked_size(kept)) if is_packed(kept) else kept
+
+
+def unpack_prefix(kept: bytes, size: int) -> bytes:
+    """The first `size` bytes of the N-Triples, without unpacking the rest."""
+    if not is_packed(kept):
+        return kept[:size]
+    return zlib.decompressobj().decompress(memoryview(kept)[_HEAD.size :], size)
+
+
+def is_packed(kept: bytes) -> bool:
+    """Whether N-Triples are packed."""
+    return kept[: len(_MARK)] == _MARK
+
+
+def unpacked_size(kept: bytes) -> int:
+    """The size of N-Triples when unpacked."""
+    return int(_HEAD.unpack_from(kept)[1]) if is_packed(kept) else len(kept)
+
+
+def is_large(record: Record) -> bool:
+    """Whether the triples of a record are too large for the event loop."""
+    return is_packed(record.triples) or len(record.triples) >= LARGE_BYTES
+
 
 MEMBERSHIP = frozenset(
     {ldp.membershipResource, ldp.hasMemberRelation, ldp.isMemberOfRelation, ldp.insertedContentRelation}
@@ -31,9 +80,9 @@ MAX_TIME_BYTES = 1000
 
 
 def record_document(record: Record, url: str, members: Sequence[str], membership: Sequence[Triple]) -> Document:
-    """What the resource at `url` says: `members` are the URLs of what it contains, `membership` its own triples.
+    """Return the document of the resource at `url`, with the URLs of its `members` and its `membership` triples.
 
-    Of a non-RDF source it is the description, at its URL and `.meta`.
+    For a non-RDF source it is the description, at its URL and `.meta`.
     """
     document = url + META if record.model is Model.NON_RDF_SOURCE else url
     contained = triples_about(NamedNode(url), *statements(ldp.contains, map(NamedNode, members))) if members else ()
@@ -43,9 +92,9 @@ def record_document(record: Record, url: str, members: Sequence[str], membership
 
 
 def managed_triples(record: Record, url: str) -> tuple[Triple, ...]:
-    """What the server says of a resource, its members and membership aside: its classes, its times, its bytes.
+    """Return the server-managed triples of a resource without members and membership: classes, times, size.
 
-    It was created when its first writer says; and modified then, too, for as long as nobody has written to it here.
+    Times are those that its first writer stated, if any; the modification time only until the next write.
     """
     return _managed(record, url, client_times(record, url))
 
@@ -76,7 +125,7 @@ _UNSAID = ClientTimes(b"", b"")
 
 
 def client_times(record: Record, url: str) -> ClientTimes:
-    """What the first writer of a record said of its times."""
+    """Return the times that the first writer of a record stated."""
     left = unpack_prefix(record.triples, len(TIMES) * (len(url) + MAX_TIME_BYTES))
     subject, lines = f"<{url}> ".encode(), []
     if not left.startswith(subject):
@@ -89,21 +138,21 @@ def client_times(record: Record, url: str) -> ClientTimes:
 
 
 def client_ntriples(record: Record, url: str) -> bytes:
-    """All else that clients say of a resource, as N-Triples."""
+    """Return all else that clients say of a resource, as N-Triples."""
     return _beside(client_times(record, url), record)
 
 
 def _beside(times: ClientTimes, record: Record) -> bytes:
-    return unpack(record.triples)[sum(map(len, times)) :]
+    return unpack_triples(record.triples)[sum(map(len, times)) :]
 
 
 def without_statements(record: Record, url: str) -> Record:
-    """A record of which clients say nothing but its times."""
+    """A record without client statements except its times."""
     return replace(record, triples=b"".join(client_times(record, url)))
 
 
 def parse_ntriples(ntriples: bytes) -> tuple[Triple, ...]:
-    """Triples spelt as they are, each once."""
+    """Return the distinct triples in their original spelling."""
     quads = parse(ntriples, RdfFormat.N_TRIPLES) if ntriples else ()
     return tuple(dict.fromkeys(quad.triple for quad in quads))
 
@@ -115,7 +164,7 @@ def _of_file(record: Record) -> Iterable[Statement]:
 
 
 def remove_managed(triples: Iterable[Triple], url: str, model: Model) -> list[Triple]:
-    """The triples that are not the server's to say of what is at `url`."""
+    """Return the triples that are not the server's to say of what is at `url`."""
     subject = NamedNode(url)
     return [each for each in triples if each.subject != subject or not is_managed(each.predicate, each.object, model)]
 
@@ -142,5 +191,5 @@ def may_be_managed(ntriples: bytes) -> bool:
 
 
 def to_ntriples(triples: Iterable[Triple]) -> bytes:
-    """Triples as they are kept."""
+    """Return triples as stored."""
     return "".join([f"{triple} .\n" for triple in triples]).encode()

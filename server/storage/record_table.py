@@ -10,10 +10,20 @@ import sqlite3
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
-from rosld.server.storage.record import Conflict, ConflictCause, Member, Model, Put, Record, RecordChange, Remove, Write
-from rosld.server.storage.record_effects import Effects, MemberList, version_of_change, with_list
-from rosld.server.storage.record_paths import container_of
-from rosld.server.storage.record_rows import (
+from rosld.server.storage.record import (
+    Conflict,
+    ConflictCause,
+    Member,
+    Model,
+    Put,
+    Record,
+    RecordChange,
+    Remove,
+    Write,
+    container_of,
+    database_error,
+)
+from rosld.server.storage.tables import (
     INSERT_RECORD,
     MODELS,
     SELECT_ALL,
@@ -26,11 +36,14 @@ from rosld.server.storage.record_rows import (
     UPDATE_RECORD,
     UPDATE_TRIPLES,
     CurrentRow,
+    FormerVersion,
+    forget_versions,
+    former_version_at,
+    former_versions,
     record_of_row,
     row_texts,
 )
-from rosld.server.storage.sqlite_errors import storage_error
-from rosld.server.storage.version_table import FormerVersion, forget_versions, former_version_at, former_versions
+from rosld.server.storage.transactions import Effects, MemberList, version_of_change, with_list
 
 OPENING = 1 << 20
 """Versions begin anew at a multiple of this when records are opened: what was seen before a power failure, but was not
@@ -73,7 +86,7 @@ class RecordTable:
         try:
             row = self._execute(SELECT_RECORD, (path,)).fetchone()
         except sqlite3.Error as error:
-            raise storage_error(error) from error
+            raise database_error(error) from error
         return None if row is None else record_of_row(path, row)
 
     def versions(self, path: str) -> list[FormerVersion]:
@@ -81,28 +94,28 @@ class RecordTable:
         try:
             return former_versions(self._connection, path)
         except sqlite3.Error as error:
-            raise storage_error(error) from error
+            raise database_error(error) from error
 
     def version_at(self, path: str, time_ns: int) -> Record | None:
         """The version that a document had at a time (ns after the epoch), None where it is not a former one."""
         try:
             return former_version_at(self._connection, path, time_ns)
         except sqlite3.Error as error:
-            raise storage_error(error) from error
+            raise database_error(error) from error
 
     def is_tombstone(self, path: str) -> bool:
         """Whether there was a record at a path that was removed."""
         try:
             return self._execute("SELECT 1 FROM gone WHERE path = ?", (path,)).fetchone() is not None
         except sqlite3.Error as error:
-            raise storage_error(error) from error
+            raise database_error(error) from error
 
     def members(self, path: str, after: int, limit: int) -> list[Member]:
         """At most `limit` members of a container, after the number `after`, by number."""
         try:
             rows = self._execute(SELECT_MEMBERS, (path, after, limit)).fetchall()
         except sqlite3.Error as error:
-            raise storage_error(error) from error
+            raise database_error(error) from error
         return [Member(number, name, MODELS[model], member) for number, name, model, member in rows]
 
     def last_member_numbers(self, path: str, up_to: int | None, limit: int) -> list[int]:
@@ -110,7 +123,7 @@ class RecordTable:
         try:
             rows = self._execute(SELECT_LAST_NUMBERS, (path, _GREATEST if up_to is None else up_to, limit)).fetchall()
         except sqlite3.Error as error:
-            raise storage_error(error) from error
+            raise database_error(error) from error
         return [row[0] for row in rows]
 
     def changes_since(self, after: int, limit: int) -> list[RecordChange]:
@@ -118,7 +131,7 @@ class RecordTable:
         try:
             rows = self._execute(SELECT_CHANGES, (after, limit)).fetchall()
         except sqlite3.Error as error:
-            raise storage_error(error) from error
+            raise database_error(error) from error
         found = [RecordChange(path, version, bool(gone)) for path, version, gone in rows]
         if self._withdrawn:
             found += (RecordChange(path, version, True) for path, version in self._withdrawn.items() if version > after)
@@ -148,7 +161,7 @@ class RecordTable:
                     self._withdrawn[path] = self._next
             self.commit()
         except sqlite3.Error as error:
-            raise storage_error(error) from error
+            raise database_error(error) from error
         finally:
             self.rollback()
 
@@ -179,7 +192,7 @@ class RecordTable:
             foreign = self.changed_elsewhere()
         except sqlite3.Error as error:
             self.rollback()
-            raise storage_error(error) from error
+            raise database_error(error) from error
         self._next = self.version
         return foreign
 
@@ -188,7 +201,7 @@ class RecordTable:
         try:
             self._execute("COMMIT")
         except sqlite3.Error as error:
-            raise storage_error(error) from error
+            raise database_error(error) from error
         self.version = self._next
 
     def rollback(self) -> None:
@@ -222,7 +235,7 @@ class RecordTable:
                 if several and self._connection.in_transaction:
                     self._execute("RELEASE attempt")
         except sqlite3.Error as error:
-            raise storage_error(error) from error
+            raise database_error(error) from error
         return applied
 
     def apply_single(self, put: Put, now: int) -> Record | None:
@@ -234,7 +247,7 @@ class RecordTable:
         try:
             record = self._rewritten(put, now)
         except sqlite3.Error as error:
-            raise storage_error(error) from error
+            raise database_error(error) from error
         self.version = self._next
         return record
 

@@ -15,20 +15,27 @@ from collections.abc import AsyncIterator, Callable, Sequence
 from pathlib import Path
 
 from rosld.server.runtime.dry_run import end_dry_run, is_dry_run
-from rosld.server.storage.blobs import Blobs, sync_folder
-from rosld.server.storage.disk_reserve import LOW, DiskReserve, free_bytes
-from rosld.server.storage.durability import Durability, checkpoint_with_reserve
-from rosld.server.storage.group_commit import GroupCommit, WriteBatch
-from rosld.server.storage.received_blobs import ReceivedBlobs
-from rosld.server.storage.recent_writes import RecentWrites, RecordWrite
-from rosld.server.storage.record import Blob, Conflict, Member, Put, Record, RecordChange, Remove, StorageError, Write
-from rosld.server.storage.record_cache import RecordCache
-from rosld.server.storage.record_effects import Effects, with_list
-from rosld.server.storage.record_paths import check_write
+from rosld.server.storage.blobs import Blobs, ReceivedBlobs
+from rosld.server.storage.durability import LOW_BYTES, DiskReserve, Durability, checkpoint_with_reserve, free_bytes
+from rosld.server.storage.files import sync_folder
+from rosld.server.storage.record import (
+    Blob,
+    Conflict,
+    DatabaseBusy,
+    Member,
+    Put,
+    Record,
+    RecordChange,
+    Remove,
+    StorageError,
+    Write,
+    check_write,
+    is_disk_full,
+)
+from rosld.server.storage.record_cache import RecentWrites, RecordCache, RecordWrite
 from rosld.server.storage.record_table import RecordTable
-from rosld.server.storage.sqlite_errors import DatabaseBusy, is_full
-from rosld.server.storage.tables import prepare_tables, read_pragma
-from rosld.server.storage.version_table import FormerVersion, keep_versions
+from rosld.server.storage.tables import FormerVersion, keep_versions, prepare_tables, read_pragma
+from rosld.server.storage.transactions import Effects, GroupCommit, WriteBatch, with_list
 from rosld.server.storage.write_ahead_log import close_without_checkpoint
 
 _log = logging.getLogger("rosld")
@@ -48,18 +55,17 @@ _SPARE_PAGES = 16
 
 def open_records(
     folder: Path | None, *, roots: Sequence[str] = (), keep_seconds: float = KEEP_SECONDS, versions: int = 0
-) -> SqliteRecords:
-    """The records in a folder, made where they are missing; in memory without one.
+) -> Records:
+    """Open or create the records in a folder, or in memory without one.
 
-    `data/` and the `roots` are containers that are always there. So many former `versions` of each document are kept.
-    Raises ValueError for a database that cannot be used,
-    OSError where the folder cannot be.
+    `data/` and the `roots` are containers that always exist. `versions` is the number of former versions kept of each
+    document. Raises ValueError for an unusable database, OSError for an unusable folder.
     """
-    return SqliteRecords(folder, (ROOT, *roots), keep_seconds, versions)
+    return Records(folder, (ROOT, *roots), keep_seconds, versions)
 
 
 def connect(folder: Path | None) -> sqlite3.Connection:
-    """A connection to the database of a folder, made where it is missing. Raises ValueError where it cannot be used."""
+    """A connection to the database of a folder, created if missing. Raises ValueError if it is unusable."""
     path = ":memory:" if folder is None else str(folder / DATABASE)
     connection = sqlite3.connect(path, timeout=_OPEN_SECONDS, isolation_level=None, check_same_thread=False)
     try:
@@ -81,21 +87,24 @@ def _connect_where_full(folder: Path) -> sqlite3.Connection:
         return connect(folder)
     except ValueError:
         reserve = DiskReserve(folder)
-        if not reserve.is_full or free_bytes(folder) >= LOW:
+        if not reserve.is_full or free_bytes(folder) >= LOW_BYTES:
             raise
         reserve.release()
         return connect(folder)
 
 
 def unusable_reason(path: str, error: Exception) -> str:
-    """What to tell of a database that cannot be opened."""
+    """Return the message about a database that cannot be opened."""
     words = f"{path} cannot be used as the database of records: {error}"
     broken = any(word in str(error) for word in ("malformed", "not a database", "corrupt"))
     return f"{words}. Bring a dump back into a new folder with `rosld load`" if broken else words
 
 
-class SqliteRecords:
-    """The built-in `Records`; `open_records` makes them."""
+class Records:
+    """All records of one server. Belongs to one loop; reads take tens of microseconds and never wait.
+
+    Reads and writes raise StorageError if the disk or the database fails, and can be repeated.
+    """
 
     def __init__(self, folder: Path | None, roots: Sequence[str], keep_seconds: float, versions: int = 0) -> None:
         self._received = ReceivedBlobs(keep_seconds)
@@ -142,7 +151,7 @@ class SqliteRecords:
             # What a process that was killed had written may not be on the disk, whatever a sync of the log says now.
             checkpoint_with_reserve(self._connection, reserve)
         except sqlite3.Error as error:
-            if not is_full(error):
+            if not is_disk_full(error):
                 raise
             _log.warning("the log of records cannot be carried over: %s", error)
         self._durability = Durability(folder / DATABASE, blobs, reserve)
@@ -152,10 +161,12 @@ class SqliteRecords:
 
     @property
     def identity(self) -> str:
+        """A random name of these records, made once and kept with them: versions are only of one identity."""
         return self._table.identity
 
     @property
     def version(self) -> int:
+        """The number of the last change; it rises with each, by more than one where a container lists anew."""
         return self._table.version
 
     @property
@@ -167,9 +178,10 @@ class SqliteRecords:
             return str(self._durability.failure)
         left = free_bytes(self._place)
         words = f"The disk that holds the data is full, {left} bytes are left: delete what is not needed."
-        return words if left < LOW else None
+        return words if left < LOW_BYTES else None
 
     def get(self, path: str) -> Record | None:
+        """A record: the same object until it changes or is evicted."""
         found = self._cache.get(path)
         if found is None:
             self._attach()
@@ -184,27 +196,43 @@ class SqliteRecords:
         self._differences.clear()
 
     def versions(self, path: str) -> Sequence[FormerVersion]:
+        """Return the former versions of a document that are kept, the oldest first."""
         return self._table.versions(path)
 
     def version_at(self, path: str, time_ns: int) -> Record | None:
+        """The version of a document at a time, or None if it did not exist or was not kept."""
         return self._table.version_at(path, time_ns)
 
     def is_tombstone(self, path: str) -> bool:
+        """Whether a record of this path was ever removed; one may be there again."""
         return self._table.is_tombstone(path)
 
     def members(self, path: str, *, after: int = 0, limit: int = 1000) -> Sequence[Member]:
+        """Return the members of a container in the order of their numbers, those after one of them."""
         return self._table.members(path, after, limit)
 
     def last_member_numbers(self, path: str, *, up_to: int | None = None, limit: int = 1000) -> Sequence[int]:
+        """The numbers of the last members of a container (up to a number), the newest first."""
         return self._table.last_member_numbers(path, up_to, limit)
 
     def changes_since(self, after: int, *, limit: int = _CHANGES) -> Sequence[RecordChange]:
+        """Return the changes after a version, each path with its latest version, in the order of versions.
+
+        A path occurs once, or twice if it was removed and created again. Versions are unique: if there are `limit`
+        changes, continue after the last.
+        """
         return self._table.changes_since(after, limit)
 
     def writes_since(self, record: Record, after: int) -> Sequence[RecordWrite] | None:
+        """The writes that led from a version to this record, or None if they are unknown."""
         return self._differences.since(record, after)
 
     async def write(self, *writes: Write) -> Sequence[Record | None]:
+        """Do these writes, all or none; in a folder they are durable on return.
+
+        Return the resulting records, None for removed ones. Raises Conflict, and ValueError for a write that is invalid
+        in any state. Cancelling the wait does not cancel the writes.
+        """
         if self._closed:
             raise StorageError("The records are closed.")
         for write in writes:
@@ -247,7 +275,7 @@ class SqliteRecords:
             self._received.discard(id)
 
     def _rewritten(self, write: Write) -> Record | None:
-        """In memory, where nobody else writes: a write that needs no transaction around it; None where it does."""
+        """Do a single write in memory that needs no transaction; return None if it needs one."""
         record = self._table.apply_single(write, time.time_ns()) if isinstance(write, Put) else None
         if isinstance(write, Put) and record is not None:
             self._cache.put(record)
@@ -364,20 +392,30 @@ class SqliteRecords:
                 self._differences.add(write, record)
 
     async def receive(self, chunks: AsyncIterator[bytes], media_type: str, *, limit: int) -> Blob:
+        """Keep bytes as they come, until a write refers to them. Raises ValueError beyond `limit` bytes.
+
+        What no write refers to within ten minutes is thrown away; what was refused in a write may be tried in another.
+        """
         if self._closed:
             raise StorageError("The records are closed.")
         self._attach()
         return await self._received.receive(chunks, media_type, limit)
 
     def discard(self, blob: Blob) -> None:
+        """Throw away received bytes that no write refers to; of other blobs it leaves everything as it is."""
         self._received.discard(blob.id)
 
     def file(self, blob: Blob) -> Path:
+        """The file of a blob. Raises FileNotFoundError if it was removed."""
         path = self._received.folder().path(blob.id)
         path.stat()
         return path
 
     def watch(self, wake: Callable[[Sequence[RecordChange]], None]) -> Callable[[], None]:
+        """Call `wake` on the loop with the changes of each write; return the function that ends this.
+
+        Changes by `rosld load` are reported within a second.
+        """
         self._attach()
         watcher = object()
         self._watchers[watcher] = wake
@@ -419,7 +457,7 @@ class SqliteRecords:
             _log.error("the records cannot be read: %s", error)
 
     def _notice(self) -> None:
-        """Another process has changed something: forget what was read, tell what has changed."""
+        """Clear the cache and report the changes that another process made."""
         self.clear_cache()
         while changed := self._table.changes_since(self._told, _CHANGES):
             self._told = changed[-1].version
@@ -436,6 +474,7 @@ class SqliteRecords:
             _log.error("the log of records may hold what was refused: %s", error)
 
     async def close(self) -> None:
+        """Finish what is under way. Idempotent."""
         if self._closed:
             return
         self._received.discard_all()

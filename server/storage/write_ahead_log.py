@@ -23,7 +23,7 @@ _INDEX = struct.Struct("=14xHI12x8s")
 
 
 class LogExtent(NamedTuple):
-    """How far a log reaches: so many frames of pages of so many bytes. The salt is another one in each new log."""
+    """Extent of a log: number of frames, and bytes per page. Each new log has another salt."""
 
     page: int
     frames: int
@@ -31,7 +31,7 @@ class LogExtent(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Bytes up to the end of the last frame."""
+        """The number of bytes up to the end of the last frame."""
         return _HEADER + self.frames * (_FRAME_HEADER + self.page) if self.frames else 0
 
 
@@ -46,15 +46,15 @@ class WriteAheadLog:
         self._index = os.open(f"{database}-shm", os.O_RDONLY | os.O_CLOEXEC)
 
     def fileno(self) -> int:
-        """The log's file."""
+        """Return the log's file."""
         return self._log
 
     def extent(self) -> LogExtent:
-        """How far it reaches now; for whoever knows that nobody is writing."""
+        """Return the current extent; must not run during a write."""
         return LogExtent(*_INDEX.unpack(os.pread(self._index, _INDEX.size, 0)))
 
     def size(self) -> int:
-        """Bytes that the file has."""
+        """The size of the file in bytes."""
         return os.fstat(self._log).st_size
 
     def close(self) -> None:
@@ -76,9 +76,9 @@ def close_without_checkpoint(database: Path, connection: sqlite3.Connection) -> 
 
 
 def truncate(database: Path, extent: LogExtent) -> None:
-    """Cut the log of a database that nobody has open after `extent`, durably. Raises OSError.
+    """Truncate the log of a closed database to `extent`, durably. Raises OSError.
 
-    Where the log has begun anew since, all of the old one is in the database, and of the new one nothing is kept.
+    If the log was restarted since, the old one is in the database completely, and the new one is removed completely.
     """
     file = os.open(f"{database}-wal", os.O_RDWR | os.O_CLOEXEC)
     try:
@@ -97,3 +97,68 @@ def checkpoint(connection: sqlite3.Connection) -> bool:
     False where somebody else reads or writes. Raises sqlite3.Error.
     """
     return int(connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()[0]) == 0
+
+
+sync_file = getattr(os, "fdatasync", os.fsync)
+
+
+class SyncedLog:
+    """Syncs the log of a database that is open elsewhere, and cuts off what a failed sync left uncertain."""
+
+    def __init__(self, database: Path) -> None:
+        self._database = database
+        self._log = WriteAheadLog(database)
+        self._synced = self._written = self._log.extent()
+        self._cut: LogExtent | None = None
+
+    @property
+    def needs_truncation(self) -> bool:
+        """Whether a failed sync has left something to cut off, or it was cut off."""
+        return self._cut is not None
+
+    def note_written(self) -> None:
+        """Record the extent of the log after a write."""
+        self._written = self._log.extent()
+
+    def sync(self) -> None:
+        """Wait until what was noted is on the disk. Raises OSError; what is to be cut off is remembered then."""
+        written = self._written
+        try:
+            self.flush()
+        except OSError:
+            # Where another process has written as well nothing is cut off: that would be lost too.
+            self._cut = self._synced if self._log.extent() == written else None
+            raise
+        self._synced = written
+
+    def flush(self) -> None:
+        """Sync the file, regardless of earlier failures. Raises OSError."""
+        sync_file(self._log.fileno())
+
+    def size(self) -> int:
+        """The size of the log in bytes."""
+        return self._log.size()
+
+    def truncate(self) -> None:
+        """Close the files, and cut off what is not known to be on the disk. Raises OSError."""
+        self._log.close()
+        if self._cut is not None:
+            truncate(self._database, self._cut)
+
+    def open(self) -> None:
+        """Open the files of the log again."""
+        self._log = WriteAheadLog(self._database)
+
+    def count_lost_frames(self) -> int:
+        """Count the pages that the disk had taken and has lost all the same."""
+        found, kept = self._log.extent(), self._cut
+        return max(0, kept.frames - found.frames) if kept is not None and found.salt == kept.salt else 0
+
+    def mark_all_synced(self) -> None:
+        """Mark everything in the log as synced, after a checkpoint."""
+        self._synced = self._written = self._log.extent()
+        self._cut = None
+
+    def close(self) -> None:
+        """Close the files. Idempotent."""
+        self._log.close()

@@ -11,7 +11,8 @@ import pytest
 from pyoxigraph import NamedNode, Triple
 
 from rosld.ontology.vocab import dcterms, ldp, rdf, ros
-from rosld.server.storage import Model, Put, open_records
+from rosld.server.storage.record import Model, Put
+from rosld.server.storage.sqlite import open_records
 from tests.server.robots.durable import running
 
 pytestmark = pytest.mark.slow

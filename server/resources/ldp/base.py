@@ -21,7 +21,7 @@ from rosld.server.rest.formats import RDF_BODIES
 from rosld.server.rest.path_item import PathItem, QueryParameter, WriteMethod
 from rosld.server.rest.resource import READ, Answer, Resource, permanent_redirect
 from rosld.server.runtime.dry_run import expect_status
-from rosld.server.storage import Conflict, ConflictCause, Record, Remove, Write
+from rosld.server.storage.record import Conflict, ConflictCause, Record, Remove, Write
 
 ANYTHING = "*/*"
 

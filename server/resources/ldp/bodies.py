@@ -30,8 +30,7 @@ from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.file_response import exact_media_type
 from rosld.server.rest.interaction import membership_triples, requested_model
 from rosld.server.runtime.offload import WorkerPool
-from rosld.server.storage import Blob, Model, Record
-from rosld.server.storage.models import rdf_types
+from rosld.server.storage.record import Blob, Model, Record, rdf_types
 from rosld.server.storage.record_documents import to_ntriples
 
 

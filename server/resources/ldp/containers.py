@@ -26,7 +26,7 @@ from rosld.server.rest.prefer_container import ALL_PARTS, ContainerParts, select
 from rosld.server.rest.resource import Answer, CreatedAnswer, Resource
 from rosld.server.rest.slug import choose_name
 from rosld.server.rest.state import State
-from rosld.server.storage import Blob, Conflict, ConflictCause, Model
+from rosld.server.storage.record import Blob, Conflict, ConflictCause, Model
 from rosld.server.storage.record_documents import META
 
 _SUMMARIES = {"data/": "Data that clients keep", "mappings/": "Mapping documents", "cockpit/": "Cockpits"}

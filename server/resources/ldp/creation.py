@@ -24,8 +24,8 @@ from rosld.server.resources.ldp.transaction import write_together
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.interaction import parse_membership
 from rosld.server.runtime.dry_run import expect_status
-from rosld.server.storage import Blob, Model, Put, Record, Records
-from rosld.server.storage.record_paths import container_of
+from rosld.server.storage.record import Blob, Model, Put, Record, container_of
+from rosld.server.storage.sqlite import Records
 
 
 async def create_record(

@@ -12,7 +12,7 @@ from rosld.server.runtime.offload import WorkerPool
 from rosld.server.runtime.tasks import Signal
 from rosld.server.runtime.version_cache import VersionCache
 from rosld.server.settings import Settings
-from rosld.server.storage import Records
+from rosld.server.storage.sqlite import Records
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,8 +14,7 @@ from rosld.server.resources.ldp.statements import Statements, is_small, parse_st
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import RDF_BODIES
 from rosld.server.runtime.offload import WorkerPool
-from rosld.server.storage.packing import size_of, unpack
-from rosld.server.storage.record_documents import to_ntriples
+from rosld.server.storage.record_documents import to_ntriples, unpack_triples, unpacked_size
 
 _N_TRIPLES = "application/n-triples"
 _MAX_UNITED = 4 * 1024 * 1024
@@ -39,9 +38,9 @@ async def merge_parts(workers: WorkerPool, exchange: Exchange, url: str) -> None
     Raises what `merged_statements` raises, and a 413 Problem where that is too large.
     """
     found = await merged_statements(workers, exchange, url, url)
-    if size_of(found.packed) > _MAX_UNITED:
+    if unpacked_size(found.packed) > _MAX_UNITED:
         raise Problem(413, f"The parts say more than {_MAX_UNITED} bytes of N-Triples: PUT one body instead.")
-    exchange.override(exchange.method, _N_TRIPLES, unpack(found.packed))
+    exchange.override(exchange.method, _N_TRIPLES, unpack_triples(found.packed))
 
 
 def _unite(data: bytes, boundary: str | None, url: str, subject: str) -> Statements:

@@ -13,15 +13,16 @@ from pyoxigraph import NamedNode, Triple
 from rosld.ontology.document import Document
 from rosld.server.patches.n3patch import find_changes, missing_deletion, read_patch
 from rosld.server.patches.patch import ground_changes, updated_lines
-from rosld.server.storage import Record
-from rosld.server.storage.packing import pack, unpack
+from rosld.server.storage.record import Record
 from rosld.server.storage.record_documents import (
     client_ntriples,
     is_managed,
     managed_triples,
     may_be_managed,
+    pack_triples,
     parse_ntriples,
     to_ntriples,
+    unpack_triples,
 )
 
 
@@ -39,7 +40,7 @@ def change_kept(kept: bytes, removed: bytes, added: bytes) -> KeptChange | None:
     None where blank nodes are removed that are not there: they may have other labels.
     """
     gone, new = dict.fromkeys(_lines(removed)), dict.fromkeys(_lines(added))
-    lines = _lines(unpack(kept))
+    lines = _lines(unpack_triples(kept))
     there = {*gone, *new}.intersection(lines)
     if has_blank_nodes(removed) and not there.issuperset(gone):
         return None
@@ -48,7 +49,7 @@ def change_kept(kept: bytes, removed: bytes, added: bytes) -> KeptChange | None:
     if lost:
         without = frozenset(lost)
         lines = [line for line in lines if line not in without]
-    return KeptChange(pack(_text([*lines, *come])), _text(lost), _text(come))
+    return KeptChange(pack_triples(_text([*lines, *come])), _text(lost), _text(come))
 
 
 def patch_kept(
@@ -65,7 +66,7 @@ def patch_kept(
         if has_managed(deletes, subject) or has_managed(inserts, subject):
             return None
         removed, added = to_ntriples(deletes), to_ntriples(inserts)
-        lacking = {*_lines(removed)}.difference(_lines(unpack(kept)))
+        lacking = {*_lines(removed)}.difference(_lines(unpack_triples(kept)))
         if lacking:
             raise missing_deletion(next(each for each in deletes if str(each).encode() + b" ." in lacking))
         return change_kept(kept, removed, added)

@@ -10,8 +10,7 @@ from rosld.ontology.literals import date_time_nanoseconds
 from rosld.ontology.vocab import dcterms, ldp, rdf
 from rosld.server.http.problem import Problem
 from rosld.server.rest.interaction import membership_declaration
-from rosld.server.storage import Membership, Model, Record
-from rosld.server.storage.models import rdf_types
+from rosld.server.storage.record import Membership, Model, Record, rdf_types
 from rosld.server.storage.record_documents import (
     MAX_TIME_BYTES,
     MEMBERSHIP,

@@ -47,11 +47,9 @@ from rosld.server.rest.raw_response import no_content
 from rosld.server.rest.resource import Answer, Resource
 from rosld.server.rest.state import State, require_memory
 from rosld.server.runtime.offload import Work
-from rosld.server.storage import NO_MEMBER, Difference, Model, Put, Record, Remove, Write
-from rosld.server.storage.packing import is_large, unpack
-from rosld.server.storage.recent_writes import MAX_BYTES as DIFFERENT
-from rosld.server.storage.record_documents import META, client_times, to_ntriples
-from rosld.server.storage.record_paths import container_of
+from rosld.server.storage.record import NO_MEMBER, Difference, Model, Put, Record, Remove, Write, container_of
+from rosld.server.storage.record_cache import MAX_BYTES as DIFFERENT
+from rosld.server.storage.record_documents import META, client_times, is_large, to_ntriples, unpack_triples
 
 __all__ = ["N3_PATCH", "DescriptionResource", "RdfSourceResource"]
 
@@ -114,7 +112,7 @@ class RdfSourceResource(StoredResource):
             before = state_of(self.documents, record)
             require_memory(before)
             if before.is_large and not has_managed(added.managed, self._subject):
-                change = partial(change_kept, record.triples, b"", unpack(added.packed))
+                change = partial(change_kept, record.triples, b"", unpack_triples(added.packed))
                 if (put := await self._changed(record, change)) is not None:
                     return put
             work = partial(merge_statements, before.describe, added, self._subject)

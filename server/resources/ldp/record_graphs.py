@@ -19,16 +19,17 @@ from rosld.server.dataset import Edit
 from rosld.server.rest.interaction import member_derived_uris, membership_declaration
 from rosld.server.sparql.change_source import Changes
 from rosld.server.sparql.needs import Needs
-from rosld.server.storage import Member, Membership, Model, Record, RecordChange, Records, RecordWrite
-from rosld.server.storage.packing import size_of
+from rosld.server.storage.record import Member, Membership, Model, Record, RecordChange, container_of
+from rosld.server.storage.record_cache import RecordWrite
 from rosld.server.storage.record_documents import (
     META,
     client_ntriples,
     managed_triples,
     record_document,
+    unpacked_size,
     without_statements,
 )
-from rosld.server.storage.record_paths import container_of
+from rosld.server.storage.sqlite import Records
 
 _PAGE = 200
 """Changed records looked at before the loop gets its turn: some milliseconds."""
@@ -191,7 +192,7 @@ class _Search:
         self._graphs[url + META if record.model is Model.NON_RDF_SOURCE else url] = partial(
             _text, record, url, self._said
         )
-        self._size += size_of(record.triples) + _OVERHEAD
+        self._size += unpacked_size(record.triples) + _OVERHEAD
 
     def _step(self, path: str, steps: Sequence[RecordWrite]) -> None:
         """Do what writes did, one after the other: that is no harm to a graph in which some of it is done."""

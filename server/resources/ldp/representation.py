@@ -16,8 +16,9 @@ from rosld.server.rest.interaction import model_links
 from rosld.server.rest.paging import MAX_PAGE_SIZE, LdpPage, PagePosition, last_page_size, last_position, page_of
 from rosld.server.rest.prefer_container import ALL_PARTS, ContainerParts
 from rosld.server.rest.state import State
-from rosld.server.storage import Member, Record, Records
-from rosld.server.storage.packing import size_of
+from rosld.server.storage.record import Member, Record
+from rosld.server.storage.record_documents import unpacked_size
+from rosld.server.storage.sqlite import Records
 
 
 def all_members(records: Records, record: Record) -> list[Member]:
@@ -113,5 +114,5 @@ def _state(
         scope=documents.records.identity,
         part=f"{page}{parts.variant}",
         headers=headers,
-        weight=size_of(record.triples) if parts.minimal else 0,
+        weight=unpacked_size(record.triples) if parts.minimal else 0,
     )

@@ -35,8 +35,9 @@ from rosld.server.rest.plan import StorageWrite
 from rosld.server.rest.resource import ABSENT, READ, Answer, CreatedAnswer, Resource, permanent_redirect
 from rosld.server.rest.resource_headers import resource_headers
 from rosld.server.rest.state import State
-from rosld.server.storage import Blob, Conflict, ConflictCause, Model, Records
+from rosld.server.storage.record import Blob, Conflict, ConflictCause, Model
 from rosld.server.storage.record_documents import META
+from rosld.server.storage.sqlite import Records
 
 _PATCHES = (SPARQL_UPDATE, N3_PATCH)
 

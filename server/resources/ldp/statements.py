@@ -20,10 +20,17 @@ from rosld.server.http.problem import Problem
 from rosld.server.patches.n3patch import apply_patch, read_patch
 from rosld.server.patches.patch import apply_update
 from rosld.server.rest.interaction import member_derived_uri
-from rosld.server.storage import Difference, Membership, Model, Record
-from rosld.server.storage.packing import is_packed, pack, unpack
-from rosld.server.storage.recent_writes import MAX_BYTES as DIFFERENT
-from rosld.server.storage.record_documents import is_managed, may_be_managed, remove_managed, to_ntriples
+from rosld.server.storage.record import Difference, Membership, Model, Record
+from rosld.server.storage.record_cache import MAX_BYTES as DIFFERENT
+from rosld.server.storage.record_documents import (
+    is_managed,
+    is_packed,
+    may_be_managed,
+    pack_triples,
+    remove_managed,
+    to_ntriples,
+    unpack_triples,
+)
 
 N3_PATCH = "text/n3"
 SMALL_BYTES = 32 * 1024
@@ -59,7 +66,7 @@ class Statements(Sequence[Triple]):
     @cached_property
     def packed(self) -> bytes:
         """As they are kept."""
-        return self._given if isinstance(self._given, bytes) else pack(to_ntriples(self._given))
+        return self._given if isinstance(self._given, bytes) else pack_triples(to_ntriples(self._given))
 
     @property
     def is_large(self) -> bool:
@@ -71,7 +78,7 @@ class Statements(Sequence[Triple]):
         """Those about the resource that the server manages, maybe others beside; none where there are no such."""
         if self._managed is not None:
             return self._managed
-        return self if not isinstance(self._given, bytes) or may_be_managed(unpack(self._given)) else ()
+        return self if not isinstance(self._given, bytes) or may_be_managed(unpack_triples(self._given)) else ()
 
     def set_managed(self, managed: Sequence[Triple]) -> None:
         """These are the ones that the server manages."""
@@ -95,7 +102,7 @@ class Statements(Sequence[Triple]):
     def _triples(self) -> list[Triple]:
         if not isinstance(self._given, bytes):
             return self._given
-        return [quad.triple for quad in parse(unpack(self._given), RdfFormat.N_TRIPLES)]
+        return [quad.triple for quad in parse(unpack_triples(self._given), RdfFormat.N_TRIPLES)]
 
     @overload
     def __getitem__(self, index: int) -> Triple: ...
@@ -126,7 +133,7 @@ def statements_of(given: bytes | list[Triple]) -> Statements:
     if not isinstance(given, bytes):
         found = Statements(given)
     else:
-        found = Statements(pack(given))
+        found = Statements(pack_triples(given))
         if b"<<" not in given:
             return found
     if any(Triple in (type(each.subject), type(each.object)) for each in found):
@@ -242,7 +249,9 @@ def client_triples(kept: Statements, subject: str, model: Model, servers: frozen
 
     It begins with `times`, which its first writer said.
     """
-    return pack(times + to_ntriples([each for each in remove_managed(kept, subject, model) if each not in servers]))
+    return pack_triples(
+        times + to_ntriples([each for each in remove_managed(kept, subject, model) if each not in servers])
+    )
 
 
 def member_uri(membership: Membership, kept: Statements, url: str) -> str:

@@ -29,7 +29,7 @@ from rosld.server.rest.interaction import model_links
 from rosld.server.rest.resource import Answer
 from rosld.server.rest.resource_headers import resource_headers
 from rosld.server.rest.state import State
-from rosld.server.storage import Blob, Conflict, ConflictCause, Model, Put, Record, Write
+from rosld.server.storage.record import Blob, Conflict, ConflictCause, Model, Put, Record, Write
 from rosld.server.storage.record_documents import META
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from rosld.server.receipts.audit_context import record_step
 from rosld.server.resources.ldp.documents import Documents
-from rosld.server.storage import Put, Record, Write
+from rosld.server.storage.record import Put, Record, Write
 
 
 async def write_together(documents: Documents, writes: Sequence[Write]) -> Sequence[Record | None]:

@@ -24,8 +24,9 @@ from rosld.server.rest.formats import RDF_BODIES
 from rosld.server.rest.state import State
 from rosld.server.runtime.version_cache import VersionCache
 from rosld.server.sparql.protocol import QUERY_MEDIA_TYPE
-from rosld.server.storage import Model, Put, Records, Remove, Write
-from rosld.server.storage.packing import size_of, unpack
+from rosld.server.storage.record import Model, Put, Remove, Write
+from rosld.server.storage.record_documents import unpack_triples, unpacked_size
+from rosld.server.storage.sqlite import Records
 from rosld.shapes.message import SHACL_SHACL
 
 MAX_BYTES = 4 * 1024 * 1024
@@ -222,7 +223,7 @@ def _nothing() -> None:
 
 def _unpack(put: Put) -> bytes:
     """The N-Triples that a document says. Raises a 413 Problem for more than is read beside the loop in good time."""
-    if size_of(put.triples) > MAX_BYTES:
+    if unpacked_size(put.triples) > MAX_BYTES:
         words = f"A document that is put in force has at most {MAX_BYTES} bytes of N-Triples"
-        raise Problem(413, f"{words}, and this one {size_of(put.triples)}: split it into several.")
-    return unpack(put.triples)
+        raise Problem(413, f"{words}, and this one {unpacked_size(put.triples)}: split it into several.")
+    return unpack_triples(put.triples)

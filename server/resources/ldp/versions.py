@@ -27,8 +27,8 @@ from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource
 from rosld.server.rest.state import State
 from rosld.server.settings import Settings
-from rosld.server.storage import Record, Records
-from rosld.server.storage.record import Model
+from rosld.server.storage.record import Model, Record
+from rosld.server.storage.sqlite import Records
 
 _ROOTS = ("data/", COCKPITS)
 

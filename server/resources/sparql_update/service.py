@@ -53,7 +53,7 @@ from rosld.server.sparql.update.evaluate import GraphChange, has_where, named_gr
 from rosld.server.sparql.update.executor import Delta, UpdateEvaluator
 from rosld.server.sparql.update.operations import GraphGroup, GraphVerb, ManageGraph, Operation
 from rosld.server.sparql.update.parser import read_update
-from rosld.server.storage import Conflict, ConflictCause, Model, Write
+from rosld.server.storage.record import Conflict, ConflictCause, Model, Write
 
 ATTEMPTS = 4
 """Times that an update is evaluated where what it is evaluated over changes before it is carried out."""

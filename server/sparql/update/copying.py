@@ -7,8 +7,7 @@ from collections.abc import Iterator, Sequence
 from pyoxigraph import NamedNode, Triple
 
 from rosld.ontology.vocab import ldp, rdf
-from rosld.server.storage import Model
-from rosld.server.storage.models import rdf_types
+from rosld.server.storage.record import Model, rdf_types
 from rosld.server.storage.record_documents import META, remove_managed
 
 

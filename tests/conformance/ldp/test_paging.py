@@ -12,7 +12,7 @@ import httpx
 import pytest
 
 from rosld.ontology.vocab import ldp
-from rosld.server.storage import Model, Record
+from rosld.server.storage.record import Model, Record
 from rosld.server.storage.record_table import NumberedRecord, RecordTable
 from rosld.server.storage.sqlite import connect
 from tests.conformance.ldp.conftest import models, running

@@ -15,17 +15,8 @@ from click.testing import CliRunner, Result
 
 from rosld.server.cli.data_folder import bind_base, lock, read_base
 from rosld.server.cli.main import main
-from rosld.server.storage import (
-    Blob,
-    Membership,
-    Model,
-    Put,
-    Record,
-    RecordChange,
-    Remove,
-    SqliteRecords,
-    open_records,
-)
+from rosld.server.storage.record import Blob, Membership, Model, Put, Record, RecordChange, Remove
+from rosld.server.storage.sqlite import Records, open_records
 
 BASE = "http://robot.example/"
 OTHER = "https://data.example/robot/"
@@ -57,13 +48,13 @@ async def sent(data: bytes) -> AsyncIterator[bytes]:
     yield data
 
 
-async def put_file(records: SqliteRecords, path: str, data: bytes) -> Blob:
+async def put_file(records: Records, path: str, data: bytes) -> Blob:
     blob = await records.receive(sent(data), "text/x-test; charset=utf-8", limit=10**9)
     await records.write(Put(path, Model.NON_RDF_SOURCE, TRIPLES, blob))
     return blob
 
 
-async def fill(records: SqliteRecords) -> None:
+async def fill(records: Records) -> None:
     membership = Membership(f"{BASE}data/a", f"{BASE}has", inverse=True, content="http://x/about")
     await records.write(
         Put("data/a", Model.RDF_SOURCE, TRIPLES),
@@ -76,12 +67,12 @@ async def fill(records: SqliteRecords) -> None:
     await put_file(records, "data/c/file", b"bytes" * 100)
 
 
-def told(records: SqliteRecords) -> dict[str, tuple[object, ...]]:
+def told(records: Records) -> dict[str, tuple[object, ...]]:
     """Everything of all records but their versions and the ids of their blobs."""
     return {one.path: _told(records, records.get(one.path)) for one in records.changes_since(0)}
 
 
-def _told(records: SqliteRecords, record: Record | None) -> tuple[object, ...]:
+def _told(records: Records, record: Record | None) -> tuple[object, ...]:
     if record is None:
         return ()
     data = None if record.blob is None else (records.file(record.blob).read_bytes(), record.blob.media_type)

@@ -13,7 +13,7 @@ from rosld.server.rest.interaction import (
     parse_membership,
     requested_model,
 )
-from rosld.server.storage import Membership, Model
+from rosld.server.storage.record import Membership, Model
 
 ROOT = "http://host/data/"
 LEAF, BOX = f"{ROOT}leaf", f"{ROOT}box/"

@@ -9,13 +9,13 @@ from typing import TypeAlias
 
 import pytest
 
-from rosld.server.storage import SqliteRecords, open_records
+from rosld.server.storage.sqlite import Records, open_records
 
-Opened: TypeAlias = Callable[[], AbstractAsyncContextManager[SqliteRecords]]
+Opened: TypeAlias = Callable[[], AbstractAsyncContextManager[Records]]
 
 
 @asynccontextmanager
-async def opened(folder: Path) -> AsyncIterator[SqliteRecords]:
+async def opened(folder: Path) -> AsyncIterator[Records]:
     records = open_records(folder, roots=("queries/",))
     try:
         yield records

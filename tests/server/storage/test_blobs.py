@@ -11,19 +11,11 @@ from typing import TypeAlias
 import anyio
 import pytest
 
-from rosld.server.storage import (
-    Blob,
-    Conflict,
-    ConflictCause,
-    Model,
-    Put,
-    Remove,
-    SqliteRecords,
-    open_records,
-)
 from rosld.server.storage.blobs import Blobs
+from rosld.server.storage.record import Blob, Conflict, ConflictCause, Model, Put, Remove
+from rosld.server.storage.sqlite import Records, open_records
 
-Opened: TypeAlias = Callable[[], AbstractAsyncContextManager[SqliteRecords]]
+Opened: TypeAlias = Callable[[], AbstractAsyncContextManager[Records]]
 FILE = Model.NON_RDF_SOURCE
 TYPE = "image/x-test; charset=UTF-8"
 
@@ -34,11 +26,11 @@ async def chunks(*parts: bytes) -> AsyncIterator[bytes]:
         yield part
 
 
-async def receive(records: SqliteRecords, *parts: bytes, limit: int = 10**8) -> Blob:
+async def receive(records: Records, *parts: bytes, limit: int = 10**8) -> Blob:
     return await records.receive(chunks(*parts), TYPE, limit=limit)
 
 
-def files(records: SqliteRecords, blob: Blob) -> list[str]:
+def files(records: Records, blob: Blob) -> list[str]:
     """All files where this blob is."""
     return sorted(path.name for path in records.file(blob).parent.iterdir())
 

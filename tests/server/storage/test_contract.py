@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rosld.server.storage import (
+from rosld.server.storage.record import (
     Conflict,
     ConflictCause,
     Membership,
@@ -20,13 +20,12 @@ from rosld.server.storage import (
     Record,
     RecordChange,
     Remove,
-    SqliteRecords,
     StorageError,
     Write,
-    open_records,
 )
+from rosld.server.storage.sqlite import Records, open_records
 
-Opened: TypeAlias = Callable[[], AbstractAsyncContextManager[SqliteRecords]]
+Opened: TypeAlias = Callable[[], AbstractAsyncContextManager[Records]]
 RDF, FILE, BASIC = Model.RDF_SOURCE, Model.NON_RDF_SOURCE, Model.BASIC_CONTAINER
 TRIPLE = b'<http://a/b> <http://a/c> "01"^^<http://www.w3.org/2001/XMLSchema#integer> .\n'
 
@@ -37,14 +36,14 @@ async def chunks(*parts: bytes) -> AsyncIterator[bytes]:
         yield part
 
 
-async def put(records: SqliteRecords, path: str, triples: bytes = b"", **more: object) -> Record:
+async def put(records: Records, path: str, triples: bytes = b"", **more: object) -> Record:
     model = BASIC if path.endswith("/") else RDF
     (record,) = await records.write(Put(path, model, triples, **more))  # type: ignore[arg-type]
     assert record is not None
     return record
 
 
-async def refused(records: SqliteRecords, *writes: Write) -> Conflict:
+async def refused(records: Records, *writes: Write) -> Conflict:
     """Why writes are refused, having checked that nothing of them was done."""
     before = records.version, records.changes_since(0)
     with pytest.raises(Conflict) as caught:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from rosld.server.storage import SqliteRecords, open_records
+from rosld.server.storage.sqlite import Records, open_records
 from tests.server.storage import writer
 
 pytestmark = pytest.mark.slow
@@ -79,7 +79,7 @@ class Expected:
                 self.brief.discard(name)
                 self.away.add(name)
 
-    def check(self, records: SqliteRecords) -> None:
+    def check(self, records: Records) -> None:
         for lane in range(writer.LANES):
             for kind in ("rdf", "file", "pair"):
                 self._check(records, lane, kind)
@@ -87,7 +87,7 @@ class Expected:
             container = records.get(f"data/{lane}/")
             assert container is None or container.count == len(records.members(f"data/{lane}/", limit=10**6))
 
-    def _check(self, records: SqliteRecords, lane: int, kind: str) -> None:
+    def _check(self, records: Records, lane: int, kind: str) -> None:
         """Each record is whole, and is what was acknowledged last or what was under way."""
         possible = {self.done.get((lane, kind)), self.begun.get((lane, kind), self.done.get((lane, kind)))}
         found = [records.get(path) for path in writer.paths(lane, kind, 0)]
@@ -108,7 +108,7 @@ class Expected:
                 assert record.blob.size == len(writer.data(number))
                 assert records.file(record.blob).read_bytes() == writer.data(number)
 
-    def _check_brief(self, records: SqliteRecords, lane: int) -> None:
+    def _check_brief(self, records: Records, lane: int) -> None:
         under_way = {
             writer.paths(lane, kind, self.begun[lane, kind])[0]
             for kind in ("brief", "away")

@@ -13,18 +13,12 @@ from typing import Any, TypeAlias
 
 import pytest
 
-from rosld.server.storage import (
-    Model,
-    Put,
-    SqliteRecords,
-    StorageError,
-    durability,
-    group_commit,
-    open_records,
-    synced_log,
-)
+from rosld.server.storage import durability, write_ahead_log
+from rosld.server.storage.record import Model, Put, StorageError
+from rosld.server.storage.sqlite import Records, open_records
+from rosld.server.storage.transactions import MAX_BATCHES
 
-Opened: TypeAlias = Callable[[], AbstractAsyncContextManager[SqliteRecords]]
+Opened: TypeAlias = Callable[[], AbstractAsyncContextManager[Records]]
 RDF = Model.RDF_SOURCE
 
 
@@ -55,7 +49,7 @@ class Disk:
         self.asked = threading.Semaphore(0)
         self.syncs = 0
         self.failure: OSError | None = None
-        monkeypatch.setattr(synced_log, "sync_file", self.sync)
+        monkeypatch.setattr(write_ahead_log, "sync_file", self.sync)
 
     def sync(self, file: int) -> None:
         self.syncs += 1
@@ -88,9 +82,7 @@ def test_writes_that_come_while_the_disk_is_at_work_wait_for_it_once_together(
         async with kept() as records:
             first = asyncio.create_task(records.write(Put("data/a", RDF)))
             await asyncio.to_thread(disk.asked.acquire)
-            others = [
-                asyncio.create_task(records.write(Put(f"data/{n}", RDF))) for n in range(group_commit.MAX_BATCHES)
-            ]
+            others = [asyncio.create_task(records.write(Put(f"data/{n}", RDF))) for n in range(MAX_BATCHES)]
             await asyncio.sleep(0)
             disk.let.set()
             await asyncio.gather(first, *others)

@@ -11,7 +11,8 @@ from collections.abc import AsyncIterator, Callable
 from multiprocessing.connection import Connection
 from pathlib import Path
 
-from rosld.server.storage import Model, Put, Remove, SqliteRecords, Write, open_records
+from rosld.server.storage.record import Model, Put, Remove, Write
+from rosld.server.storage.sqlite import Records, open_records
 
 LANES = 3
 KINDS = ("rdf", "file", "pair", "brief", "away")
@@ -41,7 +42,7 @@ async def parts(number: int) -> AsyncIterator[bytes]:
         await asyncio.sleep(0)
 
 
-async def writes(records: SqliteRecords, lane: int, kind: str, number: int) -> list[Write]:
+async def writes(records: Records, lane: int, kind: str, number: int) -> list[Write]:
     names = paths(lane, kind, number)
     if kind == "away":
         return [Remove(names[0])]
@@ -51,7 +52,7 @@ async def writes(records: SqliteRecords, lane: int, kind: str, number: int) -> l
     return [Put(name, Model.RDF_SOURCE, text(number)) for name in names]
 
 
-async def work(records: SqliteRecords, lane: int, first: int, say: Callable[[list[str]], None]) -> None:
+async def work(records: Records, lane: int, first: int, say: Callable[[list[str]], None]) -> None:
     if records.get(f"data/{lane}/") is None:
         await records.write(Put(f"data/{lane}/", Model.BASIC_CONTAINER))
     for number in range(first, first + 100_000):

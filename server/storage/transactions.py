@@ -1,19 +1,71 @@
-"""Group commit: writes that come while the disk is at work wait, and are then done together in one transaction.
-
-So a hundred writers wait for the disk once, not a hundred times, and nothing is written to the log while it is synced,
-which would hold up the loop.
-"""
+"""Transactions: their effects, and the group commit of writes that wait."""
 
 from __future__ import annotations
 
 import asyncio
 from collections import deque
 from collections.abc import Sequence
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
-from rosld.server.storage.record import Conflict, Put, StorageError, Write
-from rosld.server.storage.record_effects import Effects
-from rosld.server.storage.sqlite_errors import DatabaseBusy
+from rosld.server.storage.record import Conflict, DatabaseBusy, Put, Record, RecordChange, StorageError, Write
+
+
+class MemberList(NamedTuple):
+    """The list of a container's members after a write: its version, when it was modified (ns), how many there are."""
+
+    version: int
+    modified: int
+    members: int
+
+
+class Effects:
+    """The effects of the writes of a transaction so far."""
+
+    __slots__ = ("freed", "lists", "records", "removed", "unused")
+
+    def __init__(self, received: Sequence[str] = ()) -> None:
+        self.records: dict[str, Record] = {}
+        """The records that were written, as they are now."""
+        self.removed: dict[str, int] = {}
+        """The version at which a path was removed."""
+        self.lists: dict[str, MemberList] = {}
+        """The lists that changed, of containers that are there."""
+        self.freed: list[str] = []
+        """The blobs that nothing refers to any more."""
+        self.unused = set(received)
+        """The blobs that were received and wait for their record."""
+
+    def changes(self) -> list[RecordChange]:
+        """Return each path once, with its latest version, in the order of versions."""
+        found = {path: listed.version for path, listed in self.lists.items()}
+        for path, record in self.records.items():
+            found[path] = max(record.version, found.get(path, 0))
+        changed = [RecordChange(path, version, False) for path, version in found.items()]
+        changed += [RecordChange(path, version, True) for path, version in self.removed.items()]
+        return sorted(changed, key=version_of_change)
+
+
+def with_list(record: Record, listed: MemberList) -> Record:
+    """Return the record of a container after its list has changed."""
+    return Record(
+        record.path,
+        record.model,
+        record.version,
+        record.created_ns,
+        max(record.modified_ns, listed.modified),
+        record.triples,
+        record.blob,
+        record.membership,
+        record.member,
+        listed.version,
+        listed.members,
+    )
+
+
+def version_of_change(changed: RecordChange) -> int:
+    """Return the version that changes are ordered by."""
+    return changed.version
+
 
 MAX_BATCHES = 128
 """Jobs in one transaction, which the loop does at a stretch."""
@@ -68,7 +120,7 @@ class GroupCommit:
         self._work: asyncio.Task[None] | None = None
 
     async def commit(self, job: WriteBatch) -> Effects:
-        """Do a job and wait until it is durable. It is done even if nobody waits any more."""
+        """Do a job and wait until it is durable. Cancelling the wait does not cancel the job."""
         loop = asyncio.get_running_loop()
         job.done = loop.create_future()
         self._jobs.append(job)
@@ -78,7 +130,7 @@ class GroupCommit:
         return await job.done
 
     def recover(self) -> None:
-        """Recover, if there is something to recover from, although nobody writes."""
+        """Recover from a failure, if there was one, without a write."""
         if self._idle.is_set():
             self._idle.clear()
             self._work = asyncio.get_running_loop().create_task(self._do_all())
@@ -156,7 +208,7 @@ class GroupCommit:
         return jobs
 
     def _outcomes(self, jobs: Sequence[WriteBatch]) -> Sequence[Effects | Exception]:
-        """What came of each job. Where the transaction fails each is tried alone: one is too large for the disk."""
+        """The outcome of each job. If the transaction fails, each is tried alone: one may be too large for the disk."""
         try:
             return self._storage.transact(jobs)
         except Exception as error:
@@ -166,7 +218,7 @@ class GroupCommit:
 
 
 def _settle(job: WriteBatch, outcome: Effects | BaseException) -> None:
-    """Tell whoever waits for the job, if somebody still does."""
+    """Set the result of a job unless its waiter has gone."""
     if job.done is None or job.done.done():
         return
     if isinstance(outcome, Effects):

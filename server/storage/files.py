@@ -1,4 +1,4 @@
-"""Locks on files, which end with their process however it ends: what a dead process leaves behind holds nobody up."""
+"""Files written durably, and locks on files."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class FileLock:
             fcntl.flock(self._file, fcntl.LOCK_UN)
 
     def read(self) -> str:
-        """What the holder wrote into the file."""
+        """Return the text that the holder wrote into the file."""
         return os.pread(self._file, 100, 0).decode("utf-8", "replace").strip()
 
     def write(self, text: str) -> None:
@@ -61,3 +61,36 @@ def _close_all() -> None:
 if sys.platform != "win32":
     # A child that was forked would hold the locks for as long as it lives.
     os.register_at_fork(after_in_child=_close_all)
+
+
+def sync_folder(folder: Path) -> None:
+    """Make the names in a folder durable."""
+    handle = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def write_note(path: Path, data: bytes) -> None:
+    """Write a file, in the place of the one that is there. Raises OSError, and leaves that one as it was."""
+    draft = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        with draft.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        draft.replace(path)
+        sync_folder(path.parent)
+    except BaseException:
+        draft.unlink(missing_ok=True)
+        raise
+
+
+def remove_note(path: Path) -> None:
+    """Remove a file durably, if it is there. Raises OSError."""
+    try:
+        path.unlink()
+    except FileNotFoundError:
+        return
+    sync_folder(path.parent)

@@ -10,9 +10,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime
 from typing import TypeAlias
 
-from rosld.adapters.base import ParameterValue
 from rosld.adapters.model import NotFound, Refused
 from rosld.adapters.model.names import segments
+from rosld.adapters.model.parameter import ParameterValue
 
 Tree: TypeAlias = dict[str, ParameterValue]
 

@@ -21,10 +21,10 @@ from rdflib.collection import Collection
 
 from rosld.adapters.model import Encoding, Message, MessageSchema, Nested, Primitive, TypeRef
 from rosld.adapters.model.library import TypeLibrary
-from rosld.ontology.body import parse_body
+from rosld.ontology.body import parse_body, parse_json
 from rosld.ontology.lift import TYPES, lifter
 from rosld.ontology.literals import DATATYPES, date_time
-from rosld.ontology.lower import find_message, lowerer, parse_json
+from rosld.ontology.lower import find_message, lowerer
 from rosld.ontology.vocab import rdf, ros, xsd
 
 DOCUMENT = "http://127.0.0.1:8080/bags/run/messages/12345"

@@ -28,8 +28,8 @@ from rosld.ontology.literals import (
     wide_integer_json,
     wire_length,
 )
+from rosld.ontology.names import TypeName, type_names
 from rosld.ontology.syntax_codegen import Json, Notation, Site
-from rosld.ontology.typenames import TypeName, type_names
 from rosld.ontology.vocab import rdf, ros
 
 TIME = "builtin_interfaces/msg/Time"

@@ -1,34 +1,95 @@
-"""The computation graph described: the entry point and the nodes."""
+"""Documents of the computation graph: the entry point, nodes, their life cycle, containers, and edges."""
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from typing import NamedTuple, TypeVar
 
 from pyoxigraph import Literal, NamedNode, Triple
 
-from rosld.adapters.model import Endpoint, Graph, Live, Node, Stale, Topic, names
-from rosld.ontology.describe_lifecycle import lifecycle_statements, transition_triples
+from rosld.adapters.model import Endpoint, Graph, Lifecycle, LifecycleState, Live, Node, Stale, Topic, names
 from rosld.ontology.describe_search import search_triples
 from rosld.ontology.describe_topics import endpoints_of
 from rosld.ontology.document import Document
-from rosld.ontology.namespaces import IdentityCache
+from rosld.ontology.names import IdentityCache, Members
 from rosld.ontology.triples import (
+    BODIES,
     CONTAINER,
     RDF_SOURCE,
     Statement,
     Value,
     boolean,
     date_time_literal,
+    forms,
     integer,
     statements,
     text,
     triples_about,
 )
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import cora, dcterms, ldp, rdf, rdfs, ros, sosa, xsd
+from rosld.ontology.vocab import cora, dcterms, ldp, rdf, rdfs, ros, sh, sosa, td, xsd
+
+_STATES: Mapping[int, NamedNode] = {
+    1: ros.Unconfigured,
+    2: ros.Inactive,
+    3: ros.Active,
+    4: ros.Finalized,
+    10: ros.Configuring,
+    11: ros.CleaningUp,
+    12: ros.ShuttingDown,
+    13: ros.Activating,
+    14: ros.Deactivating,
+    15: ros.ErrorProcessing,
+}
+"""The states of lifecycle_msgs/msg/State that have a meaning."""
+
+
+def lifecycle_statements(lifecycle: Lifecycle) -> tuple[Statement, ...]:
+    """What is said of a managed node itself."""
+    state = lifecycle.state
+    return (
+        (ros.lifecycleState, None if state is None else _STATES.get(state.id)),
+        (ros.lifecycleStateWord, None if state is None else text(state.label)),
+        (ros.lifecycleUnknown, text(lifecycle.unknown)),
+    )
+
+
+def transition_triples(node: str, lifecycle: Lifecycle, space: Space) -> list[Triple]:
+    """An affordance of the node at a URL for each transition that is legal now: what to send, and how."""
+    subject = NamedNode(node)
+    triples: list[Triple] = []
+    for transition in lifecycle.transitions:
+        affordance = NamedNode(space.fragment(node, "transitions", transition.label))
+        shape, path = (NamedNode(f"{affordance.value}/{part}") for part in ("shape", "shape/transition"))
+        label = text(transition.label)
+        triples += [
+            Triple(subject, td.hasActionAffordance, affordance),
+            *triples_about(
+                affordance,
+                (rdf.type, td.ActionAffordance),
+                (td.name, label),
+                *_goal(transition.goal),
+                (ros.shape, shape),
+            ),
+            *forms(affordance, "invoke", "POST", td.invokeAction, node, BODIES),
+            *triples_about(shape, (rdf.type, sh.NodeShape), (sh.property, path)),
+            *triples_about(
+                path,
+                (sh.path, ros.transition),
+                (sh.datatype, xsd.string),
+                (sh.hasValue, label),
+                (sh.minCount, integer(1)),
+                (sh.maxCount, integer(1)),
+            ),
+        ]
+    return triples
+
+
+def _goal(state: LifecycleState) -> tuple[Statement, ...]:
+    return ((ros.targetState, _STATES.get(state.id)), (ros.targetStateWord, text(state.label)))
+
 
 _V = TypeVar("_V")
 
@@ -258,3 +319,90 @@ def node_document(view: NodeView, space: Space, *, simulated_time: bool = False)
 
 def _links(predicate: NamedNode, urls: Iterable[str]) -> list[Statement]:
     return statements(predicate, [NamedNode(url) for url in dict.fromkeys(sorted(urls))])
+
+
+def container_document(url: str, members: Iterable[str], title: str) -> Document:
+    """A container and the URLs of its members, those ending in a slash being containers themselves."""
+    found = [NamedNode(member) for member in members]
+    return Document(
+        url,
+        tuple(
+            triples_about(NamedNode(url), *CONTAINER, (dcterms.title, text(title)), *statements(ldp.contains, found))
+        ),
+    )
+
+
+def namespace_document(
+    route: str,
+    namespace: tuple[str, ...],
+    members: Members,
+    space: Space,
+    *,
+    is_name: bool = False,
+    whole: str | None = None,
+) -> Document:
+    """A namespace of names of one kind: its direct members, and the namespaces below, both where a name is both.
+
+    `is_name`: the namespace is a name too (`/camera/image_raw`), and links to it; to `whole` too, the URL at which its
+    hidden members are told as well, if there are any. What members are is not told here: in the dataset they say it
+    themselves and nobody else, so that a query over all graphs finds it once.
+    """
+    url = space.container(route, namespace)
+    title = SECTIONS.get(route, route.capitalize())
+    leaves = {leaf: NamedNode(space.url(route, (*namespace, leaf))) for leaf in members.leaves}
+    below = {inner: NamedNode(space.container(route, (*namespace, inner))) for inner in members.namespaces}
+    triples = triples_about(
+        NamedNode(url),
+        *CONTAINER,
+        (dcterms.title, text(f"{title} in {names.join(namespace)}" if namespace else title)),
+        (ros.name, text(names.join(namespace)) if namespace else None),
+        *statements(ldp.contains, leaves.values()),
+        *statements(ldp.contains, below.values()),
+        (rdfs.seeAlso, NamedNode(space.url(route, namespace)) if is_name else None),
+        (rdfs.seeAlso, NamedNode(whole) if whole else None),
+    )
+    return Document(url, tuple(triples))
+
+
+def type_container_document(route: str, namespace: tuple[str, ...], below: Sequence[str], space: Space) -> Document:
+    """A container of types or shapes: `below` are the type names (`pkg/msg/X`) that lie in this namespace."""
+    depth = len(namespace)
+    members: dict[str, None] = {}
+    for name in below:
+        path = tuple(name.split("/"))
+        leaf = len(path) == depth + 1
+        members[space.url(route, path) if leaf else space.container(route, path[: depth + 1])] = None
+    title = SECTIONS[route] + (f" of {'/'.join(namespace)}" if namespace else "")
+    document = container_document(space.container(route, namespace), members, title)
+    labels = [_label(space.url(route, tuple(name.split("/"))), name) for name in below if name.count("/") == depth]
+    return Document(document.url, (*document.triples, *labels))
+
+
+def _label(url: str, name: str) -> Triple:
+    return Triple(NamedNode(url), rdfs.label, Literal(name))
+
+
+def edges_document(
+    url: str, views: Mapping[str, NodeView], space: Space, shown: Set[str], problems: Iterable[tuple[str, str]]
+) -> Document:
+    """The nodes among the URLs `shown`, each with those of them that it publishes, subscribes to, provides, asks.
+
+    `problems` are URLs with what is wrong with the things there, in words.
+    """
+    triples: list[Triple] = [*triples_about(NamedNode(url), *RDF_SOURCE, (dcterms.title, text("Who talks to whom")))]
+
+    def links(predicate: NamedNode, urls: Iterable[str]) -> list[Statement]:
+        return statements(predicate, [NamedNode(each) for each in urls if each in shown])
+
+    for name, view in views.items():
+        if space.node(name) in shown:
+            triples += triples_about(
+                NamedNode(space.node(name)),
+                *links(ros.publishes, (space.topic(topic.name) for topic, _ in view.publishes)),
+                *links(ros.subscribes, (space.topic(topic.name) for topic, _ in view.subscribes)),
+                *links(ros.provides, (*map(space.service, view.provides), *map(space.action, view.serves))),
+                *links(ros.sendsGoalsTo, map(space.action, view.sends_goals_to)),
+            )
+    for thing, words in problems:
+        triples += triples_about(NamedNode(thing), (rdfs.comment, text(words)))
+    return Document(url, tuple(triples))

@@ -11,15 +11,19 @@ from types import MappingProxyType
 from pyoxigraph import Literal, NamedNode, Triple
 
 from rosld.adapters.model import Message, MessageSchema
-from rosld.ontology.affordances import BODIES, SSE, STREAM, affordance, forms
 from rosld.ontology.document import Document, LiftedMessage
 from rosld.ontology.lift import LiftSettings, lifter
 from rosld.ontology.triples import (
+    BODIES,
     RDF_SOURCE,
+    SSE,
+    STREAM,
     Statement,
+    affordance,
     boolean,
     date_time_literal,
     double,
+    forms,
     integer,
     statements,
     text,

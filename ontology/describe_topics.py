@@ -12,7 +12,7 @@ from pyoxigraph import Literal, NamedNode, Triple
 from rosld.adapters.model import Endpoint, Graph, Qos, Topic, TypeRef, mismatch_count, mismatches
 from rosld.ontology.describe_holds import holdable as holdable_at
 from rosld.ontology.document import Document, LiftedMessage
-from rosld.ontology.namespaces import is_namespace
+from rosld.ontology.names import is_namespace
 from rosld.ontology.neutral_message import COMMANDS
 from rosld.ontology.triples import RDF_SOURCE, Statement, boolean, double, integer, statements, text, triples_about
 from rosld.ontology.urls import Space

@@ -5,6 +5,7 @@ A leaf takes a value, as `parse_json` gives it, and returns what belongs into th
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Sequence
 from math import isfinite
@@ -13,7 +14,8 @@ from typing import Any, TypeAlias, cast
 import numpy as np
 import orjson
 
-from rosld.adapters.model import Array, FieldType, Primitive
+from rosld.adapters.model import Array, Field, FieldType, Nested, Primitive
+from rosld.adapters.model.schema import Scalar
 from rosld.ontology.coercion import (
     RANGES,
     SPECIALS,
@@ -28,7 +30,7 @@ from rosld.ontology.coercion import (
     octet_array,
     string_fit,
 )
-from rosld.ontology.literals import BASE64, DTYPES, STRINGS
+from rosld.ontology.literals import BASE64, DTYPES, STRINGS, base64_text, special_float, wide_integer_json
 
 Leaf: TypeAlias = Callable[[object], object]
 
@@ -215,3 +217,44 @@ def array_of_json(kind: Array) -> Callable[[str], object]:
         return read(value)
 
     return parse
+
+
+Plain: TypeAlias = "Scalar | list[Scalar]"
+
+
+def stated_default(field: Field) -> Plain | None:
+    """The value that the definition of a field gives it; None where that says nothing, or what no message can hold."""
+    kind, stated = field.type, field.default
+    if stated is None or isinstance(kind, Nested):
+        return None
+    plain = _default_array(kind, stated) if isinstance(stated, tuple) else _plain(stated)
+    try:
+        json_leaf(kind)(plain)
+    except Misfit:
+        return None
+    return plain
+
+
+def zero_value(kind: Primitive) -> Scalar:
+    """The default of a primitive."""
+    if kind.name in STRINGS:
+        return ""
+    if kind.name == "bool":
+        return False
+    return 0.0 if kind.name.startswith("float") else 0
+
+
+def _default_array(kind: FieldType, values: tuple[Scalar, ...]) -> Plain:
+    """An array as JSON: octets are base64."""
+    if isinstance(kind, Array) and is_octets(kind):
+        return base64_text(bytes(int(value) & 0xFF for value in values))
+    return list(map(_plain, values))
+
+
+def _plain(value: Scalar) -> Scalar:
+    """A scalar as JSON has it: numbers that JSON has not are strings."""
+    if isinstance(value, bool | str):
+        return value
+    if isinstance(value, int):
+        return wide_integer_json(value)
+    return value if math.isfinite(value) else special_float(value)

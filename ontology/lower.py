@@ -1,26 +1,146 @@
-"""Lowering: bodies in RDF or plain JSON to ROS messages, by tables of readers made once a schema.
+"""Lowering from JSON values: tables of readers, made once a schema.
 
-Whatever does not fit the type exactly is refused with the path of the field and what was expected; nothing is
-guessed, rounded (but floats to the nearest) or filled in. What comes out can always be encoded.
+A reader takes a value, as `parse_json` gives it, and the path to it; it returns what belongs into the message or
+raises `Misfit`. The reader of a message collects its fields' misfits as violations instead, so that all are told.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from functools import lru_cache
-from typing import cast
+from typing import NamedTuple, TypeAlias, cast
 
+import numpy as np
 from pyoxigraph import NamedNode
 
-from rosld.adapters.model import Message, MessageSchema
-from rosld.ontology.body import RdfBody, Term, parse_json
-from rosld.ontology.coercion import Misfit
+from rosld.adapters.model import Array, Field, FieldType, Message, MessageSchema, Nested, Primitive
+from rosld.ontology.body import RdfBody, Term
+from rosld.ontology.coercion import Misfit, check_length, describe_kind
+from rosld.ontology.json_leaves import json_leaf, stated_default, unexpected_value, zero_value
 from rosld.ontology.lift import LiftSettings
+from rosld.ontology.literals import DTYPES, STRINGS
 from rosld.ontology.lower_graph import GraphReaders, GraphReading
-from rosld.ontology.lower_json import JsonReaders, JsonReading
-from rosld.ontology.violations import Findings, LoweringError, Violation
+from rosld.ontology.violations import Findings, LoweringError, Path, Violation
 from rosld.ontology.vocab import ros
 
-__all__ = ["Lowerer", "LoweringError", "Violation", "find_message", "lowerer", "parse_json"]
+Reader: TypeAlias = Callable[[object, Path, "JsonReading"], object]
+
+
+class JsonReading(NamedTuple):
+    """One lowering under way; `defaults`: fields that are missing have their defaults."""
+
+    findings: Findings
+    defaults: bool
+
+
+class _Field(NamedTuple):
+    """A field, the reader of its value, and what makes its default."""
+
+    field: Field
+    read: Reader
+    default: Callable[[], object]
+
+
+class JsonReaders:
+    """The readers of one schema's messages."""
+
+    def __init__(self, schema: MessageSchema) -> None:
+        self._schema = schema
+        self._messages: dict[str, Reader] = {}
+        self._defaults: dict[str, Mapping[str, Callable[[], object]]] = {}
+
+    def message(self, name: str) -> Reader:
+        """The reader of messages of a type of this schema."""
+        if name not in self._messages:
+            self._messages[name] = self._message(name)
+        return self._messages[name]
+
+    def _message(self, name: str) -> Reader:
+        build, kind = self._schema.codec.build, Nested(name)
+        fields = {
+            field.name: _Field(field, self._reader(field.type), self._default(field))
+            for field in self._schema.types[name].fields
+        }
+
+        def read(value: object, path: Path, reading: JsonReading) -> object:
+            if type(value) is not dict:
+                raise unexpected_value(kind, value)
+            values: dict[str, object] = {}
+            for key, entry in fields.items():
+                if key in value:
+                    values[entry.field.attribute] = _read(entry, value[key], (path, key), reading)
+                elif reading.defaults:
+                    values[entry.field.attribute] = entry.default()
+                else:
+                    reading.findings.add((path, key), f"missing: expected {describe_kind(entry.field.type)}")
+            if not value.keys() <= fields.keys():
+                for key in value.keys() - fields.keys():
+                    reading.findings.add((path, key), f"{name} has no such field; it has {_list(fields)}")
+            return None if reading.findings.violations else build(name, values)
+
+        return read
+
+    def _reader(self, kind: FieldType) -> Reader:
+        if isinstance(kind, Nested):
+            return self.message(kind.name)
+        if isinstance(kind, Array) and isinstance(kind.element, Nested):
+            return self._messages_reader(kind, kind.element)
+        leaf = json_leaf(kind)
+        return lambda value, path, reading: leaf(value)
+
+    def _messages_reader(self, kind: Array, element: Nested) -> Reader:
+        one = self.message(element.name)
+
+        def read(value: object, path: Path, reading: JsonReading) -> object:
+            if not isinstance(value, list):
+                raise unexpected_value(kind, value)
+            found = []
+            for index, item in enumerate(check_length(kind, value)):
+                try:
+                    found.append(one(item, (path, str(index)), reading))
+                except Misfit as misfit:
+                    reading.findings.misfit((path, str(index)), misfit)
+            return found
+
+        return read
+
+    def _default(self, field: Field) -> Callable[[], object]:
+        """What ROS fills a missing field with: what its definition says, else zero, all the way down."""
+        stated = stated_default(field)
+        if stated is None or isinstance(field.type, Nested):  # a message has no default but those of its fields
+            return self._zero(field.type)
+        leaf = json_leaf(field.type)
+        return lambda: leaf(stated)
+
+    def _zero(self, kind: FieldType) -> Callable[[], object]:
+        """What a field without a default of its own has: zeros, empty strings and arrays, messages of defaults."""
+        if isinstance(kind, Nested):
+            return lambda: self.default(kind.name)
+        if isinstance(kind, Primitive):
+            return lambda: zero_value(kind)
+        element, length = kind.element, kind.length or 0
+        if isinstance(element, Primitive) and element.name not in STRINGS:
+            return lambda: np.zeros(length, DTYPES[element.name])
+        one = self._zero(element)
+        return lambda: [one() for _ in range(length)]
+
+    def default(self, name: str) -> Message:
+        """A message of a type of this schema with every field at its default."""
+        if name not in self._defaults:
+            self._defaults[name] = {one.attribute: self._default(one) for one in self._schema.types[name].fields}
+        return self._schema.codec.build(name, {field: make() for field, make in self._defaults[name].items()})
+
+
+def _read(entry: _Field, value: object, path: Path, reading: JsonReading) -> object:
+    try:
+        return entry.read(value, path, reading)
+    except Misfit as misfit:
+        reading.findings.misfit(path, misfit)
+        return None
+
+
+def _list(fields: Mapping[str, _Field]) -> str:
+    return ", ".join(fields) or "none"
 
 
 class Lowerer:

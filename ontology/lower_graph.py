@@ -30,7 +30,7 @@ from rosld.ontology.compile import TIME
 from rosld.ontology.json_leaves import array_of_json
 from rosld.ontology.lexical import BINARIES, NUMBERS, parse_boolean, parse_date_time
 from rosld.ontology.literals import DTYPES, STRINGS
-from rosld.ontology.typenames import type_names
+from rosld.ontology.names import type_names
 from rosld.ontology.violations import Findings, Path
 from rosld.ontology.vocab import rdf, ros, xsd
 

@@ -11,9 +11,18 @@ from collections.abc import Callable, Mapping, Sequence
 from hashlib import blake2b
 from typing import NamedTuple, Protocol
 
-from rosld.ontology.arrays import json_numbers, json_strings
-from rosld.ontology.literals import BASE64, base64_text, json_scalars, json_string, quote, scalar_texts, wire_bytes
-from rosld.ontology.typenames import TypeName
+from rosld.ontology.literals import (
+    BASE64,
+    base64_text,
+    json_numbers,
+    json_scalars,
+    json_string,
+    json_strings,
+    quote,
+    scalar_texts,
+    wire_bytes,
+)
+from rosld.ontology.names import TypeName
 from rosld.ontology.vocab import rdf, ros, xsd
 
 _ESCAPES = {"\\": "\\\\", "'": "\\'", "\n": "\\n", "\r": "\\r", "{": "{{", "}": "}}"}

@@ -31,7 +31,7 @@ from rosld.adapters.model import (
 from rosld.ontology.coercion import RANGES
 from rosld.ontology.describe_types import constant_value, definition_text
 from rosld.ontology.document import Document
-from rosld.ontology.field_defaults import stated_default
+from rosld.ontology.json_leaves import stated_default
 from rosld.ontology.literals import DATATYPES, OCTETS, STRINGS
 from rosld.ontology.triples import RDF_SOURCE, Statement, Value, boolean, integer, statements, text, triples_about
 from rosld.ontology.urls import Space

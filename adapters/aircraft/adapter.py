@@ -21,16 +21,7 @@ from rosld.adapters.aircraft.fly import ACTION, FlyGoal, accept, cancel, end_of
 from rosld.adapters.aircraft.fly import TYPE as FLY
 from rosld.adapters.aircraft.graph import AIRCRAFT, DISPLAY, ROSLD, SPEED, aircraft_graph
 from rosld.adapters.aircraft.services import SERVICES
-from rosld.adapters.base import (
-    AdapterOptions,
-    Capabilities,
-    ParameterValue,
-    Published,
-    Recording,
-    Sink,
-    Subscription,
-    Watch,
-)
+from rosld.adapters.base import AdapterOptions, Capabilities, Published, Recording, Sink, Subscription, Watch
 from rosld.adapters.embedded import NoWatch, require_reachable, require_type
 from rosld.adapters.local_topics import LocalTopics
 from rosld.adapters.model import (
@@ -53,6 +44,7 @@ from rosld.adapters.model import (
     without_lifecycle,
 )
 from rosld.adapters.model.library import TypeLibrary
+from rosld.adapters.model.parameter import ParameterValue
 
 PERIOD = 0.1
 """Seconds between two messages of the speed."""

@@ -1,14 +1,11 @@
-"""One topic of a playing recording: what is newest is computed when somebody looks, and no message wakes anything.
-
-Only a watch has a timer, set to when the topic's next message is due. `latest` reads the disk on the caller's thread
-when the playback has passed a message of the topic since the last look: microseconds for a file without compression
-or a chunk that is kept, one decompression (some ms for a usual chunk of 1 MB, up to 50 ms for bz2) otherwise.
-"""
+"""The clock of a playback: where in a recording one is, as a pure function of how long it has been playing."""
 
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -16,8 +13,55 @@ import numpy as np
 from rosld.adapters.base import Watch
 from rosld.adapters.model import Sample, Unreachable
 from rosld.adapters.recording.bag import Bag, Stream, log
-from rosld.adapters.recording.playback import Playback, Position
 from rosld.adapters.slots import LoopWatch, Watches
+
+
+class Position(NamedTuple):
+    """A moment of a playback: the loop it is in (from 0) and the recorded time since the first message, in ns."""
+
+    epoch: int
+    offset_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Playback:
+    """How a recording of `duration_ns` is played: `rate` times its speed, in a loop with a short pause, or once.
+
+    The pause shows the last message for as long as messages of the recording last on average, at least a
+    millisecond and at most a second. Raises ValueError for a rate that is not a positive number.
+    """
+
+    duration_ns: int
+    count: int
+    rate: float = 1.0
+    once: bool = False
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.rate) and self.rate > 0):
+            raise ValueError(f"the rate must be a number above 0, not {self.rate}")
+
+    @property
+    def period_ns(self) -> int:
+        """The recorded time that one loop takes, pause included."""
+        mean = self.duration_ns // (self.count - 1) if self.count > 1 else 10**9
+        return self.duration_ns + min(max(mean, 10**6), 10**9)
+
+    def position(self, elapsed_ns: int) -> Position:
+        """Where the playback is `elapsed_ns` after it began; played once, it rests at the end."""
+        played = int(max(elapsed_ns, 0) * self.rate)
+        if self.once:
+            return Position(0, min(played, self.duration_ns))
+        return Position(*divmod(played, self.period_ns))
+
+    def since(self, position: Position, elapsed_ns: int) -> int:
+        """How much recorded time, in ns, lies between a position and where the playback is; 0 for one to come."""
+        now = self.position(elapsed_ns)
+        return max(0, (now.epoch - position.epoch) * self.period_ns + now.offset_ns - position.offset_ns)
+
+    def elapsed_at(self, position: Position) -> int:
+        """How long after its beginning a playback reaches a position: never too early, at most a few ns late."""
+        return math.ceil((position.epoch * self.period_ns + position.offset_ns) / self.rate)
+
 
 _CALM = 0.005
 """Seconds that at least lie between two wakes: faster topics coalesce."""

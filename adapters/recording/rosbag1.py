@@ -23,11 +23,11 @@ from rosld.adapters.recording.byte_source import (
     decompress,
     read_exactly,
 )
-from rosld.adapters.recording.open_budget import OpenBudget
 from rosld.adapters.recording.storage import (
     Contents,
     Damaged,
     MessageTable,
+    OpenBudget,
     RecordedConnection,
     TableBuilder,
     concatenate,

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from urllib.parse import urlsplit
 
-from rosld.adapters.base import AdapterOptions, Capabilities, ParameterValue, Published, Recording, Sink, Watch
+from rosld.adapters.base import AdapterOptions, Capabilities, Published, Recording, Sink, Watch
 from rosld.adapters.model import (
     Encoding,
     GoalId,
@@ -28,6 +28,7 @@ from rosld.adapters.model import (
     without_lifecycle,
 )
 from rosld.adapters.model.library import TypeLibrary
+from rosld.adapters.model.parameter import ParameterValue
 from rosld.adapters.ros1.client import Client
 from rosld.adapters.ros1.publication import Publication
 from rosld.adapters.ros1.samples import Slot

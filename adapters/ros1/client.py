@@ -6,9 +6,10 @@ import asyncio
 import time
 from collections.abc import Callable, Coroutine, Iterable, Mapping, Sequence
 
-from rosld.adapters.base import AdapterOptions, ParameterValue, Sink
+from rosld.adapters.base import AdapterOptions, Sink
 from rosld.adapters.model import Graph, Master, RosError, TimedOut, Unreachable
 from rosld.adapters.model.library import TypeLibrary
+from rosld.adapters.model.parameter import ParameterValue
 from rosld.adapters.ros1.actions import Actions
 from rosld.adapters.ros1.graph import Observation, SystemState, compose, stale
 from rosld.adapters.ros1.hosts import Hosts

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from rosld.adapters.base import ParameterValue
 from rosld.adapters.model import NotFound, Refused, RosError, Sent, Unreachable
 from rosld.adapters.model.names import global_name
+from rosld.adapters.model.parameter import ParameterValue
 from rosld.adapters.ros1.graph import SystemState
 from rosld.adapters.ros1.xmlrpc import Answer, XmlRpcClient, encode_call
 

@@ -14,8 +14,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import datetime
 from typing import NamedTuple
 
-from rosld.adapters.base import ParameterValue
 from rosld.adapters.model import NotFound, Operation, Parameter, Refused, TimedOut
+from rosld.adapters.model.parameter import ParameterValue
 from rosld.adapters.ros1.master import MasterApi
 
 _NOT_XML = re.compile(r"[^\t\n\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")

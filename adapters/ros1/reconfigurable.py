@@ -10,8 +10,8 @@ import asyncio
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from rosld.adapters.base import ParameterValue
 from rosld.adapters.model import Descriptor, Parameter, Refused, Sent, coerce
+from rosld.adapters.model.parameter import ParameterValue
 from rosld.adapters.ros1.graph import SystemState
 from rosld.adapters.ros1.reconfiguration import (
     DESCRIPTIONS,

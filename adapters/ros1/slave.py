@@ -7,8 +7,8 @@ import os
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from rosld.adapters.base import ParameterValue
 from rosld.adapters.model import Refused
+from rosld.adapters.model.parameter import ParameterValue
 from rosld.adapters.ros1.xmlrpc import (
     Answer,
     Malformed,

@@ -12,8 +12,8 @@ from datetime import datetime
 from typing import NamedTuple, TypeAlias
 from xml.parsers import expat
 
-from rosld.adapters.base import ParameterValue
 from rosld.adapters.model import Refused, Sent, TimedOut, Unreachable
+from rosld.adapters.model.parameter import ParameterValue
 
 MAX_BYTES = 64 * 1024 * 1024
 MAX_HEADER = 16 * 1024

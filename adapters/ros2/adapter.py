@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
-from rosld.adapters.base import AdapterOptions, Capabilities, ParameterValue, Published, Recording, Sink, Watch
+from rosld.adapters.base import AdapterOptions, Capabilities, Published, Recording, Sink, Watch
 from rosld.adapters.model import (
     Encoding,
     GoalId,
@@ -27,6 +27,7 @@ from rosld.adapters.model import (
     Unreachable,
 )
 from rosld.adapters.model.library import TypeLibrary
+from rosld.adapters.model.parameter import ParameterValue
 from rosld.adapters.ros2.descriptors import operations_on
 from rosld.adapters.ros2.feeds import Feed, TopicSubscription
 from rosld.adapters.ros2.graph import nodes_using, type_in_use

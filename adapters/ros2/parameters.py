@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from typing import Any, cast
 
-from rosld.adapters.base import ParameterValue
 from rosld.adapters.model import (
     Descriptor,
     NotFound,
@@ -25,6 +24,7 @@ from rosld.adapters.model import (
     freeze,
 )
 from rosld.adapters.model.names import segments
+from rosld.adapters.model.parameter import ParameterValue
 from rosld.adapters.ros2.calls import Calls
 from rosld.adapters.ros2.descriptors import descriptor_of
 from rosld.adapters.ros2.message_classes import make_message

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from enum import IntEnum
 from typing import Protocol
 
-from rosld.adapters.base import ParameterValue
 from rosld.adapters.model import Refused
+from rosld.adapters.model.parameter import ParameterValue
 
 _INT64 = range(-(2**63), 2**63)
 

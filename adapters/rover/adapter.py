@@ -13,16 +13,7 @@ import time
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
-from rosld.adapters.base import (
-    AdapterOptions,
-    Capabilities,
-    ParameterValue,
-    Published,
-    Recording,
-    Sink,
-    Subscription,
-    Watch,
-)
+from rosld.adapters.base import AdapterOptions, Capabilities, Published, Recording, Sink, Subscription, Watch
 from rosld.adapters.embedded import NoWatch, require_reachable, require_type
 from rosld.adapters.local_topics import LocalTopics
 from rosld.adapters.model import (
@@ -45,6 +36,7 @@ from rosld.adapters.model import (
     without_lifecycle,
 )
 from rosld.adapters.model.library import TypeLibrary
+from rosld.adapters.model.parameter import ParameterValue
 from rosld.adapters.rover import messages, parameters, requests
 from rosld.adapters.rover.encoder import ENCODING, encode
 from rosld.adapters.rover.graph import ACTIONS, ROSLD, SERVICES, TOPICS, rover_graph

@@ -18,7 +18,7 @@ import click
 
 from rosld.adapters.base import AdapterOptions
 from rosld.ontology.lift import LiftSettings
-from rosld.ontology.serialize import Syntax
+from rosld.ontology.syntax import Syntax
 from rosld.ontology.urls import Space
 from rosld.server.cli.failure import Failure, user_errors
 from rosld.server.cli.list_types import open_source

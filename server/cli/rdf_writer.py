@@ -10,7 +10,8 @@ from rosld.adapters.base import RecordedMessage
 from rosld.adapters.model import TypeRef
 from rosld.ontology.document import Document
 from rosld.ontology.literals import date_time
-from rosld.ontology.serialize import Syntax, serialize_named
+from rosld.ontology.serialize import serialize_named
+from rosld.ontology.syntax import Syntax
 from rosld.server.cli.recording_documents import DescribedMessage, Lifting
 
 _HEADER = re.compile(rb"(?:@(?:base|prefix) [^\n]*\n)+")

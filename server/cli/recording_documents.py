@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 from rosld.adapters.base import RecordedMessage, Recording
 from rosld.adapters.model import MessageSchema, RosError, TypeRef
-from rosld.ontology.describe import bag_document, bag_message_document, type_document
+from rosld.ontology.describe_bags import bag_document, bag_message_document
+from rosld.ontology.describe_types import type_document
 from rosld.ontology.document import Document, Envelope, LiftedMessage
 from rosld.ontology.lift import Lifter, LiftSettings, lifter
 from rosld.ontology.urls import Space

@@ -14,7 +14,8 @@ from typing import TypeAlias
 import orjson
 
 from rosld.ontology.notifications import ACTIVITY_CONTEXT, CONTEXT, Activity, with_context
-from rosld.ontology.serialize import Syntax, serialize
+from rosld.ontology.serialize import serialize
+from rosld.ontology.syntax import Syntax
 from rosld.server.events.broadcaster import Broadcaster, Broadcasters, Observation, Waiter
 from rosld.server.events.notification_channels import Channel, Channels
 

@@ -11,7 +11,7 @@ from urllib.parse import quote
 
 from rosld.adapters.model import Primitive
 from rosld.ontology.cockpit import COLUMNS, Cockpit, Panel, PanelKind
-from rosld.ontology.describe_plot import PlottedNumber
+from rosld.ontology.describe_views import PlottedNumber
 from rosld.ontology.document import Document, LiftedMessage
 from rosld.ontology.fields import field_at
 from rosld.ontology.vocab import rdf, ros

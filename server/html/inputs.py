@@ -9,7 +9,7 @@ from math import isfinite
 from typing import ClassVar, TypeAlias
 
 from rosld.adapters.model import Array, Field, FieldType, MessageSchema, Nested, Primitive
-from rosld.ontology.field_defaults import stated_default
+from rosld.ontology.json_leaves import stated_default
 from rosld.ontology.literals import OCTETS, STRINGS, base64_text
 from rosld.ontology.neutral_message import HEADER
 from rosld.server.html.bounds import (

@@ -12,7 +12,8 @@ from pyoxigraph import NamedNode
 from starlette.responses import Response
 
 from rosld.ontology.document import Document
-from rosld.ontology.serialize import Syntax, serialize
+from rosld.ontology.serialize import serialize
+from rosld.ontology.syntax import Syntax
 from rosld.ontology.triples import integer, statements, text, triples_about
 from rosld.ontology.violations import Violation
 from rosld.ontology.vocab import rdf, rdfs, ros

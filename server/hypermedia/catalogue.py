@@ -13,7 +13,7 @@ from enum import Enum
 from typing import TypeAlias
 
 from rosld.adapters.model import ActionSchema, Field, MessageSchema, Primitive, ServiceSchema
-from rosld.ontology.namespaces import Members
+from rosld.ontology.names import Members
 from rosld.ontology.urls import Space
 
 

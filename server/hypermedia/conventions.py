@@ -35,7 +35,7 @@ from rosld.adapters.model import (
     TypeRef,
 )
 from rosld.adapters.model.names import action_of
-from rosld.ontology.namespaces import members_of
+from rosld.ontology.names import members_of
 from rosld.server.hypermedia.catalogue import (
     IDLE,
     Action,

@@ -17,7 +17,7 @@ from pyoxigraph import Literal
 
 from rosld.adapters.model import Array, Field, FieldType, MessageSchema, Nested, Primitive
 from rosld.ontology.coercion import RANGES, Misfit
-from rosld.ontology.field_defaults import stated_default, zero_value
+from rosld.ontology.json_leaves import stated_default, zero_value
 from rosld.ontology.lexical import NUMBERS, parse_boolean
 from rosld.ontology.lift import LiftSettings
 from rosld.ontology.literals import OCTETS, SAFE_INTEGER, STRINGS, special_float, wide_integer_json

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from rosld.ontology.namespaces import IdentityCache
+from rosld.ontology.names import IdentityCache
 from rosld.ontology.violations import Violation
 from rosld.server.hypermedia.mapping import ComplexResource, Condition, MappedAction, MappingSet
 from rosld.server.hypermedia.mapping_parser import InvalidMapping, MappingDocument

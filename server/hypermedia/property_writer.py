@@ -23,10 +23,10 @@ from rosld.adapters.model import (
 from rosld.ontology.coercion import Misfit
 from rosld.ontology.json_leaves import json_leaf
 from rosld.ontology.lift import LiftSettings
-from rosld.ontology.lower import LoweringError, Violation, lowerer
+from rosld.ontology.lower import lowerer
 from rosld.ontology.lower_graph import term_leaf
 from rosld.ontology.parameters import lower_json, lower_term
-from rosld.ontology.violations import brief_value
+from rosld.ontology.violations import LoweringError, Violation, brief_value
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.catalogue import (
     MessageKind,

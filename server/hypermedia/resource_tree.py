@@ -13,7 +13,7 @@ from typing import TypeVar
 from pyoxigraph import NamedNode
 
 from rosld.adapters.model import ActionSchema, Kind, MessageSchema, ServiceSchema
-from rosld.ontology.namespaces import Members
+from rosld.ontology.names import Members
 from rosld.server.hypermedia.catalogue import Catalogue, Getter, GoalPart, GoalSource, Property, Setter
 from rosld.server.hypermedia.mapping import ComplexResource, Condition, MappedLink, MappedProperty, MappingSet
 from rosld.server.hypermedia.mapping_check import warnings_of

@@ -12,10 +12,10 @@ from typing import NamedTuple
 from pyoxigraph import BlankNode, Literal, NamedNode
 
 from rosld.adapters.model import Field, MessageSchema
-from rosld.ontology.body import RdfBody, Term
+from rosld.ontology.body import RdfBody, Term, parse_json
 from rosld.ontology.lift import LiftSettings
-from rosld.ontology.lower import LoweringError, Violation, lowerer, parse_json
-from rosld.ontology.violations import brief_value
+from rosld.ontology.lower import lowerer
+from rosld.ontology.violations import LoweringError, Violation, brief_value
 from rosld.ontology.vocab import rdf
 from rosld.server.hypermedia.catalogue import Getter, Property, Setter, TopicSource
 from rosld.server.hypermedia.value import WHOLE, MessageValue, plain_json, select_fields

@@ -17,11 +17,21 @@ import orjson
 from pyoxigraph import Literal, NamedNode, Triple
 
 from rosld.adapters.model import MessageSchema
-from rosld.ontology.affordances import BODIES, SSE, STREAM, forms
 from rosld.ontology.describe_holds import holdable
 from rosld.ontology.document import Document, LiftedMessage
 from rosld.ontology.lift import LiftSettings
-from rosld.ontology.triples import CONTAINER, RDF_SOURCE, boolean, statements, text, triples_about
+from rosld.ontology.triples import (
+    BODIES,
+    CONTAINER,
+    RDF_SOURCE,
+    SSE,
+    STREAM,
+    boolean,
+    forms,
+    statements,
+    text,
+    triples_about,
+)
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import dcterms, ldp, mapping, qudt, rdf, rdfs, ros, td
 from rosld.server.hypermedia.value import MessageValue, Reading, field_json, lift_value, plain_json, value_literal

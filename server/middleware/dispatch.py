@@ -12,8 +12,8 @@ from starlette.types import Receive, Scope, Send
 
 from rosld.adapters.model import RosError
 from rosld.ontology.body import BodyError
-from rosld.ontology.lower import LoweringError
 from rosld.ontology.urls import Space
+from rosld.ontology.violations import LoweringError
 from rosld.server.auth import enforcement
 from rosld.server.auth.agent import ANONYMOUS
 from rosld.server.auth.rate_limit import RETRY_SECONDS, RateLimitExceeded

@@ -26,7 +26,7 @@ from rosld.adapters.model import (
     Sent,
     UnknownType,
 )
-from rosld.ontology.describe_actions import GoalView, action_document, goal_document
+from rosld.ontology.describe_services import GoalView, action_document, goal_document
 from rosld.ontology.document import Document, Envelope
 from rosld.ontology.lift import lifter
 from rosld.ontology.literals import date_time

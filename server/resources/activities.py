@@ -9,7 +9,7 @@ import orjson
 
 from rosld.adapters.base import Watch
 from rosld.ontology.describe_activities import Receipt, activity_document
-from rosld.ontology.describe_containers import container_document
+from rosld.ontology.describe_graph import container_document
 from rosld.ontology.document import Document
 from rosld.ontology.literals import date_time
 from rosld.ontology.urls import Space

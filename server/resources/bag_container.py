@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
-from rosld.ontology.describe_containers import container_document
+from rosld.ontology.describe_graph import container_document
 from rosld.server.history.ordered_recording import RecordingOrder, RecordingRefused
 from rosld.server.history.recordings import Recordings
 from rosld.server.html.forms import Form

@@ -9,9 +9,8 @@ from pyoxigraph import Literal, NamedNode
 from starlette.responses import Response
 
 from rosld.adapters.model import RosError
-from rosld.ontology.body import RdfBody
+from rosld.ontology.body import RdfBody, parse_json
 from rosld.ontology.lift import LiftSettings
-from rosld.ontology.lower import parse_json
 from rosld.ontology.parameters import lower_term, parameter_json
 from rosld.ontology.violations import LoweringError, Violation
 from rosld.ontology.vocab import rdf

@@ -14,7 +14,7 @@ from starlette.responses import Response
 from starlette.types import Scope
 
 from rosld.adapters.model import RosError
-from rosld.ontology.describe_containers import container_document
+from rosld.ontology.describe_graph import container_document
 from rosld.ontology.document import Document
 from rosld.ontology.notifications import (
     CHANNEL_TYPES,

@@ -12,8 +12,7 @@ from pyoxigraph import Triple
 from starlette.responses import Response
 
 from rosld.adapters.base import Watch
-from rosld.ontology.body import index_triples
-from rosld.ontology.lower import parse_json
+from rosld.ontology.body import index_triples, parse_json
 from rosld.server.auth.permissions import Permissions
 from rosld.server.html.forms import Form
 from rosld.server.html.offer import forms_of

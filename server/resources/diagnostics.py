@@ -12,7 +12,7 @@ import orjson
 
 from rosld.adapters.base import MessageFilter, Watch
 from rosld.adapters.model import Graph, MessageSchema, RosError, TypeRef
-from rosld.ontology.describe_diagnostics import PartState, diagnostics_document
+from rosld.ontology.describe_views import PartState, diagnostics_document
 from rosld.ontology.literals import date_time
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.history.history import History

@@ -12,7 +12,7 @@ from functools import partial
 from typing import NamedTuple
 
 from rosld.adapters.base import MessageFilter, Recording
-from rosld.ontology.describe_event_stream import StreamLink, StreamProfile, event_stream_document, observation_triples
+from rosld.ontology.describe_bags import StreamLink, StreamProfile, event_stream_document, observation_triples
 from rosld.ontology.document import Document
 from rosld.ontology.urls import Space
 from rosld.server.history.history import History

@@ -12,8 +12,13 @@ import orjson
 from pyoxigraph import NamedNode
 
 from rosld.adapters.model import RosError
-from rosld.ontology.describe_members import MemberOutline
-from rosld.ontology.describe_search import SearchResult, search_document, search_template, unasked_document
+from rosld.ontology.describe_search import (
+    MemberOutline,
+    SearchResult,
+    search_document,
+    search_template,
+    unasked_document,
+)
 from rosld.ontology.document import Document
 from rosld.ontology.vocab import ros
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions

@@ -8,7 +8,7 @@ from functools import partial
 import orjson
 
 from rosld.adapters.base import Watch
-from rosld.ontology.describe_frames import Frame, frames_document
+from rosld.ontology.describe_views import Frame, frames_document
 from rosld.ontology.literals import date_time
 from rosld.ontology.urls import Space
 from rosld.server.auth.errors import not_found

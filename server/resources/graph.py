@@ -10,8 +10,7 @@ from starlette.responses import Response
 
 from rosld.adapters.base import Watch
 from rosld.adapters.model import Graph, Topic
-from rosld.ontology.describe_edges import edges_document
-from rosld.ontology.describe_graph import node_views
+from rosld.ontology.describe_graph import edges_document, node_views
 from rosld.ontology.document import Document
 from rosld.ontology.literals import date_time
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions

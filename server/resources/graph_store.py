@@ -29,8 +29,8 @@ from rosld.server.hypermedia.json_schema import ANYTHING
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.ldp.base import EXTRA_STATUSES, StoredResource
 from rosld.server.resources.ldp.containers import ContainerResource
-from rosld.server.resources.ldp.rdf_sources import N3_PATCH
 from rosld.server.resources.ldp.routes import AbsentResource
+from rosld.server.resources.ldp.statements import N3_PATCH
 from rosld.server.resources.sparql_endpoint import accept_of, answer_query, available_formats
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import FORMATS, OFFERS, RDF_BODIES, SPARQL_UPDATE

@@ -16,7 +16,7 @@ from starlette.responses import Response
 
 from rosld.adapters.base import Watch
 from rosld.adapters.model import Message, MessageSchema, RosError
-from rosld.ontology.body import index_triples
+from rosld.ontology.body import index_triples, parse_json
 from rosld.ontology.describe_holds import (
     LEASE,
     MAX_LEASE,
@@ -29,9 +29,10 @@ from rosld.ontology.describe_holds import (
 )
 from rosld.ontology.document import Document
 from rosld.ontology.lift import LiftSettings, lifter
-from rosld.ontology.lower import LoweringError, find_message, lowerer, parse_json
+from rosld.ontology.lower import find_message, lowerer
 from rosld.ontology.neutral_message import COMMANDS, TWISTS, with_zeros
 from rosld.ontology.urls import Space
+from rosld.ontology.violations import LoweringError
 from rosld.server.auth.errors import not_found
 from rosld.server.html.drive_pad import drive_pad
 from rosld.server.html.forms import DeleteForm, Form, HoldForm, HoldTerms

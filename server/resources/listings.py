@@ -9,10 +9,9 @@ from pyoxigraph import Triple
 
 from rosld.adapters.base import Watch
 from rosld.adapters.model import GoalStatus
-from rosld.ontology.describe_actions import goal_outline
-from rosld.ontology.describe_containers import container_document
+from rosld.ontology.describe_graph import container_document
 from rosld.ontology.describe_holds import hold_outline
-from rosld.ontology.describe_services import call_outline
+from rosld.ontology.describe_services import call_outline, goal_outline
 from rosld.ontology.document import Document
 from rosld.ontology.triples import date_time_literal
 from rosld.ontology.urls import Space

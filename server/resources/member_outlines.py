@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping
 from pyoxigraph import NamedNode
 
 from rosld.adapters.model import Action, Node, Service, Topic, names
-from rosld.ontology.describe_members import MemberOutline
-from rosld.ontology.namespaces import Members
+from rosld.ontology.describe_search import MemberOutline
+from rosld.ontology.names import Members
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import ros
 from rosld.server.html.page import Cell, Thumbnail

@@ -13,7 +13,7 @@ from starlette.responses import Response
 
 from rosld.adapters.base import MessageFilter
 from rosld.adapters.model import Sample
-from rosld.ontology.describe_time_map import time_map_document
+from rosld.ontology.describe_views import time_map_document
 from rosld.ontology.literals import date_time
 from rosld.ontology.urls import Space
 from rosld.server.history.history import History

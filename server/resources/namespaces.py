@@ -8,10 +8,10 @@ from typing import TypeVar
 
 from rosld.adapters.base import Capabilities
 from rosld.adapters.model import Graph, Parameter, freeze, names
-from rosld.ontology.describe_containers import namespace_document
-from rosld.ontology.describe_members import MemberOutline, member_triples
+from rosld.ontology.describe_graph import namespace_document
+from rosld.ontology.describe_search import MemberOutline, member_triples
 from rosld.ontology.document import Document
-from rosld.ontology.namespaces import IdentityCache, Members, members_of
+from rosld.ontology.names import IdentityCache, Members, members_of
 from rosld.ontology.urls import Space, decode_segment, encode_segment
 from rosld.server.html.page import MemberColumns, SequenceLink
 from rosld.server.http.conditional import digest

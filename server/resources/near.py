@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from rosld.adapters.base import Capabilities
 from rosld.adapters.model import Graph
-from rosld.ontology.namespaces import IdentityCache, namespaces_of
+from rosld.ontology.names import IdentityCache, namespaces_of
 from rosld.ontology.urls import Location, Space
 from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.conditions import url_of

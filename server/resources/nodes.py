@@ -10,9 +10,9 @@ from pyoxigraph import Literal, NamedNode, Triple
 from starlette.responses import Response
 
 from rosld.adapters.model import Graph, Kind, Lifecycle, Operation, Ref, Refused, Transition, TypeRef
-from rosld.ontology.body import parse_body
+from rosld.ontology.body import parse_body, parse_json
 from rosld.ontology.describe_graph import NodeView, node_document, node_views
-from rosld.ontology.lower import lowerer, parse_json
+from rosld.ontology.lower import lowerer
 from rosld.ontology.violations import LoweringError, Violation
 from rosld.ontology.vocab import ros
 from rosld.server.html.forms import ChoiceForm, Form

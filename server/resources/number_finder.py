@@ -6,7 +6,7 @@ from typing import NamedTuple
 from urllib.parse import quote
 
 from rosld.adapters.model import Array, RosError, TypeRef
-from rosld.ontology.describe_plot import PlottedNumber
+from rosld.ontology.describe_views import PlottedNumber
 from rosld.ontology.fields import number_type
 from rosld.server.auth.errors import not_found
 from rosld.server.auth.permissions import Permissions

@@ -10,9 +10,8 @@ from dataclasses import replace
 from pyoxigraph import NamedNode, Triple
 
 from rosld.adapters.model import Graph, Kind, Operation, ParameterValue, Ref, names
-from rosld.ontology.body import index_triples, parse_body
+from rosld.ontology.body import index_triples, parse_body, parse_json
 from rosld.ontology.document import Document
-from rosld.ontology.lower import parse_json
 from rosld.ontology.parameters import (
     lower_json,
     lower_parameter,

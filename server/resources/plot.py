@@ -8,7 +8,7 @@ from functools import partial
 import orjson
 from starlette.responses import Response
 
-from rosld.ontology.describe_plot import PlottedNumber, plot_document
+from rosld.ontology.describe_views import PlottedNumber, plot_document
 from rosld.ontology.document import Document
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.events.broadcaster import Broadcasters

@@ -12,10 +12,9 @@ from starlette.responses import Response
 
 from rosld.adapters.base import Watch
 from rosld.adapters.model import Kind, ServiceSchema
-from rosld.ontology.body import RdfBody, index_triples, parse_body
+from rosld.ontology.body import RdfBody, index_triples, parse_body, parse_json
 from rosld.ontology.document import Document
 from rosld.ontology.fields import field_bytes
-from rosld.ontology.lower import parse_json
 from rosld.ontology.vocab import rdf, ros
 from rosld.server.html.forms import Form
 from rosld.server.html.offer import action_form, cancel_forms, property_form

@@ -8,9 +8,9 @@ from pyoxigraph import NamedNode, Triple
 from starlette.responses import Response
 
 from rosld.adapters.model import Kind, Message, MessageSchema, Topic, TypeRef, UnknownType
-from rosld.ontology.body import RdfBody, index_triples, parse_body
+from rosld.ontology.body import RdfBody, index_triples, parse_body, parse_json
 from rosld.ontology.lift import lifter
-from rosld.ontology.lower import lowerer, parse_json
+from rosld.ontology.lower import lowerer
 from rosld.ontology.neutral_message import COMMANDS
 from rosld.ontology.vocab import rdf, ros
 from rosld.server.http.problem import Problem

@@ -15,7 +15,7 @@ from starlette.responses import Response
 
 from rosld.adapters.base import Watch
 from rosld.ontology.document import Document
-from rosld.ontology.serialize import Syntax
+from rosld.ontology.syntax import Syntax
 from rosld.ontology.triples import RDF_SOURCE, statements, text, triples_about
 from rosld.ontology.urls import Location, Space
 from rosld.ontology.vocab import dcterms, ldp, rdfs

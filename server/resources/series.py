@@ -14,7 +14,7 @@ from starlette.responses import Response
 
 from rosld.adapters.base import FOR_EVER
 from rosld.adapters.model import Array, MessageSchema, Primitive, Sample, TypeRef, UnknownType
-from rosld.ontology.describe_series import series_document
+from rosld.ontology.describe_views import series_document
 from rosld.ontology.fields import field_at, number_type
 from rosld.ontology.literals import date_time_nanoseconds
 from rosld.ontology.urls import Space

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from rosld.adapters.model import Kind, Message, MessageSchema, Refused, Sent, ServiceSchema
-from rosld.ontology.body import parse_body
+from rosld.ontology.body import parse_body, parse_json
 from rosld.ontology.lift import LiftSettings
-from rosld.ontology.lower import lowerer, parse_json
+from rosld.ontology.lower import lowerer
 from rosld.ontology.urls import Space
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.value import refusal_text

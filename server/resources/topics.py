@@ -14,11 +14,11 @@ from starlette.responses import Response
 
 from rosld.adapters.base import Watch
 from rosld.adapters.model import Graph, Kind, MessageSchema, RosError, Sample, Topic
+from rosld.ontology.body import parse_json
 from rosld.ontology.describe_topics import topic_document
 from rosld.ontology.document import Document
 from rosld.ontology.lift import lifter
 from rosld.ontology.literals import date_time
-from rosld.ontology.lower import parse_json
 from rosld.server.history.history import History
 from rosld.server.html.forms import DeleteForm, Form, MessageForm
 from rosld.server.html.inputs import Json

@@ -12,7 +12,7 @@ from functools import partial
 from pyoxigraph import Triple
 
 from rosld.adapters.model import Schema, TypeRef, halves_of
-from rosld.ontology.describe_containers import type_container_document
+from rosld.ontology.describe_graph import type_container_document
 from rosld.ontology.describe_types import type_document
 from rosld.ontology.document import Document
 from rosld.ontology.urls import Location, Space

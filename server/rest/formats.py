@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from rosld.ontology.serialize import Syntax
+from rosld.ontology.syntax import Syntax
 
 HTML = "text/html"
 JSON = "application/json"

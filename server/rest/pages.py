@@ -12,8 +12,8 @@ from urllib.parse import parse_qsl, urlsplit
 from starlette.responses import Response
 
 from rosld.adapters.model import Stale
-from rosld.ontology.lower import LoweringError
 from rosld.ontology.urls import Space
+from rosld.ontology.violations import LoweringError
 from rosld.server.auth.agent import ANONYMOUS
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.html.cockpit_form import CopyForm, EditForm, parse_copy, parse_edit

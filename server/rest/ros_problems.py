@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from rosld.adapters.model import NotFound, Refused, RosError, Sent, TimedOut, UnknownType, Unreachable
 from rosld.ontology.body import BodyError, ExpandedBodyError, UnsupportedCharset
-from rosld.ontology.lower import LoweringError
 from rosld.ontology.triples import date_time_literal
+from rosld.ontology.violations import LoweringError
 from rosld.server.http.problem import AGENT_SAID, ROBOT_SAID, Problem
 from rosld.server.robot.interlock import Stopped, TopicHeld
 from rosld.server.runtime.process_memory import NotEnoughMemory

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import orjson
 
 from rosld.ontology.document import Document
-from rosld.ontology.serialize import Syntax, serialize
+from rosld.ontology.serialize import serialize
+from rosld.ontology.syntax import Syntax
 from rosld.server.auth.permissions import Permissions
 from rosld.server.auth.redaction import redact_document
 from rosld.server.http.conditional import digest

@@ -11,7 +11,9 @@ from enum import Enum
 from functools import partial
 
 from rosld.adapters.model import Action, Graph, Kind, Message, MessageSchema, RosError, Topic
-from rosld.ontology.lower import LoweringError, lowerer, parse_json
+from rosld.ontology.body import parse_json
+from rosld.ontology.lower import lowerer
+from rosld.ontology.violations import LoweringError
 from rosld.server.auth.agent import Agent
 from rosld.server.http.problem import one_line
 from rosld.server.receipts.audit_context import record_step

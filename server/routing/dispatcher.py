@@ -9,7 +9,7 @@ from starlette.responses import Response
 
 from rosld.adapters.model import RosError
 from rosld.ontology.body import BodyError
-from rosld.ontology.lower import LoweringError
+from rosld.ontology.violations import LoweringError
 from rosld.server.auth import enforcement
 from rosld.server.auth.errors import invalid_token
 from rosld.server.events import query_params

@@ -5,8 +5,8 @@ from __future__ import annotations
 from starlette.responses import Response
 
 from rosld.adapters.model import RosError
-from rosld.ontology.lower import LoweringError
 from rosld.ontology.urls import Space
+from rosld.ontology.violations import LoweringError
 from rosld.server.auth import enforcement
 from rosld.server.auth.redaction import redact_problem
 from rosld.server.http.body import FORM

@@ -9,14 +9,20 @@ from itertools import chain, product
 from pyoxigraph import NamedNode
 
 from rosld.adapters.model import Graph, MessageSchema, Parameter, Schema, TypeRef, halves_of
-from rosld.ontology.describe_containers import container_document, type_container_document
-from rosld.ontology.describe_graph import entry_document, node_document, node_views
+from rosld.ontology.describe_graph import (
+    container_document,
+    entry_document,
+    node_document,
+    node_views,
+    type_container_document,
+)
 from rosld.ontology.describe_services import service_document
 from rosld.ontology.describe_topics import topic_document
 from rosld.ontology.describe_types import type_document
 from rosld.ontology.document import Document
 from rosld.ontology.modules import MODULES
-from rosld.ontology.serialize import Syntax, serialize
+from rosld.ontology.serialize import serialize
+from rosld.ontology.syntax import Syntax
 from rosld.ontology.triples import RDF_SOURCE, text, triples_about
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import rdf, ros

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from rosld.adapters.model import RosError
 from rosld.ontology.body import BodyError
-from rosld.ontology.lower import LoweringError
+from rosld.ontology.violations import LoweringError
 from rosld.server.http.fields import Link, render_links
 from rosld.server.http.problem import Problem
 from rosld.server.rest.resource import LDP, Resource

@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 
 from starlette.responses import Response
 
-from rosld.ontology.serialize import CannotCarry, Syntax, serialize
+from rosld.ontology.serialize import serialize
+from rosld.ontology.syntax import CannotCarry, Syntax
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.html.page import Notice
 from rosld.server.http.conditional import ETag, check_preconditions, digest

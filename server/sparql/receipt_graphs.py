@@ -6,8 +6,9 @@ from collections.abc import Iterator, Sequence
 from functools import partial
 
 from rosld.ontology.describe_activities import Receipt, activity_document
-from rosld.ontology.describe_containers import container_document
-from rosld.ontology.serialize import Syntax, serialize
+from rosld.ontology.describe_graph import container_document
+from rosld.ontology.serialize import serialize
+from rosld.ontology.syntax import Syntax
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import ldp, rdf
 from rosld.server.dataset import Edit

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from rosld.adapters.base import Adapter, ParameterValue
+from rosld.adapters.base import Adapter
+from rosld.adapters.model.parameter import ParameterValue
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from urllib.parse import urljoin
 import httpx
 from pyoxigraph import Literal, NamedNode, RdfFormat, Triple, parse
 
-from rosld.ontology.serialize import Syntax
+from rosld.ontology.syntax import Syntax
 from rosld.ontology.vocab import rdf, xsd
 from rosld.server.http.fields import parse_links
 from rosld.shapes.message import SHACL_SHACL

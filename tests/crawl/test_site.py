@@ -11,7 +11,7 @@ import pytest
 from pyoxigraph import CanonicalizationAlgorithm, Dataset, NamedNode, Quad, Triple
 
 from rosld.ontology.modules import home_of_terms
-from rosld.ontology.serialize import Syntax
+from rosld.ontology.syntax import Syntax
 from rosld.ontology.vocab import ros
 from tests.crawl.description import Description
 from tests.crawl.robots import ROBOTS

@@ -17,18 +17,13 @@ from rosld.adapters.model import (
     TypeRef,
 )
 from rosld.adapters.model.library import TypeLibrary
-from rosld.ontology.describe import (
-    Members,
-    Receipt,
-    activity_document,
-    members_of,
-    namespace_document,
-    topic_document,
-    type_container_document,
-    type_document,
-)
+from rosld.ontology.describe_activities import Receipt, activity_document
+from rosld.ontology.describe_graph import namespace_document, type_container_document
+from rosld.ontology.describe_topics import topic_document
+from rosld.ontology.describe_types import type_document
 from rosld.ontology.document import Document, Envelope, LiftedMessage
 from rosld.ontology.lift import lifter
+from rosld.ontology.names import Members, members_of
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import foaf, ldp, prov, rdf, ros, schema_org, xsd
 

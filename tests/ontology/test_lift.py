@@ -17,11 +17,10 @@ from hypothesis import strategies as st
 
 from rosld.adapters.model import Field, Message, MessageSchema, MessageType, Nested, Primitive
 from rosld.adapters.model.library import TypeLibrary
-from rosld.ontology.arrays import json_numbers
 from rosld.ontology.document import Envelope
 from rosld.ontology.fields import field_bytes
 from rosld.ontology.lift import LiftSettings, lifter
-from rosld.ontology.literals import date_time, scalar_texts, unpack_float32
+from rosld.ontology.literals import date_time, json_numbers, scalar_texts, unpack_float32
 from rosld.ontology.lower import lowerer
 from rosld.ontology.vocab import rdf, xsd
 

@@ -15,12 +15,13 @@ from pyoxigraph import NamedNode
 
 from rosld.adapters.model import Encoding, Message, MessageSchema, Primitive
 from rosld.adapters.model.library import TypeLibrary
-from rosld.ontology.body import RdfBody, parse_body
+from rosld.ontology.body import RdfBody, parse_body, parse_json
 from rosld.ontology.coercion import Misfit, float_fit, to_float32
 from rosld.ontology.document import Envelope
 from rosld.ontology.lexical import NUMBERS, parse_date_time
 from rosld.ontology.lift import lifter
-from rosld.ontology.lower import LoweringError, Violation, find_message, lowerer, parse_json
+from rosld.ontology.lower import find_message, lowerer
+from rosld.ontology.violations import LoweringError, Violation
 from rosld.ontology.vocab import xsd
 
 D = "http://127.0.0.1:8080/topics/t"

@@ -18,7 +18,8 @@ from rosld.ontology.parameters import (
     parameter_document,
     parameter_json,
 )
-from rosld.ontology.serialize import Syntax, serialize
+from rosld.ontology.serialize import serialize
+from rosld.ontology.syntax import Syntax
 from rosld.ontology.urls import Space
 from rosld.ontology.violations import LoweringError
 from rosld.ontology.vocab import PREFIXES

@@ -29,7 +29,8 @@ from rosld.adapters.model import MessageSchema
 from rosld.adapters.model.library import TypeLibrary
 from rosld.ontology.document import Document, Envelope, LiftedMessage
 from rosld.ontology.lift import lifter
-from rosld.ontology.serialize import CannotCarry, Syntax, serialize, serialize_named
+from rosld.ontology.serialize import serialize, serialize_named
+from rosld.ontology.syntax import CannotCarry, Syntax
 from rosld.ontology.vocab import ldp, rdf, rdfs, ros, xsd
 
 logging.getLogger("rdflib.term").setLevel(logging.CRITICAL)  # ill-typed literals are what is tested here

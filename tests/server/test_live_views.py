@@ -13,8 +13,8 @@ from typing import Any
 import httpx
 import pytest
 
-from rosld.adapters.base import ParameterValue
 from rosld.adapters.model import Sample
+from rosld.adapters.model.parameter import ParameterValue
 from rosld.ontology.document import Document
 from rosld.server.resources import topics as topic_resources
 from rosld.server.robot.live_topics import LiveTopics

@@ -16,8 +16,9 @@ from rosld.adapters.model import MessageSchema
 from rosld.adapters.model.library import TypeLibrary
 from rosld.ontology.body import index_triples
 from rosld.ontology.lift import LiftSettings, lifter
-from rosld.ontology.lower import LoweringError, lowerer
+from rosld.ontology.lower import lowerer
 from rosld.ontology.urls import Space
+from rosld.ontology.violations import LoweringError
 from rosld.ontology.vocab import rdf, ros
 from rosld.shapes.accepted import accepted_message_document
 from rosld.shapes.command_numbers import largest_number, require_finite_message

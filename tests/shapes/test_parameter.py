@@ -13,7 +13,8 @@ from rdflib.namespace import RDF, SH
 from rosld.adapters.model import Descriptor, ParameterType, ParameterValue, Range
 from rosld.ontology.document import Document
 from rosld.ontology.parameters import parameter_document
-from rosld.ontology.serialize import Syntax, serialize
+from rosld.ontology.serialize import serialize
+from rosld.ontology.syntax import Syntax
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import dcterms, ros, sh
 from rosld.shapes.parameter import constraint_url, declared_triples, violations

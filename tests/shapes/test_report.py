@@ -6,7 +6,8 @@ import rdflib
 from pyoxigraph import Literal, NamedNode
 from rdflib.namespace import RDF, SH
 
-from rosld.ontology.serialize import Syntax, serialize
+from rosld.ontology.serialize import serialize
+from rosld.ontology.syntax import Syntax
 from rosld.ontology.violations import Violation
 from rosld.ontology.vocab import sh
 from rosld.shapes.report import validation_report

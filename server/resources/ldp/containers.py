@@ -13,8 +13,9 @@ from rosld.server.resources.ldp.base import DELETES, EXTRA_STATUSES, StoredResou
 from rosld.server.resources.ldp.bodies import model_of_request, receive_blob
 from rosld.server.resources.ldp.creation import create_record
 from rosld.server.resources.ldp.documents import Documents
-from rosld.server.resources.ldp.rdf_sources import N3_PATCH, RdfSourceResource
+from rosld.server.resources.ldp.rdf_sources import RdfSourceResource
 from rosld.server.resources.ldp.representation import page_at, page_state, state_of
+from rosld.server.resources.ldp.statements import N3_PATCH
 from rosld.server.resources.ldp.stored_files import StoredFile
 from rosld.server.resources.ldp.warnings import with_warnings
 from rosld.server.rest.exchange import Exchange

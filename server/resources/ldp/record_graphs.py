@@ -13,7 +13,8 @@ from typing import TypeAlias
 from pyoxigraph import Triple
 
 from rosld.ontology.document import Document
-from rosld.ontology.serialize import Syntax, serialize
+from rosld.ontology.serialize import serialize
+from rosld.ontology.syntax import Syntax
 from rosld.ontology.vocab import dcterms, ldp
 from rosld.server.dataset import Edit
 from rosld.server.rest.interaction import member_derived_uris, membership_declaration

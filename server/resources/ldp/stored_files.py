@@ -10,7 +10,7 @@ from pathlib import Path
 
 from starlette.responses import Response
 
-from rosld.ontology.lower import parse_json
+from rosld.ontology.body import parse_json
 from rosld.server.http.body import codec_for, to_utf8
 from rosld.server.http.conditional import ETag, check_preconditions
 from rosld.server.http.fields import Link

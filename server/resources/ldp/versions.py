@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from starlette.responses import Response
 
-from rosld.ontology.describe_time_map import time_map_document
+from rosld.ontology.describe_views import time_map_document
 from rosld.server.http.problem import Problem
 from rosld.server.policies.stored_cockpits import ROUTE as COCKPITS
 from rosld.server.resources.ldp.documents import Documents

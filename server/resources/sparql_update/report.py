@@ -12,7 +12,7 @@ from starlette.responses import Response
 
 from rosld.adapters.model import RosError, Sent
 from rosld.ontology.body import BodyError
-from rosld.ontology.lower import LoweringError
+from rosld.ontology.violations import LoweringError
 from rosld.server.auth.permissions import Permissions
 from rosld.server.auth.redaction import redact_problem
 from rosld.server.http.problem import Problem

@@ -12,7 +12,7 @@ from starlette.responses import Response
 
 from rosld.adapters.model import RosError
 from rosld.ontology.body import BodyError
-from rosld.ontology.lower import LoweringError
+from rosld.ontology.violations import LoweringError
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.dataset.base import TripleChanges
 from rosld.server.http.problem import Problem

@@ -23,8 +23,8 @@ from rosld.adapters.base import AdapterOptions, NullSink
 from rosld.adapters.model import NotFound, RosError, Unreachable
 from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.recording import RecordingAdapter
+from rosld.adapters.recording.adapter import open_storage
 from rosld.adapters.recording.bag import Bag
-from rosld.adapters.recording.files import open_storage
 
 Opened = Callable[[Path], Any]
 Said = Callable[[Any, Any], str]

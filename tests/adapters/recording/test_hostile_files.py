@@ -20,11 +20,9 @@ from rosld.adapters.base import AdapterOptions, NullSink
 from rosld.adapters.model import Encoding, Unreachable
 from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.recording import byte_source
-from rosld.adapters.recording.adapter import RecordingAdapter
+from rosld.adapters.recording.adapter import RecordingAdapter, open_storage
 from rosld.adapters.recording.byte_source import MAX_PIECE, decompress, decompress_zstd
-from rosld.adapters.recording.files import open_storage
-from rosld.adapters.recording.open_budget import OpenBudget
-from rosld.adapters.recording.storage import Damaged
+from rosld.adapters.recording.storage import Damaged, OpenBudget
 
 if sys.version_info >= (3, 14):
     from compression import zstd

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rosld.adapters.recording.playback import Playback
+from rosld.adapters.recording.player import Playback
 
 SECOND = 10**9
 playbacks = st.builds(

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rosld.adapters.base import ParameterValue
 from rosld.adapters.model import Refused
+from rosld.adapters.model.parameter import ParameterValue
 from rosld.adapters.ros1.parameters import assign, by_name, check, differences, find, leaves, without
 
 keys = st.text(alphabet="ab/", max_size=3)

@@ -8,8 +8,8 @@ from datetime import datetime
 
 import pytest
 
-from rosld.adapters.base import ParameterValue
 from rosld.adapters.model import Kind, Operation, Ref, Refused
+from rosld.adapters.model.parameter import ParameterValue
 from tests.adapters.ros1.conftest import Opening
 from tests.adapters.ros1.system import RosSystem
 

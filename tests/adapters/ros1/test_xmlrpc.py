@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rosld.adapters.base import ParameterValue
 from rosld.adapters.model import Refused, Sent, TimedOut, Unreachable
+from rosld.adapters.model.parameter import ParameterValue
 from rosld.adapters.ros1.slave import XmlRpcServer
 from rosld.adapters.ros1.xmlrpc import (
     Answer,

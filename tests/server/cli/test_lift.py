@@ -18,7 +18,8 @@ from rosbags.typesys import Stores, get_typestore
 
 from rosld.adapters.base import AdapterOptions
 from rosld.ontology.lift import LiftSettings
-from rosld.ontology.serialize import Syntax, serialize_named
+from rosld.ontology.serialize import serialize_named
+from rosld.ontology.syntax import Syntax
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import rdf, ros
 from rosld.server.cli.list_types import open_source

@@ -12,7 +12,7 @@ from dataclasses import replace
 import pytest
 
 from rosld.adapters.base import Watch
-from rosld.ontology.describe_containers import container_document
+from rosld.ontology.describe_graph import container_document
 from rosld.server.events import notification_channels
 from rosld.server.events.broadcaster import Broadcasters
 from rosld.server.events.channel_request import ChannelRequest

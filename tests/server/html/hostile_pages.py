@@ -9,8 +9,8 @@ from pyoxigraph import Literal, NamedNode, Triple
 from rosld.adapters.model import Primitive
 from rosld.ontology.document import Document
 from rosld.ontology.lift import LiftSettings
-from rosld.ontology.lower import Violation
 from rosld.ontology.urls import Space
+from rosld.ontology.violations import Violation
 from rosld.ontology.vocab import av, ldp, rdf, rdfs, ros
 from rosld.server.html.forms import DeleteForm, MessageForm, ParameterForm
 from rosld.server.html.offer import forms_of

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from rosld.adapters.model import Endpoint, Graph, Node, Qos, Topic, TypeRef
-from rosld.ontology.describe import node_document, node_views, topic_document
+from rosld.ontology.describe_graph import node_document, node_views
+from rosld.ontology.describe_topics import topic_document
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import ros, td
 from rosld.server.html.description import describe

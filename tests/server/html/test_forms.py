@@ -32,7 +32,8 @@ from rosld.ontology.coercion import RANGES
 from rosld.ontology.document import Document
 from rosld.ontology.lift import lifter
 from rosld.ontology.literals import OCTETS, STRINGS
-from rosld.ontology.lower import LoweringError, Violation, lowerer
+from rosld.ontology.lower import lowerer
+from rosld.ontology.violations import LoweringError, Violation
 from rosld.server.html.form_parser import parse_form, parse_parameter, parse_value, split_hidden
 from rosld.server.html.forms import DeleteForm, Form, MessageForm, ParameterForm, ValueForm
 from rosld.server.html.inputs import Json

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
 from rosld.adapters.model import Endpoint, Graph, Qos, Topic
-from rosld.ontology.describe import topic_document
+from rosld.ontology.describe_topics import topic_document
 from rosld.ontology.document import Document
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import ldp, rdf, ros, xsd

@@ -16,7 +16,8 @@ from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
 from rosld.ontology.body import RdfBody
 from rosld.ontology.document import Document
-from rosld.ontology.serialize import Syntax, serialize
+from rosld.ontology.serialize import serialize
+from rosld.ontology.syntax import Syntax
 from rosld.ontology.urls import Space
 from rosld.ontology.violations import Violation
 from rosld.ontology.vocab import av, mapping, rdf, rdfs, sh, xsd

@@ -30,7 +30,7 @@ from rosld.adapters.model import (
     TypeRef,
 )
 from rosld.adapters.model.library import TypeLibrary
-from rosld.ontology.lower import LoweringError
+from rosld.ontology.violations import LoweringError
 from rosld.ontology.vocab import xsd
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.catalogue import (

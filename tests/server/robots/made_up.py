@@ -19,7 +19,7 @@ import httpx
 import pytest
 
 from rosld.adapters import parameters as trees
-from rosld.adapters.base import Adapter, Capabilities, ParameterValue, Published, Recording, Sink, Subscription
+from rosld.adapters.base import Adapter, Capabilities, Published, Recording, Sink, Subscription
 from rosld.adapters.model import (
     Action,
     Descriptor,
@@ -47,6 +47,7 @@ from rosld.adapters.model import (
     freeze,
 )
 from rosld.adapters.model.library import TypeLibrary
+from rosld.adapters.model.parameter import ParameterValue
 from rosld.adapters.ros2.descriptors import operations_on
 from rosld.adapters.slots import Slot
 from rosld.ontology.lift import LiftSettings, lifter

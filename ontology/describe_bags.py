@@ -1,4 +1,4 @@
-"""Recordings described: what they hold, their messages in pages, and each message."""
+"""Documents of recordings: their content, pages of messages, single messages, and event streams (LDES)."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from rosld.ontology.vocab import dcterms, ldes, ldp, rdf, rdfs, ros, sosa, spdx,
 
 
 class Track(Protocol):
-    """What is described of a topic of a recording; `unreadable` says why its messages cannot be read, if so."""
+    """A topic of a recording; `unreadable` is the reason why its messages cannot be read, if any."""
 
     @property
     def name(self) -> str: ...
@@ -43,7 +43,7 @@ class Track(Protocol):
 
 
 class Bag(Protocol):
-    """What is described of a recording. Times are nanoseconds after the epoch."""
+    """A recording. Times are nanoseconds after the epoch."""
 
     @property
     def name(self) -> str: ...
@@ -64,7 +64,7 @@ class Bag(Protocol):
 
 
 class BagMessage(Protocol):
-    """What is described of a recorded message: its number, its topic, and the sample with its time."""
+    """A recorded message: its number, its topic, and the sample with its time."""
 
     @property
     def index(self) -> int: ...
@@ -77,7 +77,7 @@ class BagMessage(Protocol):
 
 
 class Trigger(Protocol):
-    """What is described of what begins a recording: a condition on a resource, and how often at most it does."""
+    """A trigger of recordings: a condition on a resource, and the maximum frequency."""
 
     @property
     def condition(self) -> str: ...
@@ -88,7 +88,7 @@ class Trigger(Protocol):
 
 
 class RecordingOrder(Protocol):
-    """What is described of how a recording is made: topics or globs, seconds before it began, seconds it lasts."""
+    """Parameters of a recording: topics or globs, seconds before its start, duration in seconds."""
 
     @property
     def topics(self) -> Sequence[str]: ...
@@ -112,7 +112,7 @@ def bag_document(
     order: RecordingOrder | None = None,
     triggered: int | None = None,
 ) -> Document:
-    """A recording: how it is stored, from when to when, its topics with their types and counts.
+    """Return a recording: how it is stored, from when to when, its topics with their types and counts.
 
     `sha256` is the digest of its file in hexadecimal, where that is known.
     `dropped` are messages by topic that were sent and are not in it, `problem` says why it does not go on. `size` are
@@ -155,13 +155,13 @@ def bag_document(
 
 
 def _track_nodes(bag: Bag, space: Space) -> dict[NamedNode, Track]:
-    """The topics of a recording by the fragments of its URL that stand for them."""
+    """The topics of a recording by the fragments that identify them."""
     url = space.bag(bag.name)
     return {NamedNode(space.fragment(url, "topic", *name[1:].split("/"))): track for name, track in bag.topics.items()}
 
 
 def _checksum_triples(url: str, sha256: str) -> list[Triple]:
-    """The checksum of the file of the recording at `url`, as SPDX has it."""
+    """Return the checksum of the file of the recording at `url`, as SPDX has it."""
     return triples_about(
         NamedNode(f"{url}#checksum"),
         (rdf.type, spdx.Checksum),
@@ -198,7 +198,7 @@ def _track(track: Track, space: Space) -> list[Statement]:
 
 
 def bag_messages_document(bag: Bag, space: Space, page: int | None = None, size: int = 100) -> Document:
-    """The messages of a recording: page `page` (from 0) of `size` members; without a page, where they begin and end.
+    """Return page `page` (from 0) of `size` messages of a recording; without a page, links to the first and last.
 
     LDP Paging: the members are those of the container, listed by its pages.
     """
@@ -246,7 +246,7 @@ def bag_selection_document(bag: Bag, space: Space, url: str, messages: Sequence[
 
 
 def bag_moment_document(bag: Bag, space: Space, url: str, at_ns: int, messages: Sequence[BagMessage]) -> Document:
-    """The messages of a recording that were the newest of their topics at a time."""
+    """Return the messages of a recording that were the newest of their topics at a time."""
     nodes = [NamedNode(space.bag_message(bag.name, each.index)) for each in messages]
     triples = triples_about(
         NamedNode(url),
@@ -291,7 +291,7 @@ STREAM = "#stream"
 
 
 class StreamProfile(Enum):
-    """How the members of a stream are described, by the IRI of the profile."""
+    """Profile of the description of a stream's members; the value is its IRI."""
 
     RECORD = ros.iri
     OBSERVATION = sosa.iri
@@ -323,7 +323,7 @@ def event_stream_document(
     members: Sequence[Document],
     shape: str | None = None,
 ) -> Document:
-    """The page at `url` of the event stream whose first page is at `root`, with its links and members."""
+    """Return the page at `url` of the event stream whose first page is at `root`, with its links and members."""
     stream, page = NamedNode(root.partition("?")[0] + STREAM), NamedNode(url)
     triples = triples_about(
         stream,
@@ -341,7 +341,7 @@ def event_stream_document(
 
 
 def observation_triples(url: str, message: BagMessage, space: Space, lifted: Sequence[Triple]) -> list[Triple]:
-    """A recorded message as an observation of its topic; `lifted` is what is said of the message itself."""
+    """Return a recorded message as an observation of its topic; `lifted` is what is said of the message itself."""
     sample, node = message.sample, NamedNode(url + MESSAGE)
     values = [each for each in lifted if each.subject == node and each.predicate.value.startswith(space.types)]
     simple = values[0].object if len(values) == 1 and isinstance(values[0].object, Literal) else None

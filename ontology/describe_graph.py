@@ -47,7 +47,7 @@ _STATES: Mapping[int, NamedNode] = {
 
 
 def lifecycle_statements(lifecycle: Lifecycle) -> tuple[Statement, ...]:
-    """What is said of a managed node itself."""
+    """Return the lifecycle statements about a managed node."""
     state = lifecycle.state
     return (
         (ros.lifecycleState, None if state is None else _STATES.get(state.id)),
@@ -57,7 +57,7 @@ def lifecycle_statements(lifecycle: Lifecycle) -> tuple[Statement, ...]:
 
 
 def transition_triples(node: str, lifecycle: Lifecycle, space: Space) -> list[Triple]:
-    """An affordance of the node at a URL for each transition that is legal now: what to send, and how."""
+    """Return an affordance of the node at a URL for each transition that is legal now: what to send, and how."""
     subject = NamedNode(node)
     triples: list[Triple] = []
     for transition in lifecycle.transitions:
@@ -128,7 +128,7 @@ _NO_PROBLEMS = ServerProblems()
 def entry_document(
     graph: Graph, space: Space, system: str = "ROS", problems: ServerProblems = _NO_PROBLEMS, *, name: str = "robot"
 ) -> Document:
-    """The entry point `/`: the distributed application (paper, Table 1), its machine, master, state, and all routes.
+    """Return the entry point `/`: the distributed application (paper, Table 1), its machine, master, state, and routes.
 
     `system` names the kind of ROS system (`ROS 1`, `recording`, ...), `name` the robot.
     """
@@ -165,7 +165,7 @@ _SERVICES = {"sparql": "SPARQL", "graphs": "Graph store", "graph": "Who talks to
 
 
 def _master_triples(graph: Graph, space: Space) -> list[Triple]:
-    """What is said of the ROS 1 master; nothing where the system has none."""
+    """Return the triples about the ROS 1 master, if the system has one."""
     if graph.master is None:
         return []
     master = NamedNode(f"{space.base}#master")
@@ -174,7 +174,7 @@ def _master_triples(graph: Graph, space: Space) -> list[Triple]:
 
 
 def _section_triples(graph: Graph, space: Space) -> Iterator[Triple]:
-    """The titles of the routes, and how many members each has where the graph tells it."""
+    """The titles of the routes, and their numbers of members if the graph has them."""
     counts = {
         "nodes": len(graph.nodes),
         "topics": len(graph.topics),
@@ -188,7 +188,7 @@ def _section_triples(graph: Graph, space: Space) -> Iterator[Triple]:
 
 
 def problem_statements(problems: ServerProblems) -> list[Statement]:
-    """The problems of a server."""
+    """Return the problems of a server."""
     return [
         *statements(ros.storageProblem, map(Literal, problems.storage)),
         *statements(ros.interruptedHold, map(NamedNode, problems.interrupted_holds)),
@@ -211,9 +211,9 @@ def _uri(uri: str | None) -> Value | None:
 
 @dataclass(frozen=True, slots=True)
 class NodeView:
-    """A node and all that it takes part in: topics with its endpoints on them, all else by name.
+    """A node and everything it takes part in: topics with its endpoints on them, the others by name.
 
-    `offers`: its transitions can be asked for here now, and forms say how.
+    `offers`: its transitions are available now, and get forms.
     """
 
     node: Node
@@ -228,7 +228,7 @@ class NodeView:
 
 @dataclass(slots=True)
 class _Parts:
-    """What one node takes part in, being gathered."""
+    """Builder of a `NodeView`."""
 
     publishes: dict[str, list[Endpoint]] = field(default_factory=dict)
     subscribes: dict[str, list[Endpoint]] = field(default_factory=dict)
@@ -261,7 +261,7 @@ def _views(graph: Graph) -> dict[str, NodeView]:
 
 
 def _beside_actions(things: Mapping[str, _V]) -> Iterator[tuple[str, _V]]:
-    """What is told of its node by its own name: the inner parts of ROS 2's actions are told as these."""
+    """Leave out the inner topics and services of ROS 2's actions, which are described as actions."""
     return ((name, thing) for name, thing in things.items() if names.action_of(name) is None)
 
 
@@ -282,9 +282,9 @@ node_views: IdentityCache[Graph, dict[str, NodeView]] = IdentityCache(_views)
 
 
 def node_document(view: NodeView, space: Space, *, simulated_time: bool = False) -> Document:
-    """A node with its lifecycle, its endpoints, services, actions and parameters.
+    """Return a node with its lifecycle, its endpoints, services, actions and parameters.
 
-    Of topics the quality of service is told, of a node that does not answer the reason.
+    Topics include the quality of service, a node that does not answer the reason.
     """
     node = view.node
     url = space.node(node.name)
@@ -322,7 +322,7 @@ def _links(predicate: NamedNode, urls: Iterable[str]) -> list[Statement]:
 
 
 def container_document(url: str, members: Iterable[str], title: str) -> Document:
-    """A container and the URLs of its members, those ending in a slash being containers themselves."""
+    """Return a container and the URLs of its members, those ending in a slash being containers themselves."""
     found = [NamedNode(member) for member in members]
     return Document(
         url,
@@ -341,11 +341,11 @@ def namespace_document(
     is_name: bool = False,
     whole: str | None = None,
 ) -> Document:
-    """A namespace of names of one kind: its direct members, and the namespaces below, both where a name is both.
+    """A namespace of names of one kind: its direct members and nested namespaces; a name can be both.
 
-    `is_name`: the namespace is a name too (`/camera/image_raw`), and links to it; to `whole` too, the URL at which its
-    hidden members are told as well, if there are any. What members are is not told here: in the dataset they say it
-    themselves and nobody else, so that a query over all graphs finds it once.
+    `is_name`: the namespace is also a name (`/camera/image_raw`), and links to it. `whole` is the URL that includes its
+    hidden members, if any. Members are described in their own graphs only, so that a query over all graphs finds
+    each statement once.
     """
     url = space.container(route, namespace)
     title = SECTIONS.get(route, route.capitalize())
@@ -365,7 +365,7 @@ def namespace_document(
 
 
 def type_container_document(route: str, namespace: tuple[str, ...], below: Sequence[str], space: Space) -> Document:
-    """A container of types or shapes: `below` are the type names (`pkg/msg/X`) that lie in this namespace."""
+    """Return a container of types or shapes: `below` are the type names (`pkg/msg/X`) that lie in this namespace."""
     depth = len(namespace)
     members: dict[str, None] = {}
     for name in below:
@@ -385,7 +385,7 @@ def _label(url: str, name: str) -> Triple:
 def edges_document(
     url: str, views: Mapping[str, NodeView], space: Space, shown: Set[str], problems: Iterable[tuple[str, str]]
 ) -> Document:
-    """The nodes among the URLs `shown`, each with those of them that it publishes, subscribes to, provides, asks.
+    """Return the nodes among the URLs `shown`, each with the resources among these that it uses.
 
     `problems` are URLs with what is wrong with the things there, in words.
     """

@@ -22,10 +22,10 @@ _TYPE_RELATIONS: Mapping[NamedNode, NamedNode] = {
 
 @dataclass(frozen=True, slots=True)
 class MemberOutline:
-    """A resource in a list: its URL, its class (None: not told), its name, and what is at hand of it.
+    """A resource in a list: its URL, its class (or None), its name, and known values.
 
     `types` are its ROS types; two or more contradict each other. `rate` is in messages a second, `value`
-    brief plain JSON; both are None where they are not at hand.
+    brief plain JSON; both are None if unknown.
     """
 
     url: str
@@ -37,7 +37,7 @@ class MemberOutline:
 
 
 def member_triples(member: MemberOutline, space: Space) -> list[Triple]:
-    """The triples of a member of a list."""
+    """Return the triples of a member of a list."""
     relation = None if member.kind is None else _TYPE_RELATIONS.get(member.kind)
     name = member.name and (member.name.rstrip("/") or "/")  # as a container says it of itself
     return triples_about(
@@ -61,10 +61,9 @@ def _types(
 
 @dataclass(frozen=True, slots=True)
 class SearchResult:
-    """A resource that was found: `kind` says in a word what it is, `match` by what it was found.
+    """A search result: `kind` is the kind of resource in a word, `match` the part that matched.
 
-    `field` is the path of the field that has a word of the query. `resource` is the URL below `/resources/` that stands
-    for the same.
+    `field` is the path of the matching field. `resource` is the equivalent URL below `/resources/`.
     """
 
     member: MemberOutline
@@ -75,12 +74,12 @@ class SearchResult:
 
 
 def search_template(space: Space) -> str:
-    """The template of the URLs at which something is searched for (RFC 6570)."""
+    """Return the template of the URLs at which something is searched for (RFC 6570)."""
     return f"{space.base}find{{?q}}"
 
 
 def search_triples(subject: NamedNode, space: Space) -> list[Triple]:
-    """What `subject` says of how the server is searched: a hydra:IriTemplate."""
+    """Return the hydra:IriTemplate of the search, as a property of `subject`."""
     search, variable = NamedNode(f"{space.base}find#search"), NamedNode(f"{space.base}find#q")
     return [
         *triples_about(subject, (hydra.search, search)),
@@ -102,7 +101,7 @@ def search_triples(subject: NamedNode, space: Space) -> list[Triple]:
 
 
 def search_document(url: str, query: str, total: int, results: Sequence[SearchResult], space: Space) -> Document:
-    """What was found, the best first: a schema:ItemList whose elements have positions. `total` are all that fit."""
+    """Return the results, the best first, as a schema:ItemList with positions. `total` is the number of all matches."""
     items = [NamedNode(f"{url}#{number}") for number in range(1, len(results) + 1)]
     triples = triples_about(
         NamedNode(url),
@@ -128,7 +127,7 @@ def search_document(url: str, query: str, total: int, results: Sequence[SearchRe
 
 
 def unasked_document(url: str, space: Space) -> Document:
-    """The search itself, while nothing is searched for."""
+    """Return the search itself, while nothing is searched for."""
     subject = NamedNode(url)
     triples = [*triples_about(subject, *RDF_SOURCE, (dcterms.title, text("Search"))), *search_triples(subject, space)]
     return Document(url, tuple(triples))

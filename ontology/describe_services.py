@@ -33,7 +33,7 @@ _SETTINGS = LiftSettings()
 
 
 def service_document(service: Service, space: Space, graph: Graph) -> Document:
-    """A service: its type, who provides it, the shapes of what to send and what comes back, why it cannot be called."""
+    """Return a service: its type, providers, the shapes of request and response, and why it cannot be called."""
     url = space.service(service.name)
     triples = triples_about(
         NamedNode(url),
@@ -80,7 +80,7 @@ class CallView:
 
 
 def call_document(call: CallView, space: Space, settings: LiftSettings = _SETTINGS) -> Document:
-    """The document of a call: its request, its response, its outcome."""
+    """Return the document of a call: its request, its response, its outcome."""
     url = space.call(call.id)
     halves = {"request": call.request, "response": call.response}
     messages = tuple(
@@ -101,7 +101,7 @@ def call_document(call: CallView, space: Space, settings: LiftSettings = _SETTIN
 def call_outline(
     id: str, service: str, state: str, times_ns: tuple[int, int | None], words: str | None, space: Space
 ) -> list[Triple]:
-    """The triples of a call that lists have, too: its service, its outcome, its times."""
+    """Return the triples of a call that lists have, too: its service, its outcome, its times."""
     return triples_about(
         NamedNode(space.call(id)),
         (rdf.type, ros.Call),
@@ -119,7 +119,7 @@ _TERMS: Mapping[GoalStatus, NamedNode] = {status: ros.terms()[status.value.capit
 def action_document(
     action: Action, space: Space, graph: Graph, goals: Sequence[str] = (), *, takes_goals: bool = False
 ) -> Document:
-    """The document of an action: its type, its servers and clients, the shapes of its messages, its goals.
+    """Return the document of an action: its type, its servers and clients, the shapes of its messages, its goals.
 
     `takes_goals`: a goal can be sent here now, and a form says how.
     """
@@ -183,7 +183,7 @@ class GoalView:
 
 
 def goal_document(goal: GoalView, space: Space, settings: LiftSettings = _SETTINGS) -> Document:
-    """The document of a goal: its message, its status, the latest feedback, the result."""
+    """Return the document of a goal: its message, its status, the latest feedback, the result."""
     url = space.goal(goal.id)
     subject = NamedNode(url)
     messages: list[LiftedMessage] = []
@@ -219,7 +219,7 @@ def goal_document(goal: GoalView, space: Space, settings: LiftSettings = _SETTIN
 def goal_outline(
     id: str, action: str, status: GoalStatus, times_ns: tuple[int | None, int | None], words: str | None, space: Space
 ) -> list[Triple]:
-    """The triples of a goal that lists have, too: its action, its status, when it was sent and when it ended."""
+    """Return the triples of a goal that lists have, too: its action, its status, when it was sent and when it ended."""
     return triples_about(
         NamedNode(space.goal(id)),
         (rdf.type, ros.Goal),

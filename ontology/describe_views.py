@@ -21,7 +21,7 @@ def series_document(
     *,
     is_reduced: bool,
 ) -> Document:
-    """A series of the field of the topic at a URL.
+    """Return a series of the field of the topic at a URL.
 
     `points` are time (ns), minimum, maximum, sum and count of numbers; `is_reduced`: each is of an interval that begins
     then, else of one message.
@@ -66,7 +66,7 @@ class PlottedNumber:
 
 
 def plot_document(url: str, numbers: Sequence[PlottedNumber]) -> Document:
-    """The plot at a URL."""
+    """Return the plot at a URL."""
     nodes = [NamedNode(f"{url}#series.{place}") for place in range(len(numbers))]
     triples = triples_about(NamedNode(url), (rdf.type, ros.Plot), *RDF_SOURCE, *statements(ros.plots, nodes))
     for node, number in zip(nodes, numbers, strict=True):
@@ -95,7 +95,7 @@ class Frame:
 
 
 def frames_document(url: str, frames: Sequence[Frame], types: str) -> Document:
-    """The frames of a robot; `types` is the namespace of message types."""
+    """Return the frames of a robot; `types` is the namespace of message types."""
 
     def node(name: str) -> NamedNode:
         return NamedNode(f"{url}#{quote(name.encode('utf-8', 'replace'), safe='/')}")
@@ -124,7 +124,7 @@ _DIAGNOSTIC_TYPE = "diagnostic_msgs/msg/DiagnosticStatus"
 
 @dataclass(frozen=True, slots=True)
 class PartState:
-    """What a part said last: the URL of the topic, since when it is at this level; `number` is the level it gave."""
+    """Latest state of a part: the URL of the topic, the time since it has this level; `number` is the level as sent."""
 
     topic: str
     name: str
@@ -138,7 +138,7 @@ class PartState:
 
 
 def diagnostics_document(url: str, states: Sequence[PartState], types: str) -> Document:
-    """The states of parts; `types` is the namespace of message types."""
+    """Return the states of parts; `types` is the namespace of message types."""
 
     def field(name: str) -> NamedNode:
         return NamedNode(f"{types}{_DIAGNOSTIC_TYPE}#{name}")
@@ -165,7 +165,7 @@ def diagnostics_document(url: str, states: Sequence[PartState], types: str) -> D
 def time_map_document(
     url: str, original: str, mementos: Sequence[tuple[str, int]], after: str | None = None
 ) -> Document:
-    """The TimeMap at `url`: `mementos` are URLs and times (ns), `after` is the TimeMap of those that follow."""
+    """Return the TimeMap at `url`: `mementos` are URLs and times (ns), `after` is the TimeMap of those that follow."""
     nodes = [NamedNode(each) for each, _ in mementos]
     triples = triples_about(
         NamedNode(url),

@@ -38,7 +38,7 @@ _INTEGER = re.compile(r"-?(0|[1-9][0-9]{0,23})", re.ASCII)
 
 
 def json_leaf(kind: Primitive | Array) -> Leaf:
-    """The reader of a primitive or of an array of them. It raises Misfit, for an element with its index as path."""
+    """Return the reader of a primitive or an array of primitives. It raises Misfit, for an element with its index."""
     if isinstance(kind, Array):
         return _array(kind)
     if kind.name in STRINGS:
@@ -120,7 +120,7 @@ def _raw(value: object) -> str:
 
 
 def unexpected_value(kind: FieldType, value: object) -> Misfit:
-    """The misfit of a value of the wrong kind; one that was elided says so."""
+    """Return the misfit of a value of the wrong kind; one that was elided says so."""
     if isinstance(value, dict) and value.get("elided") is True:
         return Misfit("this was left out where it was read (elided): fetch it and send it whole", value)
     return Misfit(f"expected {describe_kind(kind)}", value)
@@ -201,7 +201,7 @@ def _bools_at_once(values: list[Any], dtype: np.dtype[Any], limits: tuple[int, i
 def array_of_json(kind: Array) -> Callable[[str], object]:
     """The reader of an rdf:JSON literal as an array of primitives. It raises Misfit.
 
-    Integers are written as such: which other numbers are whole no shape could tell.
+    Integers must have no fraction: a shape could not tell which other numbers are whole.
     """
     read, is_integer = json_leaf(kind), kind.element.name in RANGES
 
@@ -223,7 +223,7 @@ Plain: TypeAlias = "Scalar | list[Scalar]"
 
 
 def stated_default(field: Field) -> Plain | None:
-    """The value that the definition of a field gives it; None where that says nothing, or what no message can hold."""
+    """Return the default in the definition of a field, or None if there is none or no message can hold it."""
     kind, stated = field.type, field.default
     if stated is None or isinstance(kind, Nested):
         return None
@@ -236,7 +236,7 @@ def stated_default(field: Field) -> Plain | None:
 
 
 def zero_value(kind: Primitive) -> Scalar:
-    """The default of a primitive."""
+    """Return the default of a primitive."""
     if kind.name in STRINGS:
         return ""
     if kind.name == "bool":
@@ -245,14 +245,14 @@ def zero_value(kind: Primitive) -> Scalar:
 
 
 def _default_array(kind: FieldType, values: tuple[Scalar, ...]) -> Plain:
-    """An array as JSON: octets are base64."""
+    """Return an array as JSON: octets are base64."""
     if isinstance(kind, Array) and is_octets(kind):
         return base64_text(bytes(int(value) & 0xFF for value in values))
     return list(map(_plain, values))
 
 
 def _plain(value: Scalar) -> Scalar:
-    """A scalar as JSON has it: numbers that JSON has not are strings."""
+    """Return a scalar as JSON has it: numbers that JSON has not are strings."""
     if isinstance(value, bool | str):
         return value
     if isinstance(value, int):

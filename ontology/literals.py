@@ -65,7 +65,7 @@ def special_float(value: float) -> str:
 
 
 def scalar_texts(values: Iterable[bool | int | float]) -> list[str]:
-    """The lexical forms of numbers and bools; `values` is a tuple or a numpy array (for float32's own digits)."""
+    """Return the lexical forms of numbers and bools in a tuple or a numpy array (for float32's own digits)."""
     text = orjson.dumps(values, option=orjson.OPT_SERIALIZE_NUMPY)[1:-1].decode()
     if "null" not in text:
         return text.split(",")
@@ -75,7 +75,7 @@ def scalar_texts(values: Iterable[bool | int | float]) -> list[str]:
 
 
 def json_scalars(values: Iterable[bool | int | float | str]) -> list[str]:
-    """The same as JSON: what is no JSON number is a string."""
+    """Return the same as JSON: what is no JSON number is a string."""
     text = orjson.dumps(values, option=orjson.OPT_SERIALIZE_NUMPY)[1:-1].decode()
     if "null" not in text:
         return text.split(",")
@@ -84,37 +84,37 @@ def json_scalars(values: Iterable[bool | int | float | str]) -> list[str]:
 
 
 def wide_integer_json(value: int) -> int | str:
-    """A 64-bit integer for JSON: as its digits where a double might lose some."""
+    """Return a 64-bit integer for JSON: as its digits where a double might lose some."""
     return value if -SAFE_INTEGER <= value <= SAFE_INTEGER else str(value)
 
 
 def unpack_float32(packed: bytes) -> npt.NDArray[np.float32]:
-    """The float32s in `packed` (little endian)."""
+    """Return the float32s in `packed` (little endian)."""
     return np.frombuffer(packed, "<f4")
 
 
 def wire_bytes(value: str) -> bytes:
-    """The bytes of a string as they are on the wire."""
+    """Return the bytes of a string as they are on the wire."""
     return value.encode("utf-8", "surrogateescape")
 
 
 def wire_length(value: str) -> int:
-    """How many bytes a string takes on the wire."""
+    """Return the number of bytes of a string on the wire."""
     return len(value) if value.isascii() else len(wire_bytes(value))
 
 
 def base64_text(value: bytes) -> str:
-    """The base64 of octets (of anything that has a buffer)."""
+    """Return the base64 of octets (of anything that has a buffer)."""
     return b64encode(value).decode("ascii")
 
 
 def quote(value: str) -> str:
-    """A string in quotes, as JSON, Turtle and N-Triples write it. Raises TypeError where it is not UTF-8."""
+    """Return a string in quotes, as JSON, Turtle and N-Triples write it. Raises TypeError where it is not UTF-8."""
     return orjson.dumps(value).decode()
 
 
 def json_string(value: str) -> str:
-    """A string as JSON and JSON-LD: one that is not UTF-8 is JSON-LD's value object of its base64."""
+    """Return a string as JSON and JSON-LD: one that is not UTF-8 is JSON-LD's value object of its base64."""
     try:
         return orjson.dumps(value).decode()
     except TypeError:
@@ -127,7 +127,7 @@ def _second(seconds: int) -> str:
 
 
 def date_time(seconds: int, nanoseconds: int) -> str:
-    """The xsd:dateTime (UTC, canonical: no trailing zeros) so long after the epoch; any sign and size will do."""
+    """Return the canonical xsd:dateTime (UTC, no trailing zeros) of a time after the epoch, of any sign and size."""
     if not 0 <= nanoseconds < 1_000_000_000:
         carry, nanoseconds = divmod(nanoseconds, 1_000_000_000)
         seconds += carry
@@ -141,7 +141,7 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 
 
 def date_time_nanoseconds(date_time: str) -> int | None:
-    """The nanoseconds from the epoch to an xsd:dateTime with a time zone; None for any other text."""
+    """Return the nanoseconds from the epoch to an xsd:dateTime with a time zone; None for any other text."""
     found = _DATE_TIME.fullmatch(date_time)
     if found is None:
         return None
@@ -156,7 +156,7 @@ _NUMPY = orjson.OPT_SERIALIZE_NUMPY
 
 
 def json_numbers(values: npt.NDArray[Any], quote: str = '"') -> str:
-    """An array of numbers or bools as JSON; `quote` is how a quotation mark is written (`\\"` within a literal)."""
+    """Return an array of numbers or bools as JSON; `quote` is the quotation mark (`\\"` within a literal)."""
     text = _dump(values)
     if values.dtype.kind == "f":
         if "n" in text:  # only `null` has one, and one character is found much faster than four
@@ -169,7 +169,7 @@ def json_numbers(values: npt.NDArray[Any], quote: str = '"') -> str:
 
 
 def json_strings(values: Sequence[str]) -> str:
-    """An array of strings as JSON; those that are not UTF-8 are value objects of their base64."""
+    """Return an array of strings as JSON; those that are not UTF-8 are value objects of their base64."""
     try:
         return orjson.dumps(values).decode()
     except TypeError:

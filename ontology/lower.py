@@ -1,7 +1,10 @@
-"""Lowering from JSON values: tables of readers, made once a schema.
+"""Lowering: bodies in RDF or plain JSON to ROS messages, by tables of readers made once per schema.
 
-A reader takes a value, as `parse_json` gives it, and the path to it; it returns what belongs into the message or
-raises `Misfit`. The reader of a message collects its fields' misfits as violations instead, so that all are told.
+A value that does not fit the type exactly is refused with the path of the field and the expected value; nothing is
+guessed, rounded (except floats to the nearest) or filled in. Every result can be encoded.
+
+A reader takes a value from `parse_json` and its path, and returns the value for the message or raises `Misfit`. The
+reader of a message collects the misfits of its fields as violations, so that all are reported.
 """
 
 from __future__ import annotations
@@ -50,7 +53,7 @@ class JsonReaders:
         self._defaults: dict[str, Mapping[str, Callable[[], object]]] = {}
 
     def message(self, name: str) -> Reader:
-        """The reader of messages of a type of this schema."""
+        """Return the reader of messages of a type of this schema."""
         if name not in self._messages:
             self._messages[name] = self._message(name)
         return self._messages[name]
@@ -105,7 +108,7 @@ class JsonReaders:
         return read
 
     def _default(self, field: Field) -> Callable[[], object]:
-        """What ROS fills a missing field with: what its definition says, else zero, all the way down."""
+        """Return the value of a missing field: the default in its definition, or else zero, recursively."""
         stated = stated_default(field)
         if stated is None or isinstance(field.type, Nested):  # a message has no default but those of its fields
             return self._zero(field.type)
@@ -113,7 +116,7 @@ class JsonReaders:
         return lambda: leaf(stated)
 
     def _zero(self, kind: FieldType) -> Callable[[], object]:
-        """What a field without a default of its own has: zeros, empty strings and arrays, messages of defaults."""
+        """Return the value of a field without a default: zeros, empty strings and arrays, messages of defaults."""
         if isinstance(kind, Nested):
             return lambda: self.default(kind.name)
         if isinstance(kind, Primitive):
@@ -125,7 +128,7 @@ class JsonReaders:
         return lambda: [one() for _ in range(length)]
 
     def default(self, name: str) -> Message:
-        """A message of a type of this schema with every field at its default."""
+        """Return a message of a type of this schema with every field at its default."""
         if name not in self._defaults:
             self._defaults[name] = {one.attribute: self._default(one) for one in self._schema.types[name].fields}
         return self._schema.codec.build(name, {field: make() for field, make in self._defaults[name].items()})
@@ -153,7 +156,7 @@ class Lowerer:
         self._from_graph = GraphReaders(schema, settings.types).message(schema.ref.name)
 
     def from_json(self, value: object, *, defaults: bool = False) -> Message:
-        """The message in a JSON value (as `parse_json` gives it); missing fields have ROS's defaults if `defaults`.
+        """Return the message in a JSON value from `parse_json`; missing fields have ROS's defaults if `defaults`.
 
         Raises LoweringError with a violation for everything that does not fit (the first twenty of them).
         """
@@ -166,7 +169,7 @@ class Lowerer:
         return _result(reading.findings, message)
 
     def from_body(self, body: RdfBody, document: str, node: str = "#message") -> Message:
-        """The message in what was sent to `document`; of a type without fields nothing needs to be said.
+        """Return the message in what was sent to `document`; of a type without fields nothing needs to be said.
 
         Raises LoweringError as `find_message` and `from_graph`.
         """
@@ -175,7 +178,7 @@ class Lowerer:
         return self.from_graph(body, find_message(body, document, self._type, node), document)
 
     def from_graph(self, body: RdfBody, root: Term, document: str) -> Message:
-        """The message whose node in `body` is `root`; `document` is the URL it was sent to.
+        """Return the message whose node in `body` is `root`; `document` is the URL it was sent to.
 
         Raises LoweringError with a violation for everything that does not fit (the first twenty of them).
         """
@@ -196,12 +199,12 @@ def _result(findings: Findings, message: object) -> Message:
 
 @lru_cache(maxsize=1024)
 def lowerer(schema: MessageSchema, settings: LiftSettings = LiftSettings()) -> Lowerer:  # noqa: B008
-    """The lowerer of a schema; made once a schema and settings."""
+    """Return the lowerer of a schema; made once a schema and settings."""
     return Lowerer(schema, settings)
 
 
 def find_message(body: RdfBody, document: str, type_iri: str, node: str = "#message") -> Term:
-    """The node of the message in what was sent to `document`.
+    """Return the node of the message in what was sent to `document`.
 
     That is a node of the type: `document` + `node`, else what `<document> ros:latest` points to, else the only one, or
     the only one that is no part of another. Raises LoweringError where there is none, or more than one.

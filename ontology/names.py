@@ -26,7 +26,7 @@ class Members:
 
 
 def members_of(names: Iterable[str]) -> dict[tuple[str, ...], Members]:
-    """The members of every namespace of these global names, by the namespace's segments; `()` is always there."""
+    """Return the members of every namespace of these global names by the namespace's segments; `()` always exists."""
     leaves: dict[tuple[str, ...], list[str]] = {(): []}
     below: dict[tuple[str, ...], set[str]] = {}
     for name in names:
@@ -44,7 +44,7 @@ def members_of(names: Iterable[str]) -> dict[tuple[str, ...], Members]:
 def _open(
     namespace: tuple[str, ...], leaves: dict[tuple[str, ...], list[str]], below: dict[tuple[str, ...], set[str]]
 ) -> None:
-    """Makes a namespace known to all those it lies in."""
+    """Add a namespace to all its ancestors."""
     while namespace not in leaves:
         leaves[namespace] = []
         below.setdefault(namespace[:-1], set()).add(namespace[-1])
@@ -90,10 +90,10 @@ _CAPITALS = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]+")
 
 
 class TypeName(NamedTuple):
-    """What a type is called: `iri` is its class, `iri#field` its properties.
+    """Names of a type: `iri` is its class, `iri#field` are its properties.
 
     In Turtle the class is `package:short` (`geometry_msgs:Twist`, in `namespace`) and a property `prefix:field`
-    (`twist:linear`); `term` (`geometry_msgs.Twist`) is its term in JSON-LD, which no other type has.
+    (`twist:linear`); `term` (`geometry_msgs.Twist`) is its unique term in JSON-LD.
     """
 
     iri: str
@@ -104,12 +104,12 @@ class TypeName(NamedTuple):
     term: str
 
     def property(self, field: str) -> str:
-        """The IRI of a field."""
+        """Return the IRI of a field."""
         return f"{self.iri}#{field}"
 
 
 def type_names(names: Iterable[str], types: str) -> Mapping[str, TypeName]:
-    """What these ROS types are called in the namespace `types`; no two of them share a prefix or a term.
+    """Return the names of these ROS types in the namespace `types`; no two share a prefix or a term.
 
     Raises ValueError for a name that is not PACKAGE/KIND/NAME in ASCII letters, digits and underscores.
     """

@@ -21,17 +21,17 @@ CONTAINER: tuple[Statement, ...] = (*RDF_SOURCE, (rdf.type, ldp.Container), (rdf
 
 
 def triples_about(subject: NamedNode | BlankNode, *statements: Statement) -> list[Triple]:
-    """The triples of a subject; a statement whose value is None is none."""
+    """Return the triples of a subject; a statement whose value is None is none."""
     return [Triple(subject, predicate, value) for predicate, value in statements if value is not None]
 
 
 def statements(predicate: NamedNode, values: Iterable[Value]) -> list[Statement]:
-    """A statement a value."""
+    """Return a statement a value."""
     return [(predicate, value) for value in values]
 
 
 def text(value: str | None) -> Literal | None:
-    """A string; lone surrogates (bytes that were no UTF-8) become replacement characters, None stays None."""
+    """Return a string; lone surrogates (bytes that were no UTF-8) become replacement characters, None stays None."""
     if value is None:
         return None
     try:
@@ -41,24 +41,24 @@ def text(value: str | None) -> Literal | None:
 
 
 def integer(value: int | None) -> Literal | None:
-    """An xsd:integer; None stays None."""
+    """Return an xsd:integer; None stays None."""
     return None if value is None else Literal(str(value), datatype=xsd.integer)
 
 
 def double(value: float) -> Literal:
-    """An xsd:double with the shortest digits that read back the same."""
+    """Return an xsd:double with the shortest digits that read back the same."""
     if math.isfinite(value):
         return Literal(repr(float(value)), datatype=xsd.double)
     return Literal("NaN" if math.isnan(value) else "INF" if value > 0 else "-INF", datatype=xsd.double)
 
 
 def boolean(value: bool) -> Literal:
-    """An xsd:boolean."""
+    """Return an xsd:boolean."""
     return Literal("true" if value else "false", datatype=xsd.boolean)
 
 
 def date_time_literal(nanoseconds: int | None) -> Literal | None:
-    """The xsd:dateTime (UTC) so many nanoseconds after the epoch; None stays None."""
+    """The xsd:dateTime (UTC) of nanoseconds after the epoch; None for None."""
     return None if nanoseconds is None else Literal(date_time(0, nanoseconds), datatype=xsd.dateTime)
 
 
@@ -70,7 +70,7 @@ _ENDINGS: Mapping[str, str] = {"text/turtle": "-turtle", "application/ld+json": 
 
 
 def affordance(subject: NamedNode, name: str, relation: NamedNode, kind: NamedNode, *more: Statement) -> list[Triple]:
-    """What may be done with the subject: its fragment `name`, led to by `relation`."""
+    """Return an affordance of the subject: its fragment `name`, linked by `relation`."""
     node = NamedNode(f"{subject.value}#{name}")
     return [Triple(subject, relation, node), *triples_about(node, (rdf.type, kind), (td.name, text(name)), *more)]
 
@@ -85,9 +85,9 @@ def forms(
     *more: Statement,
     template: str | None = None,
 ) -> list[Triple]:
-    """How an affordance is done: a form for each media type, for a form has one (WoT TD 1.1, 5.3.4.2).
+    """Return a form of an affordance for each media type (WoT TD 1.1, 5.3.4.2).
 
-    `template` is the target with its parameters (RFC 6570), which is no URI itself.
+    `template` is the target with its parameters (RFC 6570).
     """
     triples: list[Triple] = []
     for media_type in tuple(media_types) or (None,):

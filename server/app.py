@@ -49,7 +49,6 @@ from rosld.server.resources.resource_types import types_at
 from rosld.server.resources.space import SpaceResource
 from rosld.server.resources.status import StatusResource
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.keyed_lock import KeyedLock
 from rosld.server.rest.large import LargeDocuments
 from rosld.server.rest.pages import PageRenderer
 from rosld.server.rest.resource import Resource
@@ -62,6 +61,7 @@ from rosld.server.routing.resource_factory import ResourceFactory
 from rosld.server.routing.router import Router, robot_routes, single_route
 from rosld.server.routing.services import Services
 from rosld.server.routing.sparql_services import SparqlServices
+from rosld.server.runtime.tasks import KeyedLock
 from rosld.server.runtime.watchdog import Watchdog
 from rosld.server.settings import Settings
 

@@ -1,4 +1,7 @@
-"""Opening whatever is a recording: the format is told by the first bytes of a file, not by its name."""
+"""A recording as a ROS system: its topics play as recorded, and nothing can be written.
+
+The first bytes of a file determine its format, not its name.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +47,7 @@ from rosld.adapters.recording.storage import Damaged, OpenBudget, OpeningRefused
 
 
 def open_storage(path: Path, budget: OpenBudget | None = None) -> Storage:
-    """The recording at `path`. Raises NotFound, or Unreachable with a sentence that says what is wrong with it."""
+    """Return the recording at `path`. Raises NotFound, or Unreachable with a sentence about the defect."""
     budget = OpenBudget() if budget is None else budget
     if not path.exists():
         raise NotFound(f"there is no recording {str(path)!r}")
@@ -57,7 +60,7 @@ def open_storage(path: Path, budget: OpenBudget | None = None) -> Storage:
 
 
 def open_file(path: Path, budget: OpenBudget) -> Storage:
-    """The recording in one file. Raises Damaged, OpeningRefused and OSError."""
+    """Return the recording in one file. Raises Damaged, OpeningRefused and OSError."""
     budget.allow(path.stat().st_size)
     with path.open("rb") as file:
         head = file.read(16)
@@ -73,7 +76,7 @@ def open_file(path: Path, budget: OpenBudget) -> Storage:
 
 
 def recording_name(path: Path) -> str:
-    """The name of a recording: its file's without the suffix (of an unfinished `x.bag.active` too), or its folder's."""
+    """Return the name of a recording: that of its folder, or of its file without suffixes (`x` of `x.bag.active`)."""
     resolved = path.resolve()
     name = resolved.name if resolved.is_dir() else resolved.name.removesuffix(".active")
     stem = name if resolved.is_dir() else Path(name).stem
@@ -96,7 +99,7 @@ class RecordingAdapter:
         clock: Callable[[], int] = time.monotonic_ns,
         part: Part = WHOLE,
     ) -> None:
-        """Of the recording at a path only `part` is there. Raises ValueError for a rate that is none."""
+        """Serve `part` of the recording at a path. Raises ValueError for an invalid rate."""
         options = options if part.rate is None else replace(options, rate=part.rate)
         Playback(0, 0, options.rate)  # refuses a rate that is none before any file is read
         self._part = part
@@ -167,18 +170,18 @@ class RecordingAdapter:
             self._bag.close()
 
     def allows(self, ref: Ref) -> frozenset[Operation]:
-        """Topics may be subscribed to; nothing else."""
+        """Return `subscribe` for topics, and nothing else."""
         known = ref.kind is Kind.TOPIC and ref.name in self._graph.topics
         return frozenset({Operation.SUBSCRIBE}) if known else frozenset()
 
     async def schema(self, ref: TypeRef, *, deadline: float) -> Schema:
-        """The schema of a type: as recorded, else as shipped. Raises UnknownType."""
+        """Return the schema of a type: as recorded, else as shipped. Raises UnknownType."""
         if self._library is None:
             raise UnknownType(f"the type {ref.name} is not known: the recording is not open")
         return self._library.find(ref)
 
     def known_types(self) -> Sequence[TypeRef]:
-        """The types of the recorded topics."""
+        """Return the types of the recorded topics."""
         return [] if self._bag is None else self._bag.types()
 
     async def subscribe(self, topic: str, *, depth: int = 1) -> Subscription:
@@ -186,7 +189,7 @@ class RecordingAdapter:
         return PlayerSubscription(self._player(topic), depth)
 
     def age_ns(self, sample: Sample) -> int:
-        """How much recorded time was played since a message was: that of a loop before (latched) counts a loop more."""
+        """Return the recorded time since a message; one of the previous loop (latched) counts a loop more."""
         if self._bag is None:
             return 0
         playback = self._playback(self._bag)
@@ -231,7 +234,7 @@ class RecordingAdapter:
         raise without_lifecycle(self._graph.nodes, node)
 
     async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
-        """Recordings have no parameters."""
+        """Return nothing: recordings have no parameters."""
         return {}
 
     async def set_parameters(self, values: Mapping[str, ParameterValue], *, deadline: float) -> None:
@@ -280,7 +283,7 @@ class RecordingAdapter:
 
 
 def recorded_graph(bag: Bag, revision: int) -> Graph:
-    """The computation graph as far as a recording tells it. A recorded `/clock` means that time was simulated."""
+    """Return the computation graph in a recording. A recorded `/clock` means that time was simulated."""
     publishers = dict.fromkeys(stream.publisher for stream in bag.streams if stream.publisher)
     return Graph(
         revision,
@@ -304,7 +307,7 @@ def _topic(bag: Bag, name: str) -> Topic:
 
 
 async def _on_a_thread(work: Callable[[], Bag], discard: Callable[[Bag], None]) -> Bag:
-    """`work` done on a thread that never holds up the end of the process; a result nobody waits for is discarded."""
+    """Run `work` on a daemon thread; if the wait is cancelled, its result is discarded."""
     loop = asyncio.get_running_loop()
     done: asyncio.Future[Bag] = loop.create_future()
 

@@ -34,13 +34,13 @@ _PART = "---"
 
 
 def type_name(recorded: str) -> str:
-    """The name as rosbags has it: `pkg/Name`, as ROS 1 records it, is `pkg/msg/Name`."""
+    """Return the name as rosbags has it: `pkg/Name`, as ROS 1 records it, is `pkg/msg/Name`."""
     parts = recorded.split("/")
     return f"{parts[0]}/msg/{parts[1]}" if len(parts) == 2 else recorded
 
 
 def learn(library: TypeLibrary, connection: RecordedConnection, ros_version: RosVersion) -> tuple[TypeRef, str | None]:
-    """The type of a connection, and why its messages cannot be decoded (None: they can)."""
+    """Return the type of a connection, and why its messages cannot be decoded (None: they can)."""
     name = type_name(connection.type)
     named = TypeRef(name, connection.hash)
     if connection.odd is not None:
@@ -74,14 +74,14 @@ def _text(name: str, connection: RecordedConnection) -> str:
 
 
 def _text_of_derived(of: str, text: str, definition: str) -> str:
-    """A message of a hidden topic: recorders store the definition of its service or action in its stead."""
+    """Return a message of a hidden topic: recorders store the definition of its service or action in its stead."""
     head, separator, nested = definition.partition("\n===")
     own = [f"MSG: {name}\n{part}" for name, part in _parts(of, head).items()]
     return f"\n{SEPARATOR}\n".join([text, *own]) + "\n" + separator.lstrip("\n") + nested
 
 
 def _parts(of: str, definition: str) -> Mapping[str, str]:
-    """The texts of the messages that a service or an action is made of, or a service that an action is made of."""
+    """Return the texts of the messages of a service or an action, or of a service of an action."""
     derived = derived_from(of)
     if derived is not None:
         action, text = derived
@@ -96,7 +96,7 @@ def _parts_named(of: str, ends: Sequence[str], texts: Sequence[str]) -> Mapping[
 
 
 def _text_of_idl(name: str, definition: str) -> str:
-    """The definition in message syntax of a type defined in OMG IDL, its dependencies appended."""
+    """Return the definition in message syntax of a type defined in OMG IDL, its dependencies appended."""
     require_short(name, definition)
     marked = definition.startswith(f"{_IDL_SEPARATOR}IDL: ")
     parts = [part.partition("\n")[2] for part in definition.split(_IDL_SEPARATOR)[1:]] if marked else [definition]
@@ -130,7 +130,7 @@ def without_repeats(table: MessageTable, connections: Sequence[RecordedConnectio
 def latched_rows(
     table: MessageTable, until: int, connections: Sequence[RecordedConnection], types: Sequence[TypeRef]
 ) -> NDArray[np.int64]:
-    """The rows before row `until` that hold the latest latched messages of each publisher, ascending."""
+    """Return the rows before row `until` that hold the latest latched messages of each publisher, ascending."""
     latched = [number for number, one in enumerate(connections) if one.latched]
     rows = np.flatnonzero(np.isin(table.connections[:until], latched))
     found: dict[tuple[str, str], deque[int]] = {}
@@ -206,11 +206,11 @@ class Bag:
         return RecordedMessage(index, stream.topic, self.sample(index, sequence), self._is_opening(index))
 
     def topic_of(self, index: int) -> str | None:
-        """The topic of message `index`, None where there is no such message."""
+        """Return the topic of message `index`, None where there is no such message."""
         return self._stream(index).topic if 0 <= index < self.count else None
 
     def messages(self) -> Iterator[RecordedMessage]:
-        """All messages in recorded order; those that the disk does not give are left out, with a warning."""
+        """Yield all messages in recorded order; those that the disk does not give are left out, with a warning."""
         sequences: Counter[int] = Counter()
         for index, connection in enumerate(self._table.connections.tolist()):
             stream = self._stream_of[connection]
@@ -233,12 +233,12 @@ class Bag:
         return f"{zlib.crc32(f'{self.start_ns} {self.end_ns} {self.count}'.encode()):08x}"
 
     def times_between(self, start: int, end: int) -> tuple[int, int] | None:
-        """The times of the first and the last message from index `start` and below `end`."""
+        """Return the times of the first and the last message from index `start` and below `end`."""
         found = self.times[start:end]
         return (int(found[0]), int(found[-1])) if len(found) else None
 
     def select(self, wanted: MessageFilter, limit: int) -> MessagePage:
-        """At most `limit` messages; the table tells which, and only these are read."""
+        """Return at most `limit` messages, selected by the table; only these are read."""
         indexes = self._indexes(wanted, limit + 1)
         found: list[RecordedMessage] = []
         size = 0
@@ -255,7 +255,7 @@ class Bag:
         return MessagePage(found, None)
 
     def _indexes(self, wanted: MessageFilter, limit: int) -> list[int]:
-        """The indexes of the first `limit` messages of a filter."""
+        """Return the indexes of the first `limit` messages of a filter."""
         first = max(wanted.start, int(np.searchsorted(self.times, wanted.from_ns, "left")))
         beyond = min(wanted.end, int(np.searchsorted(self.times, wanted.to_ns, "right")))
         if wanted.topics is None:
@@ -268,7 +268,7 @@ class Bag:
         return sorted(found)[:limit]
 
     def latest_at(self, topic: str, time_ns: int) -> RecordedMessage | None:
-        """The message of a topic that was the newest at a time; None where there was none. Raises Unreachable."""
+        """Return the newest message of a topic at a time, or None. Raises Unreachable."""
         passed = int(np.searchsorted(self.times, time_ns, "right"))
         found = [
             int(stream.positions[count - 1])
@@ -291,11 +291,11 @@ class Bag:
         )
 
     def schema(self, ref: TypeRef) -> Schema:
-        """The schema of a type of this recording. Raises UnknownType."""
+        """Return the schema of a type of this recording. Raises UnknownType."""
         return self._library.find(ref)
 
     def types(self) -> Sequence[TypeRef]:
-        """The types of its topics."""
+        """Return the types of its topics."""
         return list(dict.fromkeys(ref for ref in self._types if ref.name))
 
     def close(self) -> None:
@@ -309,7 +309,7 @@ class Bag:
         return self.streams[self._stream_of[int(self._table.connections[index])]]
 
     def _as_streams(self) -> tuple[tuple[Stream, ...], list[int]]:
-        """The streams, and the index of each connection's stream among them."""
+        """Return the streams, and the index of each connection's stream among them."""
         keys = [(each.topic, each.publisher) for each in self._connections]
         numbers = {key: number for number, key in enumerate(dict.fromkeys(keys))}
         stream_of = [numbers[key] for key in keys]
@@ -334,7 +334,7 @@ class Bag:
         return {name: self._topic(name, mine) for name, mine in members.items()}
 
     def _topic(self, name: str, connections: Sequence[int]) -> RecordedTopic:
-        """A topic is unreadable where none of its connections can be decoded."""
+        """Return a topic is unreadable where none of its connections can be decoded."""
         readable = [number for number in connections if self._unreadable[number] is None]
         shown = (readable or connections)[0]
         count = sum(len(stream.positions) for stream in self.streams_by_topic[name])
@@ -342,7 +342,7 @@ class Bag:
 
 
 def _grouped(values: Iterable[_Value], keys: Iterable[_Key]) -> dict[_Key, list[_Value]]:
-    """Values by their keys, in the order of the keys' first appearance."""
+    """Group values by key, in the order of first appearance."""
     found: dict[_Key, list[_Value]] = {}
     for value, key in zip(values, keys, strict=True):
         found.setdefault(key, []).append(value)

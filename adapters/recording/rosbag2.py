@@ -42,7 +42,7 @@ _SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 
 
 class Metadata(NamedTuple):
-    """What concerns us of `metadata.yaml`: files, compression ("", "file", "message"), and each topic's type hash."""
+    """Content of `metadata.yaml`: files, compression ("", "file", "message"), and the type hash of each topic."""
 
     files: tuple[str, ...] = ()
     compression: str = ""
@@ -83,7 +83,7 @@ class Rosbag2:
         self.messages = self._join()
 
     def read(self, place: int, offset: int) -> bytes:
-        """The bytes of the message there, decompressed where each message was compressed. Raises Damaged."""
+        """Return the bytes of the message there, decompressed where each message was compressed. Raises Damaged."""
         number = bisect_right(self._starts, place) - 1
         data = self._files[number].read(place - self._starts[number], offset)
         return decompress_zstd(data) if self._per_message else data
@@ -107,7 +107,7 @@ class Rosbag2:
         return concatenate(tables)
 
     def _plain(self, path: Path, budget: OpenBudget) -> Path:
-        """The file itself, or where it was compressed as a whole, a decompressed copy of it."""
+        """Return the file itself, or where it was compressed as a whole, a decompressed copy of it."""
         if path.suffix != ".zstd":
             return path
         if self._inflated is None:
@@ -133,7 +133,7 @@ def _require_room(folder: Path, budget: OpenBudget) -> None:
 
 
 def _metadata(folder: Path, budget: OpenBudget) -> tuple[Metadata, list[str]]:
-    """What `metadata.yaml` says, and a note where it is missing or cannot be used."""
+    """Return the metadata, and a note if `metadata.yaml` is missing or unusable."""
     path = folder / METADATA
     if not path.exists():
         return Metadata(), [f"it has no {METADATA}, so all its files were read"]
@@ -153,7 +153,7 @@ _Yaml: TypeAlias = "str | list[_Yaml] | dict[str, _Yaml]"
 
 
 def _yaml(path: Path, budget: OpenBudget) -> _Yaml:
-    """The value of a YAML file, all scalars as text. Raises YAMLError, and ValueError for what metadata never has.
+    """Return the value of a YAML file, all scalars as text. Raises YAMLError, and ValueError for unexpected content.
 
     That is more than `_MAX_BYTES`, deep nesting, and aliases, by which a short text says any amount.
     """
@@ -194,7 +194,7 @@ def _yaml(path: Path, budget: OpenBudget) -> _Yaml:
 
 
 def _member(value: _Yaml, name: str) -> _Yaml:
-    """A member of a mapping, empty where it is missing. Raises ValueError for what is no mapping."""
+    """Return a member of a mapping, empty where it is missing. Raises ValueError for what is no mapping."""
     if not isinstance(value, dict):
         raise ValueError(f"{name} is looked for in what is no mapping")
     return value.get(name, "")
@@ -257,7 +257,7 @@ class Sqlite:
             raise
 
     def read(self, place: int, offset: int) -> bytes:
-        """The bytes of the message in row `offset`. Raises Damaged."""
+        """Return the bytes of the message in row `offset`. Raises Damaged."""
         try:
             with self._lock:
                 row = self._database.execute("SELECT data FROM messages WHERE rowid = ?", (offset,)).fetchone()
@@ -274,9 +274,9 @@ class Sqlite:
 
 
 def _distrust(database: sqlite3.Connection, budget: OpenBudget) -> None:
-    """Have a database do no more than give rows of its tables. Raises Damaged where it says that it does more.
+    """Restrict a database to rows of its tables. Raises Damaged for views and generated columns.
 
-    A view, or a column that is generated, is a program: it may give rows, or bytes of a row, without end.
+    These are programs: they may produce rows, or bytes of a row, without end.
     """
     if sys.version_info >= (3, 11):
         database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_PIECE)

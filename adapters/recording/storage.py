@@ -1,4 +1,4 @@
-"""What every recording format comes down to: connections, and a table of where each message lies."""
+"""The contract of recording formats: connections, a table of the places of messages, and limits on opening a file."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ class Damaged(Exception):
 class RecordedConnection(NamedTuple):
     """One publisher's (ROS 1) or all publishers' (ROS 2) connection to a topic, as it was recorded.
 
-    `publisher` is the node, empty where the format does not tell; `definition` is empty where it holds none, and
-    `syntax` says how to read it: "msg", "idl", or what else the file names. `odd` says why its messages cannot be
-    read whatever the definition. `is_opening`: its messages came before the file was begun, and open it as latched.
+    `publisher` is the node, or empty if unknown; `definition` is empty if the file has none, `syntax` is its syntax:
+    "msg", "idl", or another name in the file. `odd` is the reason why its messages cannot be read regardless of the
+    definition. `is_opening`: its messages precede the file, and open it as latched.
     """
 
     topic: str
@@ -41,9 +41,9 @@ class RecordedConnection(NamedTuple):
 
 
 class MessageTable(NamedTuple):
-    """Where messages lie, a row each: when (ns), of which connection, at which offset of which place of the file.
+    """Places of messages, one per row: time (ns), connection, place in the file, and offset in it.
 
-    Place 0 is the file itself, the others are its compressed chunks; what an offset means is the storage's affair.
+    Place 0 is the file itself, the others are its compressed chunks; the format defines the meaning of offsets.
     """
 
     times: NDArray[np.int64]
@@ -52,7 +52,7 @@ class MessageTable(NamedTuple):
     offsets: NDArray[np.int64]
 
     def in_recorded_order(self) -> MessageTable:
-        """The rows by time; those of one time as they lie in the file."""
+        """Return the rows by time; those of one time as they lie in the file."""
         return self.rows(np.argsort(self.times, kind="stable"))
 
     def rows(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> MessageTable:
@@ -63,7 +63,7 @@ class MessageTable(NamedTuple):
 def message_table(
     times: Sequence[int], connections: Sequence[int], places: Sequence[int], offsets: Sequence[int]
 ) -> MessageTable:
-    """The table of these columns."""
+    """Return the table of these columns."""
     return MessageTable(
         np.asarray(times, np.int64),
         np.asarray(connections, np.int32),
@@ -88,7 +88,7 @@ class TableBuilder:
             self._pack()
 
     def tables(self) -> list[MessageTable]:
-        """All rows so far."""
+        """Return all rows so far."""
         if self._rows:
             self._pack()
         return self._tables
@@ -99,7 +99,7 @@ class TableBuilder:
 
 
 def concatenate(tables: Iterable[MessageTable]) -> MessageTable:
-    """These tables one below the other."""
+    """Return these tables one below the other."""
     parts = [message_table([], [], [], []), *tables]
     return MessageTable(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
@@ -132,7 +132,7 @@ class Storage(Protocol):
 
     @property
     def places(self) -> int:
-        """How many places there are, the file itself included."""
+        """The number of places, including the file itself."""
         ...
 
     @property
@@ -142,11 +142,11 @@ class Storage(Protocol):
 
     @property
     def notes(self) -> Sequence[str]:
-        """What was wrong with the file, if anything."""
+        """The defects of the file."""
         ...
 
     def read(self, place: int, offset: int) -> bytes:
-        """The bytes of the message there. Raises Damaged."""
+        """Return the bytes of the message there. Raises Damaged."""
         ...
 
     def close(self) -> None:
@@ -156,7 +156,7 @@ class Storage(Protocol):
 
 @dataclass(frozen=True)
 class Contents:
-    """What was found in a file: the values of `Storage`."""
+    """Content of a file: the values of `Storage`."""
 
     format: str
     ros_version: RosVersion
@@ -184,7 +184,7 @@ _TEXT_WORK = 200
 
 
 class OpeningRefused(Exception):
-    """A recording is not opened: its index is too large, or nobody waits any more. It may be no damage."""
+    """A recording is not opened: its index is too large, or opening was cancelled."""
 
 
 class OpenBudget:
@@ -209,7 +209,7 @@ class OpenBudget:
         return self._is_cancelled
 
     def cancel(self) -> None:
-        """Have the reading end, soon."""
+        """Request the end of reading."""
         self._is_cancelled = True
 
     def check(self) -> None:
@@ -236,7 +236,7 @@ class OpenBudget:
             raise OpeningRefused(f"of its {types} types, {error}") from error
 
     def spend(self, *, messages: int = 0, parts: int = 0, octets: int = 0) -> None:
-        """Account for what is kept. Raises OpeningRefused where that is too much, or it was cancelled."""
+        """Account for memory. Raises OpeningRefused above the limit, or if cancelled."""
         self.check()
         self._spent += messages * MESSAGE_BYTES + parts * PART_BYTES + octets
         if self._limit is not None and self._spent > self._limit:

@@ -1,4 +1,4 @@
-"""The event stream of one resource: its present state at once, then each change, no faster than the reader takes it."""
+"""Event streams (WHATWG HTML 9.2): the frames of events, and the changes of a resource as a response without end."""
 
 from __future__ import annotations
 
@@ -7,18 +7,122 @@ import contextlib
 import time
 from collections.abc import Awaitable, Callable, Hashable, Iterator
 from dataclasses import dataclass
+from typing import TypeAlias
 
-from starlette.types import Receive
+from starlette.responses import Response
+from starlette.types import Receive, Scope, Send
 
 from rosld.server.auth.rate_limit import TokenBucket
-from rosld.server.events import frame, query_params
-from rosld.server.events.broadcaster import Broadcaster, Broadcasters, Observation, Waiter
-from rosld.server.events.endless_response import EndlessResponse, Headers, Tell
-from rosld.server.events.event_writer import KEEP_ALIVE_SECONDS, EventWriter
+from rosld.server.events import query_params
+from rosld.server.events.broadcaster import RETRY_SECONDS, Broadcaster, Broadcasters, Observation, Waiter
 from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
 from rosld.server.rest.resource import Resource
 from rosld.server.rest.state import MessageState, State
+
+Tell: TypeAlias = Callable[[bytes], Awaitable[None]]
+"""Sends a part of the body."""
+Headers: TypeAlias = "list[tuple[bytes, bytes]]"
+
+
+class EndlessResponse(Response):
+    """A response that counts among the readers of its client's address for as long as it lasts.
+
+    `last_chunk` is what ends the body.
+    """
+
+    last_chunk = b""
+
+    def __init__(self, broadcasters: Broadcasters, headers: Headers) -> None:
+        self.status_code = 200
+        self.body = b""
+        self.background = None
+        self.raw_headers = headers
+        self._broadcasters = broadcasters
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send it."""
+
+        async def tell(chunk: bytes) -> None:
+            await send({"type": "http.response.body", "body": chunk, "more_body": True})
+
+        with self._broadcasters.count_reader(scope), self.lasting():
+            await send({"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers})
+            await self.run(tell, receive)
+        await send({"type": "http.response.body", "body": self.last_chunk, "more_body": False})
+
+    def lasting(self) -> contextlib.AbstractContextManager[object]:
+        """What is entered before the response begins, and left before it ends."""
+        return contextlib.nullcontext()
+
+    async def run(self, tell: Tell, receive: Receive) -> None:
+        """Write the body, until the reader leaves or the server ends."""
+        await self._broadcasters.run_for_client(self.write(tell), receive)
+
+    async def write(self, tell: Tell) -> None:
+        """Write the body, for as long as the reader may read."""
+        raise NotImplementedError
+
+
+KEEP_ALIVE_COMMENT = b":\n\n"
+"""A comment: keeps proxies from ending a stream in which nothing happens (WHATWG HTML 9.2.7)."""
+
+
+def opening_frame(retry_seconds: float) -> bytes:
+    """The first bytes of a stream: after how long a client that lost it comes back."""
+    return b"retry: %d\n\n" % round(retry_seconds * 1000)
+
+
+def skipped_comment(count: int) -> bytes:
+    """Return the comment that says how many messages were left out before an event."""
+    return b": skipped %d\n" % count
+
+
+def event_frame(data: bytes, id: str | None = None, name: str | None = None) -> bytes:
+    """One event. `id` is what a client sends as Last-Event-ID, `name` its type ("message" where there is none).
+
+    Raises ValueError for an id or a name that would end its line.
+    """
+    lines = []
+    for field, value in (("event", name), ("id", id)):
+        if value is not None:
+            if not value.isprintable():
+                raise ValueError(f"{value!r} cannot be the {field} of an event")
+            lines.append(f"{field}: {value}".encode())
+    lines += [b"data: " + line for line in data.splitlines() or [b""]]
+    return b"\n".join(lines) + b"\n\n"
+
+
+KEEP_ALIVE_SECONDS = 15.0
+
+
+class EventWriter:
+    """Writes to one event stream. `quiet`: seconds without an event after which a keep-alive is due."""
+
+    def __init__(self, tell: Tell, quiet: float = KEEP_ALIVE_SECONDS) -> None:
+        self.quiet = quiet
+        self._tell = tell
+        self._spoke = time.monotonic()
+
+    @property
+    def silence(self) -> float:
+        """Seconds since something was written."""
+        return time.monotonic() - self._spoke
+
+    async def open(self) -> None:
+        """Write what a stream begins with."""
+        await self.send(opening_frame(RETRY_SECONDS))
+
+    async def send(self, chunk: bytes) -> None:
+        """Write a frame."""
+        self._spoke = time.monotonic()
+        await self._tell(chunk)
+
+    async def keep_alive(self) -> None:
+        """Write a keep-alive comment, where one is due."""
+        if self.silence >= self.quiet:
+            await self.send(KEEP_ALIVE_COMMENT)
+
 
 BURST = 1.25
 """Events of the bucket of a slow stream: one may come a quarter of an interval early.
@@ -80,13 +184,13 @@ class StreamFormat:
     async def _event(self, state: State | Problem) -> bytes:
         try:
             if isinstance(state, State):
-                return frame.event(await self.render(state), self.name(state))
+                return event_frame(await self.render(state), self.name(state))
             problem = state
         except Problem as error:  # this state cannot be told in this format
             problem = error
         problem = self.redact_problem(problem)
         name = GONE if problem.status in (404, 410) or problem.status < 400 else PROBLEM
-        return frame.event(render(problem).body, name=name)
+        return event_frame(render(problem).body, name=name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +236,7 @@ class EventStream(EndlessResponse):
         seconds = None if self._end is None else self._end.seconds
         is_done = await self._broadcasters.run_for_client(self.write(tell), receive, seconds)
         if seconds is not None and not is_done:
-            await tell(frame.event(b"false", name=UNTIL))
+            await tell(event_frame(b"false", name=UNTIL))
 
     async def write(self, tell: Tell) -> None:
         writer = EventWriter(tell, self._quiet)
@@ -184,9 +288,9 @@ class EventStream(EndlessResponse):
             if not self._end.holds(state):
                 return False
         except Problem as problem:
-            await writer.send(frame.event(render(self._stream_format.redact_problem(problem)).body, name=PROBLEM))
+            await writer.send(event_frame(render(self._stream_format.redact_problem(problem)).body, name=PROBLEM))
             return True
-        await writer.send(frame.event(b"true", name=UNTIL))
+        await writer.send(event_frame(b"true", name=UNTIL))
         return True
 
     def _is_known(self, state: State | Problem) -> bool:
@@ -197,7 +301,7 @@ class EventStream(EndlessResponse):
         chunk = await self._stream_format.chunk(moment)
         self._bucket.take(time.monotonic())
         if skipped:
-            await writer.send(frame.skipped(skipped))
+            await writer.send(skipped_comment(skipped))
         await writer.send(chunk)
 
 

@@ -1,15 +1,64 @@
-"""Long polling: a request is answered once the state is the one that it waits for, or at its timeout."""
+"""Requests that wait: for a change of a resource (long polling), or for a condition on it (`?until=`)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import cast
 
 from starlette.requests import Request
 
 from rosld.server.events.broadcaster import Broadcaster, Broadcasters, Waiter
+from rosld.server.events.condition import Condition, ConditionError, Value, named_members, parse_condition
 from rosld.server.http.problem import Problem
 from rosld.server.rest.resource import Resource
-from rosld.server.rest.state import State
+from rosld.server.rest.state import EndedState, State
+
+
+class Until:
+    """A condition on the states of one resource, as one agent may see them.
+
+    The first value that there is must have the fields that the condition names, of such kinds: else it would be waited
+    for in vain.
+    """
+
+    def __init__(self, text: str, view: Callable[[State], State]) -> None:
+        """`view` gives a state as the agent may see it. Raises a 400 Problem for what is no condition."""
+        try:
+            self._condition: Condition = parse_condition(text)
+        except ConditionError as error:
+            raise _refusal(error) from error
+        self._view = view
+        self._is_checked = False
+
+    def holds(self, state: State) -> bool:
+        """Whether the condition holds of a state.
+
+        Raises Problems: 400 where it never can, 409 where it no longer can because what is looked at has ended, and
+        those of its JSON.
+        """
+        seen = self._view(state)
+        if seen.plain is None:
+            raise Problem(
+                400,
+                "?until= is for values: of topics, resources, parameters, calls, goals. Here is none: use ?after=.",
+            )
+        value = cast(Value, seen.json_value)
+        if not self._is_checked and value is not None:
+            try:
+                self._condition.check(value)
+            except ConditionError as error:
+                raise _refusal(error) from error
+            self._is_checked = True
+        if self._condition.holds(value):
+            return True
+        if isinstance(seen, EndedState) and not seen.open_members & named_members(self._condition):
+            detail = "?until= no longer comes true: what it waits for has ended, and `state` is how it stands."
+            raise Problem(409, detail, title="Has ended", extra={"state": value})
+        return False
+
+
+def _refusal(error: ConditionError) -> Problem:
+    return Problem(400, f"?until= cannot be waited for: {error}.")
 
 
 async def wait_for_state(

@@ -14,8 +14,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from rosld.server.events.broadcaster import Broadcasters, Waiter
-from rosld.server.events.endless_response import EndlessResponse, Tell
-from rosld.server.rest.motion import Motion
+from rosld.server.events.event_stream import EndlessResponse, Tell
+from rosld.server.rest.resource import Motion
 
 _BOUNDARY = "rosld-picture"
 MEDIA_TYPE = f"multipart/x-mixed-replace; boundary={_BOUNDARY}"

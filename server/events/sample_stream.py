@@ -15,11 +15,8 @@ import orjson
 from rosld.adapters.base import Adapter
 from rosld.adapters.model import Message, MessageSchema, RosError, Sample, TypeRef
 from rosld.ontology.fields import field_at
-from rosld.server.events import frame
 from rosld.server.events.broadcaster import Broadcasters
-from rosld.server.events.endless_response import EndlessResponse, Tell
-from rosld.server.events.event_stream import HEADERS
-from rosld.server.events.event_writer import EventWriter
+from rosld.server.events.event_stream import HEADERS, EndlessResponse, EventWriter, Tell, event_frame
 from rosld.server.history.topic_feed import MAX_BYTES, TopicFeed
 
 PERIOD = 0.1
@@ -73,7 +70,7 @@ class SampleStream(EndlessResponse):
         try:
             while self._is_valid():
                 told = [found for each in self._numbers if (found := await each.take(self._adapter)) is not None]
-                await (writer.send(frame.event(orjson.dumps(told))) if told else writer.keep_alive())
+                await (writer.send(event_frame(orjson.dumps(told))) if told else writer.keep_alive())
                 await asyncio.sleep(PERIOD)
         finally:
             for each in self._numbers:

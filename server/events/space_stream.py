@@ -12,11 +12,8 @@ import orjson
 
 from rosld.adapters.base import Watch
 from rosld.adapters.model import RosError
-from rosld.server.events import frame
 from rosld.server.events.broadcaster import Broadcasters, Waiter
-from rosld.server.events.endless_response import EndlessResponse, Tell
-from rosld.server.events.event_stream import HEADERS
-from rosld.server.events.event_writer import EventWriter
+from rosld.server.events.event_stream import HEADERS, EndlessResponse, EventWriter, Tell, event_frame
 from rosld.server.robot.drawings import Drawings, DrawnSample
 from rosld.server.robot.live_frames import LiveFrames
 from rosld.server.robot.live_topics import LiveTopics
@@ -90,7 +87,7 @@ class SpaceStream(EndlessResponse):
             view = _View(self._source, self._fixed, waiter.wake, stack)
             while self._source.is_valid():
                 found = await view.take()
-                await (writer.send(frame.event(orjson.dumps(found))) if found else writer.keep_alive())
+                await (writer.send(event_frame(orjson.dumps(found))) if found else writer.keep_alive())
                 await asyncio.sleep(PERIOD)
                 await waiter.wait(_LONGEST)
 

@@ -18,7 +18,7 @@ from rosld.server.auth import enforcement
 from rosld.server.auth.agent import ANONYMOUS
 from rosld.server.auth.rate_limit import RETRY_SECONDS, RateLimitExceeded
 from rosld.server.auth.redaction import redact_problem
-from rosld.server.events import websocket
+from rosld.server.events.delivery import check_request, reject_handshake
 from rosld.server.http.origin import OriginPolicy
 from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
@@ -143,14 +143,12 @@ class WebSockets:
         client = scope["client"]
         if not self._admission.admit_websocket(client[0] if client else None):
             await asyncio.sleep(RETRY_SECONDS)
-            await websocket.reject_handshake(
-                scope, send, Problem(429, "You open too many WebSockets a second: open fewer.")
-            )
+            await reject_handshake(scope, send, Problem(429, "You open too many WebSockets a second: open fewer."))
             return
         try:
-            websocket.check_request(self._site, scope)
+            check_request(self._site, scope)
             receiver = self._notifications.websocket_receiver(scope)
         except Problem as problem:
-            await websocket.reject_handshake(scope, send, problem)
+            await reject_handshake(scope, send, problem)
             return
         await receiver(scope, receive, send)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import orjson
 
 from rosld.server.openapi.references import Components, Key, chosen, references
-from rosld.server.rest.parts import MAX_PART, part_url
+from rosld.server.rest.path_item import MAX_PART, part_url
 
 
 def sections(url: str, paths: Collection[str]) -> list[dict[str, object]]:

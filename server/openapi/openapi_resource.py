@@ -32,11 +32,9 @@ from rosld.server.openapi.permitted_paths import add_security, permitted_paths
 from rosld.server.policies.stored_queries import StoredQueries
 from rosld.server.resources.namespaces import LISTING_PARAMETERS, listed_graph
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.parts import PART_QUERY, parse_part
-from rosld.server.rest.path_item import PathItem
-from rosld.server.rest.raw_response import bytes_response
+from rosld.server.rest.path_item import PART_QUERY, PathItem, parse_part
 from rosld.server.rest.resource import LDP, RESOURCE, Resource
-from rosld.server.rest.resource_headers import resource_headers
+from rosld.server.rest.responses import bytes_response, resource_headers
 from rosld.server.rest.state import State
 from rosld.server.robot.schemas import Schemas
 from rosld.server.robot.session import Session, used_types

@@ -23,10 +23,9 @@ from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.bags import BagResource
 from rosld.server.resources.ldp.bodies import single_chunk
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.file_response import UNKNOWN, file_response, file_stream, unless_gone
 from rosld.server.rest.path_item import ANY_TYPE, BYTES, PathItem, QueryParameter, WriteMethod
 from rosld.server.rest.resource import ABSENT, READ, RESOURCE, Answer, CreatedAnswer, Resource, permanent_redirect
-from rosld.server.rest.resource_headers import resource_headers
+from rosld.server.rest.responses import UNKNOWN, file_response, file_stream, resource_headers, unless_gone
 from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import State
 from rosld.server.runtime.version_cache import VersionCache

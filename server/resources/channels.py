@@ -30,9 +30,8 @@ from rosld.server.auth.authenticator import AuthContext
 from rosld.server.auth.redaction import redact_problem
 from rosld.server.events.broadcaster import Broadcasters
 from rosld.server.events.channel_request import JSON_LD, MAX_BYTES, MEDIA_TYPES, check_profile, read_subscription
-from rosld.server.events.channel_stream import LINES, ChannelStream, headers_of
+from rosld.server.events.delivery import LINES, ChannelStream, WebSocketReceiver, channel_headers
 from rosld.server.events.notification_channels import Channel, Channels
-from rosld.server.events.websocket import WebSocketReceiver
 from rosld.server.http.body import read_body
 from rosld.server.http.conditional import ETag, digest
 from rosld.server.http.fields import Link
@@ -45,7 +44,6 @@ from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, OFFERS
 from rosld.server.rest.path_item import PathItem, WriteMethod
-from rosld.server.rest.raw_response import RawResponse, bytes_response
 from rosld.server.rest.resource import (
     BASIC_CONTAINER,
     RDF_SOURCE,
@@ -56,7 +54,7 @@ from rosld.server.rest.resource import (
     Resource,
     permanent_redirect,
 )
-from rosld.server.rest.resource_headers import resource_headers
+from rosld.server.rest.responses import RawResponse, bytes_response, resource_headers
 from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import State
 
@@ -389,7 +387,7 @@ class ChannelSourceResource(DescribedResource):
             raise Problem(426, f"Open a WebSocket at {self._channel.terms.receive_from}", headers=upgrade)
         headers = self._headers()
         if exchange.method == "HEAD":
-            return RawResponse(200, b"", [*headers_of(self._channel), *headers])
+            return RawResponse(200, b"", [*channel_headers(self._channel), *headers])
         self.notifications.broadcasters.require_capacity(exchange.request.client)
         return ChannelStream(self.notifications.channels, self.notifications.broadcasters, self._channel, headers)
 

@@ -42,13 +42,12 @@ from rosld.server.resources.ldp.versions import former_of
 from rosld.server.resources.namespaces import listed_graph
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import FORMATS, HTML, JSON, OFFERS
-from rosld.server.rest.paging import PagePosition
+from rosld.server.rest.interaction import choose_name
+from rosld.server.rest.paging import ALL_PARTS, ContainerParts, PagePosition
 from rosld.server.rest.path_item import FORMAT, PAGE, PathItem
-from rosld.server.rest.prefer_container import ALL_PARTS, ContainerParts
-from rosld.server.rest.raw_response import no_content
 from rosld.server.rest.resource import RDF_SOURCE as RDF_SOURCE_LINK
 from rosld.server.rest.resource import RESOURCE, Answer, CreatedAnswer, Resource
-from rosld.server.rest.slug import choose_name
+from rosld.server.rest.responses import no_content
 from rosld.server.rest.state import State
 from rosld.server.runtime.tasks import combine_watches
 from rosld.server.storage.record import Conflict, Model, Record, Write

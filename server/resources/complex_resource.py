@@ -44,10 +44,18 @@ from rosld.server.resources.things import FORMAT as TD
 from rosld.server.resources.things import ThingDescriptions, wants_thing
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import FORMATS, MERGE_PATCH, OFFERS, SPARQL_UPDATE
-from rosld.server.rest.parts import PART_QUERY
-from rosld.server.rest.path_item import FORMAT, PathItem, WriteMethod
-from rosld.server.rest.plan import Plan, RobotWrite
-from rosld.server.rest.resource import ABSENT, BASIC_CONTAINER, RDF_SOURCE, READ, RESOURCE, Answer, permanent_redirect
+from rosld.server.rest.path_item import FORMAT, PART_QUERY, PathItem, WriteMethod
+from rosld.server.rest.resource import (
+    ABSENT,
+    BASIC_CONTAINER,
+    RDF_SOURCE,
+    READ,
+    RESOURCE,
+    Answer,
+    Plan,
+    RobotWrite,
+    permanent_redirect,
+)
 from rosld.server.rest.state import State
 from rosld.server.robot.session import Session
 

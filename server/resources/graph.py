@@ -31,9 +31,8 @@ from rosld.server.resources.namespaces import listed_graph
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import FORMATS, OFFERS
 from rosld.server.rest.path_item import PathItem, QueryParameter
-from rosld.server.rest.raw_response import bytes_response
 from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource
-from rosld.server.rest.resource_headers import resource_headers
+from rosld.server.rest.responses import bytes_response, resource_headers
 from rosld.server.rest.state import State
 from rosld.server.robot.diagnostic_states import STALE_SECONDS
 from rosld.server.robot.session import Session

@@ -13,9 +13,8 @@ from rosld.server.hypermedia.json_schema import OBJECT
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import PathItem
-from rosld.server.rest.raw_response import bytes_response
 from rosld.server.rest.resource import LDP, RESOURCE, Resource
-from rosld.server.rest.resource_headers import resource_headers
+from rosld.server.rest.responses import bytes_response, resource_headers
 
 MEDIA_TYPE = "text/plain"
 

@@ -24,7 +24,7 @@ from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import OFFERS
 from rosld.server.rest.path_item import QueryParameter
 from rosld.server.rest.resource import Resource
-from rosld.server.rest.resource_headers import resource_headers
+from rosld.server.rest.responses import resource_headers
 from rosld.server.rest.state import State
 
 LINK_FORMAT = "application/link-format"

@@ -43,8 +43,7 @@ from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH, OFFERS, RDF_BODIES, SPARQL_UPDATE
 from rosld.server.rest.paging import parse_named_position, require_page
 from rosld.server.rest.path_item import PathItem, WriteMethod
-from rosld.server.rest.plan import Plan, RobotWrite
-from rosld.server.rest.resource import READ, Answer, CreatedAnswer, Resource, permanent_redirect
+from rosld.server.rest.resource import READ, Answer, CreatedAnswer, Plan, Resource, RobotWrite, permanent_redirect
 from rosld.server.rest.state import State
 from rosld.server.robot.session import Session
 from rosld.server.robot.write_policy import parameter_denied_reason

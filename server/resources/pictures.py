@@ -25,11 +25,9 @@ from rosld.server.pictures.picture_cache import PictureCache
 from rosld.server.pictures.refusal import CannotDraw, UnknownPicture
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import FORMATS, OFFERS
-from rosld.server.rest.motion import Motion
 from rosld.server.rest.path_item import QueryParameter
-from rosld.server.rest.raw_response import RawResponse, bytes_response
-from rosld.server.rest.resource import Resource
-from rosld.server.rest.resource_headers import resource_headers
+from rosld.server.rest.resource import Motion, Resource
+from rosld.server.rest.responses import RawResponse, bytes_response, resource_headers
 from rosld.server.robot.schemas import Schemas
 from rosld.server.robot.session import Session
 

@@ -31,8 +31,8 @@ from rosld.server.resources.number_finder import NumberFinder
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import OFFERS
 from rosld.server.rest.path_item import FORMAT, PathItem, QueryParameter
-from rosld.server.rest.raw_response import RawResponse
 from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource
+from rosld.server.rest.responses import RawResponse
 from rosld.server.rest.state import State
 from rosld.server.robot.session import Session
 

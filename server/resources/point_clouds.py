@@ -17,9 +17,8 @@ from rosld.server.resources.pictures import VERSION, sample_identity
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import FORMATS, OFFERS
 from rosld.server.rest.path_item import BYTES, QueryParameter
-from rosld.server.rest.raw_response import bytes_response
 from rosld.server.rest.resource import Resource
-from rosld.server.rest.resource_headers import resource_headers
+from rosld.server.rest.responses import bytes_response, resource_headers
 from rosld.server.robot.schemas import Schemas
 from rosld.server.space.ply import draw_cloud
 from rosld.server.space.point_cloud import DEFAULT_POINTS, MAX_POINTS, POINT_CLOUD

@@ -59,8 +59,7 @@ from rosld.server.resources.things import ThingDescriptions
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH, RDF_BODIES, SPARQL_UPDATE
 from rosld.server.rest.path_item import FIELD, FIELD_READS, FORMAT, PathItem, QueryParameter, WriteMethod
-from rosld.server.rest.plan import Plan, RobotWrite
-from rosld.server.rest.resource import ABSENT, READ, Answer, ShownAnswer, permanent_redirect
+from rosld.server.rest.resource import ABSENT, READ, Answer, Plan, RobotWrite, ShownAnswer, permanent_redirect
 from rosld.server.rest.state import State
 from rosld.server.robot.calls import CallOutcome
 from rosld.server.robot.session import Session

@@ -61,12 +61,10 @@ from rosld.server.resources.sparql_endpoint import (
 )
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.pages import PageRenderer
-from rosld.server.rest.paging import PagePosition
+from rosld.server.rest.paging import ALL_PARTS, ContainerParts, PagePosition
 from rosld.server.rest.path_item import FORMAT, PAGE, PathItem, QueryParameter
-from rosld.server.rest.prefer_container import ALL_PARTS, ContainerParts
-from rosld.server.rest.raw_response import RawResponse
 from rosld.server.rest.resource import READ, Resource
-from rosld.server.rest.resource_headers import resource_headers
+from rosld.server.rest.responses import RawResponse, resource_headers
 from rosld.server.rest.state import State
 from rosld.server.runtime.version_cache import IdentityKey, VersionCache
 from rosld.server.settings import Settings

@@ -14,7 +14,7 @@ from rosld.ontology.urls import Space
 from rosld.server.auth.authenticator import Authenticator
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.events.broadcaster import LOOK_AGAIN_SECONDS, Broadcaster, Waiter
-from rosld.server.events.until import Until
+from rosld.server.events.long_poll import Until
 from rosld.server.history.armed_recordings import ArmedRecording, MayRecord
 from rosld.server.history.ordered_recording import RecordingOrder, order_to_json
 from rosld.server.history.recordings import Recordings

@@ -38,9 +38,9 @@ from rosld.server.resources.namespaces import listed_graph
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import OFFERS
 from rosld.server.rest.path_item import FORMAT, PathItem, QueryParameter
-from rosld.server.rest.raw_response import RawResponse
 from rosld.server.rest.resource import RDF_SOURCE as RDF_SOURCE_LINK
 from rosld.server.rest.resource import RESOURCE, Resource
+from rosld.server.rest.responses import RawResponse
 from rosld.server.rest.state import State
 from rosld.server.robot.scene import Scene
 from rosld.server.robot.session import Session

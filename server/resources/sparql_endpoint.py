@@ -26,8 +26,8 @@ from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import HTML, RDF_BODIES
 from rosld.server.rest.pages import PageRenderer
 from rosld.server.rest.path_item import FORMAT, PathItem, QueryParameter, WriteMethod
-from rosld.server.rest.raw_response import RawResponse
 from rosld.server.rest.resource import READ, Answer, Resource
+from rosld.server.rest.responses import RawResponse
 from rosld.server.rest.state import State
 from rosld.server.runtime.version_cache import VersionCache
 from rosld.server.settings import Settings

@@ -16,7 +16,7 @@ from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import LDP, RESOURCE, Resource
-from rosld.server.rest.resource_headers import resource_headers
+from rosld.server.rest.responses import resource_headers
 
 _DAY = 86400
 _SCRIPT, _STYLE, _ICON = "text/javascript; charset=utf-8", "text/css; charset=utf-8", "image/svg+xml"

@@ -9,7 +9,7 @@ from urllib.parse import urljoin
 
 import orjson
 
-from rosld.server.rest.parts import MAX_PART, part_url
+from rosld.server.rest.path_item import MAX_PART, part_url
 
 _Affordance: TypeAlias = "Mapping[str, object]"
 _KINDS = ("properties", "actions")

@@ -25,10 +25,9 @@ from rosld.server.hypermedia.views import ActionAffordance, PropertyAffordance
 from rosld.server.resources.thing_parts import add_part_link, thing_parts
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import RDF_BODIES, VARIANTS
-from rosld.server.rest.parts import PART_QUERY, parse_part
-from rosld.server.rest.path_item import PathItem
-from rosld.server.rest.raw_response import bytes_response
+from rosld.server.rest.path_item import PART_QUERY, PathItem, parse_part
 from rosld.server.rest.resource import RESOURCE, Resource
+from rosld.server.rest.responses import bytes_response
 from rosld.server.rest.state import State
 from rosld.server.robot.session import Session
 from rosld.server.robot.software_stop import SoftwareStop

@@ -67,10 +67,8 @@ from rosld.server.resources.series import PARAMETERS, read_time, require_history
 from rosld.server.resources.topic_methods import topic_methods, topic_writes, write_refusal
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH, RDF_BODIES, SPARQL_UPDATE
-from rosld.server.rest.motion import Motion
 from rosld.server.rest.path_item import FIELD, FIELD_READS, FORMAT, PathItem
-from rosld.server.rest.plan import Plan, RobotWrite
-from rosld.server.rest.resource import READ, Answer, Resource
+from rosld.server.rest.resource import READ, Answer, Motion, Plan, Resource, RobotWrite
 from rosld.server.rest.state import MessageState, State
 from rosld.server.robot.hold_store import Holds
 from rosld.server.robot.publication import publish

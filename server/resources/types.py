@@ -31,9 +31,8 @@ from rosld.server.resources.ldp.routes import stored_route
 from rosld.server.resources.limit_checks import LimitChecks
 from rosld.server.resources.limit_places import datatypes_of_limits, load_limited_types
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.paging import PagePosition
+from rosld.server.rest.paging import ALL_PARTS, ContainerParts, PagePosition
 from rosld.server.rest.path_item import FORMAT, PAGE, PathItem, QueryParameter
-from rosld.server.rest.prefer_container import ALL_PARTS, ContainerParts
 from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource, permanent_redirect
 from rosld.server.rest.state import State
 from rosld.server.robot.audited_adapter import AuditedAdapter

@@ -6,7 +6,7 @@ A resource is made for a request and holds no state of its own: `state()` tells 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Hashable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -26,11 +26,45 @@ from rosld.server.http.fields import Link, to_uri
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.motion import Motion
 from rosld.server.rest.path_item import PathItem
-from rosld.server.rest.plan import Plan
 from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import State
+from rosld.server.storage.record import Write
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """A source of pictures: `watch` calls back whenever there may be a new one, `newest` gives it as a file.
+
+    `newest` gives None where there is none that was not given before, or none can be drawn.
+    """
+
+    media_type: str
+    watch: Callable[[Callable[[], None]], Awaitable[Watch]]
+    newest: Callable[[], Awaitable[bytes | None]]
+
+
+@dataclass(frozen=True, slots=True)
+class RobotWrite:
+    """A write to the robot: `does` describes it, `carry_out` performs it and returns whether it was received.
+
+    `carry_out` raises RosError, and Problems where the robot declines.
+    """
+
+    description: str
+    carry_out: Callable[[], Awaitable[bool]]
+
+
+@dataclass(frozen=True, slots=True)
+class StorageWrite:
+    """Writes to the storage, done together in one transaction."""
+
+    description: str
+    writes: tuple[Write, ...]
+
+
+Plan: TypeAlias = "RobotWrite | StorageWrite"
+
 
 READ = frozenset({"GET", "HEAD", "OPTIONS"})
 ABSENT = frozenset({"OPTIONS"})

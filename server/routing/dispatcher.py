@@ -18,24 +18,26 @@ from rosld.server.http.conditional import ETag, check_preconditions
 from rosld.server.http.problem import Problem
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import HTML, JSON, OFFERS
-from rosld.server.rest.keyed_lock import KeyedLock
 from rosld.server.rest.large import LargeDocuments
-from rosld.server.rest.motion import Motion
 from rosld.server.rest.pages import PageRenderer
 from rosld.server.rest.path_item import DRY_RUN
-from rosld.server.rest.raw_response import RawResponse
-from rosld.server.rest.resource import Answer, CreatedAnswer, Resource, ShownAnswer
-from rosld.server.rest.resource_headers import rendered, resource_headers
+from rosld.server.rest.resource import Answer, CreatedAnswer, Motion, Resource, ShownAnswer
+from rosld.server.rest.responses import RawResponse, rendered, resource_headers
 from rosld.server.rest.state import State
 from rosld.server.robot.session import Session
-from rosld.server.routing.dry_runs import answer_dry_run
-from rosld.server.routing.form_answers import FormAnswers, is_form
-from rosld.server.routing.known_parameters import KnownParameters
 from rosld.server.routing.observation import Observation
-from rosld.server.routing.refusals import problem_of_error, with_constraint_link, with_type_links
 from rosld.server.routing.representations import CONTENT_FIELDS, Representations, is_not_modified, negotiate
-from rosld.server.routing.verbs import VERBS, check_media_type, refuse_partial_put
-from rosld.server.routing.write_answers import WriteAnswers
+from rosld.server.routing.verbs import (
+    VERBS,
+    KnownParameters,
+    check_media_type,
+    problem_of_error,
+    refuse_partial_put,
+    with_constraint_link,
+    with_type_links,
+)
+from rosld.server.routing.write_answers import FormAnswers, WriteAnswers, answer_dry_run, is_form
+from rosld.server.runtime.tasks import KeyedLock
 
 
 class Dispatcher:

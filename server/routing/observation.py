@@ -13,17 +13,14 @@ from rosld.server.auth.redaction import redact_problem
 from rosld.server.events import query_params
 from rosld.server.events.broadcaster import Broadcasters
 from rosld.server.events.event_stream import HEADERS, EventStream, StreamEnd, StreamFormat
-from rosld.server.events.long_poll import wait_for_state
+from rosld.server.events.long_poll import Until, wait_for_state
 from rosld.server.events.motion_stream import MotionStream
-from rosld.server.events.until import Until
 from rosld.server.http.problem import Problem
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import HTML, VARIANTS
-from rosld.server.rest.motion import Motion
 from rosld.server.rest.pages import PageRenderer
-from rosld.server.rest.raw_response import RawResponse
-from rosld.server.rest.resource import Resource
-from rosld.server.rest.resource_headers import resource_headers
+from rosld.server.rest.resource import Motion, Resource
+from rosld.server.rest.responses import RawResponse, resource_headers
 from rosld.server.rest.state import State
 from rosld.server.routing.representations import Representations, encode_headers, event_media_type, redacted_state
 

@@ -16,13 +16,11 @@ from rosld.server.http.fields import to_uri
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.file_response import file_stream
 from rosld.server.rest.formats import FORMATS, HTML, JSON, OFFERS, VARIANTS
 from rosld.server.rest.large import LargeDocuments
 from rosld.server.rest.pages import PageRenderer
-from rosld.server.rest.raw_response import RawResponse
 from rosld.server.rest.resource import Resource
-from rosld.server.rest.resource_headers import resource_headers
+from rosld.server.rest.responses import RawResponse, file_stream, resource_headers
 from rosld.server.rest.state import Rendering, State
 
 _JSON_IS_JSONLD = {JSON: Syntax.JSON_LD.media_type}

@@ -2,18 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Awaitable, Callable, Iterator
 from dataclasses import replace
 
+import orjson
 from starlette.responses import Response
 
-from rosld.adapters.model import RosError
+from rosld.adapters.model import Graph, RosError
+from rosld.ontology.urls import Space
+from rosld.ontology.violations import LoweringError
+from rosld.server.auth import enforcement
+from rosld.server.auth.permissions import Permissions
+from rosld.server.auth.redaction import redact_problem
+from rosld.server.http.body import FORM
 from rosld.server.http.fields import render_links, to_uri
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.raw_response import RawResponse
-from rosld.server.rest.resource import CreatedAnswer, Resource, ShownAnswer
+from rosld.server.rest.pages import InvalidForm, PageRenderer
+from rosld.server.rest.resource import Answer, CreatedAnswer, Resource, ShownAnswer
+from rosld.server.rest.responses import RawResponse
 from rosld.server.rest.state import Rendering, State
+from rosld.server.robot.session import Session
 from rosld.server.routing.representations import Representations
+from rosld.server.routing.verbs import VERBS, KnownParameters, problem_of_error
+from rosld.server.runtime.dry_run import DryRun, DryRunEnded, PlannedStep, current_dry_run, expect_status
 from rosld.server.storage.record import StorageError
 
 
@@ -90,3 +103,140 @@ class WriteAnswers:
             )
         except (Problem, RosError, StorageError):
             return None
+
+
+_SHOWN_ON_THE_PAGE = frozenset({409, 422, 423, 429, 502, 503, 504})
+"""What may become of a form that was in order: the reader stays on its page."""
+
+
+class FormAnswers:
+    """Carries out forms of pages."""
+
+    def __init__(self, pages: PageRenderer, known_parameters: KnownParameters) -> None:
+        self._pages = pages
+        self._known_parameters = known_parameters
+
+    async def answer(self, exchange: Exchange, resource: Resource) -> Response:
+        """A form of one of our pages: the write it means, then the way back to a page (303)."""
+        place = enforcement.location_of(exchange.request.scope, self._pages.space)
+        try:
+            form = await self._pages.read_form(exchange, resource)
+            if not exchange.permissions.is_unrestricted:
+                enforcement.authorize(exchange.permissions, form.method, place, resource)
+            if query_string := exchange.request.scope["query_string"]:
+                self._known_parameters.require(form.method, query_string, resource, resource, is_form=True)
+            exchange.audit.begin()
+            try:
+                answer = await VERBS[form.method](resource, exchange)
+            except DryRunEnded:
+                expect_status(303)
+                raise
+            except (LoweringError, RosError, Problem) as error:
+                problem = redact_problem(problem_of_error(error), exchange.permissions, place)
+                if problem.status not in _SHOWN_ON_THE_PAGE:
+                    raise
+                raise InvalidForm(form, exchange.typed, problem) from error
+        except InvalidForm as refusal:
+            exchange.audit.set_refusal(refusal.problem.with_quotes, refusal.problem.about)
+            return await self._pages.form_errors(resource, refusal, exchange.permissions)
+        if isinstance(answer, Response) and answer.status_code == 202 and form.method != "DELETE":
+            return await self._pages.with_notice(
+                resource, "It was published, but no subscriber was there to get it.", exchange.permissions
+            )
+        back = _back(resource, answer, self._pages.referring_url(exchange), self._pages.space)
+        if form.method == "DELETE" and not (isinstance(answer, Response) and answer.status_code == 202):
+            back = resource.url.rstrip("/").rpartition("/")[0] + "/"
+        exchange.audit.leads_to_page = True
+        return Response(status_code=303, headers={"Location": to_uri(back)})
+
+
+def is_form(exchange: Exchange, resource: Resource) -> bool:
+    """Whether it is a form of one of our pages."""
+    return (
+        exchange.method == "POST" and resource.takes_forms and (exchange.header("content-type") or "").startswith(FORM)
+    )
+
+
+def _back(resource: Resource, answer: Answer, came_from: str | None, space: Space) -> str:
+    """Where a browser goes after a form: to what it made, or back to where it stood, which a cockpit always is."""
+    cockpits = space.container("cockpit")
+    if came_from is not None and came_from.startswith(cockpits) and not resource.url.startswith(cockpits):
+        return came_from
+    match answer:
+        case CreatedAnswer():
+            return answer.location
+        case ShownAnswer():
+            return answer.resource.url
+        case _:
+            return answer.headers.get("location") or came_from or resource.url
+
+
+async def answer_dry_run(
+    exchange: Exchange, resource: Resource, session: Session, answer: Callable[[], Awaitable[Response]]
+) -> Response:
+    """Answer a write of a resource by `answer` in a dry run: 200 with the plan as JSON, or the refusal of the write.
+
+    Raises what `answer` raises.
+    """
+    dry_run = DryRun()
+    token = current_dry_run.set(dry_run)
+    try:
+        answered = await answer()
+        if answered.status_code >= 400:  # a form, on its page again
+            return answered
+        dry_run.status = answered.status_code
+    except DryRunEnded:
+        dry_run.status = dry_run.status or _only_status(resource, exchange.method, session)
+    finally:
+        current_dry_run.reset(token)
+    plan = {
+        "dryRun": True,
+        "method": exchange.method,
+        "url": resource.url,
+        "steps": [*_steps(dry_run, resource.url, session, exchange.permissions)],
+        "limits": [*filter(exchange.permissions.may_read, dry_run.limits)],
+        "conditions": [*filter(exchange.permissions.may_read, dry_run.conditions)],
+        "status": dry_run.status,
+    }
+    body = orjson.dumps(plan, option=orjson.OPT_INDENT_2)
+    return Response(body, 200, {"Cache-Control": "no-store"}, "application/json")
+
+
+def _only_status(resource: Resource, method: str, session: Session) -> int | None:
+    """The status of success of a method, None where it has several."""
+    item = resource.path_item(MessageSchemas(lambda ref: None, session.lifting))
+    statuses = item.write(method).statuses(method)
+    return statuses[0] if len(statuses) == 1 else None
+
+
+def _steps(dry_run: DryRun, url: str, session: Session, permissions: Permissions) -> Iterator[dict[str, object]]:
+    """The steps that an agent may know of, with the URLs of the nodes that each would reach."""
+    space, graph = session.space, session.graph
+    for step in dry_run.steps:
+        about = step.touches[0] if step.touches else url
+        if about != url and not all(map(permissions.may_read, step.touches)):
+            continue
+        nodes = (space.node(name) for name in _receivers(step, space, graph))
+        yield {"does": step.description, "url": about, "receivers": [*filter(permissions.may_read, nodes)]}
+
+
+def _receivers(step: PlannedStep, space: Space, graph: Graph) -> list[str]:
+    """The nodes that a step would reach: subscribers of a topic, providers of a service or an action, owners."""
+    found: list[str] = []
+    for url in step.touches:
+        location = space.location(url)
+        if location is None:
+            continue
+        name = location.name
+        match location.kind:
+            case "topics" if name in graph.topics:
+                found += (endpoint.node for endpoint in graph.topics[name].subscribers)
+            case "services" if name in graph.services:
+                found += graph.services[name].providers
+            case "actions" if name in graph.actions:
+                found += graph.actions[name].servers
+            case "nodes":
+                found.append(name)
+            case "parameters" if name in graph.parameters:
+                found += filter(None, (graph.parameters[name].node,))
+    return [node for node in dict.fromkeys(found) if node != graph.own_node]

@@ -10,7 +10,7 @@ import httpx
 import pytest
 from openapi_spec_validator import OpenAPIV31SpecValidator
 
-from rosld.server.rest.parts import MAX_PART
+from rosld.server.rest.path_item import MAX_PART
 from tests.server.robots.asking import triples
 from tests.server.robots.made_up import MadeUp, Serving, served
 from tests.server.robots.many import furnish

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from rosld.server.auth import rate_limit
 from rosld.server.auth.agent import ANONYMOUS, Agent
-from rosld.server.auth.rate_limit import ClientLimiter, ClientLimits, TokenBucket, __file__, client_name
+from rosld.server.auth.rate_limit import ClientLimiter, ClientLimits, TokenBucket, client_name
 from rosld.server.events.event_stream import BURST
 from rosld.server.http.problem import Problem
 from rosld.server.robot.publish_rate import PublishLimiter
@@ -101,7 +101,7 @@ def test_no_number_of_clients_fills_the_memory(monkeypatch: pytest.MonkeyPatch) 
         for number in numbers:
             limiter.release(limiter.acquire(ANONYMOUS, f"10.0.{number >> 8}.{number & 255}"))
             clock.now += 0.01
-        own = tracemalloc.Filter(True, __file__)  # servers of other tests run in this process
+        own = tracemalloc.Filter(True, rate_limit.__file__)  # servers of other tests run in this process
         return sum(trace.size for trace in tracemalloc.take_snapshot().filter_traces([own]).traces)
 
     tracemalloc.start()

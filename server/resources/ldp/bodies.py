@@ -27,8 +27,8 @@ from rosld.server.resources.ldp.statements import (
     statements_of,
 )
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.file_response import exact_media_type
 from rosld.server.rest.interaction import membership_triples, requested_model
+from rosld.server.rest.responses import exact_media_type
 from rosld.server.runtime.offload import WorkerPool
 from rosld.server.storage.record import Blob, Model, Record, rdf_types
 from rosld.server.storage.record_documents import to_ntriples

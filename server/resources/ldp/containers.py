@@ -20,12 +20,18 @@ from rosld.server.resources.ldp.stored_files import StoredFile
 from rosld.server.resources.ldp.warnings import with_warnings
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import RDF_BODIES, SPARQL_UPDATE
-from rosld.server.rest.interaction import model_links
-from rosld.server.rest.paging import PagePosition, page_query, parse_position, require_page
+from rosld.server.rest.interaction import choose_name, model_links
+from rosld.server.rest.paging import (
+    ALL_PARTS,
+    ContainerParts,
+    PagePosition,
+    page_query,
+    parse_position,
+    require_page,
+    select_parts,
+)
 from rosld.server.rest.path_item import PathItem
-from rosld.server.rest.prefer_container import ALL_PARTS, ContainerParts, select_parts
 from rosld.server.rest.resource import Answer, CreatedAnswer, Resource
-from rosld.server.rest.slug import choose_name
 from rosld.server.rest.state import State
 from rosld.server.storage.record import Blob, Conflict, ConflictCause, Model
 from rosld.server.storage.record_documents import META

@@ -42,9 +42,8 @@ from rosld.server.resources.ldp.warnings import with_warnings
 from rosld.server.resources.memento import VARY, timegate_links
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import RDF_BODIES, SPARQL_UPDATE
-from rosld.server.rest.plan import StorageWrite
-from rosld.server.rest.raw_response import no_content
-from rosld.server.rest.resource import Answer, Resource
+from rosld.server.rest.resource import Answer, Resource, StorageWrite
+from rosld.server.rest.responses import no_content
 from rosld.server.rest.state import State, require_memory
 from rosld.server.runtime.offload import Work
 from rosld.server.storage.record import NO_MEMBER, Difference, Model, Put, Record, Remove, Write, container_of

@@ -13,8 +13,16 @@ from rosld.server.http.fields import render_links
 from rosld.server.resources.ldp.documents import Documents
 from rosld.server.resources.ldp.stored_document import member_derived_uris_of, stored_document
 from rosld.server.rest.interaction import model_links
-from rosld.server.rest.paging import MAX_PAGE_SIZE, LdpPage, PagePosition, last_page_size, last_position, page_of
-from rosld.server.rest.prefer_container import ALL_PARTS, ContainerParts
+from rosld.server.rest.paging import (
+    ALL_PARTS,
+    MAX_PAGE_SIZE,
+    ContainerParts,
+    LdpPage,
+    PagePosition,
+    last_page_size,
+    last_position,
+    page_of,
+)
 from rosld.server.rest.state import State
 from rosld.server.storage.record import Member, Record
 from rosld.server.storage.record_documents import unpacked_size

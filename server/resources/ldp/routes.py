@@ -31,9 +31,8 @@ from rosld.server.resources.ldp.warnings import with_warnings
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import MERGE_PATCH, OFFERS, RDF_BODIES, SPARQL_UPDATE
 from rosld.server.rest.path_item import ANY_TYPE, PathItem, WriteMethod
-from rosld.server.rest.plan import StorageWrite
-from rosld.server.rest.resource import ABSENT, READ, Answer, CreatedAnswer, Resource, permanent_redirect
-from rosld.server.rest.resource_headers import resource_headers
+from rosld.server.rest.resource import ABSENT, READ, Answer, CreatedAnswer, Resource, StorageWrite, permanent_redirect
+from rosld.server.rest.responses import resource_headers
 from rosld.server.rest.state import State
 from rosld.server.storage.record import Blob, Conflict, ConflictCause, Model
 from rosld.server.storage.record_documents import META

@@ -8,7 +8,7 @@ from pyoxigraph import Triple
 
 from rosld.ontology.document import Document
 from rosld.server.rest.interaction import member_derived_uris, membership_declaration, membership_triples
-from rosld.server.rest.prefer_container import ContainerParts
+from rosld.server.rest.paging import ContainerParts
 from rosld.server.storage.record import Member, Record
 from rosld.server.storage.record_documents import record_document, without_statements
 

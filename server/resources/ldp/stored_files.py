@@ -23,11 +23,10 @@ from rosld.server.resources.ldp.documents import Documents
 from rosld.server.resources.ldp.representation import state_of
 from rosld.server.resources.ldp.statements import SMALL_BYTES
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.file_response import file_response
 from rosld.server.rest.formats import JSON, MERGE_PATCH
 from rosld.server.rest.interaction import model_links
 from rosld.server.rest.resource import Answer
-from rosld.server.rest.resource_headers import resource_headers
+from rosld.server.rest.responses import file_response, resource_headers
 from rosld.server.rest.state import State
 from rosld.server.storage.record import Blob, Conflict, ConflictCause, Model, Put, Record, Write
 from rosld.server.storage.record_documents import META

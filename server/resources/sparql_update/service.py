@@ -40,12 +40,11 @@ from rosld.server.resources.sparql_update.update_rights import (
     without_silent_failures,
     without_silent_on,
 )
-from rosld.server.rest.keyed_lock import KeyedLock
-from rosld.server.rest.plan import Plan, RobotWrite, StorageWrite
-from rosld.server.rest.resource import READ, Resource
+from rosld.server.rest.resource import READ, Plan, Resource, RobotWrite, StorageWrite
 from rosld.server.rest.state import State
 from rosld.server.robot.session import Session
 from rosld.server.runtime.dry_run import DryRunEnded
+from rosld.server.runtime.tasks import KeyedLock
 from rosld.server.sparql.analysis import Analyser
 from rosld.server.sparql.protocol import UpdateRequest
 from rosld.server.sparql.syntax.lexer import QueryBounds

@@ -12,7 +12,8 @@ import pytest
 from rosld.adapters.base import Watch
 from rosld.adapters.model import TypeRef, Unreachable
 from rosld.ontology.document import Document
-from rosld.server.events import broadcaster, event_stream, frame
+from rosld.server.events import broadcaster, event_stream
+from rosld.server.events.event_stream import KEEP_ALIVE_COMMENT
 from rosld.server.http.problem import Problem
 from rosld.server.rest.resource import Resource
 from rosld.server.rest.state import State
@@ -155,7 +156,7 @@ def test_a_stream_in_which_nothing_happens_is_kept_alive(
     async def main() -> None:
         async with opened() as app:
             quiet = reader(app, "/ontology")
-            await quiet.until(lambda one: one.chunks.count(frame.KEEP_ALIVE) >= 3)
+            await quiet.until(lambda one: one.chunks.count(KEEP_ALIVE_COMMENT) >= 3)
             assert len(quiet.events) == 1
             await quiet.leave()
 

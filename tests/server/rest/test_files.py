@@ -15,8 +15,8 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
-from rosld.server.rest import file_response as file_response_module
-from rosld.server.rest.file_response import CHUNK, UNKNOWN, exact_media_type, file_response
+from rosld.server.rest import responses
+from rosld.server.rest.responses import CHUNK, UNKNOWN, exact_media_type, file_response
 from rosld.server.serving import http_server
 
 _V = TypeVar("_V")
@@ -190,7 +190,7 @@ def test_a_reader_who_leaves_closes_the_file(huge: Path) -> None:
 
 
 def test_a_reader_who_takes_nothing_more_is_taken_for_gone(huge: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(file_response_module, "READ_TIMEOUT", 0.2)
+    monkeypatch.setattr(responses, "READ_TIMEOUT", 0.2)
 
     async def stop_reading(port: int) -> None:
         reader, writer = await asyncio.open_connection("127.0.0.1", port)

@@ -9,10 +9,7 @@ from rosld.ontology.body import parse_body
 from rosld.ontology.vocab import ldp, rdf
 from rosld.server.http.fields import Link
 from rosld.server.http.problem import Problem
-from rosld.server.rest.interaction import (
-    parse_membership,
-    requested_model,
-)
+from rosld.server.rest.interaction import parse_membership, requested_model
 from rosld.server.storage.record import Membership, Model
 
 ROOT = "http://host/data/"

@@ -10,7 +10,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from rosld.ontology.urls import decode_segment, encode_segment
-from rosld.server.rest.slug import MAX_LENGTH, choose_name
+from rosld.server.rest.interaction import MAX_LENGTH, choose_name
 
 
 def free(_: str) -> bool:

@@ -1,15 +1,10 @@
-"""Files: the bytes of a non-RDF source, streamed from disk, whole or in ranges (LDP 4.4, RFC 9110 8.3, 14).
-
-A stored file may be a page or a drawing with scripts in it. Every file is sent with a Content-Security-Policy whose
-`sandbox` gives the document an origin of its own that nobody shares, with no scripts, forms or plugins; so it can be
-looked at where it lies and still do nothing in the name of this server. `nosniff` keeps browsers from taking one media
-type for another.
-"""
+"""Responses: bytes, files with ranges, and the header fields of a resource."""
 
 from __future__ import annotations
 
 import asyncio
 from collections.abc import Coroutine, Iterable, Iterator, Mapping, Sequence
+from functools import lru_cache
 from io import FileIO
 from pathlib import Path
 from typing import TypeAlias, TypeVar
@@ -18,12 +13,74 @@ from urllib.parse import quote
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
-from rosld.server.http.conditional import Span, frame_parts, select_ranges
-from rosld.server.http.fields import quote_string, require_field_value
+from rosld.server.http.conditional import ETag, Span, check_preconditions, frame_parts, select_ranges
+from rosld.server.http.fields import Link, quote_string, render_links, require_field_value
 from rosld.server.http.negotiation import parse_media_type
 from rosld.server.http.problem import Problem
-from rosld.server.rest.raw_response import RawResponse
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.resource import CONFORMS_TO, LDP, Resource
 from rosld.server.runtime.tasks import end_tasks
+
+
+class RawResponse(Response):
+    """A response whose header list is ready."""
+
+    def __init__(self, status: int, body: bytes, headers: list[tuple[bytes, bytes]]) -> None:
+        self.status_code = status
+        self.body = body
+        self.background = None
+        self.raw_headers = headers
+
+
+def no_content() -> RawResponse:
+    """204: it was done, and there is nothing more to say (RFC 9110 15.3.5)."""
+    return RawResponse(204, b"", [])
+
+
+def bytes_response(
+    exchange: Exchange, data: bytes, media_type: str, etag: ETag, more: Iterable[tuple[str, str]] = ()
+) -> RawResponse:
+    """The answer to a GET with bytes that are at hand; 304 where they are known, 412 as RFC 9110 13.1 has it.
+
+    `more` are headers beside those of the bytes themselves.
+    """
+    fixed_headers = {"etag": str(etag), "vary": "Accept", "cache-control": "no-cache", **dict(more)}
+    headers = [(name.encode("latin-1"), value.encode("latin-1")) for name, value in fixed_headers.items()]
+    if check_preconditions(
+        "GET", etag, if_match=exchange.header("if-match"), if_none_match=exchange.header("if-none-match")
+    ):
+        return RawResponse(304, b"", headers)
+    content = [(b"content-type", media_type.encode("latin-1")), (b"content-length", b"%d" % len(data))]
+    return RawResponse(200, data, [*content, *headers])
+
+
+ACCEPT_FIELDS = {"PUT": "Accept-Put", "POST": "Accept-Post", "PATCH": "Accept-Patch"}
+
+
+def resource_headers(
+    resource: Resource, methods: frozenset[str] | None = None, shapes: Sequence[str] = ()
+) -> dict[str, str]:
+    """The headers every answer about a resource has: Allow, Link, and Accept-* for the writes that it takes now.
+
+    `methods` are those it answers, where more is known of them than the resource says without being read; `shapes` are
+    what its state conforms to beside the shape of its class.
+    """
+    methods = (resource.methods() if methods is None else methods) - resource.withheld
+    links = (*resource.links, *(Link(url, CONFORMS_TO) for url in (*resource.conforms_to, *shapes)))
+    if resource.constrained_by is not None:
+        links = (*links, Link(resource.constrained_by, f"{LDP}constrainedBy"))
+    headers = {"allow": ", ".join(sorted(methods))}
+    if links:
+        headers["link"] = rendered(links)
+    for method, accepted in resource.accepts.items():
+        if method in methods:
+            headers[ACCEPT_FIELDS[method].lower()] = ", ".join(accepted)
+    return headers
+
+
+rendered = lru_cache(maxsize=4096)(render_links)
+"""The Link field of links that are the same from one request to the next."""
+
 
 CHUNK = 128 * 1024
 """Bytes read at a time; answers of no more are read at once."""

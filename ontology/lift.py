@@ -1,6 +1,6 @@
 """Lifting: ROS messages to RDF, compiled once a schema into generated Python functions.
 
-`compile.py` writes the functions, `syntax_codegen.py` says how each syntax looks, `literals.py` and `arrays.py` write
+`compile.py` writes the functions, `syntax_codegen.py` says how each syntax looks, `literals.py` writes
 values.
 """
 

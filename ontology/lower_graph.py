@@ -1,7 +1,7 @@
 """Lowering from RDF: tables of readers, made once a schema, that walk from the message's node.
 
 A message is read by what is said about its node: each predicate names a field or is one that the server manages and
-readers ignore; anything else is a violation. Readers behave as those of `lower_json.py`.
+readers ignore; anything else is a violation. Readers behave as those of `lower.py`.
 """
 
 from __future__ import annotations

@@ -33,20 +33,17 @@ from rosld.server.middleware.dispatch import Dispatch, ErrorResponses, ServerOpt
 from rosld.server.middleware.lifespan import Job, Lifespan
 from rosld.server.middleware.limits import Admission, RateLimits, Scheduling
 from rosld.server.receipts.journal import Journal
-from rosld.server.resources.about import AboutResources
+from rosld.server.resources.about import AboutResources, types_at
 from rosld.server.resources.acl import AclResource
 from rosld.server.resources.channels import Notifications, fixed_resources
 from rosld.server.resources.channels import routes as notification_routes
+from rosld.server.resources.finder import near_urls
 from rosld.server.resources.frames import FramesResource
-from rosld.server.resources.goal_targets import GoalTargets
 from rosld.server.resources.mapping_warnings import log_mapping_warnings
-from rosld.server.resources.mirror import ReplicationResource
-from rosld.server.resources.mirror_setup import create_mirror
-from rosld.server.resources.near import near_urls
+from rosld.server.resources.mirror import ReplicationResource, create_mirror
 from rosld.server.resources.plot import PlotResource
 from rosld.server.resources.recording_trigger import RecordingTriggers
-from rosld.server.resources.resource_types import types_at
-from rosld.server.resources.space import SpaceResource
+from rosld.server.resources.space import GoalTargets, SpaceResource
 from rosld.server.resources.status import StatusResource
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.large import LargeDocuments

@@ -14,9 +14,8 @@ from rosld.adapters.base import Watch
 from rosld.adapters.model import RosError
 from rosld.server.events.broadcaster import Broadcasters, Waiter
 from rosld.server.events.event_stream import HEADERS, EndlessResponse, EventWriter, Tell, event_frame
-from rosld.server.robot.drawings import Drawings, DrawnSample
-from rosld.server.robot.live_frames import LiveFrames
 from rosld.server.robot.live_topics import LiveTopics
+from rosld.server.robot.scene import Drawings, DrawnSample, LiveFrames
 from rosld.server.space.drawing import pose_json
 from rosld.server.space.frame_buffer import FrameBuffer, NoTransform
 from rosld.server.space.transform import Transform

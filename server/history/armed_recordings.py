@@ -11,14 +11,15 @@ from dataclasses import replace
 from typing import TypeAlias
 
 from rosld.server.auth.agent import Agent
-from rosld.server.history.ordered_recording import (
+from rosld.server.history.recording_orders import (
+    ARMED,
+    RecordingNotes,
     RecordingOrder,
     RecordingRefused,
     Trigger,
     order_from_json,
     order_to_json,
 )
-from rosld.server.history.recording_notes import ARMED, RecordingNotes
 from rosld.server.receipts.audit_context import record_step
 from rosld.server.runtime.dry_run import end_dry_run
 from rosld.server.runtime.tasks import end_tasks

@@ -1,28 +1,93 @@
-"""The history of a robot: the recording named `history` that is always being written, within bounds."""
+"""SHA-256 digests of recordings, which do not change: each is computed once, in a thread of its own."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import hashlib
 import logging
 import sqlite3
+import threading
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TypeAlias
 
-from rosld.adapters.base import Adapter, MessageFilter, MessagePage, RecordedMessage, RecordedTopic
+from rosld.adapters.base import Adapter, MessageFilter, MessagePage, RecordedMessage, RecordedTopic, Watch
 from rosld.adapters.model import Encoding, NotFound, Schema, TypeRef, UnknownType, Unreachable
 from rosld.adapters.model.library import TypeLibrary
 from rosld.server.history.bag_export import BagExports
-from rosld.server.history.file_digests import FileDigests
 from rosld.server.history.history_writer import HistoryWriter
 from rosld.server.history.live_recorder import LiveRecorder
 from rosld.server.history.message_block import MessageBlock
 from rosld.server.history.recorder import Sink
 from rosld.server.history.segments import HistoryLimits, Segments
 from rosld.server.history.selection import select_messages
+from rosld.server.runtime.tasks import Signal
 from rosld.server.settings import Settings
+
+_CHUNK = 1024 * 1024
+_DATA = frozenset({".bag", ".db3", ".mcap"})
+_log = logging.getLogger("rosld")
+
+
+class FileDigests:
+    """The digests of recordings, to be used on the server's loop."""
+
+    def __init__(self) -> None:
+        self.revision = 0
+        """Another one whenever another digest is known."""
+        self._known: dict[Path, str | None] = {}
+        self._changes = Signal()
+
+    def known(self, path: Path) -> str | None:
+        """Return the digest of a recording's file in hexadecimal, if it is known."""
+        return self._known.get(path)
+
+    def get(self, path: Path) -> str | None:
+        """Return the same; who asks first has it computed. It stays None where there are several files."""
+        if path not in self._known:
+            self._known[path] = None
+            loop = asyncio.get_running_loop()
+            # A daemon: a server that ends waits for no file, however large.
+            threading.Thread(target=self._compute, args=(path, loop), name="digest", daemon=True).start()
+        return self._known[path]
+
+    def forget(self, path: Path) -> None:
+        """Forget the digest of a file that is gone: another one may have its name."""
+        self._known.pop(path, None)
+
+    def watch(self, path: Path, wake: Callable[[], None]) -> Watch:
+        """Call `wake` once the digest of a recording is known."""
+        return self._changes.watch(wake, lambda about: about == str(path))
+
+    def _compute(self, path: Path, loop: asyncio.AbstractEventLoop) -> None:
+        try:
+            found = _digest(path)
+        except OSError as error:
+            _log.warning("The checksum of %s cannot be computed: %s", path, error)
+            return
+        if found is not None:
+            with contextlib.suppress(RuntimeError):  # the loop has been closed
+                loop.call_soon_threadsafe(self._found, path, found)
+
+    def _found(self, path: Path, digest: str) -> None:
+        self._known[path] = digest
+        self.revision += 1
+        self._changes.emit(str(path))
+
+
+def _digest(path: Path) -> str | None:
+    """Return the digest of the one file that has the messages; None where there are several. Raises OSError."""
+    files = [path] if path.is_file() else [each for each in path.iterdir() if each.suffix in _DATA]
+    if len(files) != 1:
+        return None
+    digest = hashlib.sha256()
+    with files[0].open("rb") as file:
+        while chunk := file.read(_CHUNK):
+            digest.update(chunk)
+    return digest.hexdigest()
+
 
 log = logging.getLogger("rosld.history")
 NAME = "history"
@@ -36,7 +101,7 @@ _Libraries: TypeAlias = "dict[Encoding, TypeLibrary]"
 
 
 def history_limits(settings: Settings) -> HistoryLimits:
-    """The bounds of the history: `history_size` is 0 where it is not given."""
+    """Return the bounds of the history: `history_size` is 0 where it is not given."""
     if settings.data is not None:
         return HistoryLimits(settings.history_time, settings.history_size or _DISK_SIZE)
     size = settings.history_size or _MEMORY_SIZE
@@ -64,12 +129,12 @@ class HistoryRecording:
 
     @property
     def first(self) -> int:
-        """The number of the oldest message that is kept."""
+        """The number of the oldest message."""
         return self._writer.first
 
     @property
     def count(self) -> int:
-        """How many numbers there are from the first on."""
+        """The count of numbers from the first on."""
         return self._writer.next - self._writer.first
 
     @property
@@ -98,7 +163,7 @@ class HistoryRecording:
         return self._silent(self.topics)
 
     def message(self, index: int) -> RecordedMessage:
-        """A message by its number. Raises NotFound, and Unreachable where the disk does not give it."""
+        """Return a message by its number. Raises NotFound, and Unreachable where the disk does not give it."""
         try:
             found = self._writer.message(index)
         except (OSError, ValueError) as error:
@@ -111,11 +176,11 @@ class HistoryRecording:
         return RecordedMessage(index, channel.topic, sample)
 
     def topic_of(self, index: int) -> str | None:
-        """The topic of the message of a number, None where there is none."""
+        """Return the topic of the message of a number, None where there is none."""
         return self._writer.topic_of(index)
 
     def messages(self) -> Iterator[RecordedMessage]:
-        """All messages, in the order of their numbers; those that cannot be read are left out."""
+        """Yield all messages, in the order of their numbers; those that cannot be read are left out."""
         for index in range(self._writer.first, self._writer.next):
             try:
                 yield self.message(index)
@@ -129,15 +194,15 @@ class HistoryRecording:
 
     @property
     def identity(self) -> str:
-        """That of its index: one that was made anew has others."""
+        """The identity of the index: a new index has another."""
         return f"{self._writer.segments.index.identity:08x}"
 
     def times_between(self, start: int, end: int) -> tuple[int, int] | None:
-        """Times that all messages numbered from `start` and below `end` lie between, which are written all."""
+        """Return the range of times of the messages numbered `start` to `end` - 1, all of which are written."""
         return self._writer.segments.index.times_between(start, end)
 
     def latest_at(self, topic: str, time_ns: int) -> RecordedMessage | None:
-        """The message of a topic that was the newest at a time. Raises Unreachable."""
+        """Return the message of a topic that was the newest at a time. Raises Unreachable."""
         try:
             sample = self._writer.latest_at(topic, time_ns)
         except (OSError, ValueError, KeyError) as error:
@@ -145,11 +210,11 @@ class HistoryRecording:
         return None if sample is None else RecordedMessage(sample.sequence - 1, topic, sample)
 
     def select(self, wanted: MessageFilter, limit: int) -> MessagePage:
-        """At most `limit` messages: the index tells which chunks have them, and these are read."""
+        """Return at most `limit` messages; reads only the chunks that the index selects."""
         return select_messages(self._writer, wanted, limit)
 
     def blocks_between(self, topic: str, from_ns: int, until_ns: int) -> Iterator[MessageBlock]:
-        """The messages of a topic from one time until another, in any order; those that cannot be read are left out."""
+        """Yield the messages of a topic between two times, in any order and without unreadable ones."""
         segments = self._writer.segments
         at_hand = {each.sequence - 1: each for each in self._writer.unwritten(topic)}
         for row in segments.index.of_topic(topic, from_ns, until_ns):
@@ -172,18 +237,18 @@ class HistoryRecording:
     def spans_at_end(
         self, topic: str, from_ns: int, until_ns: int, limit: int, *, is_newest: bool
     ) -> list[tuple[int, int, int]]:
-        """Times that messages of a topic lie between, each with how many: `limit` of them at the newest or oldest."""
+        """Return ranges of times with their numbers of messages: the newest or oldest `limit` of a topic."""
         found = self._writer.segments.index.spans_at_end(topic, from_ns, until_ns, limit, is_newest=is_newest)
         times = [each.received_ns for each in self._writer.unwritten(topic)]
         times = [each for each in times if from_ns <= each <= until_ns]
         return [*found, (min(times), max(times), len(times))] if times else found
 
     def types_of(self, topic: str) -> frozenset[TypeRef]:
-        """The types of the messages of a topic, of all times."""
+        """Return the types of the messages of a topic, of all times."""
         return self._writer.segments.index.types_of(topic) | {each.schema for each in self._writer.unwritten(topic)}
 
     def schema(self, ref: TypeRef) -> Schema:
-        """The schema of a type as it was recorded. Raises UnknownType."""
+        """Return the schema of a type as it was recorded. Raises UnknownType."""
         text = self._writer.segments.index.definition(ref)
         is_ros1 = ref.hash is not None and not ref.hash.startswith("RIHS")
         library = self._library(Encoding.ROS1 if is_ros1 else Encoding.CDR)
@@ -211,7 +276,7 @@ class History:
     def __init__(
         self, adapter: Adapter, live: LiveRecorder, settings: Settings, definition_of: Callable[[TypeRef], str]
     ) -> None:
-        """Raises ValueError where there is nothing live to be recorded."""
+        """Raise ValueError where there is nothing live to be recorded."""
         if settings.history and adapter.capabilities.system == "recording":
             raise ValueError(f"--history {settings.history[0]}: a recording is served, whose messages are kept already")
         folder = None if settings.data is None else settings.data / FOLDER
@@ -242,13 +307,13 @@ class History:
         return any(fnmatchcase(topic, glob) for glob in self._globs)
 
     def dropped(self) -> Mapping[str, int]:
-        """Messages that came and were not recorded, by topic."""
+        """The numbers of messages that were not recorded, by topic."""
         found = self._live.dropped()
         found.update(dict(self.writer.dropped))
         return found
 
     async def start(self) -> None:
-        """Open what is kept, off the loop, and begin to record; where that fails, nothing else does."""
+        """Open the history off the loop, and start recording; on failure the server runs without it."""
         if not self.is_kept:
             return
         try:

@@ -15,11 +15,10 @@ from pathlib import Path
 from rosld.adapters.model import Sample, TypeRef
 from rosld.server.history.channel import Channel, channel_of
 from rosld.server.history.chunk_index import ChunkRow, pack_numbers
-from rosld.server.history.chunk_reader import ChunkMessage
-from rosld.server.history.latched_messages import LatchedMessages
-from rosld.server.history.mcap_writer import McapWriter
+from rosld.server.history.mcap_writer import McapWriter, TopicChunk
+from rosld.server.history.recorder import LatchedMessages
+from rosld.server.history.segment_file import ChunkMessage
 from rosld.server.history.segments import Segments, sample_of
-from rosld.server.history.topic_chunk import TopicChunk
 
 log = logging.getLogger("rosld.history")
 _RETRY = 5.0

@@ -1,4 +1,4 @@
-"""Writes an MCAP file of topic-pure chunks; at any moment what was written of it can be recovered."""
+"""A chunk of one topic's messages being filled."""
 
 from __future__ import annotations
 
@@ -16,8 +16,75 @@ from rosld.adapters.model import Encoding, TypeRef
 from rosld.adapters.model.mcap import MAGIC, SILENT_TOPICS
 from rosld.server.history import mcap_records as mcap
 from rosld.server.history.channel import PROFILES, Channel, channel_record, schema_record
-from rosld.server.history.segment_file import SegmentFile
-from rosld.server.history.topic_chunk import TopicChunk
+from rosld.server.history.mcap_records import MESSAGE, MESSAGE_FIXED, MESSAGE_HEAD
+from rosld.server.history.segment_file import ChunkMessage, SegmentFile
+
+MAX_MESSAGES = 500
+MAX_BYTES = 4 * 1024 * 1024
+MAX_SECONDS = 1.0
+"""How long a chunk is filled: with what a poll and a write take on a busy machine, less than two seconds are lost."""
+
+
+class TopicChunk:
+    """Messages of one topic as records of MCAP, with the times and offsets of each channel. One thread fills it.
+
+    `sequence` of a record is the lower 32 bits of the message's number.
+    """
+
+    __slots__ = ("channels", "count", "end_ns", "entries", "numbers", "opened", "parts", "size", "start_ns", "topic")
+
+    def __init__(self, topic: str, opened: float) -> None:
+        """`opened` is when its first message came, in seconds of the monotonic clock."""
+        self.topic = topic
+        self.opened = opened
+        self.parts: list[bytes] = []
+        self.entries: dict[int, array[int]] = {}
+        self.numbers: array[int] = array("Q")
+        self.channels: array[int] = array("H")
+        self.size = 0
+        self.count = 0
+        self.start_ns = 1 << 63
+        self.end_ns = 0
+
+    def add(self, channel: int, number: int, time_ns: int, data: bytes, published_ns: int | None = None) -> None:
+        """Append a message, with the time when it was published where that is another one."""
+        length, published = len(data), time_ns if published_ns is None else published_ns
+        head = MESSAGE_HEAD.pack(MESSAGE, MESSAGE_FIXED + length, channel, number & 0xFFFFFFFF, time_ns, published)
+        self.parts.append(head)
+        self.parts.append(data)
+        entries = self.entries.get(channel)
+        if entries is None:
+            entries = self.entries[channel] = array("Q")
+        entries.append(time_ns)
+        entries.append(self.size)
+        self.numbers.append(number)
+        self.channels.append(channel)
+        self.size += MESSAGE_HEAD.size + length
+        self.count += 1
+        if time_ns < self.start_ns:
+            self.start_ns = time_ns
+        if time_ns > self.end_ns:
+            self.end_ns = time_ns
+
+    def is_due(self, now: float) -> bool:
+        """Whether it is to be written."""
+        return self.count >= MAX_MESSAGES or self.size >= MAX_BYTES or now - self.opened >= MAX_SECONDS
+
+    def messages(self) -> list[ChunkMessage]:
+        """Return all of it; `sequence` is the whole number."""
+        heads = map(MESSAGE_HEAD.unpack, self.parts[::2])
+        found = zip(heads, self.numbers, self.parts[1::2], strict=False)
+        return [ChunkMessage(head[2], number, head[4], data) for head, number, data in found]
+
+    def message(self, number: int) -> tuple[int, int, bytes] | None:
+        """Return the channel, time and data of the message of this number, or None (thread-safe)."""
+        for at, each in enumerate(self.numbers):
+            if each == number:
+                head = self.parts[2 * at]
+                _, _, channel, _, time_ns, _ = MESSAGE_HEAD.unpack(head)
+                return channel, time_ns, self.parts[2 * at + 1]
+        return None
+
 
 NUMBERS = "rosld.numbers"
 """The name of the metadata that tells the number of the first message of a file."""
@@ -25,7 +92,7 @@ _MAX_CHANNELS = 65_535
 
 
 class Place(NamedTuple):
-    """Where a chunk lies in its file."""
+    """Place of a chunk in its file."""
 
     at: int
     length: int
@@ -62,7 +129,7 @@ class McapWriter:
         return len(self.channels) < _MAX_CHANNELS
 
     def channel(self, one: Channel) -> int:
-        """The number of a channel in this file, a new one where it is new."""
+        """Return the number of a channel in this file, a new one where it is new."""
         number = self.channels.get(one)
         if number is None:
             number = self.channels[one] = len(self.channels) + 1
@@ -111,7 +178,7 @@ class McapWriter:
         self.file.close()
 
     def _describe(self, new: Iterable[int]) -> bytes:
-        """The records of channels and of their schemas, for the chunk that has them first."""
+        """Return the records of channels and of their schemas, for the chunk that has them first."""
         named = {number: one for one, number in self.channels.items()} if new else {}
         found: list[bytes] = []
         for number in new:
@@ -128,7 +195,7 @@ class McapWriter:
 
 
 class Summary:
-    """What the summary of a file tells: where its chunks are, and how many messages each channel has."""
+    """Summary of a file: the places of its chunks, and the number of messages of each channel."""
 
     def __init__(self) -> None:
         self.chunks: list[mcap.ChunkIndex] = []
@@ -142,7 +209,7 @@ class Summary:
         self.counts.update(counts)
 
     def end_of_file(self, at: int, described: Iterable[bytes]) -> bytes:
-        """The end of a file that is `at` bytes long until then; `described` are its schemas and channels."""
+        """Return the end of a file that is `at` bytes long until then; `described` are its schemas and channels."""
         records = list(described)
         schemas = [each for each in records if each[0] == mcap.SCHEMA]
         channels = [each for each in records if each[0] == mcap.CHANNEL]
@@ -167,7 +234,7 @@ class Summary:
 
 
 def _shifted(entries: array[int], offset: int) -> bytes:
-    """The entries of a message index whose offsets are `offset` larger."""
+    """Return the entries of a message index whose offsets are `offset` larger."""
     if not offset:
         return entries.tobytes()
     pairs = np.frombuffer(entries, np.uint64).copy()

@@ -1,22 +1,194 @@
-"""A block of messages of one topic, in a chunk or in memory."""
+"""Numbers of many messages at once: columns of a chunk whose messages are all laid out as its first one is.
+
+Where a number lies depends on the lengths of the strings and arrays before it. So the first message is walked through,
+and the others must have the same lengths at the same places, and the same length as a whole; else there are no columns,
+and the messages are decoded one by one.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import struct
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from rosld.adapters.base import RecordedMessage
+from rosld.adapters.model import Array, Encoding, FieldType, MessageSchema, MessageType, Nested, Primitive
+from rosld.server.history import mcap_records as mcap
 from rosld.server.history.channel import Channel
 from rosld.server.history.chunk_index import ChunkRow
-from rosld.server.history.chunk_reader import messages_in
-from rosld.server.history.columns import ChunkRows, rows_of
+from rosld.server.history.segment_file import messages_in
 from rosld.server.history.segments import Segments, sample_of
+
+_DTYPES = {"bool": "?", "byte": "i1", "char": "u1", "float32": "f4", "float64": "f8"} | {
+    f"{sign}int{bits}": f"{sign or 'i'}{bits // 8}" for sign in ("", "u") for bits in (8, 16, 32, 64)
+}
+_MAX_ELEMENTS = 64
+"""Elements of an array of messages that are walked through."""
+_CDR_HEAD = 4
+_PADDING = 3
+"""Bytes that may follow a message in CDR."""
+
+
+class ChunkRows(NamedTuple):
+    """The messages of a chunk that have one channel and one length: a row each of `data`, the times in ns."""
+
+    channel: int
+    sequences: NDArray[np.uint64]
+    times: NDArray[np.int64]
+    data: NDArray[np.uint8]
+
+    def select(self, from_ns: int, until_ns: int) -> ChunkRows:
+        """Return the messages between two times, both included."""
+        wanted = (self.times >= from_ns) & (self.times <= until_ns)
+        if wanted.all():
+            return self
+        return ChunkRows(self.channel, self.sequences[wanted], self.times[wanted], self.data[wanted])
+
+
+def rows_of(records: bytes) -> ChunkRows | None:
+    """Return the message records of a chunk; None where they are not alike."""
+    first = next((each for each in mcap.records_in(records) if each.op == mcap.MESSAGE), None)
+    if first is None:
+        return None
+    start, length = first.at - mcap.RECORD_HEAD.size, first.end - first.at
+    kind = _record_type(length)
+    if (len(records) - start) % kind.itemsize:
+        return None
+    rows = np.frombuffer(records, kind, offset=start)
+    is_alike = (rows["op"] == mcap.MESSAGE) & (rows["length"] == length) & (rows["channel"] == rows["channel"][0])
+    if not is_alike.all():
+        return None
+    return ChunkRows(
+        int(rows["channel"][0]), rows["sequence"].astype(np.uint64), rows["time"].astype(np.int64), rows["data"]
+    )
+
+
+def _record_type(length: int) -> np.dtype[Any]:
+    """Return the type of a message record with a payload of this size."""
+    return np.dtype(
+        [
+            ("op", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("time", "<u8"),
+            ("published", "<u8"), ("data", "u1", (length - mcap.MESSAGE_FIXED,)),
+        ]
+    )  # fmt: skip
+
+
+def columns_of(
+    rows: ChunkRows, schema: MessageSchema, encoding: Encoding, paths: Sequence[tuple[str, ...]]
+) -> Sequence[NDArray[Any]] | None:
+    """Return the numbers at these paths of fields, a column each; None where the messages are not laid out alike."""
+    layout = _Layout(schema.types, encoding, rows.data[0].tobytes(), frozenset(paths))
+    try:
+        layout.message(schema.ref.name, ())
+        layout.end()
+    except (struct.error, ValueError, KeyError):
+        return None
+    for at, size in layout.guards:
+        if (rows.data[:, at : at + size] != rows.data[0, at : at + size]).any():
+            return None
+    if not layout.places.keys() >= set(paths):
+        return None
+    return [_column(rows.data, *layout.places[path]) for path in paths]
+
+
+def _column(data: NDArray[np.uint8], at: int, kind: str) -> NDArray[Any]:
+    dtype = np.dtype(kind)
+    found = np.ascontiguousarray(data[:, at : at + dtype.itemsize]).view(dtype).reshape(-1)
+    return found.astype(dtype.newbyteorder("="))
+
+
+class _Layout:
+    """Layout of one message: `guards` are the offsets of bytes that all must share, `places` those of numbers."""
+
+    def __init__(
+        self, types: Mapping[str, MessageType], encoding: Encoding, data: bytes, wanted: frozenset[tuple[str, ...]]
+    ) -> None:
+        self.guards: list[tuple[int, int]] = []
+        self.places: dict[tuple[str, ...], tuple[int, str]] = {}
+        self._types = types
+        self._is_cdr = encoding is Encoding.CDR
+        self._order = ">" if self._is_cdr and data[1:2] == b"\0" else "<"
+        self._data = data
+        self._start = _CDR_HEAD if self._is_cdr else 0
+        self._at = self._start
+        self._wanted = wanted
+        if self._is_cdr:
+            self.guards.append((0, _CDR_HEAD))
+
+    def message(self, name: str, path: tuple[str, ...]) -> None:
+        """Walk through a message of a type."""
+        fields = self._types[name].fields
+        if not fields and self._is_cdr:
+            self._at += 1
+        for field in fields:
+            self._field(field.type, (*path, field.name))
+
+    def end(self) -> None:
+        """Raise ValueError unless the message ends here."""
+        if not 0 <= len(self._data) - self._at <= (_PADDING if self._is_cdr else 0):
+            raise ValueError("the message is longer or shorter than its type says")
+
+    def _field(self, kind: FieldType, path: tuple[str, ...]) -> None:
+        if isinstance(kind, Nested):
+            self.message(kind.name, path)
+        elif isinstance(kind, Array):
+            self._array(kind, path)
+        elif kind.name in _DTYPES:
+            code = _DTYPES[kind.name]
+            self._align(np.dtype(code).itemsize)
+            if path in self._wanted:
+                self.places[path] = self._at, self._order + code
+            self._at += np.dtype(code).itemsize
+        else:
+            length = self._length()
+            self._at += length
+
+    def _array(self, kind: Array, path: tuple[str, ...]) -> None:
+        length = self._length() if kind.length is None else kind.length
+        if isinstance(kind.element, Primitive) and kind.element.name in _DTYPES:
+            size = np.dtype(_DTYPES[kind.element.name]).itemsize
+            if length:
+                self._align(size)
+            self._at += length * size
+            return
+        if length > _MAX_ELEMENTS:
+            raise ValueError("too many elements")
+        for number in range(length):
+            self._field(kind.element, (*path, str(number)))
+
+    def _length(self) -> int:
+        self._align(4)
+        (length,) = struct.unpack_from(f"{self._order}I", self._data, self._at)
+        self.guards.append((self._at, 4))
+        self._at += 4
+        return int(length)
+
+    def _align(self, size: int) -> None:
+        if self._is_cdr:
+            self._at += -(self._at - self._start) % size
+
+
+def number_paths(schema: MessageSchema) -> Iterator[tuple[str, ...]]:
+    """Yield the paths of all numbers that lie in no array."""
+
+    def within(name: str, path: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
+        for field in schema.types[name].fields:
+            if isinstance(field.type, Nested):
+                yield from within(field.type.name, (*path, field.name))
+            elif isinstance(field.type, Primitive) and field.type.name in _DTYPES and field.type.name != "bool":
+                yield (*path, field.name)
+
+    return within(schema.ref.name, ())
 
 
 class MessageBlock:
     """Messages from one time until another. `rows` are all of them at once, where they are alike; else None."""
 
     def __init__(self, segments: Segments, row: ChunkRow, from_ns: int, until_ns: int) -> None:
-        """Those of a chunk. Raises OSError, ValueError where it is damaged, and KeyError where it is gone."""
+        """Read the messages of a chunk. Raises OSError, ValueError if it is damaged, KeyError if it was removed."""
         self._at_hand: Sequence[RecordedMessage] = ()
         self._row = row
         self._from_ns, self._until_ns = from_ns, until_ns
@@ -27,7 +199,7 @@ class MessageBlock:
 
     @classmethod
     def of(cls, messages: Sequence[RecordedMessage]) -> MessageBlock:
-        """Messages that are at hand."""
+        """Return a block of messages in memory."""
         block = cls.__new__(cls)
         block.rows, block._at_hand, block._records = None, messages, b""
         return block
@@ -39,14 +211,14 @@ class MessageBlock:
         return self._channels[self.rows.channel]
 
     def numbers(self) -> Sequence[int]:
-        """The numbers of the messages, in the order of the rows where there are any."""
+        """Return the numbers of the messages, in the order of the rows where there are any."""
         if self.rows is None:
             return [each.index for each in self.messages()]
         first = self._row.first
         return [first + ((each - first) & 0xFFFFFFFF) for each in self.rows.sequences.tolist()]
 
     def messages(self) -> Iterator[RecordedMessage]:
-        """The messages one by one."""
+        """Yield the messages one by one."""
         if not self._records:
             yield from self._at_hand
             return

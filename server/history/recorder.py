@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple, Protocol, TypeAlias
 
 from rosld.adapters.model import Sample
+from rosld.adapters.model.sample import latched_depth
 
 log = logging.getLogger("rosld.history")
 MAX_QUEUED = 64 * 1024 * 1024
@@ -22,7 +23,7 @@ _PERIOD = 0.25
 
 
 class Sink(Protocol):
-    """Where messages are written. All is called on the recorder's thread."""
+    """Destination of messages. All methods run on the recorder's thread."""
 
     def add(self, topic: str, sample: Sample) -> None:
         """Take a message."""
@@ -66,7 +67,7 @@ class Recorder:
         self._thread.start()
 
     def put(self, arrivals: Sequence[Arrival]) -> None:
-        """Have messages written, as far as the queue has room."""
+        """Queue messages for writing, up to the room in the queue."""
         room = MAX_QUEUED - (self._put_bytes - self._taken_bytes)
         taken: list[Arrival] = []
         for each in arrivals:
@@ -81,7 +82,7 @@ class Recorder:
             self._queue.put(taken)
 
     def run(self, work: Callable[[], None]) -> None:
-        """Have something done by the thread, after all that was put before."""
+        """Run a function on the thread, after the messages queued before."""
         self._queue.put(work)
 
     def add_sink(self, sink: Sink) -> None:
@@ -89,7 +90,7 @@ class Recorder:
         self._sinks.append(sink)
 
     def remove_sink(self, sink: Sink) -> None:
-        """Write no more of it. Called on the thread."""
+        """Stop writing to a sink. Runs on the thread."""
         self._sinks = [each for each in self._sinks if each is not sink]
 
     def stop(self) -> None:
@@ -132,3 +133,33 @@ class Recorder:
                 action(sink)
             except Exception:  # as above
                 log.exception("a recording could not be written")
+
+
+class LatchedMessages:
+    """The latest latched message of each publisher of each topic. One thread changes it, any thread reads.
+
+    Of transforms it is the latest few, for later messages add frames to those of the earlier ones.
+    """
+
+    def __init__(self) -> None:
+        self._samples: dict[tuple[str, str], tuple[Sample, ...]] = {}
+
+    def take(self, topic: str, sample: Sample) -> None:
+        """Take in a message that came after all others of its publisher; one that is not latched is ignored."""
+        if sample.latched:
+            key = topic, sample.publisher
+            self._samples[key] = (*self._samples.get(key, ()), sample)[-latched_depth(sample.schema.name) :]
+
+    def keep(self, is_there: Callable[[str, str], bool]) -> None:
+        """Forget the messages of the publishers that are not there any more, by topic and name."""
+        self._samples = {key: samples for key, samples in list(self._samples.items()) if is_there(*key)}
+
+    def messages(self, wants: Callable[[str], bool]) -> list[tuple[str, Sample]]:
+        """Return the messages of the topics that are wanted, in order of receipt."""
+        found = [
+            (topic, sample)
+            for (topic, _), samples in list(self._samples.items())
+            if samples and wants(topic)
+            for sample in samples
+        ]
+        return sorted(found, key=lambda one: one[1].received_ns)

@@ -25,10 +25,15 @@ from rosld.server.history.bag_export import ExportFormat
 from rosld.server.history.history import NAME as HISTORY
 from rosld.server.history.history import History
 from rosld.server.history.history_writer import require_room
-from rosld.server.history.interruptions import KILLED, STOPPED, Interruptions
 from rosld.server.history.live_recorder import LiveRecorder
-from rosld.server.history.ordered_recording import RecordingOrder, RecordingRefused
-from rosld.server.history.recording_notes import RecordingNotes
+from rosld.server.history.recording_orders import (
+    KILLED,
+    STOPPED,
+    Interruptions,
+    RecordingNotes,
+    RecordingOrder,
+    RecordingRefused,
+)
 from rosld.server.history.recording_writer import RecordingWriter, active_recordings, complete_active
 from rosld.server.history.uploads import (
     DRAFT,

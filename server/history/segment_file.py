@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import os
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple, Protocol
+
+from rosld.server.history import mcap_records as mcap
 
 
 class SegmentFile(Protocol):
@@ -13,7 +16,7 @@ class SegmentFile(Protocol):
 
     @property
     def size(self) -> int:
-        """How many there are."""
+        """The number of bytes."""
         ...
 
     def append(self, data: bytes) -> None:
@@ -44,7 +47,7 @@ class DiskFile:
 
     @property
     def size(self) -> int:
-        """How many bytes there are."""
+        """The number of bytes."""
         return self._size
 
     def append(self, data: bytes) -> None:
@@ -103,7 +106,7 @@ class MemoryFile:
 
     @property
     def size(self) -> int:
-        """How many bytes there are."""
+        """The number of bytes."""
         return len(self._data)
 
     def append(self, data: bytes) -> None:
@@ -120,3 +123,35 @@ class MemoryFile:
     def remove(self) -> None:
         """Forget it."""
         self._data = bytearray()
+
+
+class ChunkMessage(NamedTuple):
+    """A message of a chunk; `sequence` are the lower 32 bits of its number."""
+
+    channel: int
+    sequence: int
+    time_ns: int
+    data: bytes
+
+
+def read_records(file: SegmentFile, at: int, length: int) -> bytes:
+    """Return the records of the chunk record at `at`. Raises OSError, and ValueError where it is damaged."""
+    data = file.read(at, length)
+    if len(data) != length or data[0] != mcap.CHUNK:
+        raise ValueError(f"there is no chunk at {at}")
+    head = mcap.chunk_head(data, mcap.RECORD_HEAD.size)
+    return mcap.decompress(data[head.records_at :], head.size)
+
+
+def read_chunk(file: SegmentFile, at: int, length: int) -> Iterator[ChunkMessage]:
+    """Yield the messages of the chunk record at `at`. Raises OSError, and ValueError where it is damaged."""
+    yield from messages_in(read_records(file, at, length))
+
+
+def messages_in(inner: bytes) -> Iterator[ChunkMessage]:
+    """Yield the messages among the records of a chunk."""
+    for record in mcap.records_in(inner):
+        if record.op == mcap.MESSAGE:
+            start = record.at - mcap.RECORD_HEAD.size
+            _, _, channel, sequence, time_ns, _ = mcap.MESSAGE_HEAD.unpack_from(inner, start)
+            yield ChunkMessage(channel, sequence, time_ns, inner[start + mcap.MESSAGE_HEAD.size : record.end])

@@ -12,9 +12,8 @@ from rosld.adapters.model import Sample
 from rosld.adapters.model.mcap import MAGIC, Fields
 from rosld.server.history import mcap_records as mcap
 from rosld.server.history.channel import Channel, model_name, read_channel
-from rosld.server.history.chunk_reader import read_records
 from rosld.server.history.mcap_writer import NUMBERS, Place, Summary
-from rosld.server.history.segment_file import DiskFile, SegmentFile
+from rosld.server.history.segment_file import DiskFile, SegmentFile, read_records
 
 
 @dataclass(slots=True)

@@ -14,8 +14,7 @@ from pathlib import Path
 from rosld.adapters.model import Sample, TypeRef
 from rosld.server.history.channel import Channel, model_name
 from rosld.server.history.chunk_index import ChunkIndex, ChunkRow, SegmentRow, pack_numbers
-from rosld.server.history.chunk_reader import ChunkMessage, read_chunk, read_records
-from rosld.server.history.segment_file import DiskFile, MemoryFile, SegmentFile
+from rosld.server.history.segment_file import ChunkMessage, DiskFile, MemoryFile, SegmentFile, read_chunk, read_records
 from rosld.server.history.segment_scan import Scan, opening_messages, recover
 
 log = logging.getLogger("rosld.history")

@@ -9,8 +9,7 @@ from collections.abc import Awaitable, Callable, Collection, Iterable, Sequence
 
 from rosld.adapters.base import Adapter, Subscription
 from rosld.adapters.model import RosError, Sample, TypeRef
-from rosld.server.history.latched_messages import LatchedMessages
-from rosld.server.history.recorder import SAMPLE_OVERHEAD, Arrival, Recorder, Sink
+from rosld.server.history.recorder import SAMPLE_OVERHEAD, Arrival, LatchedMessages, Recorder, Sink
 from rosld.server.runtime.tasks import end_tasks
 
 log = logging.getLogger("rosld.history")

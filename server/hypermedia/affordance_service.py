@@ -23,12 +23,12 @@ from rosld.server.hypermedia.catalogue import GoalSource, ParameterSource, Prope
 from rosld.server.hypermedia.conditions import ConditionResults, url_of
 from rosld.server.hypermedia.conventions import CONVENTIONS, Conventions, catalogue, needed_types
 from rosld.server.hypermedia.mapping import Condition, MappingSet
+from rosld.server.hypermedia.mapping_check import field_shape, value_shape, with_descriptor
 from rosld.server.hypermedia.mappings import Mappings
 from rosld.server.hypermedia.property_reader import PropertyReader
 from rosld.server.hypermedia.property_writer import current_writer
 from rosld.server.hypermedia.resource_tree import ActionPlan, ComplexPlan, MemberPlan, PropertyPlan, ResourceTree
 from rosld.server.hypermedia.value import Reading
-from rosld.server.hypermedia.value_shape import field_shape, value_shape, with_descriptor
 from rosld.server.hypermedia.views import (
     ActionAffordance,
     ActionView,

@@ -6,12 +6,27 @@ message is left out without a word.
 
 from __future__ import annotations
 
-from typing import cast
+from typing import NamedTuple, cast
 
-from rosld.adapters.model import Array, Field, FieldType, Message, MessageSchema, Nested, ParameterValue, Primitive
+from rosld.adapters.model import (
+    Array,
+    Field,
+    FieldType,
+    Message,
+    MessageSchema,
+    Nested,
+    ParameterValue,
+    Primitive,
+    Sample,
+)
 from rosld.ontology.literals import OCTETS, STRINGS, json_string
 from rosld.ontology.parameters import parameter_json
-from rosld.server.hypermedia.value import StoredValue, Value, scalar_json
+from rosld.server.hypermedia.source_reader import decode_value
+from rosld.server.hypermedia.value import MessageValue, StoredValue, Value, scalar_json
+from rosld.server.pictures.form import can_draw
+from rosld.server.robot.live_topics import LiveTopics
+from rosld.server.robot.schemas import Schemas
+from rosld.server.robot.topic_view import TopicView
 
 MAX_CHARACTERS = 200
 """Characters of a brief value."""
@@ -24,14 +39,14 @@ _HEADERS = frozenset({"std_msgs/msg/Header", "roslib/msg/Header"})
 
 
 def brief_json(value: Value, limit: int = MAX_CHARACTERS) -> str:
-    """The value as plain JSON, shortened to about so many characters. Raises ValueError for one nested too deep."""
+    """Return the value as plain JSON of about `limit` characters. Raises ValueError for one nested too deep."""
     if isinstance(value, StoredValue):
         return _parameter_text(value.value, limit)
     return _members(value.schema, value.fields, value.message, limit) or f"{{{_MARK}}}"
 
 
 def _members(schema: MessageSchema, fields: tuple[Field, ...], message: Message, room: int) -> str | None:
-    """The object of those fields that fit, in their order; None where none does."""
+    """Return the object of those fields that fit, in their order; None where none does."""
     told = [field for field in fields if not _is_header(field.type)] or list(fields)
     parts: list[str] = []
     left = room - len(_MARK) - 2
@@ -52,7 +67,7 @@ def _is_header(kind: FieldType) -> bool:
 
 
 def _of(schema: MessageSchema, kind: FieldType, value: object, room: int) -> str | None:
-    """A field's value; None where it does not fit."""
+    """Return a field's value; None where it does not fit."""
     if isinstance(kind, Nested):
         return _members(schema, schema.types[kind.name].fields, cast(Message, value), room)
     if isinstance(kind, Primitive):
@@ -78,7 +93,7 @@ def _messages(schema: MessageSchema, kind: Nested, values: list[Message], room: 
 
 
 def _scalars(kind: Array, values: list[object], room: int) -> str | None:
-    """All elements, or None: octets and what is long are no line to be read."""
+    """Return all elements, or None: octets and what is long are no line to be read."""
     element = cast(Primitive, kind.element)
     if element.name in OCTETS or len(values) > _MAX_ELEMENTS:
         return None
@@ -98,6 +113,66 @@ def _fitting(text: str, room: int) -> str | None:
 
 
 def _parameter_text(value: ParameterValue, room: int) -> str:
-    """The value of a parameter where it fits, of a long string its beginning."""
+    """Return the value of a parameter where it fits, of a long string its beginning."""
     text = _string(value) if isinstance(value, str) else parameter_json(value).decode()
     return text if len(text) <= room else f'"{MORE}"'
+
+
+class LatestPicture(NamedTuple):
+    """A message that can be drawn: the type of messages, and the number of this one."""
+
+    type_name: str
+    sequence: int
+
+
+class LatestValue(NamedTuple):
+    """A value as brief plain JSON (None: there is none that can be read), and the rate of a topic once it is known.
+
+    `picture` is what there is to be seen of it; None of what is no picture, or none that is drawn.
+    """
+
+    json: str | None
+    rate: float | None = None
+    picture: LatestPicture | None = None
+
+
+class LatestValues:
+    """The values of the topics of one robot that are subscribed to, written once a message."""
+
+    def __init__(self, topics: LiveTopics, schemas: Schemas) -> None:
+        self._topics = topics
+        self._schemas = schemas
+        self._written: dict[str, tuple[TopicView, LatestValue]] = {}
+
+    def of_topic(self, name: str) -> LatestValue | None:
+        """Return the latest value of a topic that is subscribed to; None of all others."""
+        view = self._topics.peek(name)
+        if view is None:
+            self._written.pop(name, None)
+            return None
+        known = self._written.get(name)
+        if known is not None and known[0] is view:
+            return known[1]
+        value = self._decode(name, view)
+        found = LatestValue(
+            None if value is None else brief_json(value), view.rate or None, _picture_of(value, view.newest)
+        )
+        self._written[name] = (view, found)
+        return found
+
+    def _decode(self, name: str, view: TopicView) -> Value | None:
+        newest = view.newest
+        schema = None if newest is None else self._schemas.find_cached(newest.schema)
+        if newest is None or not isinstance(schema, MessageSchema):
+            return None
+        return decode_value(name, newest, schema, "").value
+
+
+def _picture_of(value: Value | None, newest: Sample | None) -> LatestPicture | None:
+    """Return the picture of the newest message of a topic."""
+    if newest is None or not isinstance(value, MessageValue) or not can_draw(value.schema.ref.name):
+        return None
+    from rosld.server.pictures.picture import is_drawable  # Pillow, as in `PictureCache`
+
+    is_seen = is_drawable(value.schema, value.message)
+    return LatestPicture(value.schema.ref.name, newest.sequence) if is_seen else None

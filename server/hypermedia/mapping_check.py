@@ -1,26 +1,92 @@
-"""What a mapping names that is not there, or cannot be offered, as far as the robot is known. Pure.
-
-It is no error: what is not there yet appears when the robot has it. But a name that is misspelt never does.
-"""
+"""The shape of a property's value: its ROS type, what limits demand of it, and what it measures. Pure."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from difflib import get_close_matches
 from typing import TYPE_CHECKING
 
+from pyoxigraph import Literal
+
+from rosld.adapters.model import Array, Descriptor, MessageSchema, Nested, Primitive
+from rosld.server.hypermedia.catalogue import MessageKind, ScalarKind, ValueKind
 from rosld.server.hypermedia.mapping import ComplexResource, MappedAction, MappedProperty
-from rosld.server.hypermedia.value_shape import has_scalar
+from rosld.shapes.bounds import narrow
+from rosld.shapes.parameter import declared_shape
+from rosld.shapes.value import UNBOUNDED, Bounds, Measure, MessageShape, OpenShape, ScalarShape, ValueShape
 
 if TYPE_CHECKING:
     from rosld.server.hypermedia.resource_tree import ResourceTree
+    from rosld.shapes.limits import Limits
+
+
+def value_shape(kind: ValueKind, limits: Limits, url: str, measure: Measure) -> ValueShape:
+    """Return the shape of the value of the property at `url`, for reads and writes."""
+    bounds = limits.bounds_of_resource(url)
+    match kind:
+        case ScalarKind(primitive=primitive, choices=choices):
+            return ScalarShape(primitive, narrow(bounds, Bounds(choices=tuple(map(Literal, choices)))), measure)
+        case MessageKind():
+            names = tuple(field.name for field in kind.fields)
+            return MessageShape(kind.schema, names, limits.bounds_of_message(kind.schema))
+        case _:
+            return OpenShape(bounds, measure)
+
+
+def with_descriptor(shape: ValueShape, descriptor: Descriptor) -> ValueShape:
+    """Return the shape of a value that is a parameter's, with what the node declares of that."""
+    if isinstance(shape, MessageShape):
+        return shape
+    declared = declared_shape(descriptor, shape.measure)
+    bounds = narrow(shape.bounds, declared.bounds)
+    return replace(declared if isinstance(shape, OpenShape) else shape, bounds=bounds)
+
+
+def has_scalar(kind: ValueKind, path: str) -> bool:
+    """Whether a value may have a scalar at a dotted path; where its type is not known it may have any."""
+    match kind:
+        case ScalarKind():
+            return "." not in path
+        case MessageKind(schema=schema, fields=fields):
+            return path.partition(".")[0] in {one.name for one in fields} and _primitive(schema, path) is not None
+    return True
+
+
+def field_shape(shape: ValueShape, path: str, bounds: Bounds, measure: Measure) -> ValueShape:
+    """Return the shape of one field of a value (`pose.position.x`), open if the type has no such scalar.
+
+    `bounds` are those of the field's own resource, in addition to those of its type.
+    """
+    if isinstance(shape, ScalarShape) and "." not in path:  # a message of one scalar is that scalar
+        return replace(shape, bounds=narrow(bounds, shape.bounds), measure=measure)
+    kind = _primitive(shape.schema, path) if isinstance(shape, MessageShape) else None
+    if kind is None or not isinstance(shape, MessageShape):
+        return OpenShape(bounds, measure)
+    return ScalarShape(kind, narrow(bounds, shape.bounds.get(path, UNBOUNDED)), measure)
+
+
+def _primitive(schema: MessageSchema, path: str) -> Primitive | None:
+    """Return the primitive at a dotted path; numbers are places in an array."""
+    kind: object = Nested(schema.ref.name)
+    for step in path.split("."):
+        if isinstance(kind, Array):
+            if not step.isdecimal():
+                return None
+            kind = kind.element
+            continue
+        if not isinstance(kind, Nested):
+            return None
+        kind = next((field.type for field in schema.types[kind.name].fields if field.name == step), None)
+    return kind if isinstance(kind, Primitive) else None
+
 
 _MAX_NAMES = 5_000
 """Names among which one that is much like another is looked for."""
 
 
 def warnings_of(resource: ComplexResource, tree: ResourceTree) -> tuple[str, ...]:
-    """What of a complex resource of a mapping is not there or cannot be offered now: a sentence for each."""
+    """Return a sentence for each part of a mapped complex resource that is missing or unavailable."""
     found = [
         *(words for one in resource.properties for words in _of_property(one, tree)),
         *(words for one in resource.actions for words in _of_action(resource, one, tree)),
@@ -68,7 +134,7 @@ def _of_stops(resource: ComplexResource, tree: ResourceTree) -> Iterator[str]:
 
 
 def _near(name: str, names: Iterable[str]) -> str:
-    """The name that is most like one that is not there, in words; nothing where none is."""
+    """Return the name that is most like one that is not there, in words; nothing where none is."""
     known = list(names)
     close = get_close_matches(name, known, 1, 0.75) if len(known) <= _MAX_NAMES else ()
     return f" (there is {close[0]})" if close else ""

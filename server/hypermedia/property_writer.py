@@ -40,9 +40,8 @@ from rosld.server.hypermedia.catalogue import (
     source_url,
 )
 from rosld.server.hypermedia.value import MessageValue, StoredValue, Value, refusal_text, scalar_field, select_fields
-from rosld.server.robot.audited_adapter import AuditedAdapter, errors_about
+from rosld.server.robot.audited_adapter import AuditedAdapter, errors_about, has_other_values
 from rosld.server.robot.calls import UnreadableResponse
-from rosld.server.robot.declared_parameters import has_other_values
 from rosld.server.robot.publication import prepare, publish
 from rosld.server.robot.session import Session
 from rosld.server.robot.write_policy import denied_reason, parameter_denied_reason

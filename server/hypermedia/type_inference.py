@@ -1,17 +1,53 @@
-"""Type inference: what the type of a service or topic says about its use as a property or action. Pure.
-
-A name only proposes a getter or a setter; these functions decide. A GET must be safe (RFC 9110 9.2.1), so nothing is a
-getter that could be a command: what answers with no more than a status has been told to do something.
-"""
+"""Types of messages that cost little to receive: no images, no point clouds, no maps, no scans."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import lru_cache
 from math import inf
 
 from rosld.adapters.model import Array, Field, MessageSchema, Nested, Primitive, ServiceSchema
 from rosld.ontology.literals import STRINGS
 from rosld.server.hypermedia.catalogue import MessageKind, OpenKind, ScalarKind, ValueKind
+
+_OCTETS = frozenset({"byte", "char", "octet", "int8", "uint8", "int16", "uint16"})
+"""Numbers of which an array without a bound is a picture, a cloud, a map or a sound."""
+_MAX_NUMBERS = 1000
+"""The most numbers in an array of a light message."""
+_HEAVY = frozenset({"LaserScan", "MultiEchoLaserScan", "LaserEcho", "PointCloud", "PolygonMesh", "Mesh", "Marker"})
+"""Types of other numbers without a bound of which there are many; a battery's cells and a robot's joints are few."""
+
+_BULKY = frozenset({"PointCloud", "PolygonMesh", "Mesh"})
+
+
+@lru_cache(maxsize=1024)
+def is_light(schema: MessageSchema) -> bool:
+    """Whether messages of a type, with those within, are small as a rule."""
+    kinds = schema.types.values()
+    if any(kind.name.rpartition("/")[2] in _HEAVY for kind in kinds):
+        return False
+    return not any(_is_many(field.type) for kind in kinds for field in kind.fields)
+
+
+@lru_cache(maxsize=1024)
+def is_bulky(schema: MessageSchema) -> bool:
+    """Whether messages of a type are pictures, clouds, maps or sounds, which are too large to receive incidentally."""
+    kinds = schema.types.values()
+    if any(kind.name.rpartition("/")[2] in _BULKY for kind in kinds):
+        return True
+    arrays = (field.type for kind in kinds for field in kind.fields if isinstance(field.type, Array))
+    return any(
+        isinstance(one.element, Primitive) and one.element.name in _OCTETS and (one.length or one.bound) is None
+        for one in arrays
+    )
+
+
+def _is_many(kind: object) -> bool:
+    if not isinstance(kind, Array) or not isinstance(kind.element, Primitive):
+        return False
+    longest = kind.length if kind.length is not None else kind.bound
+    return kind.element.name in _OCTETS if longest is None else longest > _MAX_NUMBERS
+
 
 MAX_ELEMENTS = 64
 """The most elements that an array of a light response may have, those of arrays within it multiplied."""
@@ -20,7 +56,7 @@ _WORDS = frozenset({"message", "status_message"})
 
 
 def value_fields(schema: ServiceSchema) -> tuple[Field, ...]:
-    """The fields of the response that are a value; none where this type is no getter's.
+    """Return the fields of the response that are a value; none where this type is no getter's.
 
     A getter's request is empty and its response is light and more than a status. The status is `bool success` and, with
     it, the string `message` or `status_message`.
@@ -48,7 +84,7 @@ def is_small(schema: MessageSchema) -> bool:
 
 
 def _widest(schema: MessageSchema, name: str, known: dict[str, float]) -> float:
-    """The most that one field of a type can be repeated; each type is looked at once."""
+    """Return the most that one field of a type can be repeated; each type is looked at once."""
     if name not in known:
         known[name] = inf  # what a type that contains itself comes to
         known[name] = max((_repeated(schema, field, known) for field in schema.types[name].fields), default=1)
@@ -64,7 +100,7 @@ def _repeated(schema: MessageSchema, field: Field, known: dict[str, float]) -> f
 
 
 def value_kind(schema: MessageSchema, fields: tuple[Field, ...]) -> ScalarKind | MessageKind:
-    """The kind of value that these fields of a message are: one primitive is a scalar, all else a message."""
+    """Return the kind of value that these fields of a message are: one primitive is a scalar, all else a message."""
     if len(fields) == 1 and isinstance(fields[0].type, Primitive):
         return ScalarKind(fields[0].type)
     return MessageKind(schema, fields)
@@ -73,8 +109,8 @@ def value_kind(schema: MessageSchema, fields: tuple[Field, ...]) -> ScalarKind |
 def is_convertible(value: ValueKind, into: ValueKind) -> bool:
     """Whether a value of one kind can be sent as another: the same fields, or one scalar each of one family.
 
-    An integer may be sent as a float, but a float not as an integer. Only a single value can tell whether it is too
-    large or too long. Nothing is known against an open kind.
+    An integer can be sent as a float, but not a float as an integer. Ranges and lengths are checked per value. An open
+    kind is convertible to any other.
     """
     if isinstance(value, OpenKind) or isinstance(into, OpenKind):
         return True
@@ -98,12 +134,12 @@ def _family(primitive: Primitive) -> str:
 
 
 def _tree(fields: tuple[Field, ...]) -> dict[str, object]:
-    """Fields by their names: their order means nothing to who names them."""
+    """Return fields by name, because their order is irrelevant."""
     return {field.name: field.type for field in fields}
 
 
 def _nested_types(kind: MessageKind) -> Iterator[str]:
-    """The types that a value holds, outermost first, each once."""
+    """Yield the types that a value holds, outermost first, each once."""
     seen: set[str] = set()
     waiting = list(kind.fields)
     while waiting:

@@ -2,26 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from types import MappingProxyType
-from typing import TypeAlias, cast
+from typing import NamedTuple, TypeAlias, cast
 
 import numpy as np
-from pyoxigraph import Literal, NamedNode
+from pyoxigraph import BlankNode, Literal, NamedNode
 
-from rosld.adapters.model import (
-    Codec,
-    Encoding,
-    Field,
-    Message,
-    MessageSchema,
-    MessageType,
-    ParameterValue,
-    Primitive,
-)
+from rosld.adapters.model import Codec, Encoding, Field, Message, MessageSchema, MessageType, ParameterValue, Primitive
 from rosld.ontology import parameters
+from rosld.ontology.body import RdfBody, Term, parse_json
 from rosld.ontology.document import LiftedMessage
 from rosld.ontology.fields import field_at
 from rosld.ontology.lift import LiftSettings, lifter
@@ -39,8 +31,10 @@ from rosld.ontology.literals import (
 )
 from rosld.ontology.lower import lowerer
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import xsd
+from rosld.ontology.violations import LoweringError, Violation, brief_value
+from rosld.ontology.vocab import rdf, xsd
 from rosld.server.http.conditional import digest
+from rosld.server.hypermedia.catalogue import Getter, Property, Setter, TopicSource
 
 WHOLE = LiftSettings().unelided
 """Settings under which nothing is elided."""
@@ -95,12 +89,12 @@ class Reading:
 
 
 def scalar_field(fields: tuple[Field, ...]) -> Field | None:
-    """The one field that is a scalar value; None where the value is a message."""
+    """Return the one field that is a scalar value; None where the value is a message."""
     return fields[0] if len(fields) == 1 and isinstance(fields[0].type, Primitive) else None
 
 
 def select_fields(schema: MessageSchema, fields: tuple[Field, ...]) -> MessageSchema:
-    """The schema with only these of its fields; messages built by it have ROS's defaults in the others."""
+    """Return the schema with only these of its fields; messages built by it have ROS's defaults in the others."""
     return schema if fields == schema.type.fields else _part_of(schema, fields)
 
 
@@ -135,7 +129,7 @@ class _PartCodec:
 
 
 def refusal_text(schema: MessageSchema, response: Message, value: tuple[Field, ...] = ()) -> str | None:
-    """The words of a response that says `bool success` false, "" where it has none; None where it says no such thing.
+    """Return the words of a response with `bool success` false (or ""); None for other responses.
 
     The fields of its `value` are no status.
     """
@@ -150,7 +144,7 @@ def refusal_text(schema: MessageSchema, response: Message, value: tuple[Field, .
 
 
 def shape_url(reading: Reading, field: str | None, space: Space) -> str | None:
-    """The URL of the shape that a reading conforms to where it is shown as a message with all of its fields."""
+    """Return the URL of the shape that a reading conforms to where it is shown as a message with all of its fields."""
     value = reading.value
     if not isinstance(value, MessageValue) or field is not None or value.fields != value.schema.type.fields:
         return None
@@ -161,7 +155,7 @@ def shape_url(reading: Reading, field: str | None, space: Space) -> str | None:
 
 
 def plain_json(value: Value, lifting: LiftSettings) -> bytes:
-    """The value as plain JSON: a scalar as it is and never elided, a message as the object of its fields.
+    """Return the value as plain JSON: a scalar as it is and never elided, a message as the object of its fields.
 
     Raises ValueError for a parameter's value that is nested too deep.
     """
@@ -184,7 +178,7 @@ def field_json(value: Value, field: str) -> bytes:
 
 
 def scalar_json(kind: Primitive, value: object) -> bytes:
-    """A scalar of a message as plain JSON."""
+    """Return a scalar of a message as plain JSON."""
     if kind.name in STRINGS:
         return json_string(cast(str, value)).encode()
     if kind.name == "float32":
@@ -197,7 +191,7 @@ def scalar_json(kind: Primitive, value: object) -> bytes:
 
 
 def value_literal(value: Value, field: str | None = None) -> Literal | None:
-    """The literal of a scalar, or of the one at the path `field`; None for a whole message or tree of parameters.
+    """Return the literal of a scalar, or of that at the path `field`; None for messages and trees of parameters.
 
     Raises ValueError, with a sentence, where there is no scalar at `field`.
     """
@@ -222,7 +216,7 @@ def _literal(kind: Primitive, value: object) -> Literal:
 
 
 def lift_value(value: MessageValue, node: str, lifting: LiftSettings) -> LiftedMessage:
-    """The message as the node at the fragment `node` (`#value`) of a document, with those fields that are its value."""
+    """Return the message as the node at the fragment `node` (`#value`), with the fields of the value."""
     lift = lifter(select_fields(value.schema, value.fields), lifting)
     return LiftedMessage(node, lift, value.message, source=value.origin)
 
@@ -255,7 +249,7 @@ def _stored_at(value: ParameterValue, path: str) -> ParameterValue:
 
 
 def version_key(reading: Reading) -> str:
-    """A short text that differs whenever the value or the failure does; when it was read does not matter."""
+    """Return a short text that differs whenever the value or the failure does; when it was read does not matter."""
     value = reading.value
     if isinstance(value, MessageValue):
         ref = value.schema.ref
@@ -264,3 +258,69 @@ def version_key(reading: Reading) -> str:
     if isinstance(value, StoredValue):
         return digest(b"stored\0" + parameters.parameter_json(value.value))
     return digest(f"none\0{reading.failure or ''}\0{reading.words or ''}".encode("utf-8", "surrogatepass"))
+
+
+class Layout(NamedTuple):
+    """The fields of a type of message as which a value may be sent."""
+
+    schema: MessageSchema
+    fields: tuple[Field, ...]
+
+
+def content_from_rdf(
+    body: RdfBody,
+    subject: NamedNode,
+    predicate: NamedNode,
+    property: Property,
+    lifting: LiftSettings,
+) -> object:
+    """Return the content that `subject` `predicate` states for a property.
+
+    That is a literal, or a node whose type is that of messages which the property is read as or written with. Raises
+    LoweringError where there is nothing, more than one value, or a value of another kind.
+    """
+    term = _single_object(body, subject, predicate)
+    if isinstance(term, Literal):
+        return term
+    if not isinstance(term, NamedNode | BlankNode):
+        raise LoweringError(Violation("", "expected a literal or a node", brief_value(term)))
+    return _describe(body, term, property, lifting, subject.value)
+
+
+def _single_object(body: RdfBody, subject: NamedNode, predicate: NamedNode) -> Term:
+    terms = body.objects(subject, predicate)
+    if len(terms) > 1:
+        raise LoweringError(Violation("", f"expected one value, and there are {len(terms)}: {predicate} is said twice"))
+    if terms:
+        return terms[0]
+    raise LoweringError(Violation("", f"missing: expected the value, as {subject} {predicate}"))
+
+
+def _describe(
+    body: RdfBody, node: NamedNode | BlankNode, property: Property, lifting: LiftSettings, document: str
+) -> object:
+    """Return the plain JSON of the message that a node is."""
+    kinds = body.objects(node, rdf.type)
+    known = {NamedNode(lifting.types + each.schema.ref.name): each for each in layouts(property)}
+    found = next((known[kind] for kind in kinds if isinstance(kind, NamedNode) and kind in known), None)
+    if found is None:
+        expected = f"a node of type {' or '.join(map(str, known))}" if known else "a literal"
+        stated = ", ".join(map(str, kinds)) or f"{node} without a type"
+        raise LoweringError(Violation("", f"expected {expected}", brief_value(stated)))
+    part = select_fields(found.schema, found.fields)
+    message = lowerer(part, lifting).from_graph(body, node, document)
+    return parse_json(plain_json(MessageValue(found.schema, message, found.fields, document), WHOLE))
+
+
+def layouts(property: Property) -> Iterator[Layout]:
+    """Yield the messages that the property is read as and written with."""
+    for way in (*property.readers, *property.writers):
+        match way:
+            case TopicSource(schema=schema) if schema is not None:
+                yield Layout(schema, schema.type.fields)
+            case Getter(schema=service, fields=fields):
+                yield Layout(service.response, fields)
+            case Setter(schema=service):
+                yield Layout(service.request, service.request.type.fields)
+            case _:
+                pass

@@ -16,12 +16,12 @@ from rosld.server.events.query_params import (
 )
 from rosld.server.http.problem import AGENT_SAID, ROBOT_SAID
 from rosld.server.hypermedia.data_schema import Json
-from rosld.server.hypermedia.json_schema import ANYTHING, JSON_LD, TEXT, URI, Schema
+from rosld.server.hypermedia.json_schema import ANYTHING, JSON_LD, TEXT, URI, JsonSchema
 from rosld.server.rest.formats import HTML, JSON, OFFERS, RDF_BODIES
 from rosld.server.rest.path_item import OF_EVERY_WRITE
 
 PROBLEM = "application/problem+json"
-_PROBLEM_SCHEMA: Schema = {
+_PROBLEM_SCHEMA: JsonSchema = {
     "type": "object",
     "description": "Problem details (RFC 9457).",
     "properties": {
@@ -51,8 +51,8 @@ _PROBLEM_SCHEMA: Schema = {
     "required": ["type", "title", "status", "detail"],
 }
 
-_URLS: Schema = {"type": "array", "items": URI}
-_PLAN_SCHEMA: Schema = {
+_URLS: JsonSchema = {"type": "array", "items": URI}
+_PLAN_SCHEMA: JsonSchema = {
     "type": "object",
     "description": "The plan of a dry run: nothing was done.",
     "properties": {
@@ -78,7 +78,7 @@ _PLAN_SCHEMA: Schema = {
     "required": ["dryRun", "method", "url", "steps", "limits", "conditions", "status"],
 }
 
-HEADERS: Mapping[str, tuple[str, Schema]] = {
+HEADERS: Mapping[str, tuple[str, JsonSchema]] = {
     "ETag": ("The entity tag of this representation (RFC 9110 8.8.3).", TEXT),
     "Link": ("The types of the resource (LDP 4.2.1.4), what describes it, what constrains it (RFC 8288).", TEXT),
     "Allow": ("The methods that the resource answers now.", TEXT),
@@ -223,7 +223,7 @@ def document() -> dict[str, Json]:
     return reference("responses", "document")
 
 
-def representation(media_types: Iterable[str], plain: Schema | None) -> dict[str, Json]:
+def representation(media_types: Iterable[str], plain: JsonSchema | None) -> dict[str, Json]:
     """The answer with a resource in these media types; `plain` as for `content`."""
     return {"description": "OK.", "headers": headers(*_STANDING, "Age"), "content": content(media_types, plain)}
 
@@ -240,7 +240,7 @@ def headers(*names: str, certain: Iterable[str] = ()) -> dict[str, Json]:
     return found
 
 
-def content(media_types: Iterable[str], plain: Schema | None = None) -> dict[str, Json]:
+def content(media_types: Iterable[str], plain: JsonSchema | None = None) -> dict[str, Json]:
     """The content of a body; `plain` is the schema of `application/json`, which is JSON-LD where there is none."""
     return {media_type: {"schema": schema_of(media_type, plain)} for media_type in media_types}
 
@@ -253,7 +253,7 @@ def or_plan(content: dict[str, Json]) -> dict[str, Json]:
     return {**content, JSON: either}
 
 
-def schema_of(media_type: str, plain: Schema | None = None) -> Schema:
+def schema_of(media_type: str, plain: JsonSchema | None = None) -> JsonSchema:
     """The schema of a body of a media type: text is one string."""
     if media_type == "application/json":
         return JSON_LD if plain is None else plain
@@ -275,7 +275,7 @@ _TEXTS = frozenset(
 )  # fmt: skip
 
 
-def components(schemas: Mapping[str, Schema]) -> dict[str, Json]:
+def components(schemas: Mapping[str, JsonSchema]) -> dict[str, Json]:
     """The Components Object (OpenAPI 3.1.1, 4.8.7)."""
     told: Json = content((*RDF_BODIES, HTML)) | {PROBLEM: {"schema": reference("schemas", "Problem")}}
     answers: dict[str, Json] = {

@@ -11,7 +11,7 @@ import orjson
 
 from rosld.server.events.query_params import EVENT_STREAM
 from rosld.server.hypermedia.data_schema import Json
-from rosld.server.hypermedia.json_schema import ANYTHING, JSON_LD, Schema
+from rosld.server.hypermedia.json_schema import ANYTHING, JSON_LD, JsonSchema
 from rosld.server.openapi.components import (
     READING,
     WRITING,
@@ -47,7 +47,7 @@ def description(
     version: str,
     about: str,
     described: Iterable[DescribedPath],
-    schemas: Mapping[str, Schema],
+    schemas: Mapping[str, JsonSchema],
     *,
     query: str = "",
 ) -> bytes:
@@ -183,7 +183,7 @@ def _body(path: DescribedPath, method: str) -> Json:
     return {"required": True, **told} if path.write(method).is_body_required else told
 
 
-def _body_schema(media_type: str, sent: Schema | None) -> Schema:
+def _body_schema(media_type: str, sent: JsonSchema | None) -> JsonSchema:
     if media_type in _BY_SCHEMA:
         return ANYTHING if sent is None else sent
     return schema_of(media_type)

@@ -21,9 +21,8 @@ from rosld.server.http.fields import Link, render_links
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import AffordanceService
-from rosld.server.hypermedia.json_schema import OBJECT, Schema
+from rosld.server.hypermedia.json_schema import OBJECT, JsonSchema, MessageSchemas
 from rosld.server.hypermedia.mappings import Mappings
-from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.openapi.described_path import DescribedPath
 from rosld.server.openapi.description import description
 from rosld.server.openapi.description_parts import description_parts
@@ -73,7 +72,7 @@ class _Described:
     version: Hashable
     data: bytes
     paths: tuple[DescribedPath, ...]
-    schemas: Mapping[str, Schema]
+    schemas: Mapping[str, JsonSchema]
 
 
 class OpenApiResource(Resource):
@@ -220,12 +219,12 @@ class OpenApiResource(Resource):
         return _Described(version, data, paths, schemas.by_key)
 
     def _writing(
-        self, paths: Iterable[DescribedPath], schemas: Mapping[str, Schema], hidden: bool
+        self, paths: Iterable[DescribedPath], schemas: Mapping[str, JsonSchema], hidden: bool
     ) -> Callable[[], bytes]:
         title, base, query = f"rosld: {self.session.name}", self.session.space.base, _HIDDEN if hidden else ""
         return partial(description, title, base, __version__, _ABOUT, paths, schemas, query=query)
 
-    def _write(self, paths: Iterable[DescribedPath], schemas: Mapping[str, Schema], hidden: bool) -> bytes:
+    def _write(self, paths: Iterable[DescribedPath], schemas: Mapping[str, JsonSchema], hidden: bool) -> bytes:
         return self._writing(paths, schemas, hidden)()
 
 

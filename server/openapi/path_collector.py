@@ -16,7 +16,7 @@ from rosld.ontology.urls import Space
 from rosld.server.history.recordings import Recordings
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.conditions import url_of
-from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.json_schema import MessageSchemas
 from rosld.server.hypermedia.resource_tree import ResourceTree
 from rosld.server.openapi.described_path import DescribedPath
 from rosld.server.policies.stored_queries import StoredQueries

@@ -8,7 +8,7 @@ from typing import TypeAlias
 
 import orjson
 
-from rosld.server.hypermedia.json_schema import Schema
+from rosld.server.hypermedia.json_schema import JsonSchema
 from rosld.server.openapi.described_path import DescribedPath
 from rosld.server.openapi.references import chosen, references
 
@@ -49,7 +49,7 @@ def _without_members(path: DescribedPath, may_read: Callable[[str], bool]) -> De
     return replace(path, item=replace(item, plain=plain, writes=writes))
 
 
-def _left(schema: Schema, hidden: Set[str]) -> Schema:
+def _left(schema: JsonSchema, hidden: Set[str]) -> JsonSchema:
     """The schema of an object without these members."""
     members = schema.get("properties")
     if not isinstance(members, dict):

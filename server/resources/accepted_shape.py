@@ -3,25 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 
-from pyoxigraph import NamedNode
+from pyoxigraph import NamedNode, Triple
 
-from rosld.adapters.model import Descriptor, Graph, Kind, MessageSchema, Primitive
+from rosld.adapters.model import Descriptor, Graph, Kind, MessageSchema, Primitive, RosError, ServiceSchema, TypeRef
 from rosld.ontology.body import RdfBody
 from rosld.ontology.document import Document
 from rosld.ontology.lexical import BINARIES
-from rosld.ontology.urls import Space
+from rosld.ontology.urls import Location, Space
 from rosld.ontology.vocab import rdf, ros
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.catalogue import ParameterSource, Property, Setter, TopicSource, Writer
-from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.json_schema import MessageSchemas
 from rosld.server.hypermedia.property_writer import current_writer
 from rosld.server.hypermedia.resource_tree import PropertyPlan
-from rosld.server.hypermedia.value import scalar_field, select_fields
-from rosld.server.hypermedia.value_body import layouts
+from rosld.server.hypermedia.value import layouts, scalar_field, select_fields
 from rosld.server.resources.limit_checks import LimitChecks, require_no_octets
+from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import ABSENT, Resource
 from rosld.server.rest.state import State
@@ -31,6 +32,8 @@ from rosld.server.settings import Settings
 from rosld.shapes.accepted import Accepted, accepted_message_document, accepted_value_document
 from rosld.shapes.accepted_values import PARAMETERS, OpenParameter
 from rosld.shapes.demand import Demand
+from rosld.shapes.limit_datatypes import limit_datatypes
+from rosld.shapes.limit_paths import Place, ResourcePlace, ValuePlace
 from rosld.shapes.limited_texts import is_limited_text, limited_texts
 from rosld.shapes.message import SHACL_SHACL
 
@@ -214,3 +217,117 @@ def _of_one_field(demand: Demand, schema: MessageSchema, name: str) -> Demand:
     """What is demanded of the one field of a message: all that is demanded of the message is about it."""
     parts = [(name, part.of_value()) for type, part in demand.type_parts if type == schema.ref.name]
     return replace(demand, value_parts=(*demand.value_parts, *parts), type_parts=()).at(name)
+
+
+WRITES = frozenset({"PUT", "POST", "PATCH", "DELETE"})
+
+
+class CommandResource(Resource):
+    """Base of the resources whose writes command the robot: none is offered while it is stopped."""
+
+    session: Session
+
+    @property
+    def withheld(self) -> frozenset[str]:
+        return WRITES if self.session.is_stopped else frozenset()
+
+    async def accepted(self, url: str) -> Document | None:
+        """What may be written to it as RDF, as the shapes graph at `url`; None where no shape of its own says so."""
+        return None
+
+    async def select_variant(self, exchange: Exchange) -> Resource:
+        """The shape of what may be written, where `?shape` asks for that."""
+        query: bytes = exchange.request.scope["query_string"]
+        if b"shape" in query and exchange.method in ("GET", "HEAD") and "shape" in exchange.query:
+            return AcceptedShape(self, self.accepted)
+        return self
+
+
+async def load_limited_types(
+    session: Session, affordances: AffordanceService[State], limit_checks: LimitChecks
+) -> None:
+    """Get the definitions of what limits are about, as far as the robot has them."""
+    await affordances.tree()
+    refs = [TypeRef(name) for name in map(session.space.type_of, limit_checks.limits.by_class) if name is not None]
+    refs += [
+        ref
+        for location in _locations(session.space, limit_checks)
+        if (ref := _type(session.graph, location)) is not None
+    ]
+    for ref in refs:
+        with suppress(RosError):
+            await session.schemas.get(ref)
+
+
+def datatypes_of_limits(
+    session: Session, affordances: AffordanceService[State], limit_checks: LimitChecks
+) -> tuple[Triple, ...]:
+    """The datatypes of the fields that limits are about."""
+    return limit_datatypes(limit_checks.limits, tuple(_places(session, affordances, limit_checks)), session.space.types)
+
+
+def _places(
+    session: Session, affordances: AffordanceService[State], limit_checks: LimitChecks
+) -> Iterator[tuple[str, Place]]:
+    """Each target of a limit, and what it is."""
+    for iri in limit_checks.limits.by_class:
+        name = session.space.type_of(iri)
+        schema = None if name is None else session.schemas.find_cached(TypeRef(name))
+        if isinstance(schema, MessageSchema):
+            yield iri, ValuePlace.message(schema)
+    for url in limit_checks.limits.by_url:
+        location = session.space.location(url)
+        found = None if location is None else _place(session, affordances, location)
+        if found is not None:
+            yield url, found
+
+
+def _locations(space: Space, limit_checks: LimitChecks) -> Iterator[Location]:
+    for url in limit_checks.limits.by_url:
+        location = space.location(url)
+        if location is not None:
+            yield location
+
+
+def _type(graph: Graph, location: Location) -> TypeRef | None:
+    """The type of a topic or a service."""
+    topic = graph.topics.get(location.name) if location.kind == "topics" else None
+    service = graph.services.get(location.name) if location.kind == "services" else None
+    return topic.type if topic is not None else None if service is None else service.type
+
+
+def _place(session: Session, affordances: AffordanceService[State], location: Location) -> ResourcePlace | None:
+    if location.kind == "parameters":
+        parameter = session.graph.parameters.get(location.name)
+        type = None if parameter is None or parameter.descriptor is None else parameter.descriptor.type
+        return None if type is None else ResourcePlace(ros.value, ValuePlace(type))
+    if location.kind == "resources":
+        return ResourcePlace(rdf.value, _value_of_property(session, affordances, location.name))
+    ref = _type(session.graph, location)
+    schema = None if ref is None else session.schemas.find_cached(ref)
+    if isinstance(schema, ServiceSchema):
+        return ResourcePlace(ros.request, ValuePlace.message(schema.request))
+    return ResourcePlace(ros.latest, ValuePlace.message(schema)) if isinstance(schema, MessageSchema) else None
+
+
+def _value_of_property(session: Session, affordances: AffordanceService[State], name: str) -> ValuePlace | None:
+    """What a property is written as: a scalar where its message is one."""
+    tree = affordances.cached_tree() or affordances.last_tree
+    plan = None if tree is None else tree.property(name)
+    writer = None if plan is None else property_writer(session.adapter, session.settings, plan.source)
+    match writer:
+        case ParameterSource(name=parameter):
+            found = _place(
+                session, affordances, Location("parameters", tuple(parameter[1:].split("/")), is_container=False)
+            )
+            return None if found is None else found.value
+        case Setter(schema=service):
+            schema = service.request
+        case TopicSource(schema=known) if known is not None:
+            schema = known
+        case _:
+            return None
+    whole, scalar = ValuePlace.message(schema), scalar_field(schema.type.fields)
+    if plan is not None and plan.member.field is not None:
+        return whole.field(plan.member.field)
+    return whole if scalar is None else whole.field(scalar.name)

@@ -19,8 +19,7 @@ from rosld.server.html.page import Cell, MemberColumns, SequenceLink
 from rosld.server.http.conditional import digest
 from rosld.server.http.fields import render_links
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.json_schema import ANYTHING
-from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.json_schema import ANYTHING, MessageSchemas
 from rosld.server.receipts.journal import Journal, JournalEntry, NoSuchReceipt
 from rosld.server.resources.listings import time_cell
 from rosld.server.rest.exchange import Exchange

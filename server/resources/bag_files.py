@@ -14,12 +14,12 @@ from rosld.adapters.base import Recording
 from rosld.adapters.model import Encoding, RosError
 from rosld.ontology.urls import Space
 from rosld.server.history.bag_export import EXPORT_FORMATS, CannotExport, ExportFormat, require_encoding
-from rosld.server.history.ordered_recording import RecordingRefused
+from rosld.server.history.recording_orders import RecordingRefused
 from rosld.server.history.recordings import Recordings
 from rosld.server.http.conditional import ETag, check_preconditions, digest
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.json_schema import MessageSchemas
 from rosld.server.resources.bags import BagResource
 from rosld.server.resources.ldp.bodies import single_chunk
 from rosld.server.rest.exchange import Exchange

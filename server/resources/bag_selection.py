@@ -1,38 +1,93 @@
-"""`/bags/B/messages/?topic=&from=&to=`: the messages of a recording by topic and time, page by page."""
+"""Recorded messages lifted many at a time: each as the resource at its own URL says it."""
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from enum import Enum
 from fnmatch import fnmatchcase
 from functools import partial
 from urllib.parse import quote
 
 import orjson
-from pyoxigraph import NamedNode
+from pyoxigraph import NamedNode, Triple
 
 from rosld.adapters.base import FOR_EVER, MessageFilter, MessagePage, RecordedMessage, Recording
-from rosld.ontology.describe_bags import bag_selection_document
+from rosld.adapters.model import UnknownType
+from rosld.ontology.describe_bags import bag_message_document, bag_selection_document
 from rosld.ontology.document import Document
+from rosld.ontology.lift import LiftSettings
 from rosld.ontology.literals import date_time
 from rosld.ontology.triples import date_time_literal
+from rosld.ontology.urls import Space
 from rosld.server.auth.permissions import Permissions
 from rosld.server.html.page import Cell, MemberColumns, SequenceLink
 from rosld.server.http.conditional import digest
 from rosld.server.http.fields import Link
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
-from rosld.server.resources.messages import lift_sample
-from rosld.server.resources.recorded_messages import DecodedRecord, decode_records, record_triples
+from rosld.server.resources.messages import DecodedSample, decode, lift_sample
 from rosld.server.resources.series import read_time
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import FORMATS, HTML, JSON, OFFERS
 from rosld.server.rest.path_item import QueryParameter
 from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource
 from rosld.server.rest.state import State
+from rosld.server.robot.schemas import Schemas
 from rosld.server.robot.session import Session
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DecodedRecord:
+    """A recorded message, decoded as far as it can be."""
+
+    message: RecordedMessage
+    decoded: DecodedSample
+
+
+async def learn_type(schemas: Schemas, recording: Recording, message: RecordedMessage) -> None:
+    """Make the type of a recorded message known, as it was recorded, as far as it can be."""
+    type = message.sample.schema
+    if schemas.find_cached(type) is None:
+        with contextlib.suppress(UnknownType):
+            schemas.add(type, await asyncio.to_thread(recording.schema, type))
+
+
+async def decode_records(
+    schemas: Schemas, recording: Recording, messages: Iterable[RecordedMessage]
+) -> Sequence[DecodedRecord]:
+    """Decode recorded messages."""
+    found: list[DecodedRecord] = []
+    for message in messages:
+        await learn_type(schemas, recording, message)
+        found.append(DecodedRecord(message, await decode(schemas, message.sample)))
+    return found
+
+
+def record_document(
+    space: Space, lifting: LiftSettings, recording: Recording, one: DecodedRecord, *, simulated_time: bool
+) -> Document:
+    """What the resource of a recorded message says."""
+    lifted = lift_sample(space, lifting, one.decoded) if one.decoded.message is not None else None
+    said = bag_message_document(recording, one.message, space, lifted, unreadable=one.decoded.reason)
+    return replace(said, simulated_time=simulated_time)
+
+
+def record_triples(
+    space: Space,
+    lifting: LiftSettings,
+    recording: Recording,
+    records: Iterable[DecodedRecord],
+    *,
+    simulated_time: bool,
+) -> list[Triple]:
+    """The same of many. It takes a while: for a thread."""
+    describe = partial(record_document, space, lifting, recording, simulated_time=simulated_time)
+    return [triple for one in records for triple in describe(one).all_triples()]
+
 
 LIMIT, MAX_LIMIT = 100, 1000
 _MAX_TOPIC = 1000

@@ -1,24 +1,110 @@
-"""Recordings: `/bags/B/`, made by POST to `/bags/`, its messages in LDP pages, and each under its own URL."""
+"""Descriptions of recordings: of those that can be read, are being made, or wait for their trigger."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import contextlib
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 
+import orjson
+from pyoxigraph import Literal, NamedNode, Triple
 from starlette.responses import Response
 
-from rosld.adapters.base import Recording, Watch
+from rosld.adapters.base import RecordedTopic, Recording, Watch
+from rosld.ontology.describe_bags import bag_document
+from rosld.ontology.document import Document
 from rosld.ontology.urls import Space
-from rosld.server.history.recordings import Recordings
-from rosld.server.html.forms import DeleteForm, Form
-from rosld.server.html.page import SequenceLink
-from rosld.server.hypermedia.message_schemas import MessageSchemas
-from rosld.server.resources.bag_descriptions import describe_bag
+from rosld.ontology.vocab import ros
+from rosld.server.history.armed_recordings import ArmedRecording
+from rosld.server.history.recordings import Recordings, RunningRecording
+from rosld.server.html.forms import ChoiceForm, DeleteForm, Form
+from rosld.server.html.page import Csrf, Notice, NoticeLevel, Page, SequenceLink
+from rosld.server.html.site import Site
+from rosld.server.http.conditional import digest
+from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.data_schema import DataSchema
+from rosld.server.hypermedia.json_schema import MessageSchemas
+from rosld.server.patches.n3patch import apply_patch, read_patch
+from rosld.server.patches.patch import apply_update
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.path_item import PathItem
-from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, READ, RESOURCE, Answer, Resource
+from rosld.server.rest.formats import MERGE_PATCH, SPARQL_UPDATE
+from rosld.server.rest.path_item import PathItem, WriteMethod
+from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, READ, RESOURCE, Answer, Resource, ShownAnswer
 from rosld.server.rest.state import State
+from rosld.server.runtime.tasks import call_every, loop_time
 from rosld.server.runtime.version_cache import VersionCache
 from rosld.server.settings import Settings
+
+
+class ArmedView:
+    """A recording that waits for its trigger, as it is described."""
+
+    format = "MCAP"
+    first = count = start_ns = end_ns = 0
+    topics: Mapping[str, RecordedTopic] = {}
+    silent: Sequence[str] = ()
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+
+class RunningView:
+    """A recording that is being made, as it is described."""
+
+    format = "MCAP"
+    first = 0
+
+    def __init__(self, one: RunningRecording, silent: Sequence[str]) -> None:
+        self.name = one.name
+        self.silent = silent
+        self.count = one.writer.count
+        self.start_ns = one.writer.start_ns
+        self.end_ns = one.writer.end_ns
+        types = one.writer.types
+        counts = dict(one.writer.counts)
+        self.topics = {topic: RecordedTopic(topic, types[topic], n) for topic, n in counts.items() if topic in types}
+
+
+def bag_urls(space: Space, recordings: Recordings) -> tuple[str, ...]:
+    """The URLs of all recordings, those that are being made, and those that wait to be, included."""
+    names = (*recordings.readable, *recordings.running, *recordings.armed)
+    return tuple(map(space.bag, dict.fromkeys(names)))
+
+
+def describe_bag(space: Space, recordings: Recordings, recording: Recording) -> Document:
+    """The document of a recording that can be read."""
+    history = recordings.history
+    if recording is history.recording:
+        return bag_document(recording, space, dropped=history.dropped(), problem=history.problem)
+    size: int | None = None
+    with contextlib.suppress(OSError):
+        size = recording.path.stat().st_size if recording.path.is_file() else None
+    why = recordings.interruption(recording.name)
+    digest, status = history.digests.known(recording.path), None if why is None else "interrupted"
+    return bag_document(recording, space, digest, size=size, problem=why, status=status)
+
+
+def describe_running(space: Space, recordings: Recordings, one: RunningRecording) -> Document:
+    """The document of a recording that is being made."""
+    writer = one.writer
+    return bag_document(
+        RunningView(one, recordings.silent(one)),
+        space,
+        dropped=recordings.dropped(one),
+        problem=writer.problem,
+        size=writer.size,
+        status="recording",
+        order=one.order,
+    )
+
+
+def describe_armed(space: Space, one: ArmedRecording) -> Document:
+    """The document of a recording that waits for its trigger."""
+    status, problem = ("armed", one.problem) if one.suspended is None else ("suspended", one.suspended)
+    view = ArmedView(one.name)
+    return bag_document(view, space, problem=problem, status=status, order=one.order, triggered=one.count)
+
 
 _TOPIC_BYTES = 200
 """Bytes that a recording says of a topic."""
@@ -100,4 +186,183 @@ class BagResource(Resource):
     async def delete(self, exchange: Exchange) -> Answer:
         """Delete the recording and its file."""
         await self.recordings.delete(self.recording.name)
+        return Response(status_code=204)
+
+
+N3_PATCH = "text/n3"
+PATCHES = (MERGE_PATCH, SPARQL_UPDATE, N3_PATCH)
+_ENDED = "ended"
+_WORDS = 'A recording can be ended, and nothing else: send {"status": "ended"}, or have ros:recordingStatus be "ended".'
+
+
+def require_end(data: bytes, media_type: str, url: str, before: Iterable[Triple]) -> None:
+    """Raise Problems where a patch of the recording at `url`, which says `before`, does anything but end it.
+
+    400 for what cannot be read, 409 for an N3 patch that does not fit, 422 for anything else.
+    """
+    if media_type not in (SPARQL_UPDATE, N3_PATCH):
+        try:
+            said: object = orjson.loads(data)
+        except orjson.JSONDecodeError as error:
+            raise Problem(400, f"This is no JSON: {error}.") from error
+        if said != {"status": _ENDED}:
+            raise Problem(422, _WORDS)
+        return
+    known = list(before)
+    if media_type == N3_PATCH:
+        after = set(apply_patch(read_patch(data, url), known))
+        statuses = {each.object for each in after if each.predicate == ros.recordingStatus}
+        others = {each for each in after if each.predicate != ros.recordingStatus}
+        is_rest_same = others == {each for each in known if each.predicate != ros.recordingStatus}
+    else:
+        body = apply_update(data, known, url, by_value=True)
+        statuses = set(body.objects(NamedNode(url), ros.recordingStatus))
+        is_rest_same = True
+    if statuses != {Literal(_ENDED)} or not is_rest_same:
+        raise Problem(422, _WORDS)
+
+
+_LOOK_SECONDS = 1.0
+"""Between two looks of those who follow a recording that is being made."""
+
+
+class UnfinishedBag(Resource):
+    """A recording that is not complete: PATCH ends it."""
+
+    is_cacheable = False
+    links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
+    accepts: Mapping[str, Sequence[str]] = {"PATCH": PATCHES}
+
+    def __init__(self, space: Space, settings: Settings, name: str) -> None:
+        super().__init__(space.bag(name))
+        self.space = space
+        self.settings = settings
+        self.name = name
+
+    def methods(self) -> frozenset[str]:
+        return READ if self.settings.read_only else READ | {"PATCH", "DELETE"}
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        ends: DataSchema = {"type": "object", "properties": {"status": {"const": "ended"}}, "required": ["status"]}
+        return PathItem(f"The recording {self.name}", writes={"PATCH": WriteMethod("Ends it", sends=ends)})
+
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return (self.space.document_shape("Bag"),)
+
+
+class RunningBag(UnfinishedBag):
+    """A recording that is being made: how far it is. PATCH ends it, DELETE gives it up."""
+
+    kind = "Recording being made"
+
+    def __init__(
+        self,
+        space: Space,
+        settings: Settings,
+        states: VersionCache[State],
+        recordings: Recordings,
+        one: RunningRecording,
+    ) -> None:
+        super().__init__(space, settings, one.name)
+        self.states = states
+        self.recordings = recordings
+        self.one = one
+
+    @property
+    def _finished(self) -> Resource | None:
+        """The recording as it can be read, once it has ended: who follows it sees it end."""
+        recording = self.recordings.readable.get(self.one.name)
+        if recording is None:
+            return None
+        return BagResource(self.space, self.settings, self.states, self.recordings, recording)
+
+    async def state(self) -> State:
+        if self._finished is not None:
+            return await self._finished.state()
+        if self.one.name not in self.recordings.running:
+            raise Problem(410, f"The recording {self.one.name} was deleted.")
+        writer, describe = self.one.writer, partial(describe_running, self.space, self.recordings, self.one)
+        said = f"{writer.count} {writer.size} {writer.problem} {len(writer.types)} {self._seconds_left}"
+        return State(describe, token=digest(said.encode("utf-8", "replace")))
+
+    async def watch(self, wake: Callable[[], None]) -> Watch:
+        return call_every(_LOOK_SECONDS, wake)
+
+    @property
+    def _seconds_left(self) -> int | None:
+        """The seconds until it ends by itself, None where it does not."""
+        ends_at = self.one.ends_at
+        return None if ends_at is None else max(0, math.ceil(ends_at - loop_time()))
+
+    def page(
+        self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]
+    ) -> Page | bytes:
+        finished, writer = self._finished, self.one.writer
+        if finished is not None:
+            return finished.page(site, state, forms, csrf, notices)
+        left = "until it is ended" if self._seconds_left is None else f"{self._seconds_left} s are left"
+        counted = f"{writer.count:,} messages of {len(writer.counts)} topics, {writer.size / 1e6:,.1f} MB"
+        told = Notice(f"Recording, {left}: {counted}", NoticeLevel.INFO, is_lasting=True)
+        return super().page(site, state, forms, csrf, (told, *notices))
+
+    async def patch(self, exchange: Exchange) -> Answer:
+        """End it: `{"status": "ended"}`, or that `ros:recordingStatus` is "ended" from now on.
+
+        Answers with the recording, or a 507 Problem where it could not be completed.
+        """
+        before = describe_running(self.space, self.recordings, self.one).triples
+        require_end(await exchange.body(), exchange.media_type, self.url, before)
+        await self.recordings.end(self.one.name)
+        resource = self._finished
+        if resource is None:
+            raise Problem(507, self.one.writer.problem or f"The recording {self.one.name} could not be completed.")
+        return ShownAnswer(resource, await resource.state())
+
+    async def forms(self) -> Sequence[Form]:
+        if self._finished is not None:
+            return await self._finished.forms()
+        if "PATCH" not in self.methods():
+            return ()
+        about = "It can then be read."
+        end = ChoiceForm(
+            "status", ("ended",), "End the recording", method="PATCH", about=about, labels={"ended": "End"}
+        )
+        return (end, DeleteForm("Delete the recording", "Delete", "It ends, and what there is of it is deleted."))
+
+    async def delete(self, exchange: Exchange) -> Answer:
+        """End it, and delete what there is of it."""
+        await self.recordings.delete(self.one.name)
+        return Response(status_code=204)
+
+
+class ArmedBag(UnfinishedBag):
+    """A recording that waits for its trigger. PATCH and DELETE have it wait no more."""
+
+    kind = "Recording that waits for its trigger"
+
+    def __init__(self, space: Space, settings: Settings, recordings: Recordings, one: ArmedRecording) -> None:
+        super().__init__(space, settings, one.name)
+        self.recordings = recordings
+        self.one = one
+
+    async def state(self) -> State:
+        return State(partial(describe_armed, self.space, self.one))
+
+    async def forms(self) -> Sequence[Form]:
+        about = "It waits no more for its trigger. What that has begun stays."
+        return (DeleteForm("Disarm", "Disarm", about),) if "DELETE" in self.methods() else ()
+
+    async def patch(self, exchange: Exchange) -> Answer:
+        """Have it wait no more."""
+        before = describe_armed(self.space, self.one).triples
+        require_end(await exchange.body(), exchange.media_type, self.url, before)
+        return await self.delete(exchange)
+
+    async def delete(self, exchange: Exchange) -> Answer:
+        """Have it wait no more."""
+        try:
+            await self.recordings.disarm(self.one.name)
+        except OSError as error:
+            raise Problem(507, f"That it waits no more cannot be stored: {error.strerror or error}.") from error
         return Response(status_code=204)

@@ -39,8 +39,7 @@ from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.origin import OriginPolicy, normalize_authority
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import DataSchema
-from rosld.server.hypermedia.json_schema import OBJECT, TEXT, URI
-from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.json_schema import OBJECT, TEXT, URI, MessageSchemas
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, OFFERS
 from rosld.server.rest.path_item import PathItem, WriteMethod

@@ -44,7 +44,7 @@ from rosld.server.policies.stored_queries import StoredQueries
 from rosld.server.resources.diagnostics import DiagnosticsResource
 from rosld.server.resources.ldp.documents import Documents
 from rosld.server.resources.messages import decode
-from rosld.server.resources.number_finder import NumberFinder
+from rosld.server.resources.plot import NumberFinder
 from rosld.server.resources.space import SpaceResource
 from rosld.server.resources.sparql_endpoint import page_results
 from rosld.server.resources.topics import TopicResource

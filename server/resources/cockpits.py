@@ -26,7 +26,7 @@ from rosld.server.http.body import FORM
 from rosld.server.http.conditional import digest
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.json_schema import MessageSchemas
 from rosld.server.policies.stored_cockpits import DEFAULT, ROUTE, cockpit_titles
 from rosld.server.resources.cockpit_panels import CockpitSources, PanelReader
 from rosld.server.resources.default_cockpit import default_cockpit

@@ -21,25 +21,24 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import AffordanceService, Snapshot
 from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.data_schema import DataSchema, Json, value_schema
-from rosld.server.hypermedia.json_schema import nullable, patch_schema, read_schema
-from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.json_schema import MessageSchemas, nullable, patch_schema, read_schema
 from rosld.server.hypermedia.resource_tree import ComplexPlan, ResourceTree
 from rosld.server.hypermedia.thing_description import MEDIA_TYPE
 from rosld.server.hypermedia.value import shape_url
 from rosld.server.hypermedia.view_documents import complex_document, complex_json
 from rosld.server.hypermedia.views import ComplexView
 from rosld.server.patches.patch import apply_update
-from rosld.server.resources.bulk_write import (
+from rosld.server.resources.accepted_shape import CommandResource
+from rosld.server.resources.limit_checks import LimitChecks
+from rosld.server.resources.memento import PAST
+from rosld.server.resources.property_writes import (
     MemberChange,
     carry_out_all,
     changes_in_graph,
     changes_in_json,
     plan_changes,
+    read_fresh_state,
 )
-from rosld.server.resources.command import CommandResource
-from rosld.server.resources.limit_checks import LimitChecks
-from rosld.server.resources.memento import PAST
-from rosld.server.resources.preconditions import read_fresh_state
 from rosld.server.resources.things import FORMAT as TD
 from rosld.server.resources.things import ThingDescriptions, wants_thing
 from rosld.server.rest.exchange import Exchange

@@ -23,8 +23,7 @@ from rosld.server.html.site import Site
 from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import DataSchema
-from rosld.server.hypermedia.json_schema import TEXT, URI
-from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.json_schema import TEXT, URI, MessageSchemas
 from rosld.server.resources.memento import is_recorded
 from rosld.server.resources.messages import decode
 from rosld.server.rest.exchange import Exchange

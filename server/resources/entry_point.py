@@ -12,7 +12,7 @@ from rosld.server.html.page import Csrf, EntryCount, EntryPage, Notice, NoticeLe
 from rosld.server.html.render import render_entry
 from rosld.server.html.site import Site
 from rosld.server.http.fields import Link
-from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.json_schema import MessageSchemas
 from rosld.server.resources.namespaces import listed_graph
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource

@@ -20,9 +20,9 @@ from rosld.server.http.conditional import digest
 from rosld.server.http.fields import Link
 from rosld.server.http.negotiation import PROFILE_QUERY, VARY_PROFILE, choose_profile
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.json_schema import MessageSchemas
+from rosld.server.resources.bag_selection import DecodedRecord, decode_records, record_document
 from rosld.server.resources.messages import lift_sample
-from rosld.server.resources.recorded_messages import DecodedRecord, decode_records, record_document
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import FORMAT, PathItem, QueryParameter
 from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource

@@ -29,14 +29,12 @@ from rosld.server.html.site import Site
 from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import AffordanceService
-from rosld.server.hypermedia.brief_value import brief_json
+from rosld.server.hypermedia.brief_value import LatestValue, LatestValues, brief_json
 from rosld.server.hypermedia.catalogue import ParameterSource, Property, TopicSource
 from rosld.server.hypermedia.data_schema import DataSchema, Json
-from rosld.server.hypermedia.json_schema import TEXT, URI
-from rosld.server.hypermedia.latest_values import LatestValue, LatestValues
-from rosld.server.hypermedia.light_types import is_light
-from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.json_schema import TEXT, URI, MessageSchemas
 from rosld.server.hypermedia.property_reader import PropertyReader
+from rosld.server.hypermedia.type_inference import is_light
 from rosld.server.hypermedia.value import Reading
 from rosld.server.resources.finder import Finder
 from rosld.server.resources.member_outlines import thumbnail

@@ -1,28 +1,85 @@
-"""Finds what the robot has, and what is kept beside it, by words; indexes are made when something is searched for."""
+"""What clients keep, as entries to be found: stored queries, mappings and documents by their paths and titles."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Hashable, Sequence
+import re
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
+from rosld.adapters.base import Capabilities
 from rosld.adapters.model import Graph, Schema, TypeRef
-from rosld.ontology.urls import Space
+from rosld.ontology.names import IdentityCache, namespaces_of
+from rosld.ontology.urls import Location, Space, locate
+from rosld.ontology.vocab import dcterms, rdfs, schema_org
 from rosld.server.auth.permissions import Permissions
 from rosld.server.hypermedia.affordance_service import AffordanceService
-from rosld.server.hypermedia.resource_tree import ResourceTree
+from rosld.server.hypermedia.conditions import url_of
+from rosld.server.hypermedia.resource_tree import ResourceTree, path_of, segments_of
+from rosld.server.policies import stored_cockpits, stored_mappings
 from rosld.server.policies.stored_queries import StoredQueries
-from rosld.server.resources.kept_entries import kept_entries
 from rosld.server.resources.ldp.documents import Documents
-from rosld.server.resources.namespaces import listed_graph
+from rosld.server.resources.namespaces import listed_graph, namespaces, things_of
 from rosld.server.rest.state import State
+from rosld.server.robot.audited_adapter import AuditedAdapter
 from rosld.server.robot.schemas import Schemas
 from rosld.server.robot.session import Session
 from rosld.server.runtime.version_cache import IdentityKey
 from rosld.server.search.catalog import catalog_of
-from rosld.server.search.entry import Catalog
+from rosld.server.search.entry import Catalog, Entry, EntryKind
 from rosld.server.search.index import SearchIndex, SearchResults
+from rosld.server.search.near_names import NearNames
+from rosld.server.storage.record import Record
+from rosld.server.storage.record_documents import unpack_prefix
+
+MAX_KEPT = 500
+"""Documents that are looked through, those that lie highest first: the rest is for SPARQL."""
+_MAX_BYTES = 8192
+"""Bytes of a document in which its titles are looked for."""
+_AT_ONCE = 25
+"""Documents that are read before the loop has its turn."""
+_NAMING = "|".join(map(re.escape, (dcterms.title.value, rdfs.label.value, schema_org.name.value)))
+_TITLES = re.compile(rf'<(?:{_NAMING})> "((?:[^"\\]|\\.)*)"'.encode())
+_ROOTS = (stored_mappings.ROUTE, stored_cockpits.ROUTE, "data/")
+
+
+async def kept_entries(documents: Documents, queries: StoredQueries) -> list[Entry]:
+    """The entries of what is kept now, at most `MAX_KEPT` beside the queries."""
+    found = [
+        Entry(EntryKind.QUERY, f"/{query.name}", url, (), (query.purpose,))
+        for url, query in queries.all(limit=MAX_KEPT)
+    ]
+    waiting, count = list(_ROOTS), 0
+    while waiting and count < MAX_KEPT:
+        for member in documents.records.members(waiting.pop(0), limit=MAX_KEPT - count):
+            record = documents.records.get(member.path)
+            if record is None:
+                continue
+            count += 1
+            found.append(_entry(documents.space, record))
+            if record.model.is_container:
+                waiting.append(record.path)
+            if count % _AT_ONCE == 0:
+                await asyncio.sleep(0)
+    return found
+
+
+def _entry(space: Space, record: Record) -> Entry:
+    kind = EntryKind.MAPPING if record.path.startswith(stored_mappings.ROUTE) else EntryKind.DOCUMENT
+    return Entry(kind, _name(record.path), space.base + record.path, (), tuple(titles_in(record.triples)))
+
+
+def _name(path: str) -> str:
+    """The path below its route, as people write it."""
+    return "/" + "/".join(locate(f"/{path}").segments)
+
+
+def titles_in(triples: bytes) -> list[str]:
+    """The titles and labels in the first of N-Triples that are kept so."""
+    found = _TITLES.findall(unpack_prefix(triples, _MAX_BYTES))
+    return [text.decode("utf-8", "replace").replace('\\"', '"') for text in found]
+
 
 _MANY_NAMES = 1000
 """Names from which an index is made on a thread: ten thousand take a quarter of a second."""
@@ -83,3 +140,54 @@ def _index_of_robot(space: Space, schemas: Schemas, graph: Graph, tree: Resource
 
 def _schema_at_hand(schemas: Schemas, ref: TypeRef) -> Schema | None:
     return schemas.find_cached(ref) or schemas.find_cached_by_name(ref.name)
+
+
+_IN_GRAPH = frozenset({"nodes", "topics", "services", "actions", "parameters"})
+
+
+def _near_in_route(things: Mapping[str, object]) -> NearNames:
+    return NearNames((*things, *(path_of(namespace) for namespace in namespaces_of(things) if namespace)))
+
+
+def _near_in_tree(tree: ResourceTree) -> NearNames:
+    return NearNames({*tree.properties, *tree.actions, *tree.paths} - {"/"})
+
+
+_route_names: IdentityCache[Mapping[str, object], NearNames] = IdentityCache(_near_in_route)
+_tree_names: IdentityCache[ResourceTree, NearNames] = IdentityCache(_near_in_tree, 2)
+
+
+def near_urls(space: Space, adapter: AuditedAdapter, affordances: AffordanceService[State], url: str) -> Sequence[str]:
+    """The URLs of what the robot has under names near that of `url`, the nearest first.
+
+    None where `url` is in no container of names, and where its name is there: then it is absent for another reason.
+    """
+    place = space.location(url)
+    if place is None or not place.segments:
+        return ()
+    if place.kind == "resources":
+        return _near_resources(space, affordances, place)
+    return _near_names(space, adapter.graph, adapter.capabilities, place) if place.kind in _IN_GRAPH else ()
+
+
+def _near_names(space: Space, graph: Graph, capabilities: Capabilities, place: Location) -> Sequence[str]:
+    things, name = things_of(listed_graph(graph, capabilities), place.kind), _missing_name(place)
+    if name in things or place.segments in namespaces(graph, place.kind):
+        return ()
+    return [
+        space.container(place.kind, segments_of(each))
+        if each.endswith("/")
+        else space.url(place.kind, tuple(each[1:].split("/")))
+        for each in _route_names(things).of(name)
+    ]
+
+
+def _near_resources(space: Space, affordances: AffordanceService[State], place: Location) -> Sequence[str]:
+    tree, name = affordances.cached_tree(), _missing_name(place)
+    if tree is None or tree.property(name) is not None or tree.action(name) is not None or f"{name}/" in tree.paths:
+        return ()
+    return [url_of(each, space) for each in _tree_names(tree).of(name)]
+
+
+def _missing_name(place: Location) -> str:
+    return "/" + "/".join(place.segments)

@@ -19,8 +19,7 @@ from rosld.server.html.render import render_frames
 from rosld.server.html.site import Site
 from rosld.server.http.conditional import digest
 from rosld.server.hypermedia.data_schema import DataSchema
-from rosld.server.hypermedia.json_schema import TEXT, URI, nullable
-from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.json_schema import TEXT, URI, MessageSchemas, nullable
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource

@@ -25,8 +25,7 @@ from rosld.server.http.conditional import ETag, digest
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import DataSchema
-from rosld.server.hypermedia.json_schema import TEXT, URI
-from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.json_schema import TEXT, URI, MessageSchemas
 from rosld.server.resources.namespaces import listed_graph
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import FORMATS, OFFERS

@@ -25,8 +25,7 @@ from rosld.server.auth import enforcement
 from rosld.server.http.body import MULTIPART
 from rosld.server.http.fields import to_uri
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.json_schema import ANYTHING
-from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.json_schema import ANYTHING, MessageSchemas
 from rosld.server.resources.ldp.base import EXTRA_STATUSES, StoredResource
 from rosld.server.resources.ldp.containers import ContainerResource
 from rosld.server.resources.ldp.routes import AbsentResource

@@ -9,8 +9,7 @@ from rosld.server.http.conditional import ETag, digest
 from rosld.server.http.fields import Link
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.json_schema import OBJECT
-from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.json_schema import OBJECT, MessageSchemas
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import LDP, RESOURCE, Resource

@@ -40,12 +40,10 @@ from rosld.server.html.inputs import Json
 from rosld.server.http.fields import parse_decimal
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import DataSchema
-from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, URI, nullable
-from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, URI, MessageSchemas, nullable
 from rosld.server.patches.patch import merge_patch
-from rosld.server.resources.limit_checks import LimitChecks
+from rosld.server.resources.limit_checks import STRICTNESS, LimitChecks
 from rosld.server.resources.publisher import Publisher
-from rosld.server.resources.strictness import STRICTNESS
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH, RDF_BODIES
 from rosld.server.rest.path_item import FORMAT, PathItem, QueryParameter, WriteMethod
@@ -53,9 +51,9 @@ from rosld.server.rest.resource import READ, Answer, CreatedAnswer, Resource
 from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import State
 from rosld.server.robot.hold_store import HeldMessage, Hold, HoldEnded, Holds, held_message, new_hold
-from rosld.server.robot.publish_rate import PublishLimiter
 from rosld.server.robot.session import Session
 from rosld.server.robot.velocity import passes_stop, zero_message
+from rosld.server.robot.write_policy import PublishLimiter
 from rosld.server.runtime.dry_run import expect_status
 from rosld.server.runtime.version_cache import IdentityKey, VersionCache
 from rosld.shapes.value import Bounds

@@ -1,8 +1,4 @@
-"""Limits on what is written, wherever it is written.
-
-By the type of the message, by the URL it is sent to, and by the property that the topic, service or parameter behind
-that URL belongs to. What a node declares of a parameter is one, and that the numbers of a command are finite.
-"""
+"""Strictness: whether what JSON leaves out is refused or has its default. RDF says all of a message, or is refused."""
 
 from __future__ import annotations
 
@@ -18,10 +14,14 @@ from rosld.ontology.lift import LiftSettings, lifter
 from rosld.ontology.urls import Space
 from rosld.ontology.violations import LoweringError, Path, Violation, brief_value
 from rosld.ontology.vocab import rdf, ros, sh
+from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.conditions import url_of, value_triples
+from rosld.server.hypermedia.json_schema import BOOLEAN
 from rosld.server.hypermedia.value import MessageValue, Reading, StoredValue, Value, scalar_field
 from rosld.server.policies.active_limits import ActiveLimits
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.path_item import QueryParameter
 from rosld.server.rest.state import State
 from rosld.server.robot.audited_adapter import AuditedAdapter
 from rosld.server.robot.write_policy import any_number_hint, takes_finite_numbers
@@ -40,6 +40,27 @@ from rosld.shapes.limited_texts import limited_texts
 from rosld.shapes.limits import Limits
 from rosld.shapes.parameter import declared_demand, violations
 from rosld.shapes.value import Bounds
+
+STRICTNESS = (
+    QueryParameter(
+        "strict", "Whether fields that JSON leaves out are refused; otherwise they have their defaults.", BOOLEAN
+    ),
+    QueryParameter("defaults", "The opposite of `strict`, as it was once called.", BOOLEAN),
+)
+
+
+def is_strict(exchange: Exchange) -> bool:
+    """Whether a message in JSON must have all its fields: `?strict=true`, or `?defaults=false`, as it was once called.
+
+    Raises a 400 Problem where the two contradict each other.
+    """
+    strict = exchange.query_flag("strict")
+    if "defaults" not in exchange.query:
+        return strict
+    if "strict" in exchange.query and exchange.query_flag("defaults") == strict:
+        raise Problem(400, "?strict and ?defaults contradict each other: leave ?defaults out.")
+    return not exchange.query_flag("defaults")
+
 
 _LINKS = {"#message": ros.latest, "#request": ros.request, "#goal": ros.goalMessage}
 

@@ -17,7 +17,7 @@ from rosld.ontology.triples import date_time_literal
 from rosld.ontology.urls import Space
 from rosld.server.html.page import Cell, MemberColumns
 from rosld.server.http.conditional import digest
-from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.json_schema import MessageSchemas
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource
 from rosld.server.rest.state import State

@@ -13,7 +13,7 @@ from rosld.ontology.urls import Space
 from rosld.ontology.vocab import ros
 from rosld.server.html.page import Cell, Thumbnail
 from rosld.server.html.values import brief_text
-from rosld.server.hypermedia.latest_values import LatestValue
+from rosld.server.hypermedia.brief_value import LatestValue
 from rosld.server.pictures.form import OCCUPANCY_GRID
 
 _THUMBNAIL_WIDTH = 192

@@ -17,8 +17,8 @@ from rosld.server.html.page import MemberColumns, SequenceLink
 from rosld.server.http.conditional import digest
 from rosld.server.http.fields import render_links
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.latest_values import LatestValue, LatestValues
-from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.brief_value import LatestValue, LatestValues
+from rosld.server.hypermedia.json_schema import MessageSchemas
 from rosld.server.resources.member_outlines import action_cells, member_outlines, service_cells, topic_cells
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.paging import (

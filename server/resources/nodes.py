@@ -17,9 +17,8 @@ from rosld.ontology.violations import LoweringError, Violation
 from rosld.ontology.vocab import ros
 from rosld.server.html.forms import ChoiceForm, Form
 from rosld.server.http.problem import Problem, one_line
-from rosld.server.hypermedia.json_schema import TEXT
-from rosld.server.hypermedia.message_schemas import MessageSchemas
-from rosld.server.resources.command import CommandResource
+from rosld.server.hypermedia.json_schema import TEXT, MessageSchemas
+from rosld.server.resources.accepted_shape import CommandResource
 from rosld.server.resources.limit_checks import LimitChecks
 from rosld.server.resources.namespaces import is_absent, redirect_to_namespace
 from rosld.server.rest.exchange import Exchange

@@ -8,7 +8,7 @@ from rosld.ontology.document import Document
 from rosld.ontology.modules import CORE, MODULES, VERSION, module_url, served_triples
 from rosld.ontology.urls import Location, Space
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.json_schema import MessageSchemas
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import Resource, permanent_redirect
 from rosld.server.rest.state import State

@@ -25,8 +25,7 @@ from rosld.server.resources.namespaces import (
     member_keys,
     with_hidden,
 )
-from rosld.server.resources.parameter_base import ParameterBase
-from rosld.server.resources.parameter_values import omit_parameters
+from rosld.server.resources.parameter_base import ParameterBase, omit_parameters
 from rosld.server.rest.paging import MAX_PAGE_SIZE, LdpPage, PagePosition, page_of_names
 from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE
 from rosld.server.rest.state import State

@@ -1,4 +1,4 @@
-"""Parameters: the one resource of ROS with all of create, read, update and delete (paper, Table 2)."""
+"""The form that sets a parameter."""
 
 from __future__ import annotations
 
@@ -9,36 +9,34 @@ from dataclasses import replace
 
 from pyoxigraph import NamedNode, Triple
 
-from rosld.adapters.model import Graph, Kind, Operation, ParameterValue, Ref, names
+from rosld.adapters.model import Descriptor, Graph, Kind, Operation, ParameterValue, Ref, names
 from rosld.ontology.body import index_triples, parse_body, parse_json
 from rosld.ontology.document import Document
-from rosld.ontology.parameters import (
-    lower_json,
-    lower_parameter,
-    parameter_document,
-    parameter_json,
-    plain_value,
-)
+from rosld.ontology.parameters import Json, lower_json, lower_parameter, parameter_document, parameter_json, plain_value
 from rosld.ontology.triples import text, triples_about
 from rosld.ontology.vocab import rdfs, ros
 from rosld.server.auth.enforcement import require_subtree
 from rosld.server.events.query_params import EVENT_STREAM
-from rosld.server.html.forms import DeleteForm, Form
+from rosld.server.html.forms import DeleteForm, Form, ParameterForm, ValueForm
+from rosld.server.html.view import escape_controls
 from rosld.server.http.conditional import digest
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
 from rosld.server.http.token_redaction import redact_tokens
 from rosld.server.hypermedia.data_schema import DataSchema
-from rosld.server.hypermedia.json_schema import ANYTHING, OBJECT
-from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.json_schema import ANYTHING, OBJECT, MessageSchemas
 from rosld.server.patches.patch import apply_update, merge_patch
 from rosld.server.resources.accepted_shape import has_parameter_shape, parameter_shape, shape_query
 from rosld.server.resources.limit_checks import LimitChecks
 from rosld.server.resources.namespaces import LISTING_PARAMETERS, count_members
-from rosld.server.resources.parameter_base import ParameterBase, descriptor_of, require_not_fixed
+from rosld.server.resources.parameter_base import (
+    ParameterBase,
+    changed_values,
+    descriptor_of,
+    leaf_values,
+    require_not_fixed,
+)
 from rosld.server.resources.parameter_container import ParameterContainer
-from rosld.server.resources.parameter_form import parameter_form
-from rosld.server.resources.parameter_values import changed_values, leaf_values
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH, OFFERS, RDF_BODIES, SPARQL_UPDATE
 from rosld.server.rest.paging import parse_named_position, require_page
@@ -50,7 +48,22 @@ from rosld.server.robot.write_policy import parameter_denied_reason
 from rosld.server.runtime.dry_run import DryRunEnded, end_dry_run, expect_status
 from rosld.server.runtime.tasks import loop_time
 from rosld.server.runtime.version_cache import VersionCache
-from rosld.shapes.parameter import declared_triples, require_form
+from rosld.shapes.parameter import choice_words, declared_shape, declared_triples, require_form
+from rosld.shapes.value import OpenShape
+
+
+def parameter_form(value: Json, descriptor: Descriptor | None, note: str | None) -> Form:
+    """The form for a value, drawn from what is declared of the parameter; an open one where that does not say."""
+    if descriptor is None:
+        return ParameterForm(value, about=note or "")
+    choices = "; ".join(choice_words(descriptor))
+    words = (descriptor.description, descriptor.constraints, f"{choices}." if choices else "")
+    about = escape_controls(" ".join(filter(None, words)))
+    shape = declared_shape(descriptor)
+    if isinstance(shape, OpenShape) or isinstance(value, dict | list):
+        return ParameterForm(value, about=about)
+    return ValueForm(shape, value=value, title="Set the parameter", about=about)
+
 
 _AT_START = "Kept by the parameter server: nodes may read it only when they start."
 _MAX_SLUG = 100

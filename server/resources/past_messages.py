@@ -17,11 +17,9 @@ from rosld.ontology.literals import date_time, quote
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import ldp, rdf, ros, xsd
 from rosld.server.auth.permissions import Permissions
-from rosld.server.history.columns import columns_of
 from rosld.server.history.history import HistoryRecording
-from rosld.server.history.message_block import MessageBlock
-from rosld.server.history.past_end import clip_ranges, time_of_end
-from rosld.server.history.past_reader import PastRange, count_past, merge_ranges, read_past
+from rosld.server.history.message_block import MessageBlock, columns_of
+from rosld.server.history.past_reader import PastRange, clip_ranges, count_past, merge_ranges, read_past, time_of_end
 from rosld.server.history.recordings import Recordings
 from rosld.server.http.problem import Problem
 from rosld.server.robot.session import Session

@@ -23,8 +23,15 @@ from rosld.server.http.problem import ROBOT_SAID, Problem
 from rosld.server.hypermedia.affordance_service import AffordanceService, Snapshot
 from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.data_schema import value_schema
-from rosld.server.hypermedia.json_schema import ANYTHING, OBJECT, nullable, patch_schema, read_schema, write_schema
-from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.json_schema import (
+    ANYTHING,
+    OBJECT,
+    MessageSchemas,
+    nullable,
+    patch_schema,
+    read_schema,
+    write_schema,
+)
 from rosld.server.hypermedia.property_writer import (
     PlannedWrite,
     WriteOutcome,
@@ -33,12 +40,12 @@ from rosld.server.hypermedia.property_writer import (
     not_writable_reason,
 )
 from rosld.server.hypermedia.resource_tree import ActionPlan, PropertyPlan, ResourceTree, parent_of
-from rosld.server.hypermedia.value import MessageValue, shape_url
-from rosld.server.hypermedia.value_body import content_from_rdf
+from rosld.server.hypermedia.value import MessageValue, content_from_rdf, shape_url
 from rosld.server.hypermedia.view_documents import action_document, property_document, property_json
 from rosld.server.hypermedia.views import PropertyView
 from rosld.server.patches.patch import apply_update, merge_patch
 from rosld.server.resources.accepted_shape import (
+    CommandResource,
     has_property_shape,
     message_shape,
     property_shape,
@@ -46,15 +53,18 @@ from rosld.server.resources.accepted_shape import (
     shape_query,
 )
 from rosld.server.resources.actions import ActionResource
-from rosld.server.resources.bulk_write import with_field
-from rosld.server.resources.command import CommandResource
 from rosld.server.resources.complex_resource import ComplexResource
-from rosld.server.resources.limit_checks import LimitChecks
+from rosld.server.resources.limit_checks import STRICTNESS, LimitChecks, is_strict
 from rosld.server.resources.memento import PAST
-from rosld.server.resources.preconditions import read_fresh_state, require_offered, require_writable
-from rosld.server.resources.property_writes import plan_property_write, write_response
+from rosld.server.resources.property_writes import (
+    plan_property_write,
+    read_fresh_state,
+    require_offered,
+    require_writable,
+    with_field,
+    write_response,
+)
 from rosld.server.resources.service_request import call_problem, call_service, read_request, refusal_problem
-from rosld.server.resources.strictness import STRICTNESS, is_strict
 from rosld.server.resources.things import ThingDescriptions
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH, RDF_BODIES, SPARQL_UPDATE

@@ -16,9 +16,8 @@ from rosld.ontology.vocab import rdf, ros
 from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
 from rosld.server.patches.patch import apply_update, merge_patch
-from rosld.server.resources.limit_checks import LimitChecks
+from rosld.server.resources.limit_checks import LimitChecks, is_strict
 from rosld.server.resources.messages import decode
-from rosld.server.resources.strictness import is_strict
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH
 from rosld.server.robot.publication import (

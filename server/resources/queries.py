@@ -34,8 +34,7 @@ from rosld.server.http.conditional import ETag, check_preconditions, digest
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import DataSchema
-from rosld.server.hypermedia.json_schema import ANYTHING, TEXT
-from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, MessageSchemas
 from rosld.server.policies.stored_queries import ROUTE, StoredQueries, query_triples
 from rosld.server.resources.ldp.base import EXTRA_STATUSES
 from rosld.server.resources.ldp.bodies import require_small

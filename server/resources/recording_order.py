@@ -1,23 +1,73 @@
-"""What a recording is to be made of, as clients send it: JSON, or RDF in the terms of the ontology."""
+"""The form of the page `/bags/` that begins a recording, or has one wait for its trigger."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import cache
 from typing import cast
 
 import orjson
 from pyoxigraph import Literal, NamedNode
 
+from rosld.adapters.model import MessageSchema
+from rosld.adapters.model.library import TypeLibrary
 from rosld.ontology.body import MEDIA_TYPES as RDF_TYPES
 from rosld.ontology.body import RdfBody, Subject, parse_body
 from rosld.ontology.vocab import ros
-from rosld.server.history.ordered_recording import RecordingOrder, Trigger
+from rosld.server.history.recording_orders import RecordingOrder, Trigger
+from rosld.server.html.forms import MessageForm, NameChoices
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import DataSchema
 from rosld.server.hypermedia.json_schema import TEXT
-from rosld.server.resources.recording_form import order_of_form
 from rosld.server.rest.formats import JSON
+
+_FIELDS = """string name
+float64 duration
+string topics
+float64 before
+string trigger_resource
+string trigger_condition
+uint8 trigger_limit
+"""
+_FOLDED = frozenset({"topics", "before", "trigger_resource", "trigger_condition", "trigger_limit"})
+_ABOUT = (
+    "Topics: those that you tick, all where you tick none. Duration: seconds, 0 for as long as you like. More: globs "
+    "of topics with spaces between them, such as /odom /camera/*; seconds out of the history before; a condition, "
+    "such as percentage < 0.2, that begins the recording when it comes to hold of the value at a URL."
+)
+
+
+@cache
+def _schema() -> MessageSchema:
+    return TypeLibrary(ros_version=2, folders=()).learn_message("rosld/msg/Recording", _FIELDS)
+
+
+def recording_form(topics: Mapping[str, str]) -> MessageForm:
+    """The form; `topics` are those that there are, with their URLs."""
+    return MessageForm(
+        _schema(),
+        method="POST",
+        title="Record",
+        button="Record",
+        value={"trigger_limit": 1},
+        about=_ABOUT,
+        choices=NameChoices("topics", "Topics", topics),
+        folded=_FOLDED,
+    )
+
+
+def order_of_form(said: Mapping[str, object]) -> dict[str, object]:
+    """What a form was filled with as an order: what was left empty is left out."""
+    found = {key: said[key] for key in ("name", "before", "duration") if said.get(key)}
+    found["topics"] = str(said.get("topics", "")).split() or ["*"]
+    if said.get("trigger_condition") or said.get("trigger_resource"):
+        limit = said.get("trigger_limit") or 1
+        trigger: dict[str, object] = {"condition": said.get("trigger_condition"), "limit": limit}
+        resource = said.get("trigger_resource")
+        found["trigger"] = {**trigger, "resource": resource} if resource else trigger
+    return found
+
 
 MEDIA_TYPES = (JSON, *RDF_TYPES)
 MAX_TOPICS = 1000

@@ -16,7 +16,7 @@ from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.events.broadcaster import LOOK_AGAIN_SECONDS, Broadcaster, Waiter
 from rosld.server.events.long_poll import Until
 from rosld.server.history.armed_recordings import ArmedRecording, MayRecord
-from rosld.server.history.ordered_recording import RecordingOrder, order_to_json
+from rosld.server.history.recording_orders import RecordingOrder, order_to_json
 from rosld.server.history.recordings import Recordings
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import AffordanceService

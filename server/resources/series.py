@@ -18,9 +18,8 @@ from rosld.ontology.describe_views import series_document
 from rosld.ontology.fields import field_at, number_type
 from rosld.ontology.literals import date_time_nanoseconds
 from rosld.ontology.urls import Space
-from rosld.server.history.columns import columns_of, number_paths
 from rosld.server.history.history import History
-from rosld.server.history.message_block import MessageBlock
+from rosld.server.history.message_block import MessageBlock, columns_of, number_paths
 from rosld.server.history.series import Point, Series, SeriesRange, SeriesTooLong, read_series
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem

@@ -10,8 +10,7 @@ from rosld.ontology.urls import Space
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.value import refusal_text
 from rosld.server.receipts.audit_context import Sender
-from rosld.server.resources.limit_checks import LimitChecks
-from rosld.server.resources.strictness import is_strict
+from rosld.server.resources.limit_checks import LimitChecks, is_strict
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON
 from rosld.server.rest.ros_problems import problem_of

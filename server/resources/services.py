@@ -16,14 +16,11 @@ from rosld.ontology.literals import date_time
 from rosld.server.html.forms import DeleteForm, Form, MessageForm
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import DataSchema
-from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, URI, nullable
-from rosld.server.hypermedia.message_schemas import MessageSchemas
-from rosld.server.resources.accepted_shape import message_shape, shape_query
-from rosld.server.resources.command import CommandResource
-from rosld.server.resources.limit_checks import LimitChecks
+from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, URI, MessageSchemas, nullable
+from rosld.server.resources.accepted_shape import CommandResource, message_shape, shape_query
+from rosld.server.resources.limit_checks import STRICTNESS, LimitChecks
 from rosld.server.resources.namespaces import is_absent, redirect_to_namespace
 from rosld.server.resources.service_request import call_problem, call_service, read_request
-from rosld.server.resources.strictness import STRICTNESS
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, RDF_BODIES
 from rosld.server.rest.path_item import PathItem, WriteMethod

@@ -1,16 +1,18 @@
-"""Space: `/space?frame=map&show=topics/scan`, what topics tell of places, drawn together as it is seen from above."""
+"""Where a pose that somebody chooses on a map is sent: navigation actions, and topics of goals."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 
 import orjson
 from pyoxigraph import NamedNode
 from starlette.responses import Response
 
-from rosld.adapters.model import Graph
+from rosld.adapters.model import Graph, Nested, RosError
 from rosld.ontology.document import Document
 from rosld.ontology.triples import RDF_SOURCE, statements, text, triples_about
 from rosld.ontology.vocab import dcterms, rdfs
@@ -29,10 +31,8 @@ from rosld.server.html.site import Site
 from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import DataSchema
-from rosld.server.hypermedia.json_schema import TEXT, URI
-from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.json_schema import TEXT, URI, MessageSchemas
 from rosld.server.pictures.form import OCCUPANCY_GRID
-from rosld.server.resources.goal_targets import GoalTarget, GoalTargets
 from rosld.server.resources.memento import is_recorded
 from rosld.server.resources.namespaces import listed_graph
 from rosld.server.rest.exchange import Exchange
@@ -44,9 +44,78 @@ from rosld.server.rest.responses import RawResponse
 from rosld.server.rest.state import State
 from rosld.server.robot.scene import Scene
 from rosld.server.robot.session import Session
+from rosld.server.robot.velocity import subscribers_of
 from rosld.server.space.drawing import PLACED_TYPES, can_place, kind_label, pose_json
 from rosld.server.space.frame_buffer import TOPICS, FrameBuffer
 from rosld.server.space.point_cloud import POINT_CLOUD
+
+_POSE, _STAMPED = "geometry_msgs/msg/Pose", "geometry_msgs/msg/PoseStamped"
+_MAX_TARGETS = 20
+
+
+@dataclass(frozen=True, slots=True)
+class GoalTarget:
+    """An action or a topic that takes a pose, by `method` at `url`.
+
+    `field` is the field of the goal that the pose is in, empty where it is the whole message; `is_stamped` says whether
+    it has a header.
+    """
+
+    url: str
+    name: str
+    type: str
+    method: str
+    field: str
+    is_stamped: bool
+
+
+class GoalTargets:
+    """The targets that an agent may send poses to now; `topic` and `action` give the resources of names."""
+
+    def __init__(self, session: Session, topic: Callable[[str], Resource], action: Callable[[str], Resource]) -> None:
+        self._session = session
+        self._topic = topic
+        self._action = action
+        self._found: tuple[Graph, Sequence[GoalTarget]] | None = None
+
+    @property
+    def now(self) -> float | None:
+        """The time for the headers of poses, in seconds; None where it is simulated and not this server's to say."""
+        return None if self._session.graph.simulated_time else time.time()
+
+    async def offered(self, permissions: Permissions) -> Sequence[GoalTarget]:
+        """The targets on offer, actions first; none while the robot is stopped."""
+        graph = self._session.graph
+        if self._found is None or self._found[0] is not graph:
+            self._found = graph, [each async for each in self._targets(graph)]
+        found = [each for each in self._found[1] if permissions.may(each.method, each.url) and self._is_open(each)]
+        return found[:_MAX_TARGETS]
+
+    def _is_open(self, target: GoalTarget) -> bool:
+        resource = (self._action if target.method == "POST" else self._topic)(target.name)
+        return target.method in resource.methods() - resource.withheld
+
+    async def _targets(self, graph: Graph) -> AsyncIterator[GoalTarget]:
+        """Return all targets that take a pose, whatever the rights of the agent."""
+        space, listed = self._session.space, listed_graph(graph, self._session.adapter.capabilities)
+        for name, action in sorted(listed.actions.items()):
+            if action.type is None:
+                continue
+            try:
+                schema = await self._session.schemas.action(action.type)
+            except RosError:
+                continue
+            poses = [
+                (each.name, each.type.name == _STAMPED)
+                for each in schema.goal.type.fields
+                if isinstance(each.type, Nested) and each.type.name in (_POSE, _STAMPED)
+            ]
+            if len(poses) == 1:
+                yield GoalTarget(space.action(name), name, action.type.name, "POST", *poses[0])
+        for name, topic in sorted(listed.topics.items()):
+            if topic.type is not None and topic.type.name == _STAMPED and subscribers_of(topic, graph):
+                yield GoalTarget(space.topic(name), name, _STAMPED, "PUT", "", is_stamped=True)
+
 
 MAX_SHOWN = 32
 """Topics of one view."""

@@ -20,8 +20,7 @@ from rosld.server.http.body import FORM
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import DataSchema
-from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, URI
-from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, URI, MessageSchemas
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import HTML, RDF_BODIES
 from rosld.server.rest.pages import PageRenderer

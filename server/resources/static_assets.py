@@ -11,8 +11,7 @@ from rosld.ontology.urls import Space
 from rosld.server.html.frame import ASSETS
 from rosld.server.http.conditional import ETag, check_preconditions, digest
 from rosld.server.http.fields import Link
-from rosld.server.hypermedia.json_schema import OBJECT
-from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.json_schema import OBJECT, MessageSchemas
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import LDP, RESOURCE, Resource

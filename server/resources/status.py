@@ -14,8 +14,7 @@ from rosld.ontology.triples import RDF_SOURCE, date_time_literal, double, text, 
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import rdf, ros
 from rosld.server.hypermedia.data_schema import DataSchema
-from rosld.server.hypermedia.json_schema import TEXT, nullable
-from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.json_schema import TEXT, MessageSchemas, nullable
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import Resource
 from rosld.server.rest.state import State

@@ -20,8 +20,7 @@ from rosld.server.html.forms import DeleteForm, Form
 from rosld.server.http.problem import Problem
 from rosld.server.http.token_redaction import redact_tokens
 from rosld.server.hypermedia.data_schema import DataSchema
-from rosld.server.hypermedia.json_schema import TEXT, nullable
-from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.json_schema import TEXT, MessageSchemas, nullable
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON
 from rosld.server.rest.path_item import PathItem, QueryParameter, WriteMethod

@@ -8,11 +8,10 @@ from collections.abc import Mapping
 from rosld.adapters.model import Graph, Kind, MessageSchema, Operation, Ref, Topic
 from rosld.ontology.urls import Space
 from rosld.server.hypermedia.data_schema import message_schema
-from rosld.server.hypermedia.json_schema import OBJECT, patch_schema
-from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.json_schema import OBJECT, MessageSchemas, patch_schema
 from rosld.server.resources.holds import hold_parameters, hold_schema
+from rosld.server.resources.limit_checks import STRICTNESS
 from rosld.server.resources.namespaces import is_absent
-from rosld.server.resources.strictness import STRICTNESS
 from rosld.server.rest.path_item import QueryParameter, WriteMethod
 from rosld.server.rest.resource import READ
 from rosld.server.robot.session import Session

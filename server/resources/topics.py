@@ -24,12 +24,10 @@ from rosld.server.html.forms import DeleteForm, Form, MessageForm
 from rosld.server.html.inputs import Json
 from rosld.server.http.conditional import digest, require_if_match
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.json_schema import ANYTHING, nullable
-from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.json_schema import ANYTHING, MessageSchemas, nullable
 from rosld.server.pictures.form import can_draw
 from rosld.server.pictures.picture_cache import PictureCache
-from rosld.server.resources.accepted_shape import message_shape, shape_query
-from rosld.server.resources.command import CommandResource
+from rosld.server.resources.accepted_shape import CommandResource, message_shape, shape_query
 from rosld.server.resources.holds import create_hold, hold_form
 from rosld.server.resources.limit_checks import LimitChecks
 from rosld.server.resources.memento import (
@@ -46,21 +44,19 @@ from rosld.server.resources.memento import (
 from rosld.server.resources.messages import DecodedSample, decode, field_response, lift_sample
 from rosld.server.resources.namespaces import redirect_to_namespace
 from rosld.server.resources.pictures import (
+    CLOUD_PARAMETERS,
     MOTION,
     PICTURE_FORMAT,
     PICTURE_PARAMETERS,
     PICTURES,
-    picture_motion,
-    picture_response,
-    picture_type,
-    require_picture,
-)
-from rosld.server.resources.point_clouds import (
-    CLOUD_PARAMETERS,
     cloud_is_preferred,
     cloud_response,
     is_cloud,
+    picture_motion,
+    picture_response,
+    picture_type,
     require_cloud,
+    require_picture,
 )
 from rosld.server.resources.publisher import Publisher
 from rosld.server.resources.series import PARAMETERS, read_time, require_history, series_of

@@ -20,8 +20,9 @@ from rosld.ontology.vocab import dcterms, rdf
 from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import AffordanceService
-from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.json_schema import MessageSchemas
 from rosld.server.policies import active_limits
+from rosld.server.resources.accepted_shape import datatypes_of_limits, load_limited_types
 from rosld.server.resources.ldp.base import EXTRA_STATUSES
 from rosld.server.resources.ldp.bodies import require_small
 from rosld.server.resources.ldp.containers import ContainerResource
@@ -29,7 +30,6 @@ from rosld.server.resources.ldp.documents import Documents
 from rosld.server.resources.ldp.representation import all_members
 from rosld.server.resources.ldp.routes import stored_route
 from rosld.server.resources.limit_checks import LimitChecks
-from rosld.server.resources.limit_places import datatypes_of_limits, load_limited_types
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.paging import ALL_PARTS, ContainerParts, PagePosition
 from rosld.server.rest.path_item import FORMAT, PAGE, PathItem, QueryParameter

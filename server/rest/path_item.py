@@ -8,7 +8,7 @@ from urllib.parse import quote
 
 from rosld.server.http.fields import Link
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.json_schema import BOOLEAN, TEXT, Schema
+from rosld.server.hypermedia.json_schema import BOOLEAN, TEXT, JsonSchema
 from rosld.server.rest.formats import FORMATS, OFFERS
 
 ANY_TYPE = "*/*"
@@ -21,7 +21,7 @@ class QueryParameter:
 
     name: str
     about: str
-    schema: Schema = field(default_factory=lambda: TEXT)
+    schema: JsonSchema = field(default_factory=lambda: TEXT)
     required: bool = False
 
     @property
@@ -56,10 +56,10 @@ class WriteMethod:
     """
 
     note: str | None = None
-    sends: Schema | None = None
+    sends: JsonSchema | None = None
     is_body_required: bool = True
     done: tuple[int, ...] | None = None
-    shows: Schema | None = None
+    shows: JsonSchema | None = None
     query: tuple[QueryParameter, ...] = ()
     accepts: tuple[str, ...] | None = None
 
@@ -84,7 +84,7 @@ class PathItem:
 
     summary: str
     reads: tuple[str, ...] = OFFERS
-    plain: Schema | None = None
+    plain: JsonSchema | None = None
     query: tuple[QueryParameter, ...] = (FORMAT,)
     writes: Mapping[str, WriteMethod] = field(default_factory=dict)
     streams: bool = True

@@ -24,7 +24,7 @@ from rosld.server.html.page import Csrf, MemberColumns, Notice, Page, SequenceLi
 from rosld.server.html.site import Site
 from rosld.server.http.fields import Link, to_uri
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.json_schema import MessageSchemas
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.ros_problems import problem_of

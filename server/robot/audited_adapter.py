@@ -85,7 +85,7 @@ class AuditedAdapter:
         deadline: float,
         passes_stop: bool = False,
     ) -> Published:
-        """`Adapter.publish`; raises TopicHeld while somebody holds the topic. `passes_stop`: also while stopped."""
+        """Publish; raises TopicHeld while an agent holds the topic. `passes_stop`: also while stopped."""
         audit, url = current_audit.get(), self._topic_url(topic)
         if audit is not None:
             audit.add_step(f"publish a {type.name} on {topic}", url)
@@ -111,22 +111,22 @@ class AuditedAdapter:
     async def publish_for_hold(
         self, topic: str, type: TypeRef, data: bytes, *, deadline: float, passes_stop: bool = False
     ) -> Published:
-        """`Adapter.publish` for the hold of the topic. `passes_stop`: also while the robot is stopped."""
+        """Return `Adapter.publish` for the hold of the topic. `passes_stop`: also while the robot is stopped."""
         self.published.add(topic)
         run = self._interlock.run_always if passes_stop else self._interlock.run
         return await run(lambda: self.inner.publish(topic, type, data, deadline=deadline))
 
     async def publish_always(self, topic: str, type: TypeRef, data: bytes, *, deadline: float) -> Published:
-        """`Adapter.publish`, also while the robot is stopped: for what ends a hold, or stops the robot."""
+        """Return `Adapter.publish`, also while the robot is stopped: for what ends a hold, or stops the robot."""
         self.published.add(topic)
         return await self._interlock.run_always(lambda: self.inner.publish(topic, type, data, deadline=deadline))
 
     async def call_always(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
-        """`Adapter.call`, also while the robot is stopped: for what stops it."""
+        """Return `Adapter.call`, also while the robot is stopped: for what stops it."""
         return await self._interlock.run_always(lambda: self.inner.call(service, type, request, deadline=deadline))
 
     async def advertise(self, topic: str, type: TypeRef, *, deadline: float) -> None:
-        """`Adapter.advertise`, also while the robot is stopped: nothing is told by it."""
+        """Advertise as `Adapter.advertise`, also while the robot is stopped: it sends nothing."""
         self.published.add(topic)
         await self._interlock.run_always(lambda: self.inner.advertise(topic, type, deadline=deadline))
 
@@ -143,12 +143,12 @@ class AuditedAdapter:
         self.published.discard(topic)
 
     async def call(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
-        """`Adapter.call`."""
+        """Return `Adapter.call`."""
         with _step(f"call {service} ({type.name})", self._space.service(service)):
             return await self._interlock.run(lambda: self.inner.call(service, type, request, deadline=deadline))
 
     async def send_goal(self, action: str, type: TypeRef, goal: bytes, *, deadline: float) -> GoalId:
-        """`Adapter.send_goal`."""
+        """Return `Adapter.send_goal`."""
         with _step(f"send a goal to {action} ({type.name})", self._space.action(action)):
             return await self._interlock.run(lambda: self.inner.send_goal(action, type, goal, deadline=deadline))
 
@@ -206,29 +206,46 @@ class AuditedAdapter:
         await self.inner.close()
 
     def allows(self, ref: Ref) -> frozenset[Operation]:
-        """`Adapter.allows`."""
+        """Return `Adapter.allows`."""
         return self.inner.allows(ref)
 
     async def schema(self, ref: TypeRef, *, deadline: float) -> Schema:
-        """`Adapter.schema`."""
+        """Return `Adapter.schema`."""
         return await self.inner.schema(ref, deadline=deadline)
 
     def known_types(self) -> Sequence[TypeRef]:
-        """`Adapter.known_types`."""
+        """Return `Adapter.known_types`."""
         return self.inner.known_types()
 
     async def subscribe(self, topic: str, *, depth: int = 1) -> Subscription:
-        """`Adapter.subscribe`."""
+        """Return `Adapter.subscribe`."""
         return _CountedSubscription(await self.inner.subscribe(topic, depth=depth), topic, self.subscriptions)
 
     def age_ns(self, sample: Sample) -> int:
-        """`Adapter.age_ns`."""
+        """Return `Adapter.age_ns`."""
         return self.inner.age_ns(sample)
 
     async def follow_goals(self, action: str, *, deadline: float) -> Watch:
-        """`Adapter.follow_goals`."""
+        """Return `Adapter.follow_goals`."""
         return await self.inner.follow_goals(action, deadline=deadline)
 
     async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
-        """`Adapter.get_parameters`."""
+        """Return `Adapter.get_parameters`."""
         return await self.inner.get_parameters(names, deadline=deadline)
+
+
+async def has_other_values(adapter: AuditedAdapter, asked: Mapping[str, ParameterValue], *, deadline: float) -> bool:
+    """Whether a node changed a requested value.
+
+    Only parameters that nodes declare are read again: others always keep the value set. A value that cannot be read now
+    counts as set.
+    """
+    parameters = adapter.graph.parameters
+    declared = [name for name in asked if name in parameters and parameters[name].descriptor is not None]
+    if not declared:
+        return False
+    try:
+        made = await adapter.get_parameters(declared, deadline=deadline)
+    except RosError:
+        return False
+    return any(made[name] != asked[name] for name in declared if name in made)

@@ -1,4 +1,4 @@
-"""Goals of actions, ours and others': each is a resource that outlives its request, kept within a number and an age."""
+"""Following of actions: which of them the robot is asked to tell the goals of, and for how long."""
 
 from __future__ import annotations
 
@@ -27,11 +27,101 @@ from rosld.adapters.model import (
 from rosld.server.http.problem import one_line
 from rosld.server.receipts.audit_context import Sender, record_step
 from rosld.server.robot.calls import IdempotencyKeyReused
-from rosld.server.robot.goal_follower import GoalFollower
 from rosld.server.robot.goal_store import MAX_REMEMBERED, Feedback, Goal, GoalStore
 from rosld.server.runtime.dry_run import end_dry_run, is_dry_run
 from rosld.server.runtime.identifiers import new_identifier
-from rosld.server.runtime.tasks import Signal
+from rosld.server.runtime.tasks import Signal, end_tasks, loop_time
+
+_SWEEP = 1.0
+
+
+class GoalFollower:
+    """Follows actions while somebody looks at them, and for `idle` seconds after that. Belongs to one loop."""
+
+    def __init__(self, adapter: Adapter, idle: float) -> None:
+        self._adapter = adapter
+        self._idle = idle
+        self._followed: dict[str, _Following] = {}
+        self._sweeper: asyncio.Task[None] | None = None
+
+    def start(self) -> None:
+        """Begin; needs a running loop."""
+        self._sweeper = asyncio.get_running_loop().create_task(self._sweep_for_ever())
+
+    async def stop(self) -> None:
+        """Follow nothing more."""
+        if self._sweeper is not None:
+            await end_tasks([self._sweeper])
+        for action in list(self._followed):
+            self._unfollow(action)
+
+    async def follow(self, action: str, *, deadline: float) -> bool:
+        """Follow all goals of an action from now on; return whether they are followed. The first call waits."""
+        following = self._followed.get(action)
+        if following is None:
+            opening = asyncio.ensure_future(self._adapter.follow_goals(action, deadline=deadline))
+            following = self._followed[action] = _Following(opening, 0.0)
+        following.looked_at = loop_time()
+        try:
+            await asyncio.shield(following.opening)
+        except RosError:
+            if self._followed.get(action) is following:
+                del self._followed[action]
+            return False
+        return True
+
+    def is_followed(self, action: str) -> bool:
+        """Whether all goals of an action are announced now."""
+        following = self._followed.get(action)
+        opening = None if following is None else following.opening
+        return opening is not None and opening.done() and not opening.cancelled() and opening.exception() is None
+
+    def keep_following(self, action: str, watch: Watch) -> Watch:
+        """Return the watch, with its action followed, if it is, until it is closed."""
+        return _GoalWatch(self._followed.get(action), watch)
+
+    async def _sweep_for_ever(self) -> None:
+        while True:
+            await asyncio.sleep(_SWEEP)
+            horizon = loop_time() - self._idle
+            for action, following in list(self._followed.items()):
+                if not following.watches and following.looked_at < horizon:
+                    self._unfollow(action)
+
+    def _unfollow(self, action: str) -> None:
+        opening = self._followed.pop(action).opening
+        if not opening.done():
+            opening.cancel()
+        elif not opening.cancelled() and opening.exception() is None:
+            opening.result().close()
+
+
+@dataclass(slots=True)
+class _Following:
+    """An action that is followed: the watch of its goals, when it was read last (loop time), how many watch it."""
+
+    opening: asyncio.Future[Watch]
+    looked_at: float
+    watches: int = 0
+
+
+class _GoalWatch:
+    """A watch that keeps its action followed."""
+
+    def __init__(self, following: _Following | None, watch: Watch) -> None:
+        self._following = following
+        self._watch = watch
+        if following is not None:
+            following.watches += 1
+
+    def close(self) -> None:
+        """Stop waking. Idempotent."""
+        following, self._following = self._following, None
+        if following is not None:
+            following.watches -= 1
+            following.looked_at = loop_time()
+        self._watch.close()
+
 
 _log = logging.getLogger("rosld")
 _ORDER: Mapping[GoalStatus, int] = {GoalStatus.ACCEPTED: 0, GoalStatus.EXECUTING: 1, GoalStatus.CANCELING: 2}
@@ -44,17 +134,17 @@ _FIELDS = tuple(field.name for field in fields(Goal))
 
 @dataclass(frozen=True, slots=True)
 class GoalSubmission:
-    """A goal as it stands when its sender is answered, and the error where it was not taken."""
+    """The state of a goal in the response to its sender, and the error if it was not accepted."""
 
     goal: Goal | None
     error: RosError | None
 
 
 class Goals:
-    """The goals of one robot. `on_event` is for any thread, all else for the server's loop.
+    """The goals of one robot. `on_event` is thread-safe, everything else belongs to the server's loop.
 
-    Feedback that comes faster than the loop takes it is told as one. What was deleted, or has become too old, is not
-    learnt again from who still tells of it. Those that have ended go first where there are too many.
+    Feedback that arrives faster than the loop runs is merged. Deleted and expired goals are not added again by later
+    events. Above the limit, ended goals are removed first.
     """
 
     def __init__(
@@ -78,21 +168,21 @@ class Goals:
 
     @property
     def changes(self) -> Signal:
-        """Tells the action and the id of each goal that is another now."""
+        """The signal of changed goals, with the action and the id of each."""
         return self._store.changes
 
     # All goals
 
     def all(self) -> Sequence[Goal]:
-        """The goals kept, oldest first."""
+        """Return the goals kept, oldest first."""
         return self._store.all()
 
     def of_action(self, action: str) -> Sequence[Goal]:
-        """The goals kept of one action, oldest first."""
+        """Return the goals kept of one action, oldest first."""
         return [goal for goal in self.all() if goal.action == action]
 
     def current(self, action: str) -> Goal | None:
-        """The goal that an action pursues, the newest of several; the last one where it pursues none."""
+        """Return the goal that an action pursues, the newest of several; the last one where it pursues none."""
         return self._store.current(action)
 
     def is_followed(self, action: str) -> bool:
@@ -100,11 +190,11 @@ class Goals:
         return self._follower.is_followed(action)
 
     def find(self, id: str) -> Goal:
-        """A goal by its id; raises Gone for one that was deleted or is too old, KeyError for one that never was."""
+        """Return a goal by its id. Raises Gone for a deleted or expired goal, KeyError for an unknown one."""
         return self._store.find(id)
 
     def action_of(self, id: str) -> str | None:
-        """The action of a goal, empty for one that is gone, None for one that never was; any thread may ask."""
+        """Return the action of a goal, empty for one that is gone, None for one that never was; any thread may ask."""
         return self._store.action_of(id)
 
     def delete(self, id: str) -> None:
@@ -118,7 +208,7 @@ class Goals:
     async def send(
         self, action: str, schema: ActionSchema, message: Message, *, deadline: float, sender: Sender | None = None
     ) -> GoalSubmission:
-        """Send a goal; the one that was rejected is kept as well. Raises ValueError where it cannot be encoded."""
+        """Send a goal; a rejected one is kept as well. Raises ValueError if it cannot be encoded."""
         data = schema.goal.codec.encode(message, self._adapter.capabilities.encoding)
         now = time.time_ns()
         try:
@@ -211,7 +301,7 @@ class Goals:
     # Hearing of goals
 
     def on_event(self, key: GoalId, event: GoalEvent) -> None:
-        """Take what became known of a goal; from any thread. What nobody has taken yet is told together."""
+        """Queue an update about a goal (thread-safe). Pending updates are delivered in one batch."""
         with self._lock:
             before = self._heard.get(key)
             count = (1 if event.feedback is not None else 0) + (before[1] if before else 0)
@@ -246,7 +336,7 @@ class Goals:
             self._store.keep(goal)
 
     def _after(self, goal: Goal, event: GoalEvent, count: int) -> Goal:
-        """The goal after an event: no status comes after one that is final, but that of a goal thought lost."""
+        """Return the goal after an event: no status comes after one that is final, but that of a goal thought lost."""
         status = goal.status
         if event.status is not None and (_rank(event.status) >= _rank(status) and not status.is_settled):
             status = event.status
@@ -278,7 +368,7 @@ class Goals:
     # Looking at what others do
 
     async def follow(self, action: str, *, deadline: float) -> None:
-        """Follow all goals of an action, until nobody has read them for a while. The first call waits."""
+        """Follow all goals of an action until they have not been read for a while. The first call waits."""
         if await self._follower.follow(action, deadline=deadline):
             self._drain()
 
@@ -311,7 +401,7 @@ def _rank(status: GoalStatus) -> int:
 
 
 def _merge(first: GoalEvent, second: GoalEvent) -> GoalEvent:
-    """Two events as one: of each thing what was told last, of the status what is further on."""
+    """Merge two events: the latest value of each field, and the later status."""
     status, words = second.status, second.words
     if first.status is not None and (status is None or first.status.is_settled):
         status, words = first.status, first.words if first.words is not None else words

@@ -24,10 +24,9 @@ from rosld.server.robot.audited_adapter import AuditedAdapter
 from rosld.server.robot.hold_notes import HoldNote, HoldNotes
 from rosld.server.robot.interlock import Holder
 from rosld.server.robot.publication import require_rate
-from rosld.server.robot.publish_rate import PublishLimiter
 from rosld.server.robot.schedule import LeaseExpired, Publish, Schedule, Wait
 from rosld.server.robot.session import Session
-from rosld.server.robot.write_policy import denied_reason
+from rosld.server.robot.write_policy import PublishLimiter, denied_reason
 from rosld.server.runtime.dry_run import end_dry_run
 from rosld.server.runtime.identifiers import new_identifier
 from rosld.server.runtime.tasks import Signal, loop_time

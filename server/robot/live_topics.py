@@ -11,9 +11,16 @@ from math import inf
 
 from rosld.adapters.base import Adapter, Subscription, Watch
 from rosld.adapters.model import Endpoint, Graph, Message, MessageSchema, RosError, Sample
-from rosld.server.robot.fold import FOLDS, QUEUE_DEPTH, FoldedTopic, decoder_of
 from rosld.server.robot.schemas import Schemas
-from rosld.server.robot.topic_view import EMPTY_VIEW, RateEstimator, TopicView
+from rosld.server.robot.topic_view import (
+    EMPTY_VIEW,
+    FOLDS,
+    QUEUE_DEPTH,
+    FoldedTopic,
+    RateEstimator,
+    TopicView,
+    decoder_of,
+)
 from rosld.server.runtime.tasks import end_tasks, loop_time
 
 _SWEEP = 0.5

@@ -9,9 +9,9 @@ from rosld.adapters.model import Kind, Message, MessageSchema, TypeRef
 from rosld.server.http.fields import Link
 from rosld.server.http.problem import Problem
 from rosld.server.receipts.audit_context import record_step
-from rosld.server.robot.publish_rate import PublishLimiter
 from rosld.server.robot.session import Session
 from rosld.server.robot.velocity import goes_on, passes_stop
+from rosld.server.robot.write_policy import PublishLimiter
 from rosld.server.runtime.dry_run import is_dry_run
 from rosld.server.runtime.tasks import loop_time
 

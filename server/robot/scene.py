@@ -1,10 +1,174 @@
-"""What a robot tells of space: its frames, and what is drawn of its topics, shared by all who look."""
+"""The scene of the robot: its frames, and what is drawn of messages in them."""
 
 from __future__ import annotations
 
-from rosld.server.robot.drawings import Drawings
-from rosld.server.robot.live_frames import LiveFrames
+import asyncio
+import contextlib
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import orjson
+
+from rosld.adapters.base import Adapter, Watch
+from rosld.adapters.model import MessageSchema, RosError, Sample
+from rosld.server.history.topic_feed import PERIOD, TopicFeed
+from rosld.server.robot.live_topics import LiveTopics
+from rosld.server.robot.schemas import Schemas
 from rosld.server.robot.session import Session
+from rosld.server.robot.topic_view import QUEUE_DEPTH
+from rosld.server.runtime.tasks import Signal, end_tasks, loop_time
+from rosld.server.space.drawing import Drawing, drawing_json, place_sample
+from rosld.server.space.frame_buffer import STATIC_TOPIC, TOPICS, TYPES, FrameBuffer
+
+_LARGE = 64 * 1024
+"""Bytes of a message from which a thread draws it."""
+_MAX_KEPT = 256
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DrawnSample:
+    """A sample and what is drawn of it, also as JSON; or a sentence that says why nothing is."""
+
+    sample: Sample
+    drawing: Drawing | None
+    json: bytes
+    problem: str = ""
+
+
+class Drawings:
+    """The drawings of one robot's topics."""
+
+    def __init__(self, topics: LiveTopics, schemas: Schemas) -> None:
+        self._topics = topics
+        self._schemas = schemas
+        self._kept: dict[str, DrawnSample] = {}
+        self._turns: dict[str, asyncio.Lock] = {}
+
+    async def newest(self, topic: str) -> DrawnSample | None:
+        """Return the drawing of the newest message of a topic that is subscribed to; None where there is no message."""
+        view = self._topics.find_view(topic)
+        sample = None if view is None else view.newest
+        if sample is None:
+            return None
+        kept = self._kept.get(topic)
+        if kept is not None and kept.sample is sample:
+            return kept
+        async with self._turns.setdefault(topic, asyncio.Lock()):
+            kept = self._kept.get(topic)  # it may have been drawn while this one waited
+            if kept is None or kept.sample is not sample:
+                kept = await self._draw(sample)
+                self._kept.pop(topic, None)
+                self._kept[topic] = kept
+                while len(self._kept) > _MAX_KEPT:
+                    oldest = next(iter(self._kept))
+                    del self._kept[oldest]
+                    self._turns.pop(oldest, None)
+        return kept
+
+    async def _draw(self, sample: Sample) -> DrawnSample:
+        try:
+            schema = await self._schemas.message(sample.schema)
+            if len(sample.data) > _LARGE:
+                return await asyncio.to_thread(_draw_sample, schema, sample)
+            return _draw_sample(schema, sample)
+        except (RosError, ValueError, MemoryError) as error:
+            return DrawnSample(sample, None, b"null", f"{error}" or "It cannot be drawn")
+
+
+def _draw_sample(schema: MessageSchema, sample: Sample) -> DrawnSample:
+    drawing = place_sample(schema, sample)
+    return DrawnSample(sample, drawing, orjson.dumps(drawing_json(drawing), option=orjson.OPT_SERIALIZE_NUMPY))
+
+
+class LiveFrames:
+    """The frames of one robot, shared by all who look.
+
+    `buffer` is as new as the last `refresh`. `idle`: seconds after the last look until nothing is followed any more;
+    `first_value`: how long the first look waits for a transform.
+    """
+
+    def __init__(self, adapter: Adapter, schemas: Schemas, *, idle: float, first_value: float) -> None:
+        self.buffer = FrameBuffer()
+        self._adapter = adapter
+        self._schemas = schemas
+        self._idle = idle
+        self._first_value = first_value
+        self._feeds: dict[str, TopicFeed] = {}
+        self._changes = Signal()
+        self._watches: list[Watch] = []
+        self._looked_at = 0.0
+        self._task: asyncio.Task[None] | None = None
+        self._turn = asyncio.Lock()
+
+    async def look(self) -> FrameBuffer:
+        """Return the frames as of now; the first call waits a moment for what is published."""
+        self._looked_at = loop_time()
+        if self._task is None:
+            self._task = asyncio.get_running_loop().create_task(self._run())
+            await self._wait()
+        await self.refresh()
+        return self.buffer
+
+    def watch(self, wake: Callable[[], None]) -> Watch:
+        """Call `wake` after a transform came, as long as somebody looks."""
+        return self._changes.watch(wake)
+
+    async def refresh(self) -> None:
+        """Take the transforms that came since."""
+        async with self._turn:
+            for topic in TOPICS:
+                with contextlib.suppress(RosError):
+                    await self._take(topic)
+
+    async def stop(self) -> None:
+        """Give the subscriptions back. Idempotent."""
+        task, self._task = self._task, None
+        if task is not None:
+            await end_tasks([task])
+        self._close()
+
+    async def _run(self) -> None:
+        while loop_time() - self._looked_at < self._idle:
+            await self.refresh()
+            await asyncio.sleep(PERIOD)
+        self._close()
+        self._task = None
+
+    def _close(self) -> None:
+        for watch in self._watches:
+            watch.close()
+        for feed in self._feeds.values():
+            feed.subscription.close()
+        self._watches, self._feeds, self.buffer = [], {}, FrameBuffer()
+
+    async def _wait(self) -> None:
+        """Wait until all topics of frames have a message, or the deadline."""
+        there = [topic for topic in TOPICS if self._is_there(topic)]
+        end = loop_time() + self._first_value
+        while there and loop_time() < end:
+            await self.refresh()
+            if all((feed := self._feeds.get(topic)) is not None and feed.subscription.latest() for topic in there):
+                return
+            await asyncio.sleep(0.02)
+
+    def _is_there(self, topic: str) -> bool:
+        entry = self._adapter.graph.topics.get(topic)
+        return entry is not None and any(ref.name in TYPES for ref in entry.types)
+
+    async def _take(self, topic: str) -> None:
+        feed = self._feeds.get(topic)
+        if feed is None:
+            if not self._is_there(topic):
+                return
+            subscription = await self._adapter.subscribe(topic, depth=QUEUE_DEPTH)
+            feed = self._feeds[topic] = TopicFeed(topic, subscription, QUEUE_DEPTH)
+            self._watches.append(subscription.watch(self._changes.emit))
+        for sample in feed.take():
+            schema = await self._schemas.message(sample.schema)
+            if schema.ref.name in TYPES:
+                with contextlib.suppress(ValueError):  # bytes that are no such message tell of no frame
+                    message = schema.codec.decode(sample.data, sample.encoding)
+                    self.buffer.add(message, sample, is_static=topic == STATIC_TOPIC)
 
 
 class Scene:
@@ -18,5 +182,5 @@ class Scene:
         self.drawings = Drawings(session.topics, session.schemas)
 
     async def close(self) -> None:
-        """Follow the frames no more. Idempotent."""
+        """Stop following the frames. Idempotent."""
         await self.frames.stop()

@@ -1,12 +1,17 @@
-"""The session with a robot: its adapter, and what is known of the system while it is served."""
+"""Name of the robot: the parameter `/robot_name`, the name in its URDF, or its host's name."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import ipaddress
 import logging
+import re
+import socket
 from collections.abc import Callable, Mapping
 from fnmatch import fnmatchcase
+from html import unescape
+from urllib.parse import urlsplit
 
 from rosld.adapters.base import Adapter
 from rosld.adapters.model import ActionSchema, GoalEvent, GoalId, Graph, Kind, Live, RosError, Stale, TypeRef
@@ -17,12 +22,56 @@ from rosld.server.robot.calls import Calls
 from rosld.server.robot.goals import Goals
 from rosld.server.robot.interlock import WriteInterlock
 from rosld.server.robot.live_topics import LiveSettings, LiveTopics
-from rosld.server.robot.publish_rate import PublishLimiter
-from rosld.server.robot.robot_name import host_name, naming_parameters, read_robot_name, shown_name
 from rosld.server.robot.schemas import Schemas
+from rosld.server.robot.write_policy import PublishLimiter
 from rosld.server.runtime.dry_run import is_dry_run
 from rosld.server.runtime.tasks import Signal, WokenTask, loop_time
 from rosld.server.settings import Settings
+
+_MAX_NAME = 60
+"""Characters of a name."""
+_PARAMETER = "/robot_name"
+_DESCRIPTION = "robot_description"
+_URDF_NAME = re.compile(r"<robot\b[^<>]{0,2000}?\sname\s*=\s*[\"']([^\"'<>]{1,200})[\"']")
+_URDF_BEGIN = 20_000
+"""Characters of a URDF in which its first element is looked for."""
+
+
+def shown_name(text: str) -> str:
+    """Return a name for display: on one line, without invisible characters, and truncated."""
+    return "".join(filter(str.isprintable, " ".join(text[: 4 * _MAX_NAME].split())))[:_MAX_NAME].strip()
+
+
+def naming_parameters(graph: Graph) -> tuple[str, ...]:
+    """Return the parameters of a graph that may name the robot, the best first."""
+    described = sorted(name for name in graph.parameters if name.rpartition("/")[2] == _DESCRIPTION)
+    return (*((_PARAMETER,) if _PARAMETER in graph.parameters else ()), *described[:1])
+
+
+async def read_robot_name(adapter: Adapter, graph: Graph, *, deadline: float) -> str | None:
+    """Return what the robot's parameters say that it is called; None where they do not."""
+    for name in naming_parameters(graph):
+        try:
+            value = (await adapter.get_parameters([name], deadline=deadline)).get(name)
+        except RosError:
+            continue
+        if isinstance(value, str):
+            found = _URDF_NAME.search(value[:_URDF_BEGIN]) if name != _PARAMETER else None
+            text = value if name == _PARAMETER else unescape(found[1]) if found else ""
+            if shown := shown_name(text):
+                return shown
+    return None
+
+
+def host_name(uri: str | None) -> str:
+    """Return the name of the machine at a URI; that of this one where the URI is of loopback or there is none."""
+    host = (urlsplit(uri).hostname if uri is not None else None) or "localhost"
+    try:
+        is_here = ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        is_here = host == "localhost"
+    return shown_name(socket.gethostname() if is_here else host)
+
 
 OPEN_SECONDS = 5.0
 
@@ -30,10 +79,10 @@ _log = logging.getLogger("rosld")
 
 
 class Session:
-    """One adapter being served. Also the adapter's `Sink`: told of changes, from any thread.
+    """The session of one adapter, and its `Sink`, which receives changes from any thread.
 
-    `changes` is given when the graph, or what may be done with the robot, has changed; `parameter_changes` with the
-    name of a parameter that was set.
+    `changes` is emitted when the graph or the permitted operations change, `parameter_changes` with the name of a
+    parameter that was set.
     """
 
     def __init__(self, adapter: Adapter, settings: Settings) -> None:
@@ -90,7 +139,7 @@ class Session:
         return host_name(None if master is None else master.uri) if system.startswith("ROS") else system
 
     def message_age(self, url: str) -> float | None:
-        """How long ago the newest message of the topic at `url` was received, None where none was; from any thread."""
+        """Return the age of the newest message of the topic at `url`, or None (thread-safe)."""
         location = self.space.location(url)
         if location is None or location.kind != "topics":
             return None
@@ -99,7 +148,7 @@ class Session:
         return None if newest is None else self.adapter.age_ns(newest) / 1e9
 
     def message_ages(self) -> Mapping[str, float]:
-        """The seconds since the newest message of each topic that has one, by the URLs of the topics."""
+        """Return the seconds since the newest message of each topic that has one, by the URLs of the topics."""
         urls = map(self.space.topic, self.topics.subscribed())
         return {url: age for url in urls if (age := self.message_age(url)) is not None}
 
@@ -108,7 +157,7 @@ class Session:
         return any(fnmatchcase(name, glob) for glob in self.settings.resources_only)
 
     def add_write_listener(self, listener: Callable[[Kind, str], None]) -> None:
-        """Have it called with each topic, service or parameter that was written to, as `announce_write` says."""
+        """Call a function with each topic, service or parameter that was written to (see `announce_write`)."""
         self._write_listeners.append(listener)
 
     def announce_write(self, kind: Kind, name: str) -> None:
@@ -146,11 +195,11 @@ class Session:
         self.goals.on_event(goal, event)
 
     def parameter_changed(self, name: str) -> None:
-        """`Sink`: tell those who watch it. Whoever asks reads it anew in any case."""
+        """Wake the watches of a parameter (`Sink`). Reads of its value are never cached."""
         self._follower.call_soon(lambda: self.parameter_changes.emit(name))
 
     def _action_schema(self, name: str) -> ActionSchema | None:
-        """The schema of an action of the graph, as far as it is at hand."""
+        """Return the schema of an action of the graph, as far as it is at hand."""
         action = self.graph.actions.get(name)
         if action is None or action.type is None:
             return None
@@ -221,7 +270,7 @@ class GraphFollower:
 
 
 def used_types(graph: Graph) -> list[TypeRef]:
-    """Every type that a topic, a service or an action of the graph has."""
+    """Return every type that a topic, a service or an action of the graph has."""
     refs = {ref: None for topic in graph.topics.values() for ref in topic.types}
     refs |= {service.type: None for service in graph.services.values() if service.type is not None}
     refs |= {action.type: None for action in graph.actions.values() if action.type is not None}

@@ -20,11 +20,10 @@ from rosld.server.receipts.audit_context import record_step
 from rosld.server.robot.goal_store import Goal
 from rosld.server.robot.hold_store import Hold, Holds
 from rosld.server.robot.interlock import StopState
-from rosld.server.robot.ready_publications import ReadyPublications
 from rosld.server.robot.session import Session
 from rosld.server.robot.velocity import commanded_topics, subscribers_of
 from rosld.server.robot.write_policy import any_number_hint, takes_finite_numbers
-from rosld.server.robot.zero_publisher import Receivers, ZeroPublisher
+from rosld.server.robot.zero_publisher import ReadyPublications, Receivers, ZeroPublisher
 from rosld.server.runtime.dry_run import end_dry_run, is_dry_run
 from rosld.server.runtime.identifiers import new_identifier
 from rosld.server.runtime.tasks import Signal, loop_time

@@ -1,17 +1,95 @@
-"""What is known of a topic's values at one moment, as an immutable value."""
+"""Folding: topics whose messages complete each other, such as `/tf`, shown as one message that holds them all.
+
+A publisher of `/tf` sends some of its frames in one message and others in the next; the newest message alone would
+hide the rest. The elements of such messages have a key (a transform its child frame, a diagnostic status its name),
+and the newest element of each key stays.
+"""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple, cast
 
-from rosld.adapters.model import Sample
+from rosld.adapters.model import Message, MessageSchema, Sample
+
+
+class Fold(NamedTuple):
+    """Folding of messages of one type: the array of elements, and their key field."""
+
+    array: str
+    key: str
+
+
+FOLDS = {
+    "tf2_msgs/msg/TFMessage": Fold("transforms", "child_frame_id"),
+    "tf/msg/tfMessage": Fold("transforms", "child_frame_id"),
+    "diagnostic_msgs/msg/DiagnosticArray": Fold("status", "name"),
+}
+QUEUE_DEPTH = 128
+"""How many messages a publisher may send between two looks without one being lost; looks are made twice a second."""
+MAX_KEYS = 10_000
+
+
+class FoldedTopic:
+    """The elements seen so far on one topic: the newest of each key, each in the message that brought it."""
+
+    def __init__(self, fold: Fold) -> None:
+        self._fold = fold
+        self._elements: dict[str, tuple[Sample, object]] = {}
+        self._seen: dict[str, tuple[int, int]] = {}
+        self._last: tuple[Sample, Message] | None = None
+
+    def take(self, samples: Iterable[Sample], decode: Callable[[Sample], Message]) -> bool:
+        """Fold in the samples not seen before (oldest first); whether there was any. ValueError from `decode`."""
+        changed = False
+        for sample in samples:
+            place = (sample.epoch, sample.sequence)
+            if place <= self._seen.get(sample.publisher, (-1, -1)):
+                continue
+            self._seen[sample.publisher] = place
+            self._add(sample, decode(sample))
+            changed = True
+        return changed
+
+    def _add(self, sample: Sample, message: Message) -> None:
+        for element in cast("list[object]", getattr(message, self._fold.array)):
+            key = cast(str, getattr(element, self._fold.key))
+            self._elements.pop(key, None)  # the newest goes last
+            self._elements[key] = (sample, element)
+        while len(self._elements) > MAX_KEYS:
+            self._elements.pop(next(iter(self._elements)))
+        self._last = (sample, message)
+
+    def times(self) -> Mapping[str, int]:
+        """When the newest element of each key was received, in nanoseconds."""
+        return {key: sample.received_ns for key, (sample, _) in self._elements.items()}
+
+    def sample(self, schema: MessageSchema) -> Sample | None:
+        """Return the folded message as one sample, as new as the newest that it is made of."""
+        if self._last is None:
+            return None
+        newest, message = self._last
+        values = {field.attribute: getattr(message, field.attribute) for field in schema.type.fields}
+        values[self._fold.array] = [self._elements[key][1] for key in sorted(self._elements)]
+        whole = schema.codec.build(schema.ref.name, values)
+        return newest._replace(data=schema.codec.encode(whole, newest.encoding))
+
+
+def decoder_of(schema: MessageSchema) -> Callable[[Sample], Message]:
+    """Return the decoder of samples of one schema."""
+    codec = schema.codec
+
+    def decode(sample: Sample) -> Message:
+        return codec.decode(sample.data, sample.encoding)
+
+    return decode
 
 
 @dataclass(frozen=True, slots=True)
 class TopicView:
-    """The samples of a topic as of one look: the newest of each publisher, and how often they come.
+    """The samples of a topic at one time: the newest of each publisher, and their rate.
 
     `samples` is in order of receipt, the newest last; of a folded topic (`/tf`) it is one, made of all that came.
     `rate` is in messages a second over all publishers, None until measured. `times` tells of a folded topic when the
@@ -28,7 +106,7 @@ class TopicView:
         return self.samples[-1] if self.samples else None
 
     def version_key(self) -> str:
-        """A short text that differs whenever samples or rate do."""
+        """Return a short text that differs whenever samples or rate do."""
         digest = hashlib.blake2b(digest_size=9)
         for sample in self.samples:
             digest.update(f"{sample.publisher}\0{sample.epoch}\0{sample.sequence}\0{sample.received_ns}\0".encode())
@@ -42,7 +120,7 @@ EMPTY_VIEW = TopicView()
 
 @dataclass(slots=True)
 class _Anchor:
-    """Where counting began for one publisher, and a younger place to begin anew from."""
+    """Start of the count for one publisher, and a later one to replace it."""
 
     epoch: int
     sequence: int
@@ -65,7 +143,7 @@ class RateEstimator:
     _rates: dict[str, float] = field(default_factory=dict)
 
     def observe(self, samples: Sequence[Sample]) -> float | None:
-        """The rate over all publishers in messages a second after seeing these newest samples; None until measured."""
+        """Return the rate over all publishers in messages a second after these newest samples; None until measured."""
         for sample in samples:
             self._observe(sample)
         gone = self._anchors.keys() - {sample.publisher for sample in samples}

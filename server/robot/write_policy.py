@@ -6,10 +6,12 @@ other node publishes it and somebody else listens (or rosld itself advertised it
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 
 from rosld.adapters.model import Graph, Kind, Topic
 from rosld.ontology.neutral_message import COMMANDS
+from rosld.server.auth.rate_limit import TokenBucket
 
 RESERVED = frozenset({"/clock", "/tf", "/tf_static", "/rosout", "/rosout_agg", "/parameter_events"})
 
@@ -88,3 +90,29 @@ def type_conflict(topic: Topic) -> str | None:
 def is_reserved(name: str, graph: Graph) -> bool:
     """Whether a topic belongs to ROS itself, or to an action."""
     return name in RESERVED or graph.is_of_action(name)
+
+
+@dataclass(slots=True)
+class PublishLimiter:
+    """Limiter of publishes: at most `rate` a second a topic, in bursts of up to one second's worth."""
+
+    rate: float
+    _buckets: dict[str, TokenBucket] = field(default_factory=dict)
+
+    def wait(self, topic: str, now: float, *, is_counted: bool = True) -> float:
+        """Count a publish (if `is_counted`) and return 0.0, or return the seconds until one is allowed."""
+        bucket = self._bucket(topic)
+        seconds = bucket.wait(now)
+        if seconds == 0.0 and is_counted:
+            bucket.take(now)
+        return seconds
+
+    def count(self, topic: str, now: float) -> None:
+        """Count a publish that cannot wait: the next ones wait for it, a second's worth at the most."""
+        self._bucket(topic).take(now, debt=self.rate)
+
+    def _bucket(self, topic: str) -> TokenBucket:
+        found = self._buckets.get(topic)
+        if found is None:
+            found = self._buckets[topic] = TokenBucket(self.rate, self.rate)
+        return found

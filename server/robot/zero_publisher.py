@@ -8,14 +8,17 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 import time
 from dataclasses import dataclass
 
+from rosld.adapters.base import Watch
 from rosld.adapters.model import Kind, RosError, Topic, Unreachable
 from rosld.server.robot.hold_store import HeldMessage, held_message
 from rosld.server.robot.session import Session
-from rosld.server.robot.velocity import subscribers_of, zero_message
+from rosld.server.robot.velocity import commanded_topics, subscribers_of, zero_message
 from rosld.server.robot.write_policy import type_conflict
+from rosld.server.runtime.tasks import WokenTask, loop_time
 
 RATE, FIRST_RATE = 20.0, 100.0
 """Hz: how often zero is published, and how often at first.
@@ -42,7 +45,7 @@ _ABREAST = 2
 
 @dataclass(frozen=True, slots=True)
 class Receivers:
-    """How many subscribers zero went to, and how many there are."""
+    """Number of subscribers that received zero, and of all subscribers."""
 
     subscribers: int
     expected: int
@@ -84,7 +87,7 @@ class ZeroPublisher:
         return None if repetition is None else await repetition.wait_received_late()
 
     async def over(self) -> None:
-        """Wait until zero is published no more."""
+        """Wait until the publishing of zero has ended."""
         running, self._running = list(self._running.values()), {}
         await asyncio.gather(*(each.over() for each in running))
 
@@ -142,13 +145,13 @@ class Repetition:
         return self._heard.done()
 
     async def over(self) -> None:
-        """Wait until its time is over; where nobody was reached in time nobody is waited for."""
+        """Wait until the end of its time, or of the attempts to reach a subscriber."""
         if not self._heard.done() and self._loop.time() >= self._patient_until:
             self.cancel()
         await asyncio.wait([self._task])
 
     def cancel(self) -> None:
-        """Publish no more."""
+        """Stop publishing."""
         self._task.cancel()
 
     def _try_longer(self) -> None:
@@ -187,7 +190,7 @@ class Repetition:
         self._take(published.matched)
 
     def _take(self, matched: int) -> None:
-        """So many subscribers got it."""
+        """Record the number of subscribers reached."""
         if not matched:
             return
         reached = self._reached
@@ -198,3 +201,43 @@ class Repetition:
             self._until = self._loop.time() + SECONDS
             self._heard.set_result(None)
             self._session.announce_write(Kind.TOPIC, self._topic)
+
+
+_log = logging.getLogger("rosld")
+_OPEN_SECONDS = 5.0
+"""Seconds that a subscriber of one topic is waited for before the next topic is advertised."""
+
+
+class ReadyPublications:
+    """Advertises the velocity topics of a robot as they come, and keeps them; belongs to the server's loop."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        self._advertising = WokenTask(self._advertise)
+        self._watch: Watch | None = None
+        self._failures: dict[str, str] = {}
+
+    def start(self) -> None:
+        """Advertise what there is now, and from now on what comes."""
+        self._watch = self._session.changes.watch(self._advertising.wake)
+        self._advertising.start()
+
+    async def stop(self) -> None:
+        """Advertise nothing more; what is advertised goes with the adapter. Idempotent."""
+        if self._watch is not None:
+            self._watch.close()
+        await self._advertising.stop()
+
+    async def _advertise(self) -> None:
+        session = self._session
+        for topic in commanded_topics(session.graph, session.settings.stop_zero):
+            if topic.type is None:
+                continue
+            try:
+                await session.adapter.advertise(topic.name, topic.type, deadline=loop_time() + _OPEN_SECONDS)
+            except (RosError, ValueError) as error:
+                if self._failures.get(topic.name) != str(error):
+                    _log.warning("%s cannot be advertised for the stop: %s", topic.name, error)
+                self._failures[topic.name] = str(error)
+            else:
+                self._failures.pop(topic.name, None)

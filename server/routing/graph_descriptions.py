@@ -27,7 +27,7 @@ from rosld.ontology.triples import RDF_SOURCE, text, triples_about
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import rdf, ros
 from rosld.server.resources import types
-from rosld.server.resources.bag_descriptions import bag_urls, describe_armed, describe_bag, describe_running
+from rosld.server.resources.bags import bag_urls, describe_armed, describe_bag, describe_running
 from rosld.server.resources.complex_resource import ComplexResource
 from rosld.server.resources.namespaces import listed_graph, namespaces
 from rosld.server.resources.parameters import ParameterTree

@@ -22,8 +22,8 @@ from rosld.server.auth.permissions import Permissions
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.catalogue import MessageKind, Property, TopicSource
 from rosld.server.hypermedia.conditions import url_of
-from rosld.server.hypermedia.light_types import is_bulky
 from rosld.server.hypermedia.resource_tree import ComplexPlan, MemberPlan, ResourceTree
+from rosld.server.hypermedia.type_inference import is_bulky
 from rosld.server.policies import active_limits, stored_queries
 from rosld.server.resources.complex_resource import ComplexResource
 from rosld.server.resources.namespaces import namespaces

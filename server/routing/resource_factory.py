@@ -11,7 +11,7 @@ from rosld.adapters.base import Recording
 from rosld.ontology.urls import Location
 from rosld.server.html.page import StoredQueryLink
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.latest_values import LatestValues
+from rosld.server.hypermedia.brief_value import LatestValues
 from rosld.server.hypermedia.resource_tree import path_of
 from rosld.server.openapi.openapi_resource import OpenApiResource
 from rosld.server.resources.actions import ActionResource, GoalResource

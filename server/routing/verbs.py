@@ -12,7 +12,7 @@ from rosld.ontology.lift import LiftSettings
 from rosld.ontology.violations import LoweringError
 from rosld.server.http.fields import Link, render_links
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.json_schema import MessageSchemas
 from rosld.server.rest.exchange import Exchange, query_pairs
 from rosld.server.rest.path_item import FORMAT, OF_EVERY_WRITE, PathItem
 from rosld.server.rest.resource import LDP, Answer, Resource

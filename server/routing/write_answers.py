@@ -17,7 +17,7 @@ from rosld.server.auth.redaction import redact_problem
 from rosld.server.http.body import FORM
 from rosld.server.http.fields import render_links, to_uri
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.json_schema import MessageSchemas
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.pages import InvalidForm, PageRenderer
 from rosld.server.rest.resource import Answer, CreatedAnswer, Resource, ShownAnswer

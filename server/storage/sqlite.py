@@ -2,7 +2,7 @@
 
 Everything is read and written on the loop, which takes tens of microseconds. In a folder SQLite writes to its log
 without waiting for the disk; a thread does that wait (`durability.py`), for all writes that come meanwhile at once
-(`group_commit.py`), and they are acknowledged after it.
+(`transactions.py`), and they are acknowledged after it.
 """
 
 from __future__ import annotations

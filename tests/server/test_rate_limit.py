@@ -13,7 +13,7 @@ from rosld.server.auth.agent import ANONYMOUS, Agent
 from rosld.server.auth.rate_limit import ClientLimiter, ClientLimits, TokenBucket, client_name
 from rosld.server.events.event_stream import BURST
 from rosld.server.http.problem import Problem
-from rosld.server.robot.publish_rate import PublishLimiter
+from rosld.server.robot.write_policy import PublishLimiter
 
 FAR, OTHER = "192.0.2.1", "192.0.2.2"
 

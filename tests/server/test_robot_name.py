@@ -8,7 +8,7 @@ import socket
 import pytest
 
 from rosld.adapters.model.parameter import ParameterValue
-from rosld.server.robot.robot_name import host_name, shown_name
+from rosld.server.robot.session import host_name, shown_name
 from tests.server.robots.made_up import MadeUp, served
 from tests.waiting import until
 

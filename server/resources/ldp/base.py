@@ -12,8 +12,7 @@ from rosld.adapters.base import Watch
 from rosld.ontology.urls import Space
 from rosld.server.http.conditional import require_if_match
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.json_schema import BOOLEAN
-from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.json_schema import BOOLEAN, MessageSchemas
 from rosld.server.resources.ldp.documents import Documents
 from rosld.server.resources.ldp.transaction import write_together
 from rosld.server.rest.exchange import Exchange

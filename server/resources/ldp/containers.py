@@ -8,7 +8,7 @@ from rosld.ontology.urls import encode_segment
 from rosld.server.html.forms import Form
 from rosld.server.html.page import SequenceLink
 from rosld.server.http.fields import Link
-from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.json_schema import MessageSchemas
 from rosld.server.resources.ldp.base import DELETES, EXTRA_STATUSES, StoredResource, conflict_problem
 from rosld.server.resources.ldp.bodies import model_of_request, receive_blob
 from rosld.server.resources.ldp.creation import create_record

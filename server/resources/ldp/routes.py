@@ -12,8 +12,7 @@ from rosld.ontology.document import Document
 from rosld.ontology.urls import Location
 from rosld.server.http.body import MULTIPART
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.json_schema import ANYTHING
-from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.json_schema import ANYTHING, MessageSchemas
 from rosld.server.patches.patch import has_deletes
 from rosld.server.resources.ldp.base import DELETES, EXTRA_STATUSES, StoredResource, conflict_problem, missing_problem
 from rosld.server.resources.ldp.bodies import model_of_request, receive_blob, require_model

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from rosld.server.resources.mirror_setup import authorization
+from rosld.server.resources.mirror import authorization
 from rosld.server.settings import Settings
 
 

@@ -11,8 +11,7 @@ import pytest
 
 from rosld.server.auth.agent import Agent
 from rosld.server.history.armed_recordings import MAX_ARMED, ArmedRecording, ArmedRecordings, MayRecord
-from rosld.server.history.ordered_recording import RecordingOrder, RecordingRefused, Trigger
-from rosld.server.history.recording_notes import ARMED, RecordingNotes
+from rosld.server.history.recording_orders import ARMED, RecordingNotes, RecordingOrder, RecordingRefused, Trigger
 
 ANNA = Agent("anna", "http://example.org/anna")
 ONCE = RecordingOrder(("/odom", "/camera/*"), "x", 10.0, 5.0, Trigger("x > 1", "/topics/odom"))

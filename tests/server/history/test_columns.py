@@ -16,8 +16,8 @@ from rosld.ontology.column_lift import column_lifter
 from rosld.ontology.document import Envelope
 from rosld.ontology.lift import LiftSettings, partial_lifter
 from rosld.ontology.vocab import rdf, ros
-from rosld.server.history.columns import columns_of, number_paths, rows_of
-from rosld.server.history.topic_chunk import TopicChunk
+from rosld.server.history.mcap_writer import TopicChunk
+from rosld.server.history.message_block import columns_of, number_paths, rows_of
 
 TYPES = (
     "sensor_msgs/msg/Imu",

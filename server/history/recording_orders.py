@@ -1,0 +1,155 @@
+"""Orders of clients to record topics, and their form in JSON."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Container, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import cast
+
+import orjson
+
+from rosld.server.storage.files import remove_note, write_note
+
+
+class RecordingRefused(Exception):
+    """A recording is refused: its name is in use (`taken`), it is too large (`is_too_large`), else it is invalid."""
+
+    def __init__(self, words: str, *, taken: bool = False, is_too_large: bool = False) -> None:
+        super().__init__(words)
+        self.taken = taken
+        self.is_too_large = is_too_large
+
+
+@dataclass(frozen=True, slots=True)
+class Trigger:
+    """When a recording begins: as `condition` comes to hold of the value at the URL `resource`.
+
+    Without a resource the condition is the IRI of one of a mapping. `limit` is how often that begins a recording.
+    """
+
+    condition: str
+    resource: str | None = None
+    limit: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingOrder:
+    """Order of a recording: topics by name or glob, from `before` seconds ago, for `duration` (None: until ended).
+
+    With a trigger it starts when the trigger fires, and `before` counts from then.
+    """
+
+    topics: tuple[str, ...]
+    name: str | None = None
+    before: float = 0.0
+    duration: float | None = None
+    trigger: Trigger | None = None
+
+
+def order_to_json(order: RecordingOrder) -> dict[str, object]:
+    """Return an order as clients send it in JSON."""
+    return {**asdict(order), "topics": list(order.topics)}
+
+
+def order_from_json(members: Mapping[str, object]) -> RecordingOrder:
+    """Return the order that was kept as these members. Raises KeyError, TypeError, ValueError for what is none."""
+    topics, trigger, name = members["topics"], members.get("trigger"), members.get("name")
+    before, duration = members.get("before", 0.0), members.get("duration")
+    if not isinstance(topics, list) or not all(isinstance(each, str) for each in topics):
+        raise TypeError("its topics are no list of names")
+    if not isinstance(name, str | None) or not isinstance(trigger, dict | None):
+        raise TypeError("its name or its trigger is none")
+    if not isinstance(before, float | int) or not isinstance(duration, float | int | None):
+        raise TypeError("its seconds are no numbers")
+    return RecordingOrder(tuple(topics), name, before, duration, None if trigger is None else _trigger(trigger))
+
+
+def _trigger(members: Mapping[str, object]) -> Trigger:
+    condition, resource, limit = members["condition"], members.get("resource"), members.get("limit", 1)
+    if not isinstance(condition, str) or not isinstance(resource, str | None) or not isinstance(limit, int):
+        raise TypeError("its trigger is none")
+    return Trigger(condition, resource, limit)
+
+
+log = logging.getLogger("rosld.history")
+ARMED = ".armed"
+"""What the name of a note of an order that waits for its trigger ends in."""
+INTERRUPTED = ".interrupted"
+"""What the name of a note of a recording that was interrupted ends in."""
+
+
+class RecordingNotes:
+    """Notes in a folder, of one kind and about one recording each. Without a folder, notes are not kept."""
+
+    def __init__(self, folder: Path | None) -> None:
+        self._folder = folder
+
+    def read(self, kind: str) -> Mapping[str, Mapping[str, object]]:
+        """Return the notes of a kind by name. What cannot be read is left where it is, with a warning."""
+        if self._folder is None or not self._folder.is_dir():
+            return {}
+        found: dict[str, Mapping[str, object]] = {}
+        for path in sorted(self._folder.glob(f"[!.]*{kind}")):
+            try:
+                members: object = orjson.loads(path.read_bytes())
+                if not isinstance(members, dict):
+                    raise ValueError("it is no object")
+            except (OSError, ValueError) as error:
+                log.warning("the note %s cannot be read: %s", path, error)
+                continue
+            found[path.name.removesuffix(kind)] = cast("dict[str, object]", members)
+        return found
+
+    def write(self, kind: str, name: str, members: Mapping[str, object]) -> None:
+        """Write a note durably. Raises OSError."""
+        if self._folder is not None:
+            self._folder.mkdir(parents=True, exist_ok=True)
+            write_note(self._folder / f"{name}{kind}", orjson.dumps(members))
+
+    def remove(self, kind: str, name: str) -> None:
+        """Remove a note durably, if there is one. Raises OSError."""
+        if self._folder is not None and self._folder.is_dir():
+            remove_note(self._folder / f"{name}{kind}")
+
+
+STOPPED = "rosld ended while it was being made: it reaches until its last message."
+KILLED = "rosld was ended by force while it was being made: it reaches until the last message that was on the disk."
+
+
+class Interruptions:
+    """The recordings that were interrupted, by name. Belongs to one loop."""
+
+    def __init__(self, notes: RecordingNotes) -> None:
+        self._notes = notes
+        self._reasons: dict[str, str] = {}
+
+    def load(self, names: Container[str]) -> None:
+        """Take what was kept of the recordings of these names; of others, whose files are gone, it goes."""
+        for name, members in self._notes.read(INTERRUPTED).items():
+            if name in names:
+                self._reasons[name] = str(members.get("why") or KILLED)
+            else:
+                try:
+                    self._notes.remove(INTERRUPTED, name)
+                except OSError as error:
+                    log.warning("that %s was interrupted cannot be forgotten: %s", name, error)
+
+    def reason(self, name: str) -> str | None:
+        """Why a recording was interrupted, in a sentence; None for one that was not."""
+        return self._reasons.get(name)
+
+    async def add(self, name: str, why: str) -> None:
+        """Keep that a recording was interrupted, as long as the server runs where that cannot be stored."""
+        self._reasons[name] = why
+        try:
+            await asyncio.to_thread(self._notes.write, INTERRUPTED, name, {"why": why})
+        except OSError as error:
+            log.error("that the recording %s was interrupted cannot be stored: %s", name, error)
+
+    async def remove(self, name: str) -> None:
+        """Forget the interruption of a recording that is gone. Raises OSError."""
+        if self._reasons.pop(name, None) is not None:
+            await asyncio.to_thread(self._notes.remove, INTERRUPTED, name)

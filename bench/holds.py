@@ -107,17 +107,17 @@ async def on_the_aircraft(seconds: float) -> float:
     from rosld.adapters.base import AdapterOptions
     from rosld.adapters.registry import adapter_for
     from rosld.server.app import create_app
-    from rosld.server.serving import http_server
-    from rosld.server.serving.run_lifespan import lifespan
+    from rosld.server.serving.http_server import Server, bind
+    from rosld.server.serving.lifespan import lifespan
     from rosld.server.settings import Settings, address
 
     adapter = adapter_for("aircraft", AdapterOptions())
-    sock = http_server.bind("127.0.0.1", 0)
+    sock = bind("127.0.0.1", 0)
     port = sock.getsockname()[1]
     url = address("127.0.0.1", port)
     app = create_app(adapter, Settings(base_url=url, port=port))
     ready = asyncio.Event()
-    server = http_server.Server(app, ready.set)
+    server = Server(app, ready.set)
     async with lifespan(app):
         serving = asyncio.ensure_future(server.serve(sockets=[sock]))
         await ready.wait()

@@ -37,8 +37,8 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from rosld.adapters.base import AdapterOptions, Published
 from rosld.adapters.model import TimedOut, TypeRef
 from rosld.adapters.rover.adapter import Rover
-from rosld.adapters.rover.source import read_source
-from rosld.adapters.rover.topics import CMD_VEL, SET_LIGHTS
+from rosld.adapters.rover.graph import CMD_VEL, SET_LIGHTS
+from rosld.adapters.rover.simulation import read_source
 from tests.adapters.ros1 import system as ros1
 from tests.ros2 import distros
 from tests.server.robots.made_up import served

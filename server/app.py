@@ -30,7 +30,6 @@ from rosld.server.middleware.access import (
 )
 from rosld.server.middleware.audit import Audit
 from rosld.server.middleware.dispatch import Dispatch, ErrorResponses, ServerOptions, WebSockets
-from rosld.server.middleware.lifespan import Job, Lifespan
 from rosld.server.middleware.limits import Admission, RateLimits, Scheduling
 from rosld.server.receipts.journal import Journal
 from rosld.server.resources.about import AboutResources, types_at
@@ -60,6 +59,7 @@ from rosld.server.routing.services import Services
 from rosld.server.routing.sparql_services import SparqlServices
 from rosld.server.runtime.tasks import KeyedLock
 from rosld.server.runtime.watchdog import Watchdog
+from rosld.server.serving.lifespan import Job, Lifespan
 from rosld.server.settings import Settings
 
 

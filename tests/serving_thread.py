@@ -15,7 +15,7 @@ from rosld.adapters.base import Adapter
 from rosld.server.cli.main import serve as command
 from rosld.server.cli.main import settings_of
 from rosld.server.cli.serve import Serving, opened
-from rosld.server.serving import http_server
+from rosld.server.serving.http_server import bind, run
 from rosld.server.settings import Settings, address
 
 Open: TypeAlias = "Callable[[Callable[[str], None]], AbstractContextManager[Serving]]"
@@ -69,7 +69,7 @@ class ServingThread:
     def _run(self, open: Open) -> None:
         try:
             with open(self._url.set_result) as serving:
-                http_server.run(self._serve(serving))
+                run(self._serve(serving))
         except BaseException as error:
             if self._url.done():
                 self._failure = error
@@ -92,7 +92,7 @@ def _opened_command(arguments: tuple[str, ...], on_listening: Callable[[str], No
 def _opened_adapter(adapter: Adapter, given: dict[str, Any], on_listening: Callable[[str], None]) -> Iterator[Serving]:
     from rosld.server.app import create_app
 
-    with closing(http_server.bind("127.0.0.1", 0)) as sock:
+    with closing(bind("127.0.0.1", 0)) as sock:
         port = sock.getsockname()[1]
         settings = Settings(base_url=address("127.0.0.1", port), port=port, **given)
         app = create_app(adapter, settings)

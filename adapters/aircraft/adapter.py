@@ -16,11 +16,9 @@ from pathlib import Path
 from types import MappingProxyType
 
 from rosld.adapters import parameters
-from rosld.adapters.aircraft.flight import Declined, Flight
-from rosld.adapters.aircraft.fly import ACTION, FlyGoal, accept, cancel, end_of
-from rosld.adapters.aircraft.fly import TYPE as FLY
-from rosld.adapters.aircraft.graph import AIRCRAFT, DISPLAY, ROSLD, SPEED, aircraft_graph
-from rosld.adapters.aircraft.services import SERVICES
+from rosld.adapters.aircraft.flight import ACTION, Declined, Flight, FlyGoal, accept, cancel, end_of
+from rosld.adapters.aircraft.flight import TYPE as FLY
+from rosld.adapters.aircraft.graph import AIRCRAFT, DISPLAY, ROSLD, SERVICES, SPEED, aircraft_graph
 from rosld.adapters.base import AdapterOptions, Capabilities, Published, Recording, Sink, Subscription, Watch
 from rosld.adapters.embedded import NoWatch, require_reachable, require_type
 from rosld.adapters.local_topics import LocalTopics

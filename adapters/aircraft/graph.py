@@ -1,13 +1,90 @@
-"""The computation graph of the aircraft, as a pure function of what rosld advertises and which parameters there are."""
+"""The services of the aircraft: from a request to the flight it leads to and the response, as pure functions."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from types import MappingProxyType
+from typing import NamedTuple, Protocol, TypeAlias, cast
 
-from rosld.adapters.aircraft.fly import ACTION
-from rosld.adapters.aircraft.services import SERVICES
+from rosld.adapters.aircraft.flight import ACTION, Declined, Flight, set_heading, set_power, set_speed, start, stop
 from rosld.adapters.local_topics import AdvertisedTopic
-from rosld.adapters.model import Action, Endpoint, Graph, Node, Parameter, Service, Topic, TypeRef, freeze
+from rosld.adapters.model import Action, Endpoint, Graph, Message, Node, Parameter, Service, Topic, TypeRef, freeze
+
+Values: TypeAlias = Mapping[str, object]
+Answer: TypeAlias = "tuple[Flight, Values]"
+
+
+class _Text(Protocol):
+    """A message with a string."""
+
+    data: str
+
+
+class _Number(Protocol):
+    """A message with a number."""
+
+    data: float
+
+
+class AircraftService(NamedTuple):
+    """A service: its type, and what it does with a flight, a request and the time."""
+
+    type: str
+    answer: Callable[[Flight, Message, int], Answer]
+
+
+def _command(act: Callable[[Flight, Message, int], Flight], done: str) -> Callable[[Flight, Message, int], Answer]:
+    def answer(flight: Flight, request: Message, now_ns: int) -> Answer:
+        try:
+            return act(flight, request, now_ns), {"success": True, "message": done}
+        except Declined as words:
+            return flight, {"success": False, "message": str(words)}
+
+    return answer
+
+
+def _question(ask: Callable[[Flight], object]) -> Callable[[Flight, Message, int], Answer]:
+    def answer(flight: Flight, _request: Message, _now_ns: int) -> Answer:
+        return flight, {"data": ask(flight)}
+
+    return answer
+
+
+def _text(request: Message) -> str:
+    return cast(_Text, request).data
+
+
+def _number(request: Message) -> float:
+    return cast(_Number, request).data
+
+
+SERVICES: Mapping[str, AircraftService] = MappingProxyType(
+    {
+        "/aircraft/start": AircraftService(
+            "std_srvs/srv/Trigger", _command(lambda flight, _, now: start(flight, now), "started")
+        ),
+        "/aircraft/stop": AircraftService(
+            "std_srvs/srv/Trigger", _command(lambda flight, _, now: stop(flight, now), "stopped")
+        ),
+        "/aircraft/set_power": AircraftService(
+            "rosld_aircraft/srv/SetText",
+            _command(lambda flight, request, now: set_power(flight, _text(request), now), "power set"),
+        ),
+        "/aircraft/get_power": AircraftService("rosld_aircraft/srv/GetText", _question(lambda flight: flight.power)),
+        "/aircraft/engine/set_speed": AircraftService(
+            "rosld_aircraft/srv/SetNumber",
+            _command(lambda flight, request, now: set_speed(flight, _number(request), now), "speed set"),
+        ),
+        "/aircraft/engine/set_direction": AircraftService(
+            "rosld_aircraft/srv/SetNumber",
+            _command(lambda flight, request, now: set_heading(flight, _number(request), now), "direction set"),
+        ),
+        "/aircraft/engine/get_direction": AircraftService(
+            "rosld_aircraft/srv/GetNumber", _question(lambda flight: flight.direction)
+        ),
+    }
+)
+
 
 AIRCRAFT = "/aircraft"
 COCKPIT = "/cockpit"

@@ -1,11 +1,16 @@
 """Plain ROS as values: names, the computation graph, schemas, samples and errors. Knows no RDF, no HTTP, no I/O."""
 
-from rosld.adapters.model.action import Action, GoalEvent, GoalId, GoalStatus
 from rosld.adapters.model.errors import NotFound, Refused, RosError, Sent, TimedOut, UnknownType, Unreachable
 from rosld.adapters.model.graph import (
+    Action,
     Endpoint,
+    GoalEvent,
+    GoalId,
+    GoalStatus,
     Graph,
     Kind,
+    Lifecycle,
+    LifecycleState,
     Live,
     Master,
     Node,
@@ -15,18 +20,19 @@ from rosld.adapters.model.graph import (
     Service,
     Stale,
     Topic,
+    Transition,
     freeze,
+    without_lifecycle,
 )
-from rosld.adapters.model.lifecycle import Lifecycle, LifecycleState, Transition, without_lifecycle
 from rosld.adapters.model.parameter import Choice, Descriptor, ParameterType, ParameterValue, Range, coerce
 from rosld.adapters.model.qos import Mismatch, Qos, mismatch_count, mismatches, read_profile
-from rosld.adapters.model.sample import Encoding, Sample
 from rosld.adapters.model.schema import (
     ActionSchema,
     Array,
     Codec,
     Constant,
     Default,
+    Encoding,
     Field,
     FieldType,
     Message,
@@ -34,6 +40,7 @@ from rosld.adapters.model.schema import (
     MessageType,
     Nested,
     Primitive,
+    Sample,
     Schema,
     ServiceSchema,
     TypeRef,

@@ -1,10 +1,86 @@
-"""Definitions: the texts of messages, services and actions, split, named and hashed as genmsg does."""
+"""Limits of message definitions, whose texts come from recordings and from other nodes. Pure.
+
+A definition of 2 kB whose types each nest the next one twice has more fields than there is memory, and a message of
+4 bytes can hold four thousand million elements of a type without fields.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import re
 from collections.abc import Callable, Mapping
+from typing import Literal, TypeAlias
+
+from rosld.adapters.model.schema import Array, FieldType, MessageType, Nested
+
+MAX_CHARACTERS = 1024 * 1024
+"""Characters of a definition with its dependencies, comments included."""
+MAX_DECLARED = 128 * 1024
+"""Characters of its fields and constants: parsing them takes 2 s."""
+MAX_FIELDS = 20_000
+"""Fields of a message, those of the messages in it counted wherever they are nested."""
+MAX_FIXED = 16 * 1024 * 1024
+"""Values in the arrays of fixed length of a message, a nested message counting as a hundred."""
+_NESTED_WEIGHT = 100
+
+
+def require_short(name: str, definition: str) -> None:
+    """Raise ValueError for the text of a definition, with its dependencies, that takes too long to parse."""
+    if len(definition) > MAX_CHARACTERS:
+        raise ValueError(f"the definition of {name} has more than {MAX_CHARACTERS} characters")
+    declared = sum(len(line.partition("#")[0].strip()) + 1 for line in definition.split("\n") if line.strip())
+    if declared > MAX_DECLARED:
+        raise ValueError(f"the fields and constants of {name} take more than {MAX_DECLARED} characters")
+
+
+def require_bounded(name: str, types: Mapping[str, MessageType]) -> None:
+    """Raise ValueError for a message type that comes to too many fields; RecursionError where it nests itself."""
+    fields, fixed = _Extent(types).of(name)
+    if fields > MAX_FIELDS:
+        raise ValueError(f"{name} comes to more than {MAX_FIELDS} fields, with those of the messages in it")
+    if fixed > MAX_FIXED:
+        raise ValueError(f"the arrays of fixed length of {name} come to more than {MAX_FIXED} values")
+
+
+def may_be_empty(types: Mapping[str, MessageType]) -> bool:
+    """Whether an element of an array of these types may take no bytes in ROS 1."""
+    elements = {field.type.element for kind in types.values() for field in kind.fields if isinstance(field.type, Array)}
+    return any(isinstance(each, Nested) and _takes_nothing(each, types) for each in elements)
+
+
+def _takes_nothing(kind: FieldType, types: Mapping[str, MessageType]) -> bool:
+    if isinstance(kind, Array):
+        return kind.length == 0 or (kind.length is not None and _takes_nothing(kind.element, types))
+    return isinstance(kind, Nested) and all(_takes_nothing(each.type, types) for each in types[kind.name].fields)
+
+
+class _Extent:
+    """Counts the fields and the values of fixed arrays of each type once, however often it is nested."""
+
+    def __init__(self, types: Mapping[str, MessageType]) -> None:
+        self._types = types
+        self._known: dict[str, tuple[int, int]] = {}
+        self._above: set[str] = set()
+
+    def of(self, name: str) -> tuple[int, int]:
+        if name in self._above:
+            raise RecursionError(f"{name} is nested in itself")
+        if name not in self._known:
+            self._above.add(name)
+            counts = [self._of_field(field.type) for field in self._types[name].fields]
+            self._above.remove(name)
+            self._known[name] = sum(fields for fields, _ in counts), sum(fixed for _, fixed in counts)
+        return self._known[name]
+
+    def _of_field(self, kind: FieldType) -> tuple[int, int]:
+        if isinstance(kind, Array):
+            fields, each = self._of_field(kind.element)
+            return fields, each if kind.length is None else max(each, 1) * kind.length
+        if isinstance(kind, Nested):
+            fields, fixed = self.of(kind.name)
+            return fields + 1, fixed + _NESTED_WEIGHT
+        return 1, 0
+
 
 _SEPARATOR = re.compile(r"^=+[ \t]*\r?$", re.MULTILINE)
 _SECTION = re.compile(r"\s*MSG:[ \t]*([A-Za-z0-9_]+)/(?:(msg|srv|action)/)?([A-Za-z0-9_]+)[ \t]*\r?(?:\n|$)")
@@ -186,3 +262,57 @@ def action_md5(name: str, texts: Mapping[str, str]) -> str:
         ),
     }
     return md5(f"{whole}Action", {**texts, **made})
+
+
+WrittenType: TypeAlias = Literal["msg", "srv", "action"]
+
+_UUID = "unique_identifier_msgs/UUID goal_id"
+_OF_ACTIONS = {
+    "_SendGoal": f"{_UUID}\n{{of}}_Goal goal\n---\nbool accepted\nbuiltin_interfaces/Time stamp",
+    "_GetResult": f"{_UUID}\n---\nint8 status\n{{of}}_Result result",
+    "_FeedbackMessage": f"{_UUID}\n{{of}}_Feedback feedback",
+}
+_OF_SERVICES = {
+    "_Event": "service_msgs/ServiceEventInfo info\n{of}_Request[<=1] request\n{of}_Response[<=1] response",
+}
+_SERVICES_OF_ACTIONS = ("_SendGoal", "_GetResult")
+_HALVES = ("_Request", "_Response")
+_THIRDS = ("_Goal", "_Result", "_Feedback")
+
+
+def derived_from(name: str) -> tuple[str, str] | None:
+    """The type that a type is derived from, and its text, which names what it nests in full; None for all others."""
+    kind = _folder(name)
+    ends: Mapping[str, str] = {}
+    if kind == "srv" or (kind == "action" and name.endswith(tuple(f"{each}_Event" for each in _SERVICES_OF_ACTIONS))):
+        ends = _OF_SERVICES
+    elif kind == "action":
+        ends = _OF_ACTIONS
+    for end, text in ends.items():
+        if name.endswith(end):
+            of = name.removesuffix(end)
+            return of, text.format(of=of)
+    return None
+
+
+def written_form(name: str) -> WrittenType:
+    """How the definition of a type is written: that of an action's service is a service's."""
+    kind = _folder(name)
+    if kind == "action" and derived_from(name) is None:
+        return "action"
+    is_service = name.endswith(_SERVICES_OF_ACTIONS) if kind == "action" else kind == "srv" and not derived_from(name)
+    return "srv" if is_service else "msg"
+
+
+def enclosing_type(name: str) -> str | None:
+    """The service or action type that a message is a part of, None for all others."""
+    kind = _folder(name)
+    if kind == "action":
+        ends = (*_THIRDS, *(f"{service}{half}" for service in _SERVICES_OF_ACTIONS for half in _HALVES))
+        found = next((end for end in ends if name.endswith(end)), None)
+        return None if found is None else name.removesuffix("_" + found.rpartition("_")[2])
+    return next((name.removesuffix(end) for end in _HALVES if kind == "srv" and name.endswith(end)), None)
+
+
+def _folder(name: str) -> str:
+    return name.partition("/")[2].partition("/")[0]

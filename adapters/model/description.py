@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Protocol
 
-from rosld.adapters.model.derived import written_form
+from rosld.adapters.model.definition import written_form
 from rosld.adapters.model.library import SEPARATOR
 
 _NESTED, _BLOCK = 1, 48

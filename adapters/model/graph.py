@@ -1,23 +1,131 @@
-"""The computation graph: what nodes, topics, services and parameters there are, as one immutable value.
-
-A `Graph` is a snapshot. Two snapshots share the values that did not change, so that a reader finds what
-changed by comparing entries with `is` or `==`.
-"""
+"""Actions: long-running tasks with a goal, feedback on the way and a result at the end."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from types import MappingProxyType
 from typing import TypeVar
 
-from rosld.adapters.model.action import Action
-from rosld.adapters.model.lifecycle import Lifecycle
+from rosld.adapters.model.errors import NotFound, Refused
 from rosld.adapters.model.names import action_of
 from rosld.adapters.model.parameter import Descriptor
 from rosld.adapters.model.qos import Qos
 from rosld.adapters.model.schema import TypeRef
+
+
+class GoalStatus(Enum):
+    """How a goal stands. The words are action_msgs/GoalStatus'; actionlib's states are told in them.
+
+    actionlib: PENDING is ACCEPTED, ACTIVE is EXECUTING, PREEMPTING and RECALLING are CANCELING, PREEMPTED and RECALLED
+    are CANCELED. LOST: the server is gone, or no longer knows the goal.
+    """
+
+    ACCEPTED = "accepted"
+    EXECUTING = "executing"
+    CANCELING = "canceling"
+    SUCCEEDED = "succeeded"
+    CANCELED = "canceled"
+    ABORTED = "aborted"
+    REJECTED = "rejected"
+    LOST = "lost"
+
+    @property
+    def is_final(self) -> bool:
+        """Whether nothing comes after it."""
+        return self not in (GoalStatus.ACCEPTED, GoalStatus.EXECUTING, GoalStatus.CANCELING)
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether it has ended as its server says; a goal that is lost may be pursued still."""
+        return self.is_final and self is not GoalStatus.LOST
+
+
+@dataclass(frozen=True, slots=True)
+class Action:
+    """An action: its type, the nodes that serve it and those that send goals; `unusable` says why no goal can be sent.
+
+    Its inner topics and services are in the graph as well: under hidden names in ROS 2, where none of them is called.
+    """
+
+    name: str
+    type: TypeRef | None = None
+    servers: tuple[str, ...] = ()
+    clients: tuple[str, ...] = ()
+    unusable: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class GoalId:
+    """A goal of an action: `id` is what the action server knows it by (ROS 1: any text; ROS 2: 32 hex digits)."""
+
+    action: str
+    id: str
+
+
+@dataclass(frozen=True, slots=True)
+class GoalEvent:
+    """What became known of a goal: any of its status, the server's words, the latest feedback, the result.
+
+    `feedback` and `result` are messages of the action's type in the adapter's encoding. `received_ns` is wall-clock
+    time. `own`: it was sent by rosld.
+    """
+
+    received_ns: int
+    status: GoalStatus | None = None
+    words: str | None = None
+    feedback: bytes | None = None
+    result: bytes | None = None
+    goal: bytes | None = None
+    own: bool = False
+
+
+_UNDERWAY = range(10, 16)
+
+
+@dataclass(frozen=True, slots=True)
+class LifecycleState:
+    """A state as its node calls it ("inactive"), with its number in lifecycle_msgs/msg/State."""
+
+    label: str
+    id: int
+
+    @property
+    def is_underway(self) -> bool:
+        """Whether a transition is being made: what then follows is for the node alone to say."""
+        return self.id in _UNDERWAY
+
+
+@dataclass(frozen=True, slots=True)
+class Transition:
+    """A transition as its node calls it ("activate"), its number there, and the state that it leads to."""
+
+    label: str
+    id: int
+    goal: LifecycleState
+
+
+@dataclass(frozen=True, slots=True)
+class Lifecycle:
+    """How a managed node stands: its state and the transitions that are legal now, as it told them itself.
+
+    `service` is the service that carries them out. `unknown` says in words why its state cannot be told now; a state
+    beside it is the last one told. Without a state nothing was told ever.
+    """
+
+    service: str
+    state: LifecycleState | None = None
+    transitions: tuple[Transition, ...] = ()
+    unknown: str | None = None
+
+
+def without_lifecycle(nodes: Container[str], node: str) -> NotFound | Refused:
+    """What `Adapter.change_state` raises for a node that is not managed, or not there."""
+    if node not in nodes:
+        return NotFound(f"there is no node {node}")
+    return Refused(f"{node} is no managed node: it has no lifecycle")
+
 
 _V = TypeVar("_V")
 

@@ -18,15 +18,18 @@ from rosbags.typesys import Stores, get_typestore
 from rosld.adapters.model.codec import RosbagsCodec, message_types, typestore_of
 from rosld.adapters.model.definition import (
     action_md5,
+    derived_from,
+    enclosing_type,
     md5,
     references,
+    require_bounded,
+    require_short,
     service_md5,
     split_action,
     split_sections,
     split_service,
+    written_form,
 )
-from rosld.adapters.model.definition_limits import require_bounded, require_short
-from rosld.adapters.model.derived import derived_from, enclosing_type, written_form
 from rosld.adapters.model.errors import UnknownType
 from rosld.adapters.model.rihs import action_hash, message_hash, service_hash
 from rosld.adapters.model.schema import ActionSchema, MessageSchema, Schema, ServiceSchema, TypeRef, halves_of

@@ -13,8 +13,7 @@ from typing import TypeAlias, cast
 
 import numpy as np
 
-from rosld.adapters.model.sample import Encoding
-from rosld.adapters.model.schema import Array, FieldType, Message, MessageType, Nested, Primitive
+from rosld.adapters.model.schema import Array, Encoding, FieldType, Message, MessageType, Nested, Primitive
 
 Build: TypeAlias = Callable[[str, Mapping[str, object]], Message]
 

@@ -20,12 +20,10 @@ from rosbags.typesys.base import TypesysError
 from rosld.adapters.base import PAGE_BYTES, MessageFilter, MessagePage, RecordedMessage, RecordedTopic
 from rosld.adapters.model import MessageSchema, NotFound, Sample, Schema, TypeRef, UnknownType, Unreachable
 from rosld.adapters.model.codec import store_name
-from rosld.adapters.model.definition import split_action, split_service
-from rosld.adapters.model.definition_limits import require_short
-from rosld.adapters.model.derived import derived_from, written_form
+from rosld.adapters.model.definition import derived_from, require_short, split_action, split_service, written_form
 from rosld.adapters.model.library import SEPARATOR, TypeLibrary
 from rosld.adapters.model.names import global_name
-from rosld.adapters.model.sample import latched_depth
+from rosld.adapters.model.schema import latched_depth
 from rosld.adapters.recording.part import WHOLE, Part
 from rosld.adapters.recording.storage import Damaged, MessageTable, OpenBudget, RecordedConnection, RosVersion, Storage
 

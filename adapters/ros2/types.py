@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Protocol, cast
 
 from rosld.adapters.model import RosError, Schema, TypeRef, UnknownType
-from rosld.adapters.model.derived import written_form
+from rosld.adapters.model.definition import written_form
 from rosld.adapters.model.description import IndividualTypeMessage, definition_of
 from rosld.adapters.model.library import SEPARATOR, TypeLibrary
 from rosld.adapters.ros2.calls import Calls

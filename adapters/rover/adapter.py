@@ -37,13 +37,28 @@ from rosld.adapters.model import (
 )
 from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.model.parameter import ParameterValue
-from rosld.adapters.rover import messages, parameters, requests
-from rosld.adapters.rover.encoder import ENCODING, encode
-from rosld.adapters.rover.graph import ACTIONS, ROSLD, SERVICES, TOPICS, rover_graph
-from rosld.adapters.rover.navigation import Declined, JourneyEnd, Outcome
+from rosld.adapters.rover.graph import (
+    ACTIONS,
+    CMD_VEL,
+    LATCHED,
+    LIGHTS,
+    NAVIGATE_TO,
+    PERIODIC,
+    ROSLD,
+    ROSOUT,
+    SERVICES,
+    SET_LIGHTS,
+    TOPICS,
+    operations_on,
+    read,
+    refuse_deletion,
+    rover_graph,
+    with_values,
+)
+from rosld.adapters.rover.messages import ENCODING, Fields, View, encode, log, navigation_feedback, navigation_result
+from rosld.adapters.rover.navigation import Declined, JourneyEnd, Outcome, goal_of, switch_of, velocity_of
 from rosld.adapters.rover.settings import DEFAULTS, NODE
 from rosld.adapters.rover.simulation import Answer, Simulation, Start
-from rosld.adapters.rover.topics import CMD_VEL, LATCHED, LIGHTS, NAVIGATE_TO, PERIODIC, ROSOUT, SET_LIGHTS
 
 PERIOD = 0.05
 """Seconds between two looks at what is due."""
@@ -123,7 +138,7 @@ class Rover:
             return frozenset({Operation.CALL} if ref.name in SERVICES else ())
         if ref.kind is Kind.ACTION:
             return frozenset({Operation.SEND_GOAL} if ref.name in ACTIONS else ())
-        return parameters.operations_on(ref.name) if ref.kind is Kind.PARAMETER else frozenset()
+        return operations_on(ref.name) if ref.kind is Kind.PARAMETER else frozenset()
 
     async def schema(self, ref: TypeRef, *, deadline: float) -> Schema:
         """The schema of a type that is shipped or in the folders given."""
@@ -158,7 +173,7 @@ class Rover:
         self._reachable(deadline)
         schema = self._message(type)
         if topic == CMD_VEL and schema.ref == self._types[CMD_VEL]:
-            velocity = requests.velocity_of(_decode(schema, data, topic))
+            velocity = velocity_of(_decode(schema, data, topic))
             published = self._topics.publish(topic, type, data, latch)
             self._simulation.command(velocity, time.monotonic())
             return published
@@ -189,7 +204,7 @@ class Rover:
         schema = self._action(action)
         require_type(action, "action", schema.ref, type)
         try:
-            pose = requests.goal_of(_decode(schema.goal, goal, action))
+            pose = goal_of(_decode(schema.goal, goal, action))
         except Declined as declined:
             raise Refused(f"{action} rejected the goal", words=str(declined)) from declined
         id = secrets.token_hex(16)
@@ -226,13 +241,13 @@ class Rover:
     async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
         """The values of those names that exist."""
         self._reachable(deadline)
-        found = {name: parameters.read(self._parameters, name) for name in names}
+        found = {name: read(self._parameters, name) for name in names}
         return {name: value for name, value in found.items() if value is not None}
 
     async def set_parameters(self, values: Mapping[str, ParameterValue], *, deadline: float) -> None:
         """Set all of them or, when one is refused, none."""
         self._reachable(deadline)
-        self._parameters = parameters.with_values(self._parameters, values)
+        self._parameters = with_values(self._parameters, values)
         self._simulation.configure(self._parameters, time.monotonic())
         if self._sink is not None:
             for name in values:
@@ -241,13 +256,13 @@ class Rover:
     async def delete_parameters(self, names: Sequence[str], *, deadline: float) -> None:
         """Refused: the node keeps what it declared."""
         self._reachable(deadline)
-        parameters.refuse_deletion(names)
+        refuse_deletion(names)
 
     def _serve(self, service: str, request: Message) -> Answer:
         now = time.monotonic()
         if service != SET_LIGHTS:
             return self._simulation.dock(now)
-        answer = self._simulation.switch_lights(requests.switch_of(request), now)
+        answer = self._simulation.switch_lights(switch_of(request), now)
         self._say(LIGHTS)
         return answer
 
@@ -282,18 +297,18 @@ class Rover:
                 self._due[topic] = _next(self._due.get(topic, now), self._period(topic), now)
         self._tell_of_goals(now)
         for line in self._simulation.take_log():
-            self._put(ROSOUT, messages.log(line, time.time_ns()))
+            self._put(ROSOUT, log(line, time.time_ns()))
         self._timer = asyncio.get_running_loop().call_later(PERIOD, self._tick)
 
     def _period(self, topic: str) -> float:
         return 1 / PERIODIC[topic].rate(self._simulation.settings)
 
     def _say(self, topic: str) -> None:
-        view = messages.View(self._simulation.state, self._simulation.settings, self._simulation.world, time.time_ns())
+        view = View(self._simulation.state, self._simulation.settings, self._simulation.world, time.time_ns())
         said = PERIODIC.get(topic) or LATCHED[topic]
         self._put(topic, said.say(view))
 
-    def _put(self, topic: str, fields: messages.Fields) -> None:
+    def _put(self, topic: str, fields: Fields) -> None:
         data = encode(self._message(self._types[topic]), fields)
         self._topics.say(topic, NODE, data, latched=topic in LATCHED)
 
@@ -310,13 +325,13 @@ class Rover:
             return
         self._due[NAVIGATE_TO] = now + _FEEDBACK_PERIOD
         time_ns = time.time_ns()
-        feedback = messages.navigation_feedback(journey, self._simulation.state.motion, time_ns)
+        feedback = navigation_feedback(journey, self._simulation.state.motion, time_ns)
         data = encode(self._action(NAVIGATE_TO).feedback, feedback)
         self._tell(journey.id, GoalEvent(time_ns, GoalStatus.EXECUTING, feedback=data, own=True))
 
     def _tell_end(self, ended: JourneyEnd) -> None:
         time_ns = time.time_ns()
-        result = messages.navigation_result(ended, self._simulation.state.motion, time_ns)
+        result = navigation_result(ended, self._simulation.state.motion, time_ns)
         data = encode(self._action(NAVIGATE_TO).result, result)
         self._tell(ended.id, GoalEvent(time_ns, _STATUSES[ended.outcome], result=data, own=True))
 

@@ -1,8 +1,10 @@
-"""The computation graph of the rover, as a pure function of what rosld advertises."""
+"""The topics of the rover: the type of each, how often it is published, and what is said there."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+from typing import NamedTuple, cast
 
 from rosld.adapters.local_topics import AdvertisedTopic
 from rosld.adapters.model import (
@@ -12,29 +14,100 @@ from rosld.adapters.model import (
     Endpoint,
     Graph,
     Node,
+    NotFound,
+    Operation,
     Parameter,
     ParameterType,
+    ParameterValue,
     Range,
+    Refused,
+    Sent,
     Service,
     Topic,
     TypeRef,
+    coerce,
     freeze,
 )
-from rosld.adapters.rover.settings import NODE, PARAMETERS, Declaration
-from rosld.adapters.rover.topics import (
-    CMD_VEL,
-    CMD_VEL_TYPE,
-    DOCK,
-    DOCK_TYPE,
-    LATCHED,
-    NAVIGATE_TO,
-    NAVIGATE_TO_TYPE,
-    PERIODIC,
-    ROSOUT,
-    ROSOUT_TYPE,
-    SET_LIGHTS,
-    SET_LIGHTS_TYPE,
+from rosld.adapters.rover.messages import (
+    Fields,
+    View,
+    battery_state,
+    camera_info,
+    compressed_image,
+    diagnostics,
+    fixed_transforms,
+    imu,
+    laser_scan,
+    lights,
+    occupancy_grid,
+    odometry,
+    raw_image,
+    transforms,
 )
+from rosld.adapters.rover.settings import NODE, PARAMETERS, Declaration, Settings, Value, problem_of
+
+CMD_VEL = "/cmd_vel"
+CMD_VEL_TYPE = "geometry_msgs/msg/Twist"
+ROSOUT = "/rosout"
+ROSOUT_TYPE = "rcl_interfaces/msg/Log"
+LIGHTS = "/lights"
+NAVIGATE_TO = "/navigate_to"
+NAVIGATE_TO_TYPE = "rosld_rover/action/NavigateTo"
+SET_LIGHTS = "/set_lights"
+SET_LIGHTS_TYPE = "std_srvs/srv/SetBool"
+DOCK = "/dock"
+DOCK_TYPE = "std_srvs/srv/Trigger"
+_HERTZ = 20.0
+
+
+class Periodic(NamedTuple):
+    """A topic that is published again and again: its type, what is said, and the messages a second."""
+
+    type: str
+    say: Callable[[View], Fields]
+    rate: Callable[[Settings], float]
+
+
+class Latched(NamedTuple):
+    """A topic whose last message is there for all who come: said once, and when it has changed."""
+
+    type: str
+    say: Callable[[View], Fields]
+
+
+def _always(rate: float) -> Callable[[Settings], float]:
+    return lambda _: rate
+
+
+def _scan_rate(settings: Settings) -> float:
+    return float(settings.scan_rate)
+
+
+def _camera_rate(settings: Settings) -> float:
+    return float(settings.camera_rate)
+
+
+PERIODIC: Mapping[str, Periodic] = MappingProxyType(
+    {
+        "/odom": Periodic("nav_msgs/msg/Odometry", odometry, _always(_HERTZ)),
+        "/tf": Periodic("tf2_msgs/msg/TFMessage", transforms, _always(_HERTZ)),
+        "/imu": Periodic("sensor_msgs/msg/Imu", imu, _always(_HERTZ)),
+        "/scan": Periodic("sensor_msgs/msg/LaserScan", laser_scan, _scan_rate),
+        "/camera/image_raw": Periodic("sensor_msgs/msg/Image", raw_image, _camera_rate),
+        "/camera/image_raw/compressed": Periodic("sensor_msgs/msg/CompressedImage", compressed_image, _camera_rate),
+        "/camera/camera_info": Periodic("sensor_msgs/msg/CameraInfo", camera_info, _camera_rate),
+        "/battery_state": Periodic("sensor_msgs/msg/BatteryState", battery_state, _always(1.0)),
+        "/diagnostics": Periodic("diagnostic_msgs/msg/DiagnosticArray", diagnostics, _always(1.0)),
+    }
+)
+LATCHED: Mapping[str, Latched] = MappingProxyType(
+    {
+        "/map": Latched("nav_msgs/msg/OccupancyGrid", occupancy_grid),
+        "/tf_static": Latched("tf2_msgs/msg/TFMessage", fixed_transforms),
+        LIGHTS: Latched("std_msgs/msg/Bool", lights),
+    }
+)
+
 
 ROSLD = "/rosld"
 TOPICS: Mapping[str, str] = {
@@ -93,3 +166,58 @@ def _descriptor(declared: Declaration) -> Descriptor:
 GRAPH_PARAMETERS = freeze(
     {f"{NODE}/{name}": Parameter(f"{NODE}/{name}", NODE, _descriptor(each)) for name, each in PARAMETERS.items()}
 )
+
+
+_PREFIX = f"{NODE}/"
+
+
+def operations_on(name: str) -> frozenset[Operation]:
+    """What may be done with a parameter: the node keeps what it declared, and takes nothing else."""
+    declared = PARAMETERS.get(name.removeprefix(_PREFIX)) if name.startswith(_PREFIX) else None
+    if declared is None:
+        return frozenset()
+    return frozenset({Operation.GET_PARAMETER, *([] if declared.is_read_only else [Operation.SET_PARAMETER])})
+
+
+def read(values: Mapping[str, Value], name: str) -> ParameterValue | None:
+    """The value of a name, a dict where it is the node's or `/`; None where there is nothing."""
+    if name == "/":
+        return {NODE.strip("/"): {**values}}
+    if name == NODE:
+        return {**values}
+    return values.get(name.removeprefix(_PREFIX)) if name.startswith(_PREFIX) else None
+
+
+def with_values(values: Mapping[str, Value], given: Mapping[str, ParameterValue]) -> Mapping[str, Value]:
+    """The values with these set. Raises NotFound, and Refused with the node's words for the first that it refuses."""
+    changed = dict(values)
+    for name, value in given.items():
+        if not name.startswith(_PREFIX):
+            raise NotFound(f"the parameter {name} belongs to no node: those of the rover begin with {_PREFIX}")
+        short = name.removeprefix(_PREFIX)
+        if short not in PARAMETERS:
+            raise _refusal(name, f"{short} is not declared")
+        fit = _fit(name, value)
+        if (problem := problem_of(short, fit)) is not None:
+            raise _refusal(name, problem)
+        changed[short] = cast(Value, fit)
+    return changed
+
+
+def refuse_deletion(names: Sequence[str]) -> None:
+    """Raises Refused for a parameter that is there, which its node keeps, and NotFound for any other."""
+    for name in names:
+        if name not in GRAPH_PARAMETERS:
+            raise NotFound(f"there is no parameter {name}")
+        raise _refusal(name, "it was declared by its node, which keeps it")
+
+
+def _fit(name: str, value: ParameterValue) -> ParameterValue:
+    """The value in the type that is declared, where it fits; the node judges all others."""
+    descriptor = GRAPH_PARAMETERS[name].descriptor
+    fit = None if descriptor is None or descriptor.type is None else coerce(value, descriptor.type)
+    return value if fit is None else fit
+
+
+def _refusal(name: str, words: str) -> Refused:
+    return Refused(f"{NODE} refuses the parameter {name}", words=words, sent=Sent.YES)

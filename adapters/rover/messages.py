@@ -8,15 +8,29 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias, cast
 
 import numpy as np
 
-from rosld.adapters.rover import camera, png, scan
-from rosld.adapters.rover.battery import CAPACITY, CELLS
-from rosld.adapters.rover.drive import Motion, wheel_speeds
-from rosld.adapters.rover.grid import RESOLUTION, grid_of
+from rosld.adapters.model import Encoding, FieldType, Message, MessageSchema, Nested, Primitive
+from rosld.adapters.rover import png
+from rosld.adapters.rover.drive import CAPACITY, CELLS, Motion, wheel_speeds
 from rosld.adapters.rover.navigation import Journey, JourneyEnd, Pose, remaining_length
+from rosld.adapters.rover.planner import RESOLUTION, grid_of
+from rosld.adapters.rover.sensors import (
+    BEAMS,
+    CENTRE,
+    FARTHEST,
+    FIRST,
+    FOCAL_LENGTH,
+    HEIGHT,
+    INCREMENT,
+    MOUNTED_AT,
+    NEAREST,
+    WIDTH,
+    image,
+    scan,
+)
 from rosld.adapters.rover.settings import NODE, Settings
 from rosld.adapters.rover.simulation import LogLine, Severity, State
 from rosld.adapters.rover.world import World
@@ -25,7 +39,7 @@ Fields: TypeAlias = "Mapping[str, object]"
 
 MAP, ODOM, BASE, LASER, CAMERA = "map", "odom", "base_link", "laser", "camera_optical_frame"
 _LASER_AT = (0.0, 0.0, 0.25)
-_CAMERA_AT = (0.15, 0.0, camera.MOUNTED_AT)
+_CAMERA_AT = (0.15, 0.0, MOUNTED_AT)
 _OPTICAL = {"x": -0.5, "y": 0.5, "z": -0.5, "w": 0.5}
 """A camera looks along z, with x to the right (REP 103)."""
 _GRAVITY = 9.81
@@ -105,14 +119,14 @@ def laser_scan(view: View) -> Fields:
     """sensor_msgs/LaserScan."""
     return {
         "header": _header(view.time_ns, LASER),
-        "angle_min": scan.FIRST,
-        "angle_max": scan.FIRST + (scan.BEAMS - 1) * scan.INCREMENT,
-        "angle_increment": scan.INCREMENT,
+        "angle_min": FIRST,
+        "angle_max": FIRST + (BEAMS - 1) * INCREMENT,
+        "angle_increment": INCREMENT,
         "time_increment": 0.0,
         "scan_time": 1 / view.settings.scan_rate,
-        "range_min": scan.NEAREST,
-        "range_max": scan.FARTHEST,
-        "ranges": scan.scan(view.world, view.state.motion),
+        "range_min": NEAREST,
+        "range_max": FARTHEST,
+        "ranges": scan(view.world, view.state.motion),
         "intensities": np.empty(0, np.float32),
     }
 
@@ -121,28 +135,28 @@ def raw_image(view: View) -> Fields:
     """sensor_msgs/Image."""
     return {
         "header": _header(view.time_ns, CAMERA),
-        "height": camera.HEIGHT,
-        "width": camera.WIDTH,
+        "height": HEIGHT,
+        "width": WIDTH,
         "encoding": "rgb8",
         "is_bigendian": 0,
-        "step": 3 * camera.WIDTH,
-        "data": camera.image(view.world, view.state.motion, view.state.has_lights).ravel(),
+        "step": 3 * WIDTH,
+        "data": image(view.world, view.state.motion, view.state.has_lights).ravel(),
     }
 
 
 def compressed_image(view: View) -> Fields:
     """sensor_msgs/CompressedImage."""
-    file = png.encode(camera.image(view.world, view.state.motion, view.state.has_lights))
+    file = png.encode(image(view.world, view.state.motion, view.state.has_lights))
     return {"header": _header(view.time_ns, CAMERA), "format": "png", "data": np.frombuffer(file, np.uint8)}
 
 
 def camera_info(view: View) -> Fields:
     """sensor_msgs/CameraInfo of a camera without distortion."""
-    focal, (centre_x, centre_y) = camera.FOCAL_LENGTH, camera.CENTRE
+    focal, (centre_x, centre_y) = FOCAL_LENGTH, CENTRE
     return {
         "header": _header(view.time_ns, CAMERA),
-        "height": camera.HEIGHT,
-        "width": camera.WIDTH,
+        "height": HEIGHT,
+        "width": WIDTH,
         "distortion_model": "plumb_bob",
         "d": np.zeros(5),
         "k": np.array([focal, 0.0, centre_x, 0.0, focal, centre_y, 0.0, 0.0, 1.0]),
@@ -316,3 +330,36 @@ def _covariance(position: float, heading: float) -> object:
 
 def _diagonal(variance: float, size: int) -> object:
     return (variance * np.eye(size)).ravel()
+
+
+ENCODING = Encoding.CDR
+_DTYPES: Mapping[str, str] = {"byte": "uint8", "char": "uint8", "bool": "bool"}
+
+
+def encode(schema: MessageSchema, fields: Fields) -> bytes:
+    """The bytes of a message whose fields are all given."""
+    return schema.codec.encode(message(schema, fields), ENCODING)
+
+
+def message(schema: MessageSchema, fields: Fields) -> Message:
+    """The message whose fields are all given."""
+    return _build(schema, schema.ref.name, fields)
+
+
+def _build(schema: MessageSchema, name: str, fields: Fields) -> Message:
+    values = {each.attribute: _value(schema, each.type, fields[each.name]) for each in schema.types[name].fields}
+    return schema.codec.build(name, values)
+
+
+def _value(schema: MessageSchema, type: FieldType, value: object) -> object:
+    if isinstance(type, Nested):
+        return _build(schema, type.name, cast(Fields, value))
+    if isinstance(type, Primitive):
+        return value
+    if isinstance(type.element, Primitive):
+        return _numbers(type.element, value)
+    return [_value(schema, type.element, each) for each in cast("Sequence[object]", value)]
+
+
+def _numbers(element: Primitive, value: object) -> object:
+    return np.asarray(value, _DTYPES.get(element.name, element.name)) if element.name != "string" else value

@@ -2,7 +2,7 @@
 
 All functions are pure, and take the thing first and then the agent's permissions. States (`rest/state.py`) and views
 (`hypermedia/views.py`) redact themselves with these; the OpenAPI description is made of the operations that the agent
-may use (`openapi/permitted_paths.py`), and SPARQL queries a redacted dataset (`sparql/restricted.py`).
+may use (`openapi/description_parts.py`), and SPARQL queries a redacted dataset (`sparql/restricted.py`).
 """
 
 from __future__ import annotations

@@ -17,8 +17,8 @@ from rosld.server.robot.hold_notes import HoldNote, HoldNotes
 from rosld.server.robot.interrupted_holds import end_interrupted
 from rosld.server.robot.session import Session
 from rosld.server.runtime.tasks import end_tasks
-from rosld.server.serving import http_server
 from rosld.server.serving.end_signals import end_signals
+from rosld.server.serving.http_server import configure_logging
 from rosld.server.settings import Settings
 from rosld.server.storage.files import FileLock
 
@@ -33,7 +33,7 @@ _log = logging.getLogger("rosld")
 
 def guard(source: str, folder: Path, options: AdapterOptions, *, once: bool) -> None:
     """Watch until a signal comes, or `once` until nothing is left to be done. Raises Failure."""
-    http_server.configure_logging()
+    configure_logging()
     with user_errors():
         folder.mkdir(parents=True, exist_ok=True)
         adapter = adapter_for(source, options)

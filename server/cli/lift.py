@@ -22,8 +22,7 @@ from rosld.ontology.syntax import Syntax
 from rosld.ontology.urls import Space
 from rosld.server.cli.failure import Failure, user_errors
 from rosld.server.cli.list_types import open_source
-from rosld.server.cli.rdf_writer import writer
-from rosld.server.cli.recording_documents import Lifting
+from rosld.server.cli.rdf_writer import Lifting, writer
 from rosld.server.serving.end_signals import end_signals
 
 SYNTAXES: Mapping[str, Syntax] = {

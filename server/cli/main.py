@@ -349,7 +349,7 @@ def dump(folder: Path, output: Path) -> None:
     Examples:
       rosld dump /var/lib/rosld -o monday.tar.gz
     """
-    from rosld.server.cli.dump import dump as run
+    from rosld.server.cli.dump_load import dump as run
 
     run(folder, output)
 
@@ -372,7 +372,7 @@ def load(file: Path, folder: Path, base_url: str | None) -> None:
       rosld load monday.tar.gz /var/lib/rosld
       rosld load monday.tar.gz new --base-url https://data.example/
     """
-    from rosld.server.cli.load import load as run
+    from rosld.server.cli.dump_load import load as run
 
     with user_errors():
         base = None if base_url is None else declared.canonical_base(base_url)

@@ -19,10 +19,10 @@ from rosld.adapters.registry import adapter_for
 from rosld.server import settings as settings_module
 from rosld.server.cli import data_folder
 from rosld.server.cli.failure import user_errors
-from rosld.server.serving import http_server, tls
 from rosld.server.serving.connection import ConnectionBounds
 from rosld.server.serving.end_signals import end_signals
-from rosld.server.serving.run_lifespan import lifespan
+from rosld.server.serving.http_server import Server, bind, configure_logging, configure_tls, require_certificate, run
+from rosld.server.serving.lifespan import lifespan
 from rosld.server.settings import Settings
 
 if TYPE_CHECKING:
@@ -36,10 +36,10 @@ EXIT_SECONDS = 8.0
 
 def serve(source: str, settings: Settings, *, base_given: bool) -> None:
     """Serve a source until a signal comes. Raises Failure where it cannot begin."""
-    http_server.configure_logging()
+    configure_logging()
     raise_file_limit()
     with opened(source, settings, _announce, base_given=base_given) as serving:
-        http_server.run(serving.until_stopped())
+        run(serving.until_stopped())
 
 
 @contextlib.contextmanager
@@ -49,14 +49,14 @@ def opened(
     """Yield a server that has its address and its data folder. Raises Failure where it cannot begin."""
     with user_errors():
         adapter = adapter_for(source, settings.adapter_options)
-        sock = http_server.bind(settings.host, settings.port)
+        sock = bind(settings.host, settings.port)
     with contextlib.closing(sock), user_errors(), contextlib.ExitStack() as lasting:
         settings = settings_module.bound(settings, sock.getsockname()[1], base_given=base_given)
         if settings.data is not None:
             lasting.enter_context(data_folder.lock(settings.data))
             data_folder.bind_base(settings.data, settings.base_url)
         if settings.tls_cert is not None:
-            tls.require_certificate(settings.tls_cert, settings.tls_key)
+            require_certificate(settings.tls_cert, settings.tls_key)
         _warn(settings)
         from rosld.server.app import create_app
 
@@ -84,8 +84,8 @@ class Serving:
         limits = (settings.head_limit, settings.head_timeout, settings.read_timeout)
         bounds = ConnectionBounds(*limits, app.clients.connect, app.clients.open_websocket, app.is_urgent)
         limit = min(settings.connections, max_open_files() - MAX_FILES)
-        self._server = http_server.Server(app, on_listening, bounds, max(limit, 1))
-        tls.configure_tls(self._server.config, app.session.settings.tls_cert, app.session.settings.tls_key)
+        self._server = Server(app, on_listening, bounds, max(limit, 1))
+        configure_tls(self._server.config, app.session.settings.tls_cert, app.session.settings.tls_key)
         self._work: asyncio.Task[None] | None = None
 
     async def until_stopped(self) -> None:

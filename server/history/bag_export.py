@@ -25,7 +25,7 @@ from rosbags.interfaces import (
 
 from rosld.adapters.base import AdapterOptions, NullSink, Recording
 from rosld.adapters.model import Encoding, Sample, TypeRef, UnknownType
-from rosld.adapters.model.sample import latched_depth
+from rosld.adapters.model.schema import latched_depth
 from rosld.adapters.registry import adapter_for
 from rosld.server.history.history_writer import require_room
 from rosld.server.http.problem import Problem

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple, Protocol, TypeAlias
 
 from rosld.adapters.model import Sample
-from rosld.adapters.model.sample import latched_depth
+from rosld.adapters.model.schema import latched_depth
 
 log = logging.getLogger("rosld.history")
 MAX_QUEUED = 64 * 1024 * 1024

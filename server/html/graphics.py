@@ -12,10 +12,9 @@ from rosld.adapters.model import Message, MessageSchema
 from rosld.server.html.page import PlotPage
 from rosld.server.html.site import Anchor, Site
 from rosld.server.html.view import View, escape_controls, time_view
-from rosld.server.pictures.form import COMPRESSED_IMAGE, DEFAULT_RANGE, OCCUPANCY_GRID, can_draw
-from rosld.server.pictures.refusal import CannotDraw
+from rosld.server.pictures.form import COMPRESSED_IMAGE, DEFAULT_RANGE, OCCUPANCY_GRID, CannotDraw, can_draw
 from rosld.server.space.drawing import can_place
-from rosld.server.space.frame_tree import FrameNode
+from rosld.server.space.frame_buffer import FrameNode
 from rosld.server.space.transform import Transform, heading
 
 

@@ -25,8 +25,8 @@ from rosld.server.openapi.components import (
     representation,
     schema_of,
 )
-from rosld.server.openapi.described_path import DescribedPath
 from rosld.server.openapi.description_parts import sections
+from rosld.server.openapi.path_collector import DescribedPath
 from rosld.server.rest.path_item import OF_EVERY_WRITE, QueryParameter
 
 VERSION = "3.1.1"

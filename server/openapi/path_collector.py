@@ -1,13 +1,10 @@
-"""The paths of a robot: every URL that it has now, and templates of those that come and go.
-
-What each of them answers is told by its resource (`Resource.path_item`).
-"""
+"""A URL, or a template of URLs, with what it answers: a member of the Paths Object (OpenAPI 3.1.1, 4.8.8)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import chain, islice
 
 from rosld.adapters.model import Graph, names
@@ -18,14 +15,34 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.json_schema import MessageSchemas
 from rosld.server.hypermedia.resource_tree import ResourceTree
-from rosld.server.openapi.described_path import DescribedPath
 from rosld.server.policies.stored_queries import StoredQueries
 from rosld.server.resources.channels import channel_item, source_item
 from rosld.server.resources.namespaces import namespaces
 from rosld.server.resources.static_assets import FILES
 from rosld.server.resources.types import SHAPES_GRAPHS
-from rosld.server.rest.path_item import ANY_TYPE, FIELD_READS, FORMAT, PathItem
+from rosld.server.rest.path_item import ANY_TYPE, FIELD_READS, FORMAT, PathItem, WriteMethod
 from rosld.server.rest.resource import Resource
+
+
+@dataclass(frozen=True, slots=True)
+class DescribedPath:
+    """What `template` answers. It lies below the base and begins with a slash, encoded as in the URL.
+
+    Names in braces stand for segments, each told of in `segments`. `accepts` are the media types that each of the
+    `methods` takes.
+    """
+
+    template: str
+    tag: str
+    item: PathItem
+    methods: frozenset[str]
+    accepts: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    segments: Mapping[str, str] = field(default_factory=dict)
+
+    def write(self, method: str) -> WriteMethod:
+        """What is told of a method that writes."""
+        return self.item.write(method)
+
 
 MAX_SINGLE = 1000
 """Parameters, and resources with their properties and actions, that are described one by one; a template has more."""

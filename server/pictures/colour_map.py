@@ -6,8 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from rosld.server.pictures.form import DepthRange
-from rosld.server.pictures.refusal import CannotDraw
+from rosld.server.pictures.form import CannotDraw, DepthRange
 
 _ANCHORS = ((255, 238, 150), (252, 170, 60), (222, 80, 60), (150, 40, 120), (70, 45, 160), (25, 45, 95))
 """Colours from the nearest to the farthest, at equal distances from each other: brightness falls all the way."""

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from rosld.server.runtime.process_memory import PROCESS_MEMORY
+
 JPEG, PNG = "image/jpeg", "image/png"
 RAW_IMAGE, COMPRESSED_IMAGE = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 OCCUPANCY_GRID = "nav_msgs/msg/OccupancyGrid"
@@ -34,3 +36,36 @@ class PictureForm:
 def can_draw(type_name: str) -> bool:
     """Whether messages of a type are pictures."""
     return type_name in DRAWN_TYPES
+
+
+MAX_PIXELS = 36_000_000
+"""Pixels of a picture that is drawn at all: 8K video has 33 million."""
+_PER_PIXEL = 24
+"""Bytes that a pixel takes while it is drawn: of 64 bits with four channels, and as floats."""
+
+
+class CannotDraw(ValueError):
+    """A message that is no picture, or none that is drawn here; its text is a sentence without its full stop.
+
+    `words` are what the message says of itself, such as its encoding: they are not in the sentence.
+    """
+
+    def __init__(self, sentence: str, words: str | None = None) -> None:
+        super().__init__(sentence)
+        self.words = words
+
+
+class UnknownPicture(CannotDraw):
+    """A kind of picture that is not drawn here, whatever its data are."""
+
+
+def require_size(width: int, height: int) -> None:
+    """Raise CannotDraw for a picture without pixels, and for one with too many.
+
+    Raises NotEnoughMemory where there is none to draw it.
+    """
+    if width <= 0 or height <= 0:
+        raise CannotDraw(f"The image is {width} by {height} pixels, so there is nothing to be seen")
+    if width * height > MAX_PIXELS:
+        raise CannotDraw(f"The image has {width} by {height} pixels, and at most {MAX_PIXELS:,} are drawn")
+    PROCESS_MEMORY.require(width * height * _PER_PIXEL, f"a picture of {width} by {height} pixels")

@@ -13,11 +13,77 @@ import numpy.typing as npt
 from PIL import Image
 
 from rosld.adapters.model import Message
-from rosld.server.pictures.bayer import PATTERNS, demosaic
 from rosld.server.pictures.colour_map import draw_depth
-from rosld.server.pictures.form import DEFAULT_RANGE, DepthRange
-from rosld.server.pictures.refusal import CannotDraw, UnknownPicture, require_size
-from rosld.server.pictures.yuv import convert_packed, convert_yuv
+from rosld.server.pictures.form import DEFAULT_RANGE, CannotDraw, DepthRange, UnknownPicture, require_size
+
+_RED = {"rggb": (0, 0), "bggr": (1, 1), "gbrg": (1, 0), "grbg": (0, 1)}
+"""Row and column of the first red pixel in each pattern."""
+PATTERNS = tuple(_RED)
+
+
+def demosaic(mosaic: npt.NDArray[np.uint8], pattern: str) -> npt.NDArray[np.uint8]:
+    """Red, green and blue of each pixel. The margin is that of the picture mirrored at its outermost pixels."""
+    height, width = mosaic.shape
+    if height < 2 or width < 2:
+        return np.repeat(mosaic[:, :, None], 3, axis=2)
+    padded = np.pad(mosaic, 1, mode="reflect").astype(np.uint16)
+    up, down, left, right = padded[:-2, 1:-1], padded[2:, 1:-1], padded[1:-1, :-2], padded[1:-1, 2:]
+    own = padded[1:-1, 1:-1]
+    across, along = (left + right + 1) >> 1, (up + down + 1) >> 1
+    cross = (up + down + left + right + 2) >> 2
+    corners = (padded[:-2, :-2] + padded[:-2, 2:] + padded[2:, :-2] + padded[2:, 2:] + 2) >> 2
+    row, column = _RED[pattern]
+    found = np.empty((height, width, 3), dtype=np.uint8)
+    red_rows, blue_rows = slice(row, None, 2), slice(1 - row, None, 2)
+    red_columns, blue_columns = slice(column, None, 2), slice(1 - column, None, 2)
+    for first, last, rows, columns, other_columns in (
+        (0, 2, red_rows, red_columns, blue_columns),
+        (2, 0, blue_rows, blue_columns, red_columns),
+    ):
+        found[rows, columns, first] = own[rows, columns]
+        found[rows, columns, 1] = cross[rows, columns]
+        found[rows, columns, last] = corners[rows, columns]
+        found[rows, other_columns, 1] = own[rows, other_columns]
+        found[rows, other_columns, first] = across[rows, other_columns]
+        found[rows, other_columns, last] = along[rows, other_columns]
+    return found
+
+
+Plane = npt.NDArray[np.uint8]
+
+_VALUES = np.arange(256, dtype=np.float64)
+_SHIFT = 5
+"""Bits after the point: sums of three terms stay within 16 bits."""
+
+
+def _table(values: npt.NDArray[np.float64]) -> npt.NDArray[np.int16]:
+    return np.round(values * (1 << _SHIFT)).astype(np.int16)
+
+
+_LUMA = _table(np.maximum(_VALUES - 16, 0) * 1.164) + np.int16(1 << (_SHIFT - 1))
+_RED_V = _table((_VALUES - 128) * 1.596)
+_GREEN_V = _table((_VALUES - 128) * -0.813)
+_GREEN_U = _table((_VALUES - 128) * -0.391)
+_BLUE_U = _table((_VALUES - 128) * 2.018)
+
+
+def convert_yuv(luma: Plane, u: Plane, v: Plane) -> Plane:
+    """Red, green and blue of each pixel; all planes have one value a pixel."""
+    brightness = _LUMA[luma]
+    channels = (brightness + _RED_V[v], brightness + _GREEN_V[v] + _GREEN_U[u], brightness + _BLUE_U[u])
+    found = np.empty((*luma.shape, 3), dtype=np.uint8)
+    for number, channel in enumerate(channels):
+        found[:, :, number] = np.clip(channel >> _SHIFT, 0, 255)
+    return found
+
+
+def convert_packed(pairs: npt.NDArray[np.uint8], *, luma_first: bool) -> Plane:
+    """Of YUV 4:2:2 in rows of four bytes for two pixels: Y U Y V (`luma_first`) or U Y V Y."""
+    first, second = (0, 1) if luma_first else (1, 0)
+    luma = pairs[:, :, first::2].reshape(pairs.shape[0], -1)
+    u, v = pairs[:, :, second], pairs[:, :, second + 2]
+    return convert_yuv(luma, np.repeat(u, 2, axis=1), np.repeat(v, 2, axis=1))
+
 
 _MILLIMETRES, _METRES = 0.001, 1.0
 _ABSTRACT = re.compile(r"(8|16|32|64)([USF])C([0-9]{1,3})")

@@ -42,7 +42,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.policies.stored_queries import StoredQueries
 from rosld.server.resources.diagnostics import DiagnosticsResource
-from rosld.server.resources.ldp.documents import Documents
+from rosld.server.resources.ldp.base import Documents
 from rosld.server.resources.messages import decode
 from rosld.server.resources.plot import NumberFinder
 from rosld.server.resources.space import SpaceResource

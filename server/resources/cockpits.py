@@ -30,14 +30,11 @@ from rosld.server.hypermedia.json_schema import MessageSchemas
 from rosld.server.policies.stored_cockpits import DEFAULT, ROUTE, cockpit_titles
 from rosld.server.resources.cockpit_panels import CockpitSources, PanelReader
 from rosld.server.resources.default_cockpit import default_cockpit
-from rosld.server.resources.ldp.base import EXTRA_STATUSES, conflict_problem
-from rosld.server.resources.ldp.containers import ContainerResource
-from rosld.server.resources.ldp.creation import creation_writes
-from rosld.server.resources.ldp.documents import Documents
+from rosld.server.resources.ldp.base import EXTRA_STATUSES, Documents, conflict_problem, write_together
+from rosld.server.resources.ldp.containers import ContainerResource, creation_writes
 from rosld.server.resources.ldp.rdf_sources import RdfSourceResource
 from rosld.server.resources.ldp.representation import state_of
 from rosld.server.resources.ldp.routes import stored_route
-from rosld.server.resources.ldp.transaction import write_together
 from rosld.server.resources.ldp.versions import former_of
 from rosld.server.resources.namespaces import listed_graph
 from rosld.server.rest.exchange import Exchange

@@ -44,8 +44,7 @@ from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource
 from rosld.server.rest.state import State
 from rosld.server.robot.session import Session
 from rosld.server.runtime.tasks import loop_time
-from rosld.server.search.entry import Entry, EntryKind
-from rosld.server.search.index import Hit, Match, terms_of
+from rosld.server.search.index import Entry, EntryKind, Hit, Match, terms_of
 
 MAX_RESULTS = 20
 MAX_BYTES = 5000

@@ -19,7 +19,7 @@ from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.resource_tree import ResourceTree, path_of, segments_of
 from rosld.server.policies import stored_cockpits, stored_mappings
 from rosld.server.policies.stored_queries import StoredQueries
-from rosld.server.resources.ldp.documents import Documents
+from rosld.server.resources.ldp.base import Documents
 from rosld.server.resources.namespaces import listed_graph, namespaces, things_of
 from rosld.server.rest.state import State
 from rosld.server.robot.audited_adapter import AuditedAdapter
@@ -27,8 +27,7 @@ from rosld.server.robot.schemas import Schemas
 from rosld.server.robot.session import Session
 from rosld.server.runtime.version_cache import IdentityKey
 from rosld.server.search.catalog import catalog_of
-from rosld.server.search.entry import Catalog, Entry, EntryKind
-from rosld.server.search.index import SearchIndex, SearchResults
+from rosld.server.search.index import Catalog, Entry, EntryKind, SearchIndex, SearchResults
 from rosld.server.search.near_names import NearNames
 from rosld.server.storage.record import Record
 from rosld.server.storage.record_documents import unpack_prefix

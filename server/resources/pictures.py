@@ -13,9 +13,18 @@ from rosld.adapters.model import MessageSchema, RosError, Sample, TypeRef
 from rosld.server.http.conditional import ETag, check_preconditions, digest
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import ROBOT_SAID, Problem
-from rosld.server.pictures.form import DEFAULT_RANGE, DRAWN_TYPES, JPEG, PNG, DepthRange, PictureForm, can_draw
+from rosld.server.pictures.form import (
+    DEFAULT_RANGE,
+    DRAWN_TYPES,
+    JPEG,
+    PNG,
+    CannotDraw,
+    DepthRange,
+    PictureForm,
+    UnknownPicture,
+    can_draw,
+)
 from rosld.server.pictures.picture_cache import PictureCache
-from rosld.server.pictures.refusal import CannotDraw, UnknownPicture
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import FORMATS, OFFERS
 from rosld.server.rest.path_item import BYTES, QueryParameter
@@ -23,8 +32,7 @@ from rosld.server.rest.resource import Motion, Resource
 from rosld.server.rest.responses import RawResponse, bytes_response, resource_headers
 from rosld.server.robot.schemas import Schemas
 from rosld.server.robot.session import Session
-from rosld.server.space.ply import draw_cloud
-from rosld.server.space.point_cloud import DEFAULT_POINTS, MAX_POINTS, POINT_CLOUD
+from rosld.server.space.point_cloud import DEFAULT_POINTS, MAX_POINTS, POINT_CLOUD, draw_cloud
 
 MOTION = "multipart/x-mixed-replace"
 PICTURES = (JPEG, PNG, MOTION)

@@ -36,10 +36,9 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import DataSchema
 from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, MessageSchemas
 from rosld.server.policies.stored_queries import ROUTE, StoredQueries, query_triples
-from rosld.server.resources.ldp.base import EXTRA_STATUSES
+from rosld.server.resources.ldp.base import EXTRA_STATUSES, Documents
 from rosld.server.resources.ldp.bodies import require_small
 from rosld.server.resources.ldp.containers import ContainerResource
-from rosld.server.resources.ldp.documents import Documents
 from rosld.server.resources.ldp.rdf_sources import DescriptionResource
 from rosld.server.resources.ldp.representation import all_members, page_at, state_of
 from rosld.server.resources.ldp.routes import AbsentResource, stored_route

@@ -23,10 +23,9 @@ from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.json_schema import MessageSchemas
 from rosld.server.policies import active_limits
 from rosld.server.resources.accepted_shape import datatypes_of_limits, load_limited_types
-from rosld.server.resources.ldp.base import EXTRA_STATUSES
+from rosld.server.resources.ldp.base import EXTRA_STATUSES, Documents
 from rosld.server.resources.ldp.bodies import require_small
 from rosld.server.resources.ldp.containers import ContainerResource
-from rosld.server.resources.ldp.documents import Documents
 from rosld.server.resources.ldp.representation import all_members
 from rosld.server.resources.ldp.routes import stored_route
 from rosld.server.resources.limit_checks import LimitChecks

@@ -17,7 +17,7 @@ from rosld.server.policies import active_limits, stored_cockpits, stored_mapping
 from rosld.server.policies.active_limits import ActiveLimits, initial_limits
 from rosld.server.policies.stored_mappings import initial_mappings, load_stored_mappings
 from rosld.server.receipts.journal import Journal
-from rosld.server.resources.ldp.documents import Documents
+from rosld.server.resources.ldp.base import Documents
 from rosld.server.resources.ldp.validation import (
     CockpitValidator,
     LimitsValidator,

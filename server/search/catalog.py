@@ -20,7 +20,7 @@ from rosld.ontology.urls import Space
 from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.mapping import ComplexResource
 from rosld.server.hypermedia.resource_tree import ResourceTree
-from rosld.server.search.entry import Catalog, Entry, EntryKind
+from rosld.server.search.index import Catalog, Entry, EntryKind
 
 _MAX_FIELDS = 400
 """Fields of one type that are looked through."""

@@ -1,15 +1,77 @@
-"""An inverted index of entries: finds those that have all words of a query, the best first. Pure."""
+"""Entries: what can be found, each with what it is found by."""
 
 from __future__ import annotations
 
+import re
 from bisect import bisect_left
-from collections.abc import Callable, Iterator, Sequence
-from enum import IntEnum
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import Enum, IntEnum
+from functools import lru_cache
 from heapq import nsmallest
 from typing import NamedTuple, TypeAlias
 
-from rosld.server.search.entry import Catalog, Entry, EntryKind
-from rosld.server.search.words import words_of
+
+class EntryKind(Enum):
+    """What an entry is of; of several that fit equally well the first kind here comes first."""
+
+    ACTION = "action"
+    TOPIC = "topic"
+    SERVICE = "service"
+    RESOURCE = "resource"
+    PARAMETER = "parameter"
+    NODE = "node"
+    QUERY = "query"
+    MAPPING = "mapping"
+    DOCUMENT = "document"
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """Something with a URL.
+
+    `name` is a ROS name, or the path of what clients keep. `types` are the names of its ROS types, as a rule one.
+    `texts` are titles, descriptions and units. `resource` is the URL below `/resources/` that stands for the same.
+    """
+
+    kind: EntryKind
+    name: str
+    url: str
+    types: tuple[str, ...] = ()
+    texts: tuple[str, ...] = ()
+    resource: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Catalog:
+    """All entries, and the fields of their types by the names of these (`pose.position.x`)."""
+
+    entries: Sequence[Entry]
+    fields: Mapping[str, Sequence[str]] = field(default_factory=dict)
+
+
+_RUN = re.compile(r"[^\W\d_]+|\d+")
+
+
+@lru_cache(maxsize=16384)
+def words_of(text: str) -> tuple[str, ...]:
+    """The words of a name or a sentence, in lower case, each once.
+
+    `image_raw`, `BatteryState`, `IMUData` and `scan2` have two each.
+    """
+    return tuple(dict.fromkeys(word.casefold() for run in _RUN.findall(text) for word in _humps(run)))
+
+
+def _humps(run: str) -> Iterator[str]:
+    """The words of a run of letters: one begins with a capital after a small letter, or before one."""
+    start = 0
+    for index in range(1, len(run)):
+        is_last_capital = run[index - 1].isupper() and run[index : index + 2].istitle() and len(run) > index + 1
+        if run[index].isupper() and (run[index - 1].islower() or is_last_capital):
+            yield run[start:index]
+            start = index
+    yield run[start:]
+
 
 MAX_WORDS = 8
 MAX_CHARACTERS = 200

@@ -13,10 +13,9 @@ from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
 from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
-from rosld.server.serving.connections import Connections
+from rosld.server.serving.connections import Connections, WebSocketConnection
 from rosld.server.serving.request_head import LONGEST_TARGET, RequestHead
 from rosld.server.serving.transport import CoalescingTransport
-from rosld.server.serving.websocket_connection import WebSocketConnection
 
 _FRAMING_RATIO = 16
 """Bytes of chunk sizes, chunk extensions and trailers that may come with each byte of a chunked body.

@@ -1,4 +1,4 @@
-"""The listening socket and the HTTP server on it."""
+"""TLS by the server itself: `--tls-cert` and `--tls-key`."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ import asyncio
 import contextlib
 import logging
 import socket
+import ssl
 import sys
 from collections.abc import Callable, Coroutine, Iterator
+from pathlib import Path
 from typing import Any
 
 import uvicorn
@@ -15,9 +17,31 @@ from starlette.types import ASGIApp
 
 from rosld.server.http.token_redaction import redact_tokens
 from rosld.server.serving.connection import BoundedConfig, Connection, ConnectionBounds
-from rosld.server.serving.connections import Connections
-from rosld.server.serving.websocket_connection import WebSocketConnection
+from rosld.server.serving.connections import Connections, WebSocketConnection
 from rosld.server.sparql.process.evaluation import Aborted
+
+
+def require_certificate(certificate: Path, key: Path | None) -> None:
+    """Raises ValueError with a sentence where a certificate cannot be served with."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    try:
+        context.load_cert_chain(certificate, key, password=_no_password)
+    except ssl.SSLError as error:
+        where = f"--tls-cert {certificate}" + ("" if key is None else f", --tls-key {key}")
+        words = (error.reason or str(error)).replace("_", " ").lower()
+        raise ValueError(f"{where}: {words}: a certificate and its private key, both in PEM, are needed") from error
+
+
+def configure_tls(config: uvicorn.Config, certificate: Path | None, key: Path | None) -> None:
+    """Have a server speak TLS, if it has a certificate."""
+    if certificate is not None:
+        config.ssl_certfile = str(certificate)
+        config.ssl_keyfile = None if key is None else str(key)
+
+
+def _no_password() -> str:
+    raise ValueError("the private key is encrypted: give it without a password, in a file that nobody else can read")
+
 
 _log = logging.getLogger("rosld")
 

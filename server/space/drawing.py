@@ -12,10 +12,17 @@ import numpy as np
 import numpy.typing as npt
 
 from rosld.adapters.model import MessageSchema, Sample
-from rosld.server.pictures.refusal import CannotDraw
-from rosld.server.space.field_reading import Fields, frame_name, read_pose, read_stamp, read_vector, require_place
+from rosld.server.pictures.form import CannotDraw
 from rosld.server.space.point_cloud import POINT_CLOUD, read_cloud
-from rosld.server.space.transform import Transform
+from rosld.server.space.transform import (
+    Fields,
+    Transform,
+    frame_name,
+    read_pose,
+    read_stamp,
+    read_vector,
+    require_place,
+)
 
 Points: TypeAlias = "npt.NDArray[np.float64]"
 """Rows of x, y and z in metres."""

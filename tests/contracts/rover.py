@@ -10,8 +10,7 @@ from rosld.adapters.base import AdapterOptions
 from rosld.adapters.model import ActionSchema, MessageSchema, TypeRef
 from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.rover import rover_adapter
-from rosld.adapters.rover.encoder import message
-from rosld.adapters.rover.messages import pose_stamped
+from rosld.adapters.rover.messages import message, pose_stamped
 from rosld.adapters.rover.navigation import Pose
 from tests.contracts.robot import Acted, Asked, Robot, Spoken
 

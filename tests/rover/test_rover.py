@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 import pytest
 
-from rosld.adapters.rover import camera, scan
-from rosld.adapters.rover.topics import CMD_VEL, DOCK, LATCHED, PERIODIC
+from rosld.adapters.rover.graph import CMD_VEL, DOCK, LATCHED, PERIODIC
+from rosld.adapters.rover.sensors import BEAMS, HEIGHT, WIDTH
 from tests.rover.conftest import StartRover
 from tests.rover.rovers import Rover
 from tests.waiting import until
@@ -42,9 +42,9 @@ def test_without_power_it_neither_drives_nor_pursues_a_goal(start_rover: StartRo
     assert rover.place() == (0.0, 0.0)
     assert "no power" in str(rover.hear("/diagnostics"))
     ranges = rover.hear("/scan")["ranges"]
-    assert len(ranges) == scan.BEAMS
+    assert len(ranges) == BEAMS
     assert math.isclose(ranges[0], 4.4, abs_tol=1e-3)
-    assert math.isclose(ranges[scan.BEAMS // 2], 4.9, abs_tol=1e-3)
+    assert math.isclose(ranges[BEAMS // 2], 4.9, abs_tol=1e-3)
     grid = rover.hear("/map")
     info, data = grid["info"], grid["data"]
     assert (info["width"], info["height"], len(data)) == (100, 80, 8000)
@@ -63,9 +63,9 @@ def decoded(file: bytes) -> np.ndarray:
 
 def test_the_camera_is_seen_as_it_is(rover: Rover) -> None:
     raw = rover.hear("/camera/image_raw")
-    assert (raw["width"], raw["height"], raw["encoding"]) == (camera.WIDTH, camera.HEIGHT, "rgb8")
+    assert (raw["width"], raw["height"], raw["encoding"]) == (WIDTH, HEIGHT, "rgb8")
     assert base64.b64decode(rover.hear("/camera/image_raw/compressed")["data"]).startswith(b"\x89PNG")
-    assert rover.hear("/camera/camera_info")["width"] == camera.WIDTH
+    assert rover.hear("/camera/camera_info")["width"] == WIDTH
 
     def is_same() -> bool:
         """The picture has the pixels of the message; the rover may just have moved."""

@@ -15,8 +15,8 @@ from rosld.adapters.base import AdapterOptions
 from rosld.adapters.registry import adapter_for
 from rosld.server.app import create_app
 from rosld.server.hypermedia.json_schema import JsonSchema, patch_schema, write_schema
-from rosld.server.openapi.described_path import DescribedPath
 from rosld.server.openapi.description import description
+from rosld.server.openapi.path_collector import DescribedPath
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import READ
 from rosld.server.settings import Settings

@@ -1,9 +1,11 @@
-"""Base of the resources that clients keep."""
+"""The documents that clients keep, and the services with which their resources read and write them."""
 
 from __future__ import annotations
 
+import contextlib
 import time
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import ClassVar
 
 from starlette.responses import Response
@@ -11,16 +13,93 @@ from starlette.responses import Response
 from rosld.adapters.base import Watch
 from rosld.ontology.urls import Space
 from rosld.server.http.conditional import require_if_match
+from rosld.server.http.fields import to_uri
 from rosld.server.http.problem import Problem
+from rosld.server.http.problem_details import render
 from rosld.server.hypermedia.json_schema import BOOLEAN, MessageSchemas
-from rosld.server.resources.ldp.documents import Documents
-from rosld.server.resources.ldp.transaction import write_together
+from rosld.server.policies.stored_mappings import ROUTE
+from rosld.server.receipts.audit_context import record_step
+from rosld.server.resources.ldp.validation import Validator
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import RDF_BODIES
 from rosld.server.rest.path_item import PathItem, QueryParameter, WriteMethod
-from rosld.server.rest.resource import READ, Answer, Resource, permanent_redirect
+from rosld.server.rest.resource import READ, Answer, CreatedAnswer, Resource, permanent_redirect
+from rosld.server.rest.state import State
 from rosld.server.runtime.dry_run import expect_status
-from rosld.server.storage.record import Conflict, ConflictCause, Record, Remove, Write
+from rosld.server.runtime.offload import WorkerPool
+from rosld.server.runtime.tasks import Signal
+from rosld.server.runtime.version_cache import VersionCache
+from rosld.server.settings import Settings
+from rosld.server.storage.record import Conflict, ConflictCause, Put, Record, Remove, Write
+from rosld.server.storage.sqlite import Records
+
+
+@dataclass(frozen=True, slots=True)
+class Documents:
+    """The records, and the services with which resources read and write them."""
+
+    space: Space
+    settings: Settings
+    records: Records
+    changes: Signal
+    """Emits the path of each record that has changed."""
+    states: VersionCache[State]
+    workers: WorkerPool
+    validators: Mapping[str, Validator]
+    """By the route below which a document has an effect."""
+    mapping_warnings: Callable[[str], Awaitable[Sequence[str]]]
+    """Tells what the mapping at a URL names in vain, in sentences."""
+
+    def validator_of(self, path: str) -> Validator | None:
+        """Who judges what is kept at a path; nobody, for most."""
+        route = path[: path.find("/") + 1]
+        return None if path == route else self.validators.get(route)
+
+
+async def write_together(documents: Documents, writes: Sequence[Write]) -> Sequence[Record | None]:
+    """Do these writes in one transaction, if they are found good. Raises Conflict, Problems and LoweringError."""
+    for write in writes:
+        record_step(
+            f"{'store' if isinstance(write, Put) else 'delete'} /{write.path}", documents.space.base + write.path
+        )
+    judges = [
+        (write, permissions) for write in writes if (permissions := documents.validator_of(write.path)) is not None
+    ]
+    if not judges:
+        return await documents.records.write(*writes)
+    turns = {permissions.shape: permissions.lock for _, permissions in judges}
+    async with contextlib.AsyncExitStack() as held:
+        for shape in sorted(turns):
+            await held.enter_async_context(turns[shape])
+        sequels = [await permissions.validate(write) for write, permissions in judges]
+        records = await documents.records.write(*writes)
+        for sequel in sequels:
+            sequel()
+        return records
+
+
+async def with_warnings(documents: Documents, path: str, exchange: Exchange, answer: Answer) -> Answer:
+    """The answer to a write that put a mapping in force: in words where it names in vain, if no other is preferred.
+
+    The warnings name what is there instead, so they are for those who may read everything.
+    """
+    is_told = exchange.permissions.may_read_all and not (exchange.prefer.minimal or exchange.prefer.representation)
+    if not path.startswith(ROUTE) or not is_told:
+        return answer
+    url = documents.space.base + path
+    warnings = await documents.mapping_warnings(url)
+    if not warnings:
+        return answer
+    is_new = isinstance(answer, CreatedAnswer)
+    problem = Problem(
+        201 if is_new else 200,
+        f"The mapping is in force. Of what it names this is not there now: {' '.join(warnings)}",
+        title="In force, with warnings",
+        headers={"Location": to_uri(url)} if is_new else {},
+    )
+    problem.extra |= {"warnings": list(warnings)}
+    return render(problem, exchange.accept).response()
+
 
 ANYTHING = "*/*"
 

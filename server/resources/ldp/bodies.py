@@ -8,11 +8,13 @@ from functools import partial
 
 from pyoxigraph import NamedNode, Triple
 
-from rosld.ontology.body import read_ntriples
+from rosld.ontology.body import parse_triples, read_ntriples
 from rosld.ontology.vocab import ldp
+from rosld.server.http.body import MULTIPART, Part, split_parts, to_utf8
 from rosld.server.http.fields import Link, parse_links
+from rosld.server.http.negotiation import parse_media_type
 from rosld.server.http.problem import Problem
-from rosld.server.resources.ldp.documents import Documents
+from rosld.server.resources.ldp.base import Documents
 from rosld.server.resources.ldp.representation import all_members, member_uris
 from rosld.server.resources.ldp.statements import (
     CONTAINMENT,
@@ -24,14 +26,16 @@ from rosld.server.resources.ldp.statements import (
     is_small,
     parse_body_statements,
     parse_statements,
+    rename_blank_nodes,
     statements_of,
 )
 from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.formats import RDF_BODIES
 from rosld.server.rest.interaction import membership_triples, requested_model
 from rosld.server.rest.responses import exact_media_type
 from rosld.server.runtime.offload import WorkerPool
 from rosld.server.storage.record import Blob, Model, Record, rdf_types
-from rosld.server.storage.record_documents import to_ntriples
+from rosld.server.storage.record_documents import to_ntriples, unpack_triples, unpacked_size
 
 
 def model_of_request(exchange: Exchange, url: str, *, container: bool) -> Model:
@@ -126,3 +130,50 @@ async def client_statements(documents: Documents, record: Record, triples: State
         )
     work = partial(client_triples, triples, subject, record.model, servers, times)
     return await documents.workers.run(work) if triples.is_large else work()
+
+
+_N_TRIPLES = "application/n-triples"
+_MAX_UNITED = 4 * 1024 * 1024
+"""Bytes of N-Triples that several parts may make a new graph of."""
+
+
+async def merged_statements(workers: WorkerPool, exchange: Exchange, url: str, subject: str) -> Statements:
+    """The statements about `subject` of a request whose body is multipart/form-data: what all its parts say.
+
+    The parts are resolved against `url`. Raises BodyError and Problems: 400 for what cannot be cut into parts, 415 for
+    parts that are no RDF.
+    """
+    data, stated = await exchange.raw_body(), parse_media_type(exchange.header("content-type") or "")
+    work = partial(_unite, data, stated.parameter("boundary"), url, subject)
+    return work() if is_small(data) else await workers.run(work)
+
+
+async def merge_parts(workers: WorkerPool, exchange: Exchange, url: str) -> None:
+    """Turn a request whose body is multipart/form-data into one of N-Triples that says what all its parts say.
+
+    Raises what `merged_statements` raises, and a 413 Problem where that is too large.
+    """
+    found = await merged_statements(workers, exchange, url, url)
+    if unpacked_size(found.packed) > _MAX_UNITED:
+        raise Problem(413, f"The parts say more than {_MAX_UNITED} bytes of N-Triples: PUT one body instead.")
+    exchange.override(exchange.method, _N_TRIPLES, unpack_triples(found.packed))
+
+
+def _unite(data: bytes, boundary: str | None, url: str, subject: str) -> Statements:
+    try:
+        found = split_parts(data, boundary)
+    except ValueError as error:
+        raise Problem(400, f"{MULTIPART}: {error}.") from error
+    triples = [triple for number, part in enumerate(found, 1) for triple in _read(part, number, url)]
+    return parse_statements(to_ntriples(triples), subject)
+
+
+def _read(part: Part, number: int, url: str) -> list[Triple]:
+    stated = part.media_type
+    if stated is None or stated.essence not in RDF_BODIES:
+        raise Problem(
+            415,
+            f"Part {number} is {stated or 'of unknown type'}; each part says by its Content-Type which RDF it is: "
+            f"{', '.join(RDF_BODIES)}.",
+        )
+    return rename_blank_nodes(parse_triples(to_utf8(part.body, stated), stated.essence, url))

@@ -13,32 +13,34 @@ from rosld.server.dataset.base import TripleChanges
 from rosld.server.html.forms import DeleteForm, Form
 from rosld.server.http.body import MULTIPART
 from rosld.server.patches.patch import TooManyTriples
-from rosld.server.resources.ldp.base import StoredResource
+from rosld.server.resources.ldp.base import Documents, StoredResource, with_warnings
 from rosld.server.resources.ldp.bodies import (
     as_statements,
     client_statements,
+    merged_statements,
     read_statements,
     require_model,
     require_same_containment,
 )
-from rosld.server.resources.ldp.documents import Documents
-from rosld.server.resources.ldp.graph_merge import merged_statements
-from rosld.server.resources.ldp.kept_changes import KeptChange, change_kept, has_blank_nodes, has_managed, patch_kept
 from rosld.server.resources.ldp.managed_triples import managed_triples_in, require_membership, require_unchanged
 from rosld.server.resources.ldp.representation import state_of
 from rosld.server.resources.ldp.statements import (
     MAX_PATCHED,
     N3_PATCH,
     SMALL_BYTES,
+    KeptChange,
     Statements,
+    change_kept,
+    has_blank_nodes,
+    has_managed,
     member_uri,
     merge_statements,
     parse_patch,
+    patch_kept,
     patch_statements,
     require_same_members,
 )
 from rosld.server.resources.ldp.versions import former_of, has_versions
-from rosld.server.resources.ldp.warnings import with_warnings
 from rosld.server.resources.memento import VARY, timegate_links
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import RDF_BODIES, SPARQL_UPDATE

@@ -14,19 +14,23 @@ from rosld.server.http.body import MULTIPART
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import ANYTHING, MessageSchemas
 from rosld.server.patches.patch import has_deletes
-from rosld.server.resources.ldp.base import DELETES, EXTRA_STATUSES, StoredResource, conflict_problem, missing_problem
-from rosld.server.resources.ldp.bodies import model_of_request, receive_blob, require_model
-from rosld.server.resources.ldp.containers import create_resource, resource_of
-from rosld.server.resources.ldp.creation import creation_writes, require_free
-from rosld.server.resources.ldp.documents import Documents
-from rosld.server.resources.ldp.graph_merge import merge_parts
+from rosld.server.resources.ldp.base import (
+    DELETES,
+    EXTRA_STATUSES,
+    Documents,
+    StoredResource,
+    conflict_problem,
+    missing_problem,
+    with_warnings,
+    write_together,
+)
+from rosld.server.resources.ldp.bodies import merge_parts, model_of_request, receive_blob, require_model
+from rosld.server.resources.ldp.containers import create_resource, creation_writes, require_free, resource_of
 from rosld.server.resources.ldp.rdf_sources import DescriptionResource
 from rosld.server.resources.ldp.representation import state_of
 from rosld.server.resources.ldp.statements import N3_PATCH, is_small, patch_statements
 from rosld.server.resources.ldp.stored_files import StoredFile
-from rosld.server.resources.ldp.transaction import write_together
 from rosld.server.resources.ldp.versions import former_of
-from rosld.server.resources.ldp.warnings import with_warnings
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import MERGE_PATCH, OFFERS, RDF_BODIES, SPARQL_UPDATE
 from rosld.server.rest.path_item import ANY_TYPE, PathItem, WriteMethod

@@ -17,9 +17,8 @@ from rosld.server.http.fields import Link
 from rosld.server.http.negotiation import parse_media_type
 from rosld.server.http.problem import Problem
 from rosld.server.patches.patch import merge_patch
-from rosld.server.resources.ldp.base import ANYTHING, StoredResource
+from rosld.server.resources.ldp.base import ANYTHING, Documents, StoredResource
 from rosld.server.resources.ldp.bodies import receive_blob, require_model, single_chunk
-from rosld.server.resources.ldp.documents import Documents
 from rosld.server.resources.ldp.representation import state_of
 from rosld.server.resources.ldp.statements import SMALL_BYTES
 from rosld.server.rest.exchange import Exchange

@@ -11,7 +11,7 @@ from starlette.responses import Response
 from rosld.ontology.describe_views import time_map_document
 from rosld.server.http.problem import Problem
 from rosld.server.policies.stored_cockpits import ROUTE as COCKPITS
-from rosld.server.resources.ldp.documents import Documents
+from rosld.server.resources.ldp.base import Documents
 from rosld.server.resources.ldp.representation import former_state
 from rosld.server.resources.memento import (
     VARY,

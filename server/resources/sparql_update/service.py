@@ -19,9 +19,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.receipts.audit_context import record_step
 from rosld.server.resources.complex_resource import ComplexResource
-from rosld.server.resources.ldp.base import StoredResource, conflict_problem
-from rosld.server.resources.ldp.documents import Documents
-from rosld.server.resources.ldp.transaction import write_together
+from rosld.server.resources.ldp.base import Documents, StoredResource, conflict_problem, write_together
 from rosld.server.resources.property_action import MemberResource
 from rosld.server.resources.sparql_update.loading import load_documents
 from rosld.server.resources.sparql_update.report import (

@@ -7,16 +7,7 @@ import math
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rosld.adapters.rover.drive import (
-    RADIUS,
-    STANDSTILL,
-    Limits,
-    Motion,
-    Velocity,
-    drive,
-    wheel_speeds,
-    wrap_angle,
-)
+from rosld.adapters.rover.drive import RADIUS, STANDSTILL, Limits, Motion, Velocity, drive, wheel_speeds, wrap_angle
 from rosld.adapters.rover.world import small_world
 
 WORLD = small_world()

@@ -10,8 +10,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from rosld.adapters.rover.drive import RADIUS
-from rosld.adapters.rover.grid import RESOLUTION, grid_of
-from rosld.adapters.rover.planner import MARGIN, Point, length, way
+from rosld.adapters.rover.planner import MARGIN, RESOLUTION, Point, grid_of, length, way
 from rosld.adapters.rover.world import Box, World, small_world
 
 MAPPED = small_world().as_mapped()

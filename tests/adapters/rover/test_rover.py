@@ -26,12 +26,12 @@ from rosld.adapters.model import (
     Refused,
     TypeRef,
 )
-from rosld.adapters.rover import camera, rover_adapter
-from rosld.adapters.rover.encoder import encode
-from rosld.adapters.rover.messages import pose_stamped
+from rosld.adapters.rover import rover_adapter
+from rosld.adapters.rover.graph import CMD_VEL, LATCHED, PERIODIC
+from rosld.adapters.rover.messages import encode, pose_stamped
 from rosld.adapters.rover.navigation import Pose
-from rosld.adapters.rover.source import read_source
-from rosld.adapters.rover.topics import CMD_VEL, LATCHED, PERIODIC
+from rosld.adapters.rover.sensors import HEIGHT, WIDTH
+from rosld.adapters.rover.simulation import read_source
 from tests.adapters.session import Session, Told
 
 
@@ -83,8 +83,8 @@ async def test_the_file_of_an_image_holds_the_raw_image() -> None:
             kind, body = data[at + 4 : at + 8], data[at + 8 : at + 8 + size]
             assert struct.unpack_from(">I", data, at + 8 + size) == (zlib.crc32(kind + body),)
             chunks[kind], at = body, at + 12 + size
-        assert chunks[b"IHDR"] == struct.pack(">IIBBBBB", camera.WIDTH, camera.HEIGHT, 8, 2, 0, 0, 0)
-        lines = np.frombuffer(zlib.decompress(chunks[b"IDAT"]), np.uint8).reshape(camera.HEIGHT, -1)
+        assert chunks[b"IHDR"] == struct.pack(">IIBBBBB", WIDTH, HEIGHT, 8, 2, 0, 0, 0)
+        lines = np.frombuffer(zlib.decompress(chunks[b"IDAT"]), np.uint8).reshape(HEIGHT, -1)
         assert not lines[:, 0].any()
         assert lines[:, 1:].tobytes() == bytes(raw.data)
 

@@ -30,12 +30,7 @@ from rosld_rover.action import NavigateTo
 from running import begun, run
 from std_srvs.srv import SetBool, Trigger
 
-from rosld.adapters.rover import messages, requests
-from rosld.adapters.rover.navigation import Declined, JourneyEnd, Outcome
-from rosld.adapters.rover.settings import DEFAULTS, PARAMETERS, Declaration, problem_of
-from rosld.adapters.rover.simulation import LogLine, Severity, Simulation, Start
-from rosld.adapters.rover.source import read_source
-from rosld.adapters.rover.topics import (
+from rosld.adapters.rover.graph import (
     CMD_VEL,
     CMD_VEL_TYPE,
     DOCK,
@@ -47,6 +42,10 @@ from rosld.adapters.rover.topics import (
     Latched,
     Periodic,
 )
+from rosld.adapters.rover.messages import View, navigation_feedback, navigation_result
+from rosld.adapters.rover.navigation import Declined, JourneyEnd, Outcome, goal_of, switch_of, velocity_of
+from rosld.adapters.rover.settings import DEFAULTS, PARAMETERS, Declaration, problem_of
+from rosld.adapters.rover.simulation import LogLine, Severity, Simulation, Start, read_source
 
 PERIOD = 0.05
 FEEDBACK_PERIOD = 0.2
@@ -141,10 +140,10 @@ class Rover(Node):
         self.create_timer(PERIOD, self.tick)
 
     def command(self, twist: Any) -> None:
-        self.simulation.command(requests.velocity_of(twist), time.monotonic())
+        self.simulation.command(velocity_of(twist), time.monotonic())
 
     def switch_lights(self, request: Any, response: Any) -> Any:
-        answer = self.simulation.switch_lights(requests.switch_of(request), time.monotonic())
+        answer = self.simulation.switch_lights(switch_of(request), time.monotonic())
         self.say(LIGHTS, LATCHED[LIGHTS])
         return fill(response, answer._asdict())
 
@@ -161,7 +160,7 @@ class Rover(Node):
 
     def permissions(self, goal: Any) -> GoalResponse:
         try:
-            requests.goal_of(goal)
+            goal_of(goal)
         except Declined as declined:
             self.get_logger().warning(f"a goal is rejected: {declined}")
             return GoalResponse.REJECT
@@ -170,7 +169,7 @@ class Rover(Node):
     def depart(self, handle: Any) -> None:
         id = bytes(handle.goal_id.uuid).hex()
         self.goals[id], self.ends[id] = handle, Future()
-        self.simulation.navigate(id, requests.goal_of(handle.request), time.monotonic())
+        self.simulation.navigate(id, goal_of(handle.request), time.monotonic())
         handle.execute()
 
     async def pursue(self, handle: Any) -> NavigateTo.Result:
@@ -179,7 +178,7 @@ class Rover(Node):
         del self.goals[id], self.ends[id]
         ways = {Outcome.SUCCEEDED: handle.succeed, Outcome.ABORTED: handle.abort}
         ways.get(ended.outcome, handle.canceled)()
-        result = messages.navigation_result(ended, self.simulation.state.motion, time.time_ns())
+        result = navigation_result(ended, self.simulation.state.motion, time.time_ns())
         return fill(NavigateTo.Result(), result)
 
     def cancel(self, handle: Any) -> CancelResponse:
@@ -213,12 +212,12 @@ class Rover(Node):
         journey, motion = self.simulation.state.journey, self.simulation.state.motion
         if journey is not None and now >= self.due.get(NAVIGATE_TO, now):
             self.due[NAVIGATE_TO] = now + FEEDBACK_PERIOD
-            feedback = messages.navigation_feedback(journey, motion, time.time_ns())
+            feedback = navigation_feedback(journey, motion, time.time_ns())
             self.goals[journey.id].publish_feedback(fill(NavigateTo.Feedback(), feedback))
 
     def say(self, name: str, each: Periodic | Latched) -> None:
         simulation = self.simulation
-        view = messages.View(simulation.state, simulation.settings, simulation.world, time.time_ns())
+        view = View(simulation.state, simulation.settings, simulation.world, time.time_ns())
         self.voices[name].publish(fill(class_of(each.type)(), each.say(view)))
 
 

@@ -22,12 +22,7 @@ from genpy.dynamic import generate_dynamic
 from roslib.message import get_message_class
 from std_srvs.srv import SetBool, SetBoolResponse, Trigger, TriggerResponse
 
-from rosld.adapters.rover import messages, requests
-from rosld.adapters.rover.navigation import Declined, Outcome
-from rosld.adapters.rover.settings import DEFAULTS, PARAMETERS
-from rosld.adapters.rover.simulation import Severity, Simulation
-from rosld.adapters.rover.source import read_source
-from rosld.adapters.rover.topics import (
+from rosld.adapters.rover.graph import (
     CMD_VEL,
     CMD_VEL_TYPE,
     DOCK,
@@ -38,6 +33,10 @@ from rosld.adapters.rover.topics import (
     PERIODIC,
     SET_LIGHTS,
 )
+from rosld.adapters.rover.messages import View, navigation_feedback, navigation_result
+from rosld.adapters.rover.navigation import Declined, Outcome, goal_of, switch_of, velocity_of
+from rosld.adapters.rover.settings import DEFAULTS, PARAMETERS
+from rosld.adapters.rover.simulation import Severity, Simulation, read_source
 
 PERIOD = 0.05
 FEEDBACK_PERIOD = 0.2
@@ -172,11 +171,11 @@ class Rover:
 
     def command(self, twist):
         with self.lock:
-            self.simulation.command(requests.velocity_of(twist), time.monotonic())
+            self.simulation.command(velocity_of(twist), time.monotonic())
 
     def switch_lights(self, request):
         with self.lock:
-            answer = self.simulation.switch_lights(requests.switch_of(request), time.monotonic())
+            answer = self.simulation.switch_lights(switch_of(request), time.monotonic())
             self.say(LIGHTS, LATCHED[LIGHTS])
         return SetBoolResponse(*answer)
 
@@ -196,7 +195,7 @@ class Rover:
     def navigate(self, handle):
         with self.lock:
             try:
-                goal = requests.goal_of(handle.get_goal())
+                goal = goal_of(handle.get_goal())
             except Declined as declined:
                 handle.set_rejected(None, str(declined))
                 return
@@ -227,17 +226,17 @@ class Rover:
         motion, journey, time_ns = self.simulation.state.motion, self.simulation.state.journey, time.time_ns()
         for ended in self.simulation.take_ended():
             handle = self.goals.pop(ended.id)
-            result = fill(self.result(), messages.navigation_result(ended, motion, time_ns))
+            result = fill(self.result(), navigation_result(ended, motion, time_ns))
             ways = {Outcome.SUCCEEDED: handle.set_succeeded, Outcome.ABORTED: handle.set_aborted}
             ways.get(ended.outcome, handle.set_canceled)(result, ended.message)
         if journey is not None and now >= self.due.get(NAVIGATE_TO, now):
             self.due[NAVIGATE_TO] = now + FEEDBACK_PERIOD
-            feedback = messages.navigation_feedback(journey, motion, time_ns)
+            feedback = navigation_feedback(journey, motion, time_ns)
             self.goals[journey.id].publish_feedback(fill(self.feedback(), feedback))
 
     def say(self, name, each):
         simulation = self.simulation
-        view = messages.View(simulation.state, simulation.settings, simulation.world, time.time_ns())
+        view = View(simulation.state, simulation.settings, simulation.world, time.time_ns())
         self.publishers[name].publish(fill(class_of(each.type)(), each.say(view)))
 
 

@@ -48,7 +48,7 @@ from rosld.ontology.lift import LiftSettings
 from rosld.ontology.lower import lowerer
 from rosld.server.app import Application, create_app
 from rosld.server.resources.static_assets import FILES
-from rosld.server.serving.run_lifespan import lifespan
+from rosld.server.serving.lifespan import lifespan
 from rosld.server.settings import Settings
 from tests.server.auth.conftest import token, tokens
 from tests.server.events.conftest import HOST, Reader

@@ -10,7 +10,7 @@ import pytest
 from starlette.applications import Starlette
 
 from rosld.adapters.model import Unreachable
-from rosld.server.serving.run_lifespan import lifespan
+from rosld.server.serving.lifespan import lifespan
 
 
 def app(events: list[str], *, at_start: Exception | None = None) -> Starlette:

@@ -24,8 +24,7 @@ from rosld.ontology.urls import Space
 from rosld.ontology.vocab import rdf, ros
 from rosld.server.cli.list_types import open_source
 from rosld.server.cli.main import main
-from rosld.server.cli.rdf_writer import Template, writer
-from rosld.server.cli.recording_documents import Lifting
+from rosld.server.cli.rdf_writer import Lifting, Template, writer
 
 STORE = get_typestore(Stores.ROS1_NOETIC)
 BASE = "http://127.0.0.1:8080/"

@@ -13,7 +13,7 @@ import pytest
 from rosld.adapters.base import AdapterOptions
 from rosld.adapters.registry import adapter_for
 from rosld.server.app import Application, create_app
-from rosld.server.serving.run_lifespan import lifespan
+from rosld.server.serving.lifespan import lifespan
 from rosld.server.settings import Settings
 
 HOST = b"127.0.0.1:8080"

@@ -16,8 +16,8 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from rosld.server.http.body import read_body
 from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
-from rosld.server.serving import http_server
 from rosld.server.serving.connection import ConnectionBounds
+from rosld.server.serving.http_server import Server, bind
 from rosld.server.serving.transport import CoalescingTransport
 
 _V = TypeVar("_V")
@@ -39,8 +39,8 @@ def with_server(
 
     async def main() -> _V:
         listens = asyncio.Event()
-        server = http_server.Server(app, listens.set, bounds)
-        sock = http_server.bind("127.0.0.1", 0)
+        server = Server(app, listens.set, bounds)
+        sock = bind("127.0.0.1", 0)
         serving = asyncio.create_task(server.serve(sockets=[sock]))
         try:
             await asyncio.wait_for(listens.wait(), 60)

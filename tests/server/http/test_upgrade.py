@@ -13,8 +13,8 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
-from rosld.server.serving import http_server, tls
 from rosld.server.serving.connection import ConnectionBounds
+from rosld.server.serving.http_server import Server, bind, configure_tls
 from tests.server.auth.test_files import certificate
 
 Seen: TypeAlias = list[tuple[str, str, bytes]]
@@ -65,12 +65,12 @@ def with_listener(work: Callable[[Talk], Awaitable[None]], tls_files: tuple[Path
 
     async def main() -> None:
         listens = asyncio.Event()
-        server = http_server.Server(app, listens.set, ConnectionBounds())
+        server = Server(app, listens.set, ConnectionBounds())
         context = None
         if tls_files is not None:
-            tls.configure_tls(server.config, *tls_files)
+            configure_tls(server.config, *tls_files)
             context = ssl.create_default_context(cafile=str(tls_files[0]))
-        sock = http_server.bind("127.0.0.1", 0)
+        sock = bind("127.0.0.1", 0)
         serving = asyncio.create_task(server.serve(sockets=[sock]))
 
         async def talk(*pieces: bytes) -> tuple[Seen, bytes]:

@@ -13,11 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rosld.server.pictures.colour_map import draw_depth
-from rosld.server.pictures.compressed_image import draw_compressed
-from rosld.server.pictures.form import JPEG, PNG, DepthRange, PictureForm
-from rosld.server.pictures.picture import write_picture
+from rosld.server.pictures.form import JPEG, MAX_PIXELS, PNG, CannotDraw, DepthRange, PictureForm, UnknownPicture
+from rosld.server.pictures.picture import draw_compressed, write_picture
 from rosld.server.pictures.raw_image import ENCODINGS, RawImage, draw_raw
-from rosld.server.pictures.refusal import MAX_PIXELS, CannotDraw, UnknownPicture
 
 SHOWN = DepthRange()
 

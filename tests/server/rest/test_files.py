@@ -17,7 +17,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
 from rosld.server.rest import responses
 from rosld.server.rest.responses import CHUNK, UNKNOWN, exact_media_type, file_response
-from rosld.server.serving import http_server
+from rosld.server.serving.http_server import Server, bind
 
 _V = TypeVar("_V")
 TAG = '"kept-7.any"'
@@ -51,8 +51,8 @@ def with_server(served: ASGIApp, work: Callable[[int], Awaitable[_V]]) -> _V:
 
     async def main() -> _V:
         listens = asyncio.Event()
-        server = http_server.Server(served, listens.set)
-        sock = http_server.bind("127.0.0.1", 0)
+        server = Server(served, listens.set)
+        sock = bind("127.0.0.1", 0)
         serving = asyncio.create_task(server.serve(sockets=[sock]))
         try:
             await asyncio.wait_for(listens.wait(), 60)

@@ -6,9 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rosld.server.search.entry import Catalog, Entry, EntryKind
-from rosld.server.search.index import SearchIndex, terms_of
-from rosld.server.search.words import words_of
+from rosld.server.search.index import Catalog, Entry, EntryKind, SearchIndex, terms_of, words_of
 
 FIELDS = {
     "sensor_msgs/msg/BatteryState": ("voltage", "percentage", "cell_voltage"),

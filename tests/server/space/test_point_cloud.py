@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rosld.server.pictures.refusal import CannotDraw
-from rosld.server.space.ply import cloud_ply
-from rosld.server.space.point_cloud import read_cloud
+from rosld.server.pictures.form import CannotDraw
+from rosld.server.space.point_cloud import cloud_ply, read_cloud
 
 PlyData = pytest.importorskip("plyfile").PlyData
 DATATYPES = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}

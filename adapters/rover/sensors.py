@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -43,3 +45,18 @@ def _light(distances: NDArray[np.float64], lights: bool) -> NDArray[np.float64]:
     """The share of its colour that is seen of something so far away."""
     found: NDArray[np.float64] = (_LIT if lights else _DARK) / (1 + _FADING * distances)
     return found
+
+
+BEAMS = 360
+FIRST = -math.pi
+"""The direction of the first beam: straight behind."""
+INCREMENT = math.tau / BEAMS
+NEAREST = 0.05
+FARTHEST = 8.0
+_ANGLES: NDArray[np.float64] = FIRST + INCREMENT * np.arange(BEAMS, dtype=np.float64)
+
+
+def scan(world: World, motion: Motion) -> NDArray[np.float32]:
+    """The distance that each beam measures; inf for what is too far (REP 117)."""
+    distances = world.cast(motion.x, motion.y, motion.heading + _ANGLES).distances
+    return np.where(distances <= FARTHEST, distances, np.inf).astype(np.float32)

@@ -1,8 +1,9 @@
-"""`rosld load`: restore a dump."""
+"""`rosld dump`: write all that clients have stored to one archive, which appears once it is complete."""
 
 from __future__ import annotations
 
 import contextlib
+import os
 import time
 from pathlib import Path
 
@@ -11,10 +12,31 @@ import click
 from rosld.server.cli import data_folder
 from rosld.server.cli.failure import Failure, user_errors
 from rosld.server.settings import canonical_base
-from rosld.server.storage.archive import ArchiveReader
+from rosld.server.storage.archive import ArchiveReader, pack
 from rosld.server.storage.blobs import Blobs
 from rosld.server.storage.record import StorageError
 from rosld.server.storage.sqlite import BLOBS, CHECK_SECONDS
+
+
+def dump(folder: Path, output: Path) -> None:
+    """Write the records of a data folder, whether a server runs on it or not. Raises Failure."""
+    draft = output.with_name(f".{output.name}.{os.getpid()}")
+    with user_errors():
+        base = data_folder.read_base(folder)
+        if base is None:
+            raise Failure(f"{folder} is no folder that rosld keeps data in: {data_folder.NAME} is missing")
+        try:
+            with draft.open("wb") as file:
+                packed = pack(folder, file, base)
+                file.flush()
+                os.fsync(file.fileno())
+            draft.replace(output)
+        except StorageError as error:
+            raise Failure(str(error)) from error
+        finally:
+            draft.unlink(missing_ok=True)
+    click.echo(f"rosld: {packed.records} resources, {packed.blobs} of them files, are in {output}", err=True)
+
 
 NOTICED_SECONDS = 4 * CHECK_SECONDS
 """Seconds after which a server that runs on the folder reads the new records, and no file of the old ones."""

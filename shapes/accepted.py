@@ -20,9 +20,7 @@ from rosld.ontology.triples import RDF_SOURCE, Statement, Value, integer, statem
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import dcterms, rdf, rdfs, ros, sh, xsd
 from rosld.shapes.accepted_values import PARAMETERS, AcceptedValues, OpenParameter
-from rosld.shapes.demand import NO_DEMAND, Demand
-from rosld.shapes.limit_parts import write_limit
-from rosld.shapes.limited_texts import is_limited_text, limited_texts
+from rosld.shapes.limit_parts import NO_DEMAND, Demand, is_limited_text, limited_texts, write_limit
 from rosld.shapes.message import write_message_shapes
 from rosld.shapes.writer import ShapesWriter, within
 

@@ -28,10 +28,9 @@ from rosld.shapes.lexical_patterns import (
     open_array_pattern,
     parameter_array_pattern,
 )
-from rosld.shapes.lists import LIST, list_of, write_list_shape
 from rosld.shapes.terms import number
 from rosld.shapes.value import Bounds
-from rosld.shapes.writer import ShapesWriter
+from rosld.shapes.writer import LIST, ShapesWriter, list_of, write_list_shape
 
 PARAMETERS: Mapping[ParameterType, Primitive] = {
     ParameterType.BOOLEAN: Primitive("bool"),

@@ -12,8 +12,7 @@ from rosld.ontology.literals import DATATYPES
 from rosld.ontology.triples import Statement, Value, integer, statements, text, triples_about
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import qudt, rdf, ros, sh, xsd
-from rosld.shapes.bounds import narrow
-from rosld.shapes.value import NO_MEASURE, UNBOUNDED, Bounds, Measure, MessageShape, ScalarShape, ValueShape
+from rosld.shapes.value import NO_MEASURE, UNBOUNDED, Bounds, Measure, MessageShape, ScalarShape, ValueShape, narrow
 from rosld.shapes.writer import within
 
 

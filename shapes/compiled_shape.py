@@ -12,8 +12,8 @@ from pyoxigraph import BlankNode, Literal, NamedNode
 from rosld.ontology.body import Term
 from rosld.ontology.violations import Violation, brief_value
 from rosld.ontology.vocab import rdf
+from rosld.shapes.terms import View
 from rosld.shapes.value import UNBOUNDED, Bounds
-from rosld.shapes.view import View
 
 ValueTest: TypeAlias = Callable[[Term, View], bool]
 SetTest: TypeAlias = Callable[[Sequence[Term]], bool]

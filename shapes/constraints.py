@@ -16,11 +16,10 @@ from itertools import islice
 from pyoxigraph import BlankNode, NamedNode, Triple
 
 from rosld.ontology.violations import Violation
-from rosld.shapes.bounds import is_exact, merge_bounds
 from rosld.shapes.compiled_shape import ShapeValidator
 from rosld.shapes.shapes_graph import Node, ShapesGraph
-from rosld.shapes.value import Bounds
-from rosld.shapes.view import TripleView, View
+from rosld.shapes.terms import TripleView, View
+from rosld.shapes.value import Bounds, is_exact, merge_bounds
 
 MAX_VIOLATIONS = 20
 """The violations that are told; there may be more."""

@@ -9,7 +9,7 @@ from pyoxigraph import BlankNode, NamedNode, Triple
 
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import sh
-from rosld.shapes.limit_paths import Place
+from rosld.shapes.limit_parts import Place
 from rosld.shapes.limits import Limits
 from rosld.shapes.shapes_graph import Node, ShapesGraph
 

@@ -1,31 +1,88 @@
-"""Limits as parts of a shape of what may be written, where SHACL Core can say them of what is written.
-
-A limit judges a message as the server itself would say it, whatever a body said. So of the constraints only those are
-carried over that look at values and not at how they are written: ranges, choices, the order of two fields
-(`sh:lessThan`), texts, and all logic of these. What is always so of the type (`sh:datatype`, `sh:minCount 1`) is left
-out. A limit with any other constraint is not carried over at all.
-"""
+"""Paths of limits: what the predicates that a shape names lead to, in a message or at a resource."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 from pyoxigraph import BlankNode, Literal, NamedNode
 
-from rosld.adapters.model import Nested, Primitive
+from rosld.adapters.model import Array, FieldType, MessageSchema, Nested, ParameterType, Primitive
 from rosld.ontology.body import Term
-from rosld.ontology.literals import STRINGS
+from rosld.ontology.literals import DATATYPES, STRINGS
 from rosld.ontology.triples import Statement, Value, text
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import sh
-from rosld.shapes.accepted_values import AcceptedValues
-from rosld.shapes.limit_paths import Place, ValuePlace
+from rosld.ontology.vocab import sh, xsd
+from rosld.shapes.accepted_values import PARAMETERS, AcceptedValues
 from rosld.shapes.shapes_graph import Node, ShapesGraph
 from rosld.shapes.terms import is_numeric
 from rosld.shapes.value import Bounds
 from rosld.shapes.writer import ShapesWriter
+
+Kind: TypeAlias = Primitive | Nested | Array | ParameterType
+
+
+@dataclass(frozen=True, slots=True)
+class ValuePlace:
+    """A place that a path leads to: a value of a kind, in a message of a schema where it is in one."""
+
+    kind: Kind
+    schema: MessageSchema | None = None
+
+    @classmethod
+    def message(cls, schema: MessageSchema, name: str | None = None) -> ValuePlace:
+        """A message of a schema, or one of the types nested in it."""
+        return cls(Nested(name or schema.ref.name), schema)
+
+    @property
+    def primitive(self) -> Primitive | None:
+        """What a scalar is; None for everything else."""
+        return PARAMETERS.get(self.kind) if isinstance(self.kind, ParameterType) else _primitive(self.kind)
+
+    @property
+    def datatype(self) -> NamedNode | None:
+        """The datatype that the server itself says a scalar with."""
+        if self.kind is ParameterType.INTEGER:
+            return xsd.integer
+        return None if self.primitive is None else NamedNode(xsd.iri + DATATYPES[self.primitive.name])
+
+    def follow(self, predicate: NamedNode, space: Space) -> ValuePlace | None:
+        """The field that a predicate leads to; None where it is none of the type."""
+        name = self.kind.name if isinstance(self.kind, Nested) else ""
+        return self._field(lambda field: space.property_of(name, field) == predicate.value)
+
+    def field(self, path: str) -> ValuePlace | None:
+        """The field at a dotted path."""
+        name, _, rest = path.partition(".")
+        found = self._field(lambda field: field == name)
+        return found.field(rest) if found is not None and rest else found
+
+    def _field(self, is_it: Callable[[str], bool]) -> ValuePlace | None:
+        if self.schema is None or not isinstance(self.kind, Nested):
+            return None
+        fields = (each for each in self.schema.types[self.kind.name].fields if is_it(each.name))
+        return next((ValuePlace(each.type, self.schema) for each in fields), None)
+
+
+@dataclass(frozen=True, slots=True)
+class ResourcePlace:
+    """A resource that a limit is about: the predicate of its value (`rdf:value`, `ros:latest`), and what that is."""
+
+    predicate: NamedNode
+    value: ValuePlace | None
+
+    def follow(self, predicate: NamedNode, space: Space) -> ValuePlace | None:
+        """The value, by its predicate."""
+        return self.value if predicate == self.predicate else None
+
+
+Place: TypeAlias = ValuePlace | ResourcePlace
+
+
+def _primitive(kind: Kind) -> Primitive | None:
+    return kind if isinstance(kind, Primitive) else None
+
 
 _SILENT = frozenset(
     {
@@ -211,3 +268,107 @@ def limit_statements(writer: ShapesWriter, values: AcceptedValues, part: LimitPa
     for operator, members in part.logic:
         shapes = [write_limit(writer, values, each) for each in members]
         yield operator, (shapes[0] if operator == sh.not_ else writer.list_of(shapes))
+
+
+@dataclass(frozen=True, slots=True)
+class Demand:
+    """What limits demand of a message or a value, beyond its type.
+
+    `bounds` are those of single scalars, by dotted path ("" is the value itself). `value_parts` are limits that say
+    more, by the same paths, and `type_parts` those on all messages of a type, by its name. `is_all` is False where
+    limits hold that none of these can say. `largest` is the largest absolute value of all floats, which are finite;
+    None where they may be any.
+    """
+
+    bounds: Sequence[tuple[str, Bounds]] = ()
+    is_all: bool = True
+    value_parts: Sequence[tuple[str, LimitPart]] = ()
+    type_parts: Sequence[tuple[str, LimitPart]] = ()
+    largest: float | None = None
+
+    def __and__(self, other: Demand) -> Demand:
+        """What demands both."""
+        return Demand(
+            (*self.bounds, *other.bounds),
+            self.is_all and other.is_all,
+            (*self.value_parts, *other.value_parts),
+            (*self.type_parts, *other.type_parts),
+            min((each for each in (self.largest, other.largest) if each is not None), default=None),
+        )
+
+    def of_bounds(self) -> Demand:
+        """What bounds can say of it."""
+        is_all = self.is_all and not self.value_parts and not self.type_parts
+        return Demand(self.bounds, is_all, largest=self.largest)
+
+    def of_ranges(self) -> Demand:
+        """What ranges of numbers can say of it."""
+        ranges = [(path, each) for path, each in self.bounds if each == each.range]
+        is_all = self.of_bounds().is_all and len(ranges) == len(self.bounds)
+        return Demand(ranges, is_all, largest=self.largest)
+
+    def at(self, path: str) -> Demand:
+        """What is demanded of the value at a path, where that is written alone; `is_all` is False where more is."""
+        bounds = [("", each) for where, each in self.bounds if where == path]
+        parts = [("", each) for where, each in self.value_parts if where == path]
+        is_all = self.is_all and len(parts) == len(self.value_parts) and not self.type_parts
+        return Demand(bounds, is_all, parts, largest=self.largest)
+
+
+NO_DEMAND = Demand()
+
+
+def limited_texts(demand: Demand, schema: MessageSchema, space: Space) -> frozenset[NamedNode]:
+    """The properties of all fields of a message, and of those within, that are texts with limits."""
+    paths = [path for path, _ in demand.bounds]
+    paths += [path for path, part in demand.value_parts if path and bounds_text(part)]
+    found = [_property_at(schema, path, space) for path in paths]
+    parts = (part for _, part in (*demand.value_parts, *demand.type_parts))
+    return frozenset(
+        [*(each for each in found if each is not None), *(each for part in parts for each in _texts(part))]
+    )
+
+
+def is_limited_text(kind: Primitive, demand: Demand) -> bool:
+    """Whether a scalar is text that limits are about."""
+    return kind.name in STRINGS and (bool(demand.bounds) or any(bounds_text(part) for _, part in demand.value_parts))
+
+
+def bounds_text(part: LimitPart) -> bool:
+    """Whether a part is about text: its own value, or one within."""
+    return _is_text(part) or any(map(bounds_text, _inner(part)))
+
+
+def _is_text(part: LimitPart) -> bool:
+    return part.kind is not None and part.kind.name in STRINGS and bool(part.bounds)
+
+
+def _inner(part: LimitPart) -> Iterator[LimitPart]:
+    yield from part.parts
+    for _, members in part.logic:
+        yield from members
+
+
+def _texts(part: LimitPart, above: NamedNode | None = None) -> Iterator[NamedNode]:
+    """The properties in a part that lead to texts."""
+    path = part.path or above
+    if path is not None and _is_text(part):
+        yield path
+    for inner in _inner(part):
+        yield from _texts(inner, path)
+
+
+def _property_at(schema: MessageSchema, path: str, space: Space) -> NamedNode | None:
+    """The property that a dotted path ends with, where that leads to text."""
+    kind: FieldType = Nested(schema.ref.name)
+    found = None
+    for step in path.split("."):
+        kind = kind.element if isinstance(kind, Array) else kind
+        if not isinstance(kind, Nested):
+            return None
+        name = kind.name
+        field = next((each for each in schema.types[name].fields if each.name == step), None)
+        if field is None:
+            return None
+        found, kind = NamedNode(space.property_of(name, step)), field.type
+    return found if isinstance(kind, Primitive) and kind.name in STRINGS else None

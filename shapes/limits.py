@@ -24,14 +24,20 @@ from rosld.ontology.literals import DATATYPES, STRINGS, base64_text, scalar_text
 from rosld.ontology.urls import Space
 from rosld.ontology.violations import Violation
 from rosld.ontology.vocab import rdf, rdfs, sh, xsd
-from rosld.shapes.bounds import merge_bounds
 from rosld.shapes.constraints import MAX_VIOLATIONS, NodeShape, compile_shape, conjunction
-from rosld.shapes.demand import NO_DEMAND, Demand
-from rosld.shapes.limit_parts import InexpressibleError, LimitPart, limit_part
-from rosld.shapes.limit_paths import Place, ResourcePlace, ValuePlace
+from rosld.shapes.limit_parts import (
+    NO_DEMAND,
+    Demand,
+    InexpressibleError,
+    LimitPart,
+    Place,
+    ResourcePlace,
+    ValuePlace,
+    limit_part,
+)
 from rosld.shapes.shapes_graph import ShapesGraph
-from rosld.shapes.value import UNBOUNDED, Bounds
-from rosld.shapes.view import TripleView
+from rosld.shapes.terms import TripleView
+from rosld.shapes.value import UNBOUNDED, Bounds, merge_bounds
 
 Check: TypeAlias = Callable[[Message, str, str], tuple[Violation, ...]]
 """Judges a message that is lifted as the node (`#message`) of a document (its URL): what it breaks."""

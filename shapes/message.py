@@ -36,8 +36,7 @@ from rosld.ontology.literals import DATATYPES, OCTETS, STRINGS
 from rosld.ontology.triples import RDF_SOURCE, Statement, Value, boolean, integer, statements, text, triples_about
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import rdf, rdfs, ros, sh, xsd
-from rosld.shapes.lists import list_of, write_list_shape
-from rosld.shapes.writer import ShapesWriter, within
+from rosld.shapes.writer import ShapesWriter, list_of, within, write_list_shape
 
 SERVER_MANAGED = (rdf.type, ros.received, ros.sequence, ros.sentBy, ros.latched, ros.dateTime)
 """What a message node may say beside its fields."""

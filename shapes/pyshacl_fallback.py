@@ -13,8 +13,7 @@ from rosld.ontology.body import Term
 from rosld.ontology.violations import Violation
 from rosld.ontology.vocab import sh
 from rosld.shapes.compiled_shape import brief_term, join_path
-from rosld.shapes.terms import Node, normalize, normalize_graph
-from rosld.shapes.view import View
+from rosld.shapes.terms import Node, View, normalize, normalize_graph
 
 _MAX_KEPT = 64
 _SHAPES, _DATA = "s", "d"

@@ -12,18 +12,9 @@ from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 from rosld.ontology.body import Term
 from rosld.ontology.vocab import rdf, sh, xsd
 from rosld.shapes import components
-from rosld.shapes.bounds import is_exact, merge_bounds, narrow
 from rosld.shapes.compiled_shape import Extent, SetConstraint, Shape, ValueConstraint
+from rosld.shapes.components import SafePattern, compile_pattern
 from rosld.shapes.parameter_checks import (
-    ParameterFault,
-    checked_cardinal,
-    checked_iri,
-    checked_term,
-    checked_text,
-    checked_truth,
-)
-from rosld.shapes.safe_regex import SafePattern, compile_pattern
-from rosld.shapes.shacl_terms import (
     ABOUT,
     BEYOND_CORE,
     BOUNDS,
@@ -32,9 +23,15 @@ from rosld.shapes.shacl_terms import (
     PAIRS,
     REPEATABLE,
     TARGETS,
+    ParameterFault,
+    checked_cardinal,
+    checked_iri,
+    checked_term,
+    checked_text,
+    checked_truth,
     prefixed,
 )
-from rosld.shapes.value import UNBOUNDED, Bounds
+from rosld.shapes.value import UNBOUNDED, Bounds, is_exact, merge_bounds, narrow
 
 if TYPE_CHECKING:
     from rosld.shapes.pyshacl_fallback import PyshaclShape

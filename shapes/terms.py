@@ -11,11 +11,11 @@ from collections.abc import Callable, Iterable, Sequence
 from datetime import datetime, time
 from decimal import Decimal, InvalidOperation
 from math import isnan
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
-from rosld.ontology.body import Term
+from rosld.ontology.body import Subject, Term
 from rosld.ontology.coercion import RANGES
 from rosld.ontology.literals import DATATYPES
 from rosld.ontology.vocab import rdf, xsd
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     import rdflib
     from rdflib.term import BNode, URIRef
     from rdflib.term import Literal as Normal
+
 
 Number: TypeAlias = "int | float | Decimal"
 Node: TypeAlias = "URIRef | BNode | Normal"
@@ -167,3 +168,33 @@ def compare(one: Literal, other: Literal) -> int | None:
         return 1 if left > right else -1
     except (TypeError, NotImplementedError, ArithmeticError):
         return None
+
+
+class View(Protocol):
+    """What a shape can see."""
+
+    def objects(self, node: Term, predicate: NamedNode) -> Sequence[Term]:
+        """The value nodes of a predicate (SHACL 2.3.1), each once."""
+        ...
+
+    def triples(self) -> Sequence[Triple]:
+        """All of the graph."""
+        ...
+
+
+class TripleView:
+    """The view of triples."""
+
+    def __init__(self, triples: Iterable[Triple]) -> None:
+        self._triples = tuple(triples)
+        self._objects: dict[tuple[Subject, NamedNode], list[Term]] = {}
+        for triple in self._triples:
+            self._objects.setdefault((triple.subject, triple.predicate), []).append(triple.object)
+
+    def objects(self, node: Term, predicate: NamedNode) -> Sequence[Term]:
+        """The value nodes of a predicate."""
+        return () if not (found := self._objects.get((node, predicate))) else distinct(found)  # type: ignore[arg-type]
+
+    def triples(self) -> Sequence[Triple]:
+        """The triples."""
+        return self._triples

@@ -1,4 +1,4 @@
-"""The validation of what clients write by the shapes of mappings and of cockpits."""
+"""Validation of mappings and cockpits by their shapes graphs."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 from rdflib.namespace import SH
 
 from rosld.ontology.vocab import rdfs, xsd
-from rosld.shapes.cockpit import cockpit_shape
-from rosld.shapes.mapping import mapping_shape
+from rosld.shapes.documents import shapes_file
 
 _BASE = "https://w3id.org/rosld/shapes/"
 _MAX_DIGITS = 20
@@ -35,27 +34,13 @@ class ValidationResult(NamedTuple):
 
 
 @cache
-def _mapping_shapes() -> rdflib.Graph:
-    return _graph(mapping_shape(f"{_BASE}mapping").triples, exact=True)
+def _shapes(name: str) -> rdflib.Graph:
+    return _graph(shapes_file(name, f"{_BASE}{name}").triples, exact=True)
 
 
-@cache
-def _cockpit_shapes() -> rdflib.Graph:
-    return _graph(cockpit_shape(f"{_BASE}cockpit").triples, exact=True)
-
-
-def validate_mapping(triples: Iterable[Triple]) -> list[ValidationResult]:
-    """What SHACL finds wrong with the triples of a mapping document (none of them with a triple term)."""
-    return _validate(triples, _mapping_shapes())
-
-
-def validate_cockpit(triples: Iterable[Triple]) -> list[ValidationResult]:
-    """What SHACL finds wrong with the triples of a cockpit (none of them with a triple term)."""
-    return _validate(triples, _cockpit_shapes())
-
-
-def _validate(triples: Iterable[Triple], shapes: rdflib.Graph) -> list[ValidationResult]:
-    conforms, report, _ = pyshacl.validate(_graph(triples), shacl_graph=shapes)
+def validate(triples: Iterable[Triple], name: str) -> list[ValidationResult]:
+    """Return the violations of the shapes graph `NAME.ttl` in triples (none of them with a triple term)."""
+    conforms, report, _ = pyshacl.validate(_graph(triples), shacl_graph=_shapes(name))
     if conforms:
         return []
     assert isinstance(report, rdflib.Graph)

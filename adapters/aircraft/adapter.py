@@ -20,8 +20,7 @@ from rosld.adapters.aircraft.flight import ACTION, Declined, Flight, FlyGoal, ac
 from rosld.adapters.aircraft.flight import TYPE as FLY
 from rosld.adapters.aircraft.graph import AIRCRAFT, DISPLAY, ROSLD, SERVICES, SPEED, aircraft_graph
 from rosld.adapters.base import AdapterOptions, Capabilities, Published, Recording, Sink, Subscription, Watch
-from rosld.adapters.embedded import NoWatch, require_reachable, require_type
-from rosld.adapters.local_topics import LocalTopics
+from rosld.adapters.local_topics import LocalTopics, NoWatch, require_reachable, require_type
 from rosld.adapters.model import (
     ActionSchema,
     Encoding,

@@ -21,8 +21,7 @@ from rosld.adapters.ros1.services import Services
 from rosld.adapters.ros1.sources import Nodes, TopicReader
 from rosld.adapters.ros1.stale_registrations import StaleRegistrations
 from rosld.adapters.ros1.subscription import Feed
-from rosld.adapters.ros1.type_cache import EndpointFacts, LearntFacts
-from rosld.adapters.ros1.types import Types
+from rosld.adapters.ros1.types import EndpointFacts, LearntFacts, Types
 from rosld.adapters.ros1.xmlrpc import XmlRpcClient
 
 _EVERY = 1.0

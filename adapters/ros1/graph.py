@@ -8,8 +8,7 @@ from typing import TypeVar
 
 from rosld.adapters.model import Endpoint, Graph, Live, Master, Node, Parameter, Service, Stale, Topic, TypeRef, freeze
 from rosld.adapters.ros1.actionlib import actions_of
-from rosld.adapters.ros1.type_cache import EndpointFacts, LearntFacts, ServiceFacts
-from rosld.adapters.ros1.types import message_type
+from rosld.adapters.ros1.types import EndpointFacts, LearntFacts, ServiceFacts, message_type
 
 _V = TypeVar("_V")
 _NOTHING = EndpointFacts()

@@ -9,15 +9,7 @@ from collections.abc import Collection, Iterable
 from typing import cast
 
 from rosld.adapters.model import MessageSchema, TypeRef
-from rosld.adapters.ros1.tcpros import (
-    LENGTH,
-    MAX_HEADER,
-    BadFrame,
-    Header,
-    decode_header,
-    encode_header,
-    frame,
-)
+from rosld.adapters.ros1.tcpros import LENGTH, MAX_HEADER, BadFrame, Header, decode_header, encode_header, frame
 from rosld.adapters.ros1.types import ros_name
 
 _HIGH_WATER = 256 * 1024

@@ -9,8 +9,7 @@ from rosld.adapters.model import NotFound, Refused, RosError, Sent, TimedOut, Ty
 from rosld.adapters.ros1.hosts import Hosts, host_and_port
 from rosld.adapters.ros1.master import MasterApi
 from rosld.adapters.ros1.tcpros import MAX_HEADER, BadFrame, Header, decode_header, encode_header, frame, read_frame
-from rosld.adapters.ros1.type_cache import LearntFacts, ServiceFacts
-from rosld.adapters.ros1.types import Types, service_type
+from rosld.adapters.ros1.types import LearntFacts, ServiceFacts, Types, service_type
 
 _AT_ONCE = 4
 _PROBE = 5.0

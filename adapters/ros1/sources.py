@@ -7,11 +7,9 @@ from collections.abc import Awaitable, Callable, Iterable, Sequence
 
 from rosld.adapters.model import Refused, RosError, TypeRef, Unreachable
 from rosld.adapters.ros1.hosts import Hosts, host_and_port
-from rosld.adapters.ros1.samples import Slot
-from rosld.adapters.ros1.subscription import Feed
+from rosld.adapters.ros1.subscription import Feed, Slot
 from rosld.adapters.ros1.tcpros import Deliver, Frame, FrameReceiver, Header, encode_header
-from rosld.adapters.ros1.type_cache import EndpointFacts, LearntFacts
-from rosld.adapters.ros1.types import Types, message_type
+from rosld.adapters.ros1.types import EndpointFacts, LearntFacts, Types, message_type
 from rosld.adapters.ros1.xmlrpc import XmlRpcClient
 
 _TIMEOUT = 5.0

@@ -28,13 +28,13 @@ from rosld.adapters.model import (
 )
 from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.model.parameter import ParameterValue
-from rosld.adapters.ros2.descriptors import operations_on
 from rosld.adapters.ros2.feeds import Feed, TopicSubscription
 from rosld.adapters.ros2.graph import nodes_using, type_in_use
 from rosld.adapters.ros2.publications import Publication
 from rosld.adapters.ros2.source import Source, read_source, require_rclpy
 from rosld.adapters.ros2.system import System, unique_name
 from rosld.adapters.ros2.types import definition_folders
+from rosld.adapters.ros2.values import operations_on
 from rosld.adapters.thread import IoThread
 
 _CLOSE = 1.7

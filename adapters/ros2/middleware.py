@@ -18,7 +18,7 @@ from typing import Any, NamedTuple, Protocol, TypeAlias
 from rosld.adapters.model import Qos, TypeRef
 from rosld.adapters.model.names import global_name
 from rosld.adapters.ros2.message_classes import message_class
-from rosld.adapters.ros2.qos_profiles import profile_of_qos, qos_of_profile
+from rosld.adapters.ros2.profiles import profile_of_qos, qos_of_profile
 
 _UNKNOWN = "_NODE_NAME_UNKNOWN_"
 

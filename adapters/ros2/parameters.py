@@ -26,10 +26,9 @@ from rosld.adapters.model import (
 from rosld.adapters.model.names import segments
 from rosld.adapters.model.parameter import ParameterValue
 from rosld.adapters.ros2.calls import Calls
-from rosld.adapters.ros2.descriptors import descriptor_of
 from rosld.adapters.ros2.message_classes import make_message
 from rosld.adapters.ros2.middleware import Names, ParameterChange
-from rosld.adapters.ros2.values import Tag, from_message, to_fields
+from rosld.adapters.ros2.values import Tag, descriptor_of, from_message, to_fields
 
 _SERVICES = {
     "list_parameters": "rcl_interfaces/srv/ListParameters",

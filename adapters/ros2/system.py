@@ -15,11 +15,10 @@ from rosld.adapters.model import Action, GoalId, Graph, NotFound, Refused, TypeR
 from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.ros2.actions import Actions
 from rosld.adapters.ros2.calls import Calls
-from rosld.adapters.ros2.discovery import Discovery
+from rosld.adapters.ros2.discovery import Discovery, LiveGraph
 from rosld.adapters.ros2.feeds import Feed
 from rosld.adapters.ros2.graph import GraphInputs, foreign_nodes, of_action
 from rosld.adapters.ros2.lifecycle import Lifecycles
-from rosld.adapters.ros2.live_graph import LiveGraph
 from rosld.adapters.ros2.message_classes import request_of, serialize
 from rosld.adapters.ros2.middleware import ParameterChange, Participant
 from rosld.adapters.ros2.parameters import Parameters

@@ -14,8 +14,7 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
 from rosld.adapters.base import AdapterOptions, Capabilities, Published, Recording, Sink, Subscription, Watch
-from rosld.adapters.embedded import NoWatch, require_reachable, require_type
-from rosld.adapters.local_topics import LocalTopics
+from rosld.adapters.local_topics import LocalTopics, NoWatch, require_reachable, require_type
 from rosld.adapters.model import (
     ActionSchema,
     GoalEvent,

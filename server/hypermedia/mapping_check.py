@@ -12,9 +12,8 @@ from pyoxigraph import Literal
 from rosld.adapters.model import Array, Descriptor, MessageSchema, Nested, Primitive
 from rosld.server.hypermedia.catalogue import MessageKind, ScalarKind, ValueKind
 from rosld.server.hypermedia.mapping import ComplexResource, MappedAction, MappedProperty
-from rosld.shapes.bounds import narrow
 from rosld.shapes.parameter import declared_shape
-from rosld.shapes.value import UNBOUNDED, Bounds, Measure, MessageShape, OpenShape, ScalarShape, ValueShape
+from rosld.shapes.value import UNBOUNDED, Bounds, Measure, MessageShape, OpenShape, ScalarShape, ValueShape, narrow
 
 if TYPE_CHECKING:
     from rosld.server.hypermedia.resource_tree import ResourceTree

@@ -153,9 +153,9 @@ class _Reader:
     def permissions(self) -> None:
         """Judge the document by the shape of mappings. Raises InvalidMapping."""
         # pyshacl and rdflib, which many servers never need, take longer to import than all of the SPARQL service.
-        from rosld.shapes.validation import validate_mapping
+        from rosld.shapes.validation import validate
 
-        for misfit in validate_mapping(self.triples):
+        for misfit in validate(self.triples, "mapping"):
             self.wrong(misfit.focus, misfit.message, misfit.value, misfit.predicate, misfit.component)
         self.refuse()
 

@@ -13,7 +13,7 @@ from rosld.ontology.violations import LoweringError, Violation, brief_value
 from rosld.ontology.vocab import rdf, ros
 from rosld.server.storage.record_documents import unpack_triples
 from rosld.server.storage.sqlite import Records
-from rosld.shapes.cockpit import MAX_PANELS
+from rosld.shapes.documents import MAX_PANELS
 
 if TYPE_CHECKING:
     from rosld.shapes.validation import ValidationResult
@@ -42,7 +42,7 @@ def cockpit_titles(records: Records, space: Space, limit: int) -> list[tuple[str
 
 def check_cockpit(data: bytes, url: str) -> None:
     """Check the N-Triples of a document that is to be stored at a URL. Raises InvalidCockpit with what is wrong."""
-    from rosld.shapes.validation import validate_cockpit  # pyshacl takes its time, and few servers keep a cockpit
+    from rosld.shapes.validation import validate  # pyshacl takes its time, and few servers keep a cockpit
 
     # A document that is far too long is not read to its end: it would only be counted.
     triples = [quad.triple for quad in islice(parse(data, RdfFormat.N_TRIPLES), _MAX_TRIPLES + 1)]
@@ -51,7 +51,7 @@ def check_cockpit(data: bytes, url: str) -> None:
         raise InvalidCockpit(Violation("", words))
     if strange := next((each for each in triples if Triple in (type(each.subject), type(each.object))), None):
         raise InvalidCockpit(Violation("", "a cockpit has no triple terms", brief_value(str(strange))))
-    found = [_violation(each, url) for each in validate_cockpit(triples)]
+    found = [_violation(each, url) for each in validate(triples, "cockpit")]
     if Triple(NamedNode(url), rdf.type, ros.Cockpit) not in triples:
         words = f"the document describes no cockpit: say that <{url}> (<> in it) is a ros:Cockpit"
         found.insert(0, Violation("", words))

@@ -26,7 +26,6 @@ from rosld.server.rest.state import State
 from rosld.server.robot.audited_adapter import AuditedAdapter
 from rosld.server.robot.write_policy import any_number_hint, takes_finite_numbers
 from rosld.server.runtime.dry_run import note_limits
-from rosld.shapes.bounds import merge_bounds
 from rosld.shapes.command_numbers import (
     LARGEST_NUMBER,
     largest_number,
@@ -34,12 +33,10 @@ from rosld.shapes.command_numbers import (
     require_finite_parameter,
 )
 from rosld.shapes.components import component
-from rosld.shapes.demand import Demand
-from rosld.shapes.limit_paths import ValuePlace
-from rosld.shapes.limited_texts import limited_texts
+from rosld.shapes.limit_parts import Demand, ValuePlace, limited_texts
 from rosld.shapes.limits import Limits
 from rosld.shapes.parameter import declared_demand, violations
-from rosld.shapes.value import Bounds
+from rosld.shapes.value import Bounds, merge_bounds
 
 STRICTNESS = (
     QueryParameter(

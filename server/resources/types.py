@@ -5,7 +5,7 @@ Beside the packages of `/shapes/` lie `/shapes/mapping` and the like, and the li
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence, Set
+from collections.abc import Callable, Sequence, Set
 from dataclasses import replace
 from functools import partial
 
@@ -41,16 +41,10 @@ from rosld.server.runtime.version_cache import IdentityKey, VersionCache
 from rosld.server.settings import Settings
 from rosld.server.storage.record import Put, Record
 from rosld.server.storage.record_documents import record_document
-from rosld.shapes.cockpit import cockpit_shape
-from rosld.shapes.data import data_shape, documents_shape, query_shape, recording_shape
-from rosld.shapes.mapping import mapping_shape
+from rosld.shapes.documents import shapes_file
 from rosld.shapes.message import SHACL_SHACL, shape_document
 
-COCKPIT, DATA, DOCUMENTS, LIMITS, MAPPING, QUERY = "cockpit", "data", "documents", "limits", "mapping", "query"
-RECORDING = "recording"
-SHAPES_GRAPHS = (COCKPIT, DATA, DOCUMENTS, LIMITS, MAPPING, QUERY, RECORDING)
-"""What lies below `/shapes/` beside the shapes of types, and what clients keep there."""
-
+LIMITS = "limits"
 _HASH = QueryParameter("hash", "Which of several definitions of one name.")
 _SUMMARIES = {
     "cockpit": "The shape of cockpits",
@@ -61,6 +55,8 @@ _SUMMARIES = {
     "query": "The shape of stored queries",
     "recording": "The shape of the orders of recordings",
 }
+SHAPES_GRAPHS = tuple(_SUMMARIES)
+"""The shapes graphs below `/shapes/` that are not about one type, nor stored by clients."""
 
 
 class TypeResource(Resource):
@@ -173,19 +169,9 @@ def shapes_graph(
     """One of SHAPES_GRAPHS: what tells whether it is the same as before, and what describes it."""
     url = session.space.shape(name)
     if name != LIMITS:
-        return name, partial(_SHAPES[name], url)
+        return name, partial(shapes_file, name, url)
     datatypes, graph = datatypes_of_limits(session, affordances, limit_checks), limit_checks.limits.graph
     return (IdentityKey(limit_checks.limits), datatypes), lambda: Document(url, (*graph, *datatypes))
-
-
-_SHAPES: Mapping[str, Callable[[str], Document]] = {
-    DATA: data_shape,
-    DOCUMENTS: documents_shape,
-    COCKPIT: cockpit_shape,
-    MAPPING: mapping_shape,
-    QUERY: query_shape,
-    RECORDING: recording_shape,
-}
 
 
 class TypeContainer(Resource):

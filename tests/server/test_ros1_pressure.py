@@ -15,8 +15,7 @@ from typing import Any
 
 import pytest
 
-from rosld.adapters.ros1.receive_buffer import MAX_BYTES, enlarge, max_permitted_bytes
-from rosld.adapters.ros1.tcpros import decode_header, encode_header
+from rosld.adapters.ros1.tcpros import MAX_BYTES, decode_header, encode_header, enlarge, max_permitted_bytes
 from tests.adapters.ros1.system import RosSystem, running
 from tests.processes import Process
 from tests.waiting import until

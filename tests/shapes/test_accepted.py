@@ -22,7 +22,7 @@ from rosld.ontology.violations import LoweringError
 from rosld.ontology.vocab import rdf, ros
 from rosld.shapes.accepted import accepted_message_document
 from rosld.shapes.command_numbers import largest_number, require_finite_message
-from rosld.shapes.demand import Demand
+from rosld.shapes.limit_parts import Demand
 from tests.shapes.values import LITERALS, compiled, graph, validate
 
 pytestmark = pytest.mark.slow

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rosld.shapes.safe_regex import compile_pattern
+from rosld.shapes.components import compile_pattern
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from rosld.adapters.ros1 import Ros1Adapter
 from rosld.adapters.ros1.adapter import master_address, node_name
 from rosld.adapters.ros1.graph import Observation, SystemState, compose, stale
 from rosld.adapters.ros1.publications import addresses
-from rosld.adapters.ros1.type_cache import EndpointFacts, LearntFacts
+from rosld.adapters.ros1.types import EndpointFacts, LearntFacts
 
 
 def test_a_source_names_its_master() -> None:

@@ -26,6 +26,7 @@ from rosld.adapters.ros1.tcpros import (
     encode_header,
     frame,
     newest_frames,
+    read_frame,
     skip_frames,
 )
 
@@ -243,6 +244,6 @@ async def test_large_messages_one_after_the_other_are_received_whole() -> None:
 async def test_a_response_longer_than_the_limit_is_refused_before_it_is_read() -> None:
     reader = asyncio.StreamReader()
     reader.feed_data(frame(b"a" * 10) + struct.pack("<I", 11))
-    assert await tcpros.read_frame(reader, 10) == b"a" * 10
+    assert await read_frame(reader, 10) == b"a" * 10
     with pytest.raises(BadFrame, match="11 bytes"):
-        await asyncio.wait_for(tcpros.read_frame(reader, 10), 5)
+        await asyncio.wait_for(read_frame(reader, 10), 5)

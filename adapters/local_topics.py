@@ -1,4 +1,4 @@
-"""What the adapters of embedded robots share: they answer at once, and tell of all goals."""
+"""The parts that adapters of embedded robots share: topics on the server's loop, capabilities, goals."""
 
 from __future__ import annotations
 

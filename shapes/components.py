@@ -1,7 +1,8 @@
-r"""Safe regular expressions: patterns of clients, matched by RE2, whose time is linear in the text.
+r"""Constraint components of SHACL Core (section 4) as tests on value nodes, each with a sentence for people.
 
-RE2 knows no back-references and no lookaround, as XPath knows no lookaround (SHACL 4.4.3, SPARQL 17.4.3.14). `\d`,
-`\s` and `\w` are of ASCII, as in Java and in JavaScript, and `$` is the end of the text.
+Patterns of clients are matched by RE2, in linear time. RE2 has no back-references and no lookaround, as XPath has no
+lookaround (SHACL 4.4.3, SPARQL 17.4.3.14). `\d`, `\s` and `\w` are ASCII, as in Java and JavaScript, and `$` is the end
+of the text.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ class SafePattern:
 
 
 def compile_pattern(text: str, flags: str = "") -> SafePattern:
-    """The pattern written as `text`, with SHACL's flags (4.4.3). Raises ValueError for one that cannot be taken."""
+    """Compile a pattern with SHACL's flags (4.4.3). Raises ValueError for an unsupported one."""
     if len(text) > _MAX_PATTERN:
         raise ValueError(f"the pattern {text[:40]!r}... is longer than {_MAX_PATTERN} characters")
     flags = flags.lower()
@@ -91,13 +92,13 @@ NODE_KINDS = tuple(_KINDS)
 
 
 def component(parameter: NamedNode) -> NamedNode:
-    """The constraint component of a parameter: `sh:minInclusive` is of `sh:MinInclusiveConstraintComponent`."""
+    """Return the constraint component of a parameter: `sh:minInclusive` is of `sh:MinInclusiveConstraintComponent`."""
     name = parameter.value[len(sh.iri) :]
     return NamedNode(f"{sh.iri}{name[0].upper()}{name[1:]}ConstraintComponent")
 
 
 def phrase(term: Term) -> str:
-    """A term within a sentence."""
+    """Return a term within a sentence."""
     if isinstance(term, NamedNode):
         return f"<{term.value}>"
     if not isinstance(term, Literal):
@@ -218,7 +219,7 @@ def value_range(parameter: NamedNode, bound: Literal) -> ValueConstraint:
 
 
 def str_of(value: Term) -> str | None:
-    """What STR() of SPARQL says of a value; nothing of a blank node."""
+    """Return STR() of SPARQL of a value; None for a blank node."""
     if isinstance(value, NamedNode) or (isinstance(value, Literal) and is_plain(value)):
         return value.value
     return str(normalize(value)) if isinstance(value, Literal) else None

@@ -1,4 +1,4 @@
-"""Paths of limits: what the predicates that a shape names lead to, in a message or at a resource."""
+"""Parts of limits: the paths they constrain, the demands on a value, and texts among them."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ class ValuePlace:
 
     @classmethod
     def message(cls, schema: MessageSchema, name: str | None = None) -> ValuePlace:
-        """A message of a schema, or one of the types nested in it."""
+        """Return a message of a schema, or one of the types nested in it."""
         return cls(Nested(name or schema.ref.name), schema)
 
     @property
     def primitive(self) -> Primitive | None:
-        """What a scalar is; None for everything else."""
+        """The type of a scalar; None for everything else."""
         return PARAMETERS.get(self.kind) if isinstance(self.kind, ParameterType) else _primitive(self.kind)
 
     @property
@@ -48,12 +48,12 @@ class ValuePlace:
         return None if self.primitive is None else NamedNode(xsd.iri + DATATYPES[self.primitive.name])
 
     def follow(self, predicate: NamedNode, space: Space) -> ValuePlace | None:
-        """The field that a predicate leads to; None where it is none of the type."""
+        """Return the field that a predicate leads to; None where it is none of the type."""
         name = self.kind.name if isinstance(self.kind, Nested) else ""
         return self._field(lambda field: space.property_of(name, field) == predicate.value)
 
     def field(self, path: str) -> ValuePlace | None:
-        """The field at a dotted path."""
+        """Return the field at a dotted path."""
         name, _, rest = path.partition(".")
         found = self._field(lambda field: field == name)
         return found.field(rest) if found is not None and rest else found
@@ -73,7 +73,7 @@ class ResourcePlace:
     value: ValuePlace | None
 
     def follow(self, predicate: NamedNode, space: Space) -> ValuePlace | None:
-        """The value, by its predicate."""
+        """Return the value, by its predicate."""
         return self.value if predicate == self.predicate else None
 
 
@@ -101,10 +101,10 @@ class InexpressibleError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class LimitPart:
-    """What a limit demands of a node or, with a `path`, of the value of a predicate.
+    """Demand of a limit on a node or, with a `path`, on the value of a predicate.
 
-    `bounds` are those of a scalar of a `kind` that is told with a `datatype`, each to hold by itself. `orders` are the
-    numbers beside it that it is compared with. All `parts` hold, and of `logic` what it says.
+    `bounds` are those of a scalar of a `kind` with a `datatype`, all of which must hold. `orders` are sibling numbers
+    that it is compared with. All `parts` must hold, and `logic` combines others.
     """
 
     path: NamedNode | None = None
@@ -122,7 +122,7 @@ class LimitPart:
         return not (self.bounds or self.orders or self.logic) and all(each.is_empty for each in self.parts)
 
     def of_value(self) -> LimitPart:
-        """What the limit on a resource demands of its one value, which is the only thing that it is about."""
+        """Return the demand of a limit on a resource on its single value."""
         if self.path is not None:
             return replace(self, path=None)
         logic = tuple((operator, tuple(each.of_value() for each in members)) for operator, members in self.logic)
@@ -130,7 +130,7 @@ class LimitPart:
 
 
 def limit_part(graph: ShapesGraph, node: Node, place: Place, space: Space) -> LimitPart:
-    """What a limit demands at a place. Raises InexpressibleError."""
+    """Return the part of a limit at a place. Raises InexpressibleError."""
     said = graph.statements(node)
     if any(isinstance(each, Literal) and each.value in ("true", "1") for each in said.get(sh.deactivated, ())):
         return LimitPart()
@@ -149,7 +149,7 @@ def limit_part(graph: ShapesGraph, node: Node, place: Place, space: Space) -> Li
 
 
 class _At(NamedTuple):
-    """Where a constraint is: the focus node, the value that is looked at."""
+    """Position of a constraint: the focus node and the value."""
 
     focus: Place
     value: Place
@@ -157,7 +157,7 @@ class _At(NamedTuple):
 
 
 def _step(place: Place, path: Term, space: Space) -> ValuePlace:
-    """The field that a path leads to."""
+    """Return the field that a path leads to."""
     found = place.follow(path, space) if isinstance(path, NamedNode) else None
     if found is None or (found.primitive is None and not isinstance(found.kind, Nested)):
         raise InexpressibleError(f"{path} is no field, or that of an array")
@@ -165,7 +165,7 @@ def _step(place: Place, path: Term, space: Space) -> ValuePlace:
 
 
 def _constrained(part: LimitPart, graph: ShapesGraph, parameter: NamedNode, value: Term, at: _At) -> LimitPart:
-    """The part with one constraint more."""
+    """Return the part with one constraint more."""
     if parameter in (sh.lessThan, sh.lessThanOrEquals):
         return replace(part, orders=(*part.orders, (parameter, _number_beside(at, value))))
     if parameter in (sh.property, sh.node):
@@ -186,7 +186,7 @@ def _shape(value: Term) -> Node:
 
 
 def _number_beside(at: _At, predicate: Term) -> NamedNode:
-    """The field that a number is compared with."""
+    """Return the field that a number is compared with."""
     other = at.focus.follow(predicate, at.space) if isinstance(predicate, NamedNode) else None
     if other is None or not (_is_number(at.value) and _is_number(other)) or not isinstance(predicate, NamedNode):
         raise InexpressibleError("only numbers of one message are compared")
@@ -218,7 +218,7 @@ def _is_always_so(parameter: NamedNode, value: Term, at: _At) -> bool:
 
 
 def _bounds(graph: ShapesGraph, parameter: NamedNode, value: Term, place: Place) -> Bounds:
-    """A constraint on a scalar that looks at its value."""
+    """Return a constraint on a scalar that looks at its value."""
     kind = place.primitive if isinstance(place, ValuePlace) else None
     if kind is None:
         raise InexpressibleError("it is about no scalar")
@@ -253,7 +253,7 @@ def write_limit(writer: ShapesWriter, values: AcceptedValues, part: LimitPart) -
 
 
 def limit_statements(writer: ShapesWriter, values: AcceptedValues, part: LimitPart) -> Iterator[Statement]:
-    """What is said of the shape of a part."""
+    """Return the statements about the shape of a part."""
     yield sh.path, part.path
     yield sh.message, text(part.words)
     demands: list[Value] = []
@@ -287,7 +287,7 @@ class Demand:
     largest: float | None = None
 
     def __and__(self, other: Demand) -> Demand:
-        """What demands both."""
+        """Combine two demands."""
         return Demand(
             (*self.bounds, *other.bounds),
             self.is_all and other.is_all,
@@ -297,18 +297,18 @@ class Demand:
         )
 
     def of_bounds(self) -> Demand:
-        """What bounds can say of it."""
+        """Return the part of the demand that bounds can express."""
         is_all = self.is_all and not self.value_parts and not self.type_parts
         return Demand(self.bounds, is_all, largest=self.largest)
 
     def of_ranges(self) -> Demand:
-        """What ranges of numbers can say of it."""
+        """Return the part of the demand that ranges of numbers can express."""
         ranges = [(path, each) for path, each in self.bounds if each == each.range]
         is_all = self.of_bounds().is_all and len(ranges) == len(self.bounds)
         return Demand(ranges, is_all, largest=self.largest)
 
     def at(self, path: str) -> Demand:
-        """What is demanded of the value at a path, where that is written alone; `is_all` is False where more is."""
+        """Return the demand on the value at a path, written alone; `is_all` is False if there is more."""
         bounds = [("", each) for where, each in self.bounds if where == path]
         parts = [("", each) for where, each in self.value_parts if where == path]
         is_all = self.is_all and len(parts) == len(self.value_parts) and not self.type_parts
@@ -319,7 +319,7 @@ NO_DEMAND = Demand()
 
 
 def limited_texts(demand: Demand, schema: MessageSchema, space: Space) -> frozenset[NamedNode]:
-    """The properties of all fields of a message, and of those within, that are texts with limits."""
+    """Return the properties of all fields of a message, and of those within, that are texts with limits."""
     paths = [path for path, _ in demand.bounds]
     paths += [path for path, part in demand.value_parts if path and bounds_text(part)]
     found = [_property_at(schema, path, space) for path in paths]
@@ -350,7 +350,7 @@ def _inner(part: LimitPart) -> Iterator[LimitPart]:
 
 
 def _texts(part: LimitPart, above: NamedNode | None = None) -> Iterator[NamedNode]:
-    """The properties in a part that lead to texts."""
+    """Yield the properties in a part that lead to texts."""
     path = part.path or above
     if path is not None and _is_text(part):
         yield path
@@ -359,7 +359,7 @@ def _texts(part: LimitPart, above: NamedNode | None = None) -> Iterator[NamedNod
 
 
 def _property_at(schema: MessageSchema, path: str, space: Space) -> NamedNode | None:
-    """The property that a dotted path ends with, where that leads to text."""
+    """Return the property that a dotted path ends with, where that leads to text."""
     kind: FieldType = Nested(schema.ref.name)
     found = None
     for step in path.split("."):

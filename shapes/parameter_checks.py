@@ -1,4 +1,4 @@
-"""The terms of SHACL Core by what becomes of them here: compiled, left to pyshacl, said about a shape."""
+"""Parameters of SHACL Core: the terms by their treatment here, and checks of their values."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ BOUNDS = _terms("minInclusive maxInclusive minExclusive maxExclusive minLength m
 
 
 def prefixed(term: NamedNode) -> str:
-    """A term of SHACL as people write it, such as `sh:path`."""
+    """Return a term of SHACL as people write it, such as `sh:path`."""
     return f"sh:{term.value[len(sh.iri) :]}"
 
 
@@ -47,32 +47,32 @@ _TRUTH = {"true": True, "1": True, "false": False, "0": False}
 
 
 class ParameterFault(ValueError):
-    """What is wrong with the value of a parameter, in words that follow its name."""
+    """The value of a parameter is invalid; the words follow its name."""
 
 
 def checked_iri(value: Term) -> NamedNode:
-    """The value, which must be an IRI. Raises ParameterFault."""
+    """Return the value, which must be an IRI. Raises ParameterFault."""
     if not isinstance(value, NamedNode):
         raise ParameterFault(f"is {value}, where an IRI is needed")
     return value
 
 
 def checked_text(value: Term) -> str:
-    """The text of the value, which must be an xsd:string. Raises ParameterFault."""
+    """Return the text of the value, which must be an xsd:string. Raises ParameterFault."""
     if not isinstance(value, Literal) or value.datatype != xsd.string:
         raise ParameterFault(f"is {value}, where a string is needed")
     return value.value
 
 
 def checked_truth(value: Term) -> bool:
-    """What the value says, which must be an xsd:boolean. Raises ParameterFault."""
+    """Return the value of an xsd:boolean. Raises ParameterFault."""
     if not isinstance(value, Literal) or value.datatype != xsd.boolean or value.value not in _TRUTH:
         raise ParameterFault(f"is {value}, where true or false is needed")
     return _TRUTH[value.value]
 
 
 def checked_cardinal(value: Term) -> int:
-    """The number of the value, which must be an integer from 0. Raises ParameterFault."""
+    """Return the number of the value, which must be an integer from 0. Raises ParameterFault."""
     if isinstance(value, Literal) and value.datatype in _CARDINAL:
         found = number(value)
         if isinstance(found, int) and found >= 0:
@@ -81,7 +81,7 @@ def checked_cardinal(value: Term) -> int:
 
 
 def checked_term(value: Term) -> Term:
-    """The value, which must be a term that can be compared with.
+    """Return the value, which must be a term that can be compared with.
 
     Raises ParameterFault for triple terms, for markup, and for ill-typed numbers.
     """

@@ -79,7 +79,7 @@ _READERS: dict[NamedNode, Callable[[str], Number | None]] = {
 
 
 def number(literal: Literal) -> Number | None:
-    """The value of a number as rdflib reads it; None for anything that is none, or is ill-typed."""
+    """Return the value of a number as rdflib reads it; None for anything that is none, or is ill-typed."""
     read = _READERS.get(literal.datatype)
     return None if read is None else read(literal.value)
 
@@ -100,7 +100,7 @@ class _NotANumber(float):
 
 
 def normalize(term: Term, space: str = "") -> Node:
-    """A term as rdflib has it, in its normal form; `space` keeps the blank nodes of several graphs apart.
+    """Return a term as rdflib has it, in normal form; `space` separates blank nodes of several graphs.
 
     A triple term, of which rdflib knows nothing, is a blank node.
     """
@@ -131,7 +131,7 @@ def _normal(literal: Literal) -> Normal:
 
 
 def normalize_graph(triples: Iterable[Triple], space: str) -> rdflib.Graph:
-    """A graph as rdflib has it."""
+    """Return a graph as rdflib has it."""
     import rdflib
 
     graph = rdflib.Graph()
@@ -146,7 +146,7 @@ def is_plain(term: Term) -> bool:
 
 
 def distinct(terms: Sequence[Term]) -> Sequence[Term]:
-    """Each term once; literals of one normal form are one."""
+    """Return each term once; literals of one normal form are one."""
     if len(terms) < 2:
         return terms
     terms = list(dict.fromkeys(terms))
@@ -156,7 +156,7 @@ def distinct(terms: Sequence[Term]) -> Sequence[Term]:
 
 
 def compare(one: Literal, other: Literal) -> int | None:
-    """Whether `one` is less (-1) than `other`, equal (0) or more (1), as pyshacl has it; None where it cannot tell."""
+    """Compare as pyshacl does: -1 if `one` is less than `other`, 0, 1, or None if incomparable."""
     left, right = _normal(one), _normal(other)
     if isinstance(left.value, str) != isinstance(right.value, str):
         return None
@@ -171,14 +171,14 @@ def compare(one: Literal, other: Literal) -> int | None:
 
 
 class View(Protocol):
-    """What a shape can see."""
+    """The part of a data graph that a shape can see."""
 
     def objects(self, node: Term, predicate: NamedNode) -> Sequence[Term]:
-        """The value nodes of a predicate (SHACL 2.3.1), each once."""
+        """Return the value nodes of a predicate (SHACL 2.3.1), each once."""
         ...
 
     def triples(self) -> Sequence[Triple]:
-        """All of the graph."""
+        """Return all of the graph."""
         ...
 
 
@@ -192,9 +192,9 @@ class TripleView:
             self._objects.setdefault((triple.subject, triple.predicate), []).append(triple.object)
 
     def objects(self, node: Term, predicate: NamedNode) -> Sequence[Term]:
-        """The value nodes of a predicate."""
+        """Return the value nodes of a predicate."""
         return () if not (found := self._objects.get((node, predicate))) else distinct(found)  # type: ignore[arg-type]
 
     def triples(self) -> Sequence[Triple]:
-        """The triples."""
+        """Return the triples."""
         return self._triples

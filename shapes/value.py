@@ -1,6 +1,6 @@
-"""What a value must be: the one description from which a SHACL shape, a form and a data schema are drawn.
+"""The shape of a value: ROS type, bounds from limits (`--shapes`), unit from a mapping.
 
-Beside the ROS type stand the bounds that limits (`--shapes`) give it, and what a mapping says of its unit.
+SHACL shapes, forms and data schemas are drawn from it.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from rosld.shapes.terms import number
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """What is demanded of one scalar beyond its type (SHACL 4.3 to 4.8); None and () where nothing is.
+    """Constraints on one scalar beyond its type (SHACL 4.3 to 4.8); None and () for none.
 
     `choices`: it is one of these. `step`: it is a multiple of these above `minimum`, or it is `maximum`. Lengths are in
     characters.
@@ -48,7 +48,7 @@ UNBOUNDED = Bounds()
 
 @dataclass(frozen=True, slots=True)
 class Measure:
-    """What a number measures: its unit and its kind of quantity, as QUDT's terms."""
+    """Unit and kind of quantity of a number, as QUDT's terms."""
 
     unit: NamedNode | None = None
     quantity_kind: NamedNode | None = None
@@ -98,7 +98,7 @@ _K = TypeVar("_K", bound=Hashable)
 
 
 def narrow(one: Bounds, other: Bounds) -> Bounds:
-    """What fulfils both, as far as bounds can say it: of two patterns the first is kept."""
+    """Return the conjunction as far as bounds can express it: of two patterns the first is kept."""
     if not one or not other:
         return one or other
     return Bounds(
@@ -115,7 +115,7 @@ def narrow(one: Bounds, other: Bounds) -> Bounds:
 
 
 def merge_bounds(*mappings: Mapping[_K, Bounds]) -> dict[_K, Bounds]:
-    """The bounds of several mappings in one, narrowed where they meet."""
+    """Return the bounds of several mappings in one, narrowed where they meet."""
     found: dict[_K, Bounds] = {}
     for mapping in mappings:
         for key, bounds in mapping.items():
@@ -136,7 +136,7 @@ def is_exact(*mappings: Mapping[_K, Bounds]) -> bool:
 
 
 def _further(one: Literal | None, other: Literal | None, sign: int) -> Literal | None:
-    """The bound that lies further up (`sign` 1) or down (-1); the first where they are no numbers."""
+    """Return the bound that lies further up (`sign` 1) or down (-1); the first where they are no numbers."""
     if one is None or other is None:
         return one if other is None else other
     left, right = number(one), number(other)
@@ -144,7 +144,7 @@ def _further(one: Literal | None, other: Literal | None, sign: int) -> Literal |
 
 
 def _both(one: tuple[Literal, ...], other: tuple[Literal, ...]) -> tuple[Literal, ...]:
-    """What is in both; where nothing is, the first, since no choice at all would mean that nothing is demanded."""
+    """Return the intersection; if it is empty, the first, because no choices would mean no constraint."""
     if not one or not other:
         return one or other
     return tuple(each for each in one if each in other) or one

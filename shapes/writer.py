@@ -1,4 +1,4 @@
-"""Writer of shapes graphs: named nodes of one document, and blank nodes unique to it."""
+"""Writer of shapes graphs: named nodes of one document, blank nodes unique to it, and shapes of lists."""
 
 from __future__ import annotations
 
@@ -29,29 +29,29 @@ class ShapesWriter:
         self.triples += triples_about(node, *statements)
 
     def node(self, name: str = "") -> NamedNode:
-        """The node of that fragment, which is made of characters that a fragment may hold; without, the document."""
+        """Return the node of a fragment (of permitted characters), or the document itself."""
         return NamedNode(f"{self.url}#{name}" if name else self.url)
 
     def blank(self, *statements: Statement) -> BlankNode:
-        """A blank node about which this is said."""
+        """Return a blank node about which this is said."""
         node = next(self._blanks)
         self.add(node, *statements)
         return node
 
     def list_of(self, elements: Iterable[Value]) -> Value:
-        """An rdf:List, its cells blank."""
+        """Return an rdf:List, its cells blank."""
         rest: Value = rdf.nil
         for element in reversed(list(elements)):
             rest = self.blank((rdf.first, element), (rdf.rest, rest))
         return rest
 
     def either(self, shapes: Iterable[Value]) -> Statement:
-        """The constraint that one of these shapes holds at least."""
+        """Return the constraint that one of these shapes holds at least."""
         return sh.or_, self.list_of(shapes)
 
 
 def within(node: NamedNode, name: str) -> NamedNode:
-    """A fragment of the document of `node`, named after it: of `#twist` `#twist.linear`, of a document `#linear`."""
+    """Return a fragment named after `node`: `#twist` leads to `#twist.linear`, the document to `#linear`."""
     return NamedNode(f"{node.value}{'.' if '#' in node.value else '#'}{name}")
 
 
@@ -72,10 +72,9 @@ def write_list_shape(writer: ShapesWriter) -> None:
 def list_of(
     writer: ShapesWriter, elements: Sequence[Statement], length: int | None = None, bound: int | None = None
 ) -> BlankNode:
-    """The shape of a list of which each element fulfils `elements`: of exactly `length`, or at most `bound` elements.
+    """Return the shape of a list of exactly `length`, or at most `bound`, elements that fulfil `elements`.
 
-    Equal literals are one value node (SHACL 2.3.1), so it is not the elements that are counted: it is the cells, among
-    them rdf:nil.
+    Equal literals are one value node (SHACL 2.3.1), so the cells are counted, including rdf:nil, not the elements.
     """
     path = writer.list_of([_rests(writer), rdf.first])
     shape = writer.blank(
@@ -90,5 +89,5 @@ def list_of(
 
 
 def _rests(writer: ShapesWriter) -> NamedNode | BlankNode:
-    """The path from a list to all of its cells, itself and rdf:nil included."""
+    """Return the path from a list to all of its cells, itself and rdf:nil included."""
     return writer.blank((sh.zeroOrMorePath, rdf.rest))

@@ -1,4 +1,4 @@
-"""The services of the aircraft: from a request to the flight it leads to and the response, as pure functions."""
+"""The computation graph of the aircraft, and its services as pure functions of the flight and the request."""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
-"""Default values of fields, as ROS 2's definitions state them: `float64 w 1`. Pure.
+"""The codec of a schema: rosbags' compiled serialisers, with `wire.py` for the strings they refuse.
 
-They are read as rosidl_adapter reads them. ROS 1 has none: every field of a new message is zero or empty.
+Default values of fields (`float64 w 1`) are read as rosidl_adapter reads them. ROS 1 has none: every field of a new
+message is zero or empty.
 """
 
 from __future__ import annotations

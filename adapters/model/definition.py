@@ -1,7 +1,7 @@
-"""Limits of message definitions, whose texts come from recordings and from other nodes. Pure.
+"""Definitions: the texts of messages, services and actions, split, named and hashed as genmsg does.
 
-A definition of 2 kB whose types each nest the next one twice has more fields than there is memory, and a message of
-4 bytes can hold four thousand million elements of a type without fields.
+They come from recordings and other nodes, so they have limits: a definition of 2 kB whose types each nest the next one
+twice has more fields than there is memory, and a message of 4 bytes can hold 4e9 elements of a type without fields.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Actions: long-running tasks with a goal, feedback on the way and a result at the end."""
+"""The computation graph: nodes, topics, services, actions and lifecycles, as an immutable snapshot."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Schemas: what a message, a service or an action is made of, self-contained and immutable.
+"""Schemas of messages, services and actions, self-contained and immutable, and samples of messages.
 
 Names are rosbags' (`geometry_msgs/msg/Twist`, `std_srvs/srv/Trigger`) for ROS 1 and ROS 2 alike. The two halves
 of a service are messages named `std_srvs/srv/Trigger_Request` and `std_srvs/srv/Trigger_Response`; the three of an

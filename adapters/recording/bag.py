@@ -1,4 +1,4 @@
-"""A recording that can be read message by message, whatever its format."""
+"""A recording, readable message by message whatever its format; its types, and messages that were latched before it."""
 
 from __future__ import annotations
 

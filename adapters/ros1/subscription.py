@@ -1,7 +1,6 @@
-"""The newest samples of each publisher of a topic, written by the thread that reads, read by the server's.
+"""Subscriptions: the newest samples of each publisher, written by the reading thread and read by the server's.
 
-No locks: a slot's `values` is replaced whole, by one thread, in one assignment; whoever reads sees the old tuple or
-the new one. A message costs at most that; the `Sample` is made when somebody looks.
+No locks: `values` of a slot is replaced as a whole, by one thread, in one assignment; readers get either tuple.
 """
 
 from __future__ import annotations

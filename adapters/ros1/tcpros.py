@@ -1,7 +1,10 @@
-"""The kernel's receive buffer of a connection to a publisher, sized by what comes in.
+"""TCPROS: connection headers and frames, the wire of ROS 1's topics and services.
 
-A publisher without a queue (rospy's `queue_size=None`) waits in `publish()` as soon as the buffers between it and a
-subscriber are full, so they must hold what it sends while this process does not run.
+A frame is a little-endian uint32 length and that many bytes. The first frame each way is a header: fields
+`name=value`, each preceded by its length.
+
+A publisher without a queue (rospy's `queue_size=None`) blocks in `publish()` when the buffers between it and a
+subscriber are full. So the kernel's receive buffer must hold what it sends while this process does not run.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Types: learnt from connection headers, found in a local ROS, and told to the graph when they cannot be read."""
+"""Types: learnt from connection headers, or found in a local ROS; unreadable ones are noted in the graph."""
 
 from __future__ import annotations
 

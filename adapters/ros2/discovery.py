@@ -1,4 +1,4 @@
-"""The graph of the system as it was last seen, and what is known of it when its nodes leave."""
+"""Discovery of the graph, and the last known state of nodes that have left."""
 
 from __future__ import annotations
 

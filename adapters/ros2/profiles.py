@@ -1,4 +1,4 @@
-"""Which quality of service we take: to hear everyone without holding anyone back, and to be heard by everyone. Pure."""
+"""Quality of service: conversion to and from rclpy's profiles, and the profiles that match every endpoint. Pure."""
 
 from __future__ import annotations
 

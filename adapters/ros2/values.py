@@ -1,4 +1,4 @@
-"""Parameter values between ROS 2's tagged messages and Python's own types, exactly: 1 is an integer, 1.0 a double."""
+"""Parameter values and descriptors of ROS 2 as Python's own types, exactly: 1 is an integer, 1.0 a double."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""The differential drive: from a velocity that is commanded to the motion that follows, step by step. Pure.
+"""The differential drive: from a commanded velocity to the motion, step by step, and its battery. Pure.
 
-The base has no watchdog: it drives on as it was told last until it is told something else.
+The base has no watchdog: it follows the last command until the next.
 """
 
 from __future__ import annotations

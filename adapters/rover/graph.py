@@ -1,4 +1,4 @@
-"""The topics of the rover: the type of each, how often it is published, and what is said there."""
+"""The computation graph of the rover: its topics with types and rates, services, actions and parameters."""
 
 from __future__ import annotations
 

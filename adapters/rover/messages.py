@@ -1,7 +1,7 @@
-"""What the rover says, as the fields of ROS 2's standard messages (common_interfaces, tf2_msgs). Pure.
+"""Messages of the rover, as the fields of ROS 2's standard messages (common_interfaces, tf2_msgs). Pure.
 
 A message is a dict of all its fields, nested ones too; a time is `{"sec": ..., "nanosec": ...}`, an array of numbers is
-numpy's. Who sends it makes the message of its own ROS of it.
+numpy's. The nodes of `tests/rover` convert it to the messages of their ROS.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Navigation to a goal: the way that is planned, the velocity that follows it, and how it ends. Pure."""
+"""Navigation to a goal: the planned path, the velocity that follows it, the outcome, and requests. Pure."""
 
 from __future__ import annotations
 

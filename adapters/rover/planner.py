@@ -1,4 +1,4 @@
-"""The occupancy grid of a world: which cells a shape touches, and which are far enough from all for the rover. Pure."""
+"""The occupancy grid of a world, and paths in it that keep clear of everything. Pure."""
 
 from __future__ import annotations
 

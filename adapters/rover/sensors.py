@@ -1,4 +1,4 @@
-"""The camera: what the rover sees ahead, one ray a column. Pure."""
+"""The sensors: the camera image, one ray per column, and the laser scan. Pure."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """The simulation: the state of the rover, which changes step by step and by commands.
 
-`State` and what is done to it are pure, so that no clock is needed to test them; a `Simulation` is a state that a clock
-moves on. Time goes in steps of 10 ms: the same commands at the same steps lead to the same state.
+`State` and its changes are pure, so that tests need no clock; a `Simulation` is a state that a clock advances. Steps
+take 10 ms: the same commands at the same steps lead to the same state.
 """
 
 from __future__ import annotations

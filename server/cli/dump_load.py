@@ -1,4 +1,4 @@
-"""`rosld dump`: write all that clients have stored to one archive, which appears once it is complete."""
+"""`rosld dump` and `rosld load`: all that clients have stored, as one archive."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A recording as documents: what it is, what types it holds, and each of its messages under its own URL."""
+"""A recording as documents (itself, its types, each message), and their writer."""
 
 from __future__ import annotations
 

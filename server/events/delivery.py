@@ -105,7 +105,7 @@ class Delivery:
 
 
 def notification(observation: Observation, activity: Activity, media_type: str) -> bytes:
-    """The notification that tells the news of a moment: made once for all channels that tell the same."""
+    """Return the notification about a moment, made once for all channels with the same content."""
     key = f"{media_type} {activity}"
     found = observation.chunks.get(key)
     if found is None:
@@ -126,7 +126,7 @@ LINES = "application/x-ndjson"
 
 
 def channel_headers(channel: Channel) -> list[tuple[bytes, bytes]]:
-    """The headers of the response."""
+    """Return the headers of the response."""
     accept = channel.terms.accept
     kind = LINES if accept.endswith("json") else f"{accept}; charset=utf-8" if accept.startswith("text/") else accept
     return [
@@ -176,7 +176,7 @@ CLOSE_SECONDS = 0.5
 
 
 def check_origin(site: OriginPolicy, origin: str | None) -> None:
-    """Raises a 403 Problem for a page that nothing is shared with: browsers let every page open a WebSocket."""
+    """Raise a 403 Problem for a page that nothing is shared with: browsers let every page open a WebSocket."""
     if origin is None or site.allows_any_origin or origin.lower() in site.origins or origin in site.shared_origins:
         return
     raise Problem(
@@ -185,12 +185,12 @@ def check_origin(site: OriginPolicy, origin: str | None) -> None:
 
 
 def handshake_headers(scope: Scope, name: bytes) -> list[str]:
-    """The values of all fields of one name."""
+    """Return the values of all fields of one name."""
     return [value.decode("latin-1") for field, value in scope["headers"] if field == name]
 
 
 def check_request(site: OriginPolicy, scope: Scope) -> None:
-    """Raises Problems for a handshake that names another server (421), or is a page's that nothing is shared with."""
+    """Raise Problems for a handshake that names another server (421), or is a page's that nothing is shared with."""
     check_host(site, handshake_headers(scope, b"host"))
     origins = handshake_headers(scope, b"origin")
     check_origin(site, origins[0] if origins else None)
@@ -248,7 +248,7 @@ class WebSocketReceiver:
         return GOING_AWAY, "the server is ending"
 
     def _subprotocol(self, scope: Scope) -> str | None:
-        """The name of the channel type, where it is offered: a browser that offers some wants one of them chosen."""
+        """Return the name of the channel type if it is offered: browsers need one of their offers chosen."""
         name = self._channel.terms.type
         known = (name, channel_type(name).value)
         return next((one for one in scope.get("subprotocols", ()) if one in known), None)

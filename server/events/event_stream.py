@@ -52,7 +52,7 @@ class EndlessResponse(Response):
         await send({"type": "http.response.body", "body": self.last_chunk, "more_body": False})
 
     def lasting(self) -> contextlib.AbstractContextManager[object]:
-        """What is entered before the response begins, and left before it ends."""
+        """Return the context manager around the response."""
         return contextlib.nullcontext()
 
     async def run(self, tell: Tell, receive: Receive) -> None:
@@ -69,7 +69,7 @@ KEEP_ALIVE_COMMENT = b":\n\n"
 
 
 def opening_frame(retry_seconds: float) -> bytes:
-    """The first bytes of a stream: after how long a client that lost it comes back."""
+    """Return the first bytes of a stream: after how long a client that lost it comes back."""
     return b"retry: %d\n\n" % round(retry_seconds * 1000)
 
 
@@ -106,7 +106,7 @@ class EventWriter:
 
     @property
     def silence(self) -> float:
-        """Seconds since something was written."""
+        """The seconds since the last write."""
         return time.monotonic() - self._spoke
 
     async def open(self) -> None:
@@ -161,7 +161,7 @@ def _whole(problem: Problem) -> Problem:
 
 @dataclass(frozen=True, slots=True)
 class StreamFormat:
-    """How states are sent: `render` gives the representation called `variant`, `name` the state part of the ETag."""
+    """Format of states: `render` returns the representation `variant`, `name` the state part of the ETag."""
 
     variant: str
     render: Callable[[State], Awaitable[bytes]]
@@ -174,7 +174,7 @@ class StreamFormat:
     """Changes whenever what is told beside the state does: every page says whether the robot is stopped."""
 
     async def chunk(self, observation: Observation) -> bytes:
-        """The event that tells of a moment: made once for all who read this variant."""
+        """Return the event of a moment, rendered once for all readers of this variant."""
         key = self.variant, self.version()
         chunk = observation.chunks.get(key)
         if chunk is None:
@@ -195,7 +195,7 @@ class StreamFormat:
 
 @dataclass(frozen=True, slots=True)
 class StreamEnd:
-    """When a stream ends by itself: once `holds`, which raises Problems, or after so many seconds if they are given."""
+    """End of a stream: once `holds` returns True (it may raise Problems), or after some seconds."""
 
     holds: Callable[[State], bool]
     seconds: float | None
@@ -271,7 +271,7 @@ class EventStream(EndlessResponse):
                     await self._event(writer, moment, skipped)
 
     async def _may_end(self, broadcaster: Broadcaster) -> bool:
-        """Whether the resource may be in the state that ends the stream: that is told without delay."""
+        """Whether this state may end the stream, and so must be sent without delay."""
         if self._end is None:
             return False
         state = (broadcaster.current() or await broadcaster.observe()).state
@@ -281,7 +281,7 @@ class EventStream(EndlessResponse):
             return True
 
     async def _is_over(self, writer: EventWriter, state: State | Problem) -> bool:
-        """Whether this state ends the stream, which is then told."""
+        """Whether this state ends the stream."""
         if self._end is None or not isinstance(state, State):
             return False
         try:
@@ -317,7 +317,7 @@ def _skipped(before: State | Problem, after: State | Problem) -> int:
 
 @contextlib.contextmanager
 def _alarm(waiter: Waiter, writer: EventWriter) -> Iterator[None]:
-    """Wakes the sleeper when nothing was written for a while. One timer, not one an event."""
+    """Wake the sleeper after a while without a write. One timer, not one per event."""
     loop = asyncio.get_running_loop()
     timer: asyncio.TimerHandle
 

@@ -68,10 +68,10 @@ async def wait_for_state(
     request: Request,
     seconds: float,
 ) -> State | Problem | None:
-    """The first state of the resource that is wanted, within so many seconds; the Problem where it has none.
+    """Wait for the first wanted state of the resource, or its Problem; return None after `seconds`.
 
-    None where the time is over; at once where the client has gone or the server ends. Raises a 503 or 429 Problem where
-    too many wait already, and what `is_wanted` raises.
+    Return None at once if the client disconnects or the server ends. Raises a 503 or 429 Problem if too many wait
+    already, and exceptions of `is_wanted`.
     """
     broadcasters.require_capacity(request.client)
     found: list[State | Problem] = []

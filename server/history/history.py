@@ -1,4 +1,4 @@
-"""SHA-256 digests of recordings, which do not change: each is computed once, in a thread of its own."""
+"""The history of a robot: the recording named `history`, written continuously within bounds."""
 
 from __future__ import annotations
 

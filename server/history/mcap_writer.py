@@ -1,4 +1,4 @@
-"""A chunk of one topic's messages being filled."""
+"""Writer of an MCAP file of topic-pure chunks; what was written can be recovered at any moment."""
 
 from __future__ import annotations
 

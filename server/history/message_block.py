@@ -1,8 +1,8 @@
-"""Numbers of many messages at once: columns of a chunk whose messages are all laid out as its first one is.
+"""Blocks of messages, with columns of their numbers where all messages of a chunk have the layout of the first.
 
-Where a number lies depends on the lengths of the strings and arrays before it. So the first message is walked through,
-and the others must have the same lengths at the same places, and the same length as a whole; else there are no columns,
-and the messages are decoded one by one.
+The offset of a number depends on the lengths of the strings and arrays before it. So the first message is walked, and
+the others must have the same lengths at the same offsets and in total; otherwise there are no columns, and messages are
+decoded one by one.
 """
 
 from __future__ import annotations

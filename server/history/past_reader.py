@@ -1,4 +1,4 @@
-"""Reads what is recorded of topics between two times."""
+"""Reader of recorded messages between two times, from either end."""
 
 from __future__ import annotations
 

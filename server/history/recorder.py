@@ -1,4 +1,4 @@
-"""The recorder: a thread that writes what comes from live topics, fed by a bounded queue."""
+"""The recorder: a thread that writes the messages of live topics, fed by a bounded queue."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Orders of clients to record topics, and their form in JSON."""
+"""Orders of clients to record topics: their form in JSON, their notes on disk, and interrupted recordings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the bytes of a segment lie: a file, or memory."""
+"""The bytes of a segment, in a file or in memory, and its chunks."""
 
 from __future__ import annotations
 

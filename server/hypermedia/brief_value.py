@@ -1,7 +1,7 @@
-"""Brief values: a value as plain JSON with so much of it as fits a line, for lists of very many. Pure.
+"""Brief values: values shortened to a line for long lists, and the latest of topics and properties.
 
-What is left out is visible: `"...": "more"` in an object, `"..."` at the end of an array or a string. The header of a
-message is left out without a word.
+Omissions are visible: `"...": "more"` in an object, `"..."` at the end of an array or a string. The header of a
+message is always omitted.
 """
 
 from __future__ import annotations

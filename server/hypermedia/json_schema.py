@@ -1,4 +1,4 @@
-"""From data schemas (WoT Thing Description 1.1) to JSON Schema 2020-12, which OpenAPI 3.1 speaks. Pure."""
+"""JSON Schema 2020-12 (as in OpenAPI 3.1) from data schemas (WoT Thing Description 1.1) and message types. Pure."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The shape of a property's value: its ROS type, what limits demand of it, and what it measures. Pure."""
+"""Shapes of property values by type and limits, and the parts of mappings that are missing or unavailable. Pure.
+
+A missing part is no error: it appears once the robot has it. But a misspelt name never does.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""Types of messages that cost little to receive: no images, no point clouds, no maps, no scans."""
+"""Type inference: the use of a service or topic as a property or action, by its type. Pure.
+
+A name only proposes a getter or a setter; these functions decide. A GET must be safe (RFC 9110 9.2.1), so nothing that
+could be a command is a getter: a response that is only a status is that of a command.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Values: what a property is read as, and how that is written in RDF and in plain JSON. Pure."""
+"""Values of properties, in RDF, in plain JSON, and in bodies. Pure."""
 
 from __future__ import annotations
 

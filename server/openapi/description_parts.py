@@ -1,4 +1,4 @@
-"""References to components (OpenAPI 3.1.1, 4.8.23): which of them some part of a description needs. Pure."""
+"""Parts of the description: permitted operations, paths below one, and the components they reference. Pure."""
 
 from __future__ import annotations
 

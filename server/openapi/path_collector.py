@@ -1,4 +1,4 @@
-"""A URL, or a template of URLs, with what it answers: a member of the Paths Object (OpenAPI 3.1.1, 4.8.8)."""
+"""The paths of the description: URLs and templates with their operations (OpenAPI 3.1.1, 4.8.8)."""
 
 from __future__ import annotations
 

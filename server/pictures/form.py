@@ -1,4 +1,4 @@
-"""How a picture is wanted, and which messages are pictures. Needs nothing that draws."""
+"""Forms of pictures, messages that are pictures, and refusals. Imports nothing that draws."""
 
 from __future__ import annotations
 

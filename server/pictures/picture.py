@@ -1,4 +1,4 @@
-"""A picture of a message: drawn, made smaller, written as a file. Pure, for a thread."""
+"""Pictures of messages (images, compressed images, grids): drawn, resized, encoded. Pure, for a thread."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Secrets: whether a text looks as if it held credentials. Then it is not written down anywhere. Pure.
+"""Audit entries, and excerpts of bodies without secrets. Pure.
 
-Better too often than once too few: what is taken for one costs an excerpt, what is not found is there to be read.
+A text that looks as if it held credentials is never stored: a false alarm costs an excerpt, a miss reveals a secret.
 """
 
 from __future__ import annotations

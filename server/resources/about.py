@@ -1,4 +1,4 @@
-"""Resources that others tell of: reading the latter takes the right to read the former."""
+"""Resources that others are about, for permissions: reading the latter needs permission to read the former."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from rosld.server.robot.session import Session
 
 @dataclass(frozen=True, slots=True)
 class AboutResources:
-    """The URLs of what a resource tells of; None where there is no such resource, so that this is not known.
+    """Callable that returns the URLs of the subjects of a resource, or None if the resource is unknown.
 
-    Those of what is gone are none: that it is gone tells nothing of it. Any thread may ask.
+    A removed resource has no subjects, because its absence reveals nothing. Thread-safe.
     """
 
     session: Session
@@ -32,7 +32,7 @@ class AboutResources:
     channels: Channels
 
     def __call__(self, location: Location) -> Sequence[str] | None:
-        """The URLs of what the resource at a location tells of."""
+        """Return the URLs of the subjects of the resource at a location."""
         space, session = self.session.space, self.session
         match location.kind, location.segments:
             case "calls", (id,):
@@ -62,7 +62,7 @@ class AboutResources:
             return None
 
     def _of_file(self, space: Space, name: str) -> Sequence[str]:
-        """The recording and all of its topics: its file holds their messages."""
+        """Return the recording and all of its topics: its file holds their messages."""
         recording = self.recordings.find(name)
         return () if recording is None else (space.bag(name), *map(space.topic, recording.topics))
 
@@ -82,7 +82,7 @@ _KINDS: Mapping[type, Kind] = {TopicSource: Kind.TOPIC, GoalSource: Kind.ACTION}
 
 
 def types_at(session: Session, affordances: AffordanceService[State], location: Location) -> Types:
-    """The names of the types of what is at a location; none where it is of no type, or is not there."""
+    """Return the names of the types of what is at a location; none where it is of no type, or is not there."""
     if not location.segments:
         return UNTYPED
     try:
@@ -112,7 +112,7 @@ def _refs(session: Session, affordances: AffordanceService[State], location: Loc
 
 
 def types_of(graph: Graph, kind: Kind, name: str) -> tuple[TypeRef, ...]:
-    """The types of a topic, a service or an action, as far as they are known."""
+    """Return the types of a topic, a service or an action, as far as they are known."""
     if kind is Kind.TOPIC:
         topic = graph.topics.get(name)
         return () if topic is None else tuple(topic.types)
@@ -128,7 +128,7 @@ def _of_action(graph: Graph, name: str) -> tuple[TypeRef, ...]:
 
 
 def _of_member(graph: Graph, affordances: AffordanceService[State], name: str) -> Iterable[TypeRef]:
-    """Those of all topics and services that a property is read from and written to, or an action invokes."""
+    """Return the topics and services that a property uses, or an action invokes."""
     tree = affordances.cached_tree() or affordances.last_tree
     if tree is None:
         return

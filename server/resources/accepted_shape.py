@@ -1,4 +1,4 @@
-"""`URL?shape`: the shape of what may be written to a resource as RDF, its limits included (LDP 4.2.1.6)."""
+"""`URL?shape`: the shape of the RDF that a resource accepts, with its limits (LDP 4.2.1.6)."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _LINK = "shape"
 
 
 def shape_query(url: str) -> str:
-    """The URL of the shape of what may be written to a URL."""
+    """Return the URL of the shape of what may be written to a URL."""
     return f"{url}?{_LINK}"
 
 
@@ -74,14 +74,14 @@ class AcceptedShape(Resource):
 async def message_shape(
     space: Space, limit_checks: LimitChecks, kind: Kind, name: str, schema: MessageSchema, shape: str, node: str
 ) -> Document:
-    """What may be sent to a topic, a service or an action, as the shapes graph at the URL `shape`."""
+    """Return the shape of messages to a topic, a service or an action, as the shapes graph at the URL `shape`."""
     url = {Kind.TOPIC: space.topic, Kind.SERVICE: space.service, Kind.ACTION: space.action}[kind](name)
     demand = await limit_checks.message_demand(kind, name, schema, url, node)
     return accepted_message_document(shape, schema, space, f"What may be sent to {_path(shape, space)}", demand)
 
 
 def _path(shape: str, space: Space) -> str:
-    """The path of what a shape is of: what lies behind that (a service, a topic) is not for all who may read it."""
+    """Return the path of the resource of a shape; its implementation (a service, a topic) may be hidden."""
     return "/" + shape.partition("?")[0].removeprefix(space.base)
 
 
@@ -93,7 +93,7 @@ def has_parameter_shape(graph: Graph, name: str) -> bool:
 async def parameter_shape(
     space: Space, adapter: AuditedAdapter, limit_checks: LimitChecks, name: str, shape: str
 ) -> Document | None:
-    """What a parameter may be set to; None where there is none."""
+    """Return the shape of values of a parameter, or None if it does not exist."""
     url, kinds = space.parameter(name), await _of_parameter(adapter, limit_checks, name)
     title = f"What {_path(shape, space)} may be set to"
     return accepted_value_document(shape, url, ros.value, kinds, space, title) if kinds else None
@@ -107,7 +107,7 @@ async def property_shape(
     url: str,
     shape: str,
 ) -> Document | None:
-    """What a property may be made; None where nothing writes it, or nothing tells its type."""
+    """Return the shape of values of a property, or None if it has no writer or no known type."""
     writer = property_writer(session.adapter, session.settings, plan.source)
     kinds = [] if writer is None else await _of_writer(session, affordances, limit_checks, plan, writer)
     title = f"What {_path(shape, session.space)} may be made"
@@ -115,7 +115,7 @@ async def property_shape(
 
 
 def property_writer(adapter: AuditedAdapter, settings: Settings, own: Property) -> Writer | None:
-    """What writes a property, now or else when it may."""
+    """Return the writer of a property, available now or not."""
     return current_writer(adapter, settings, own) or next(iter(own.writers), None)
 
 
@@ -190,7 +190,7 @@ async def _of_writer(
 
 
 def _of_message(own: Property, schema: MessageSchema, demand: Demand) -> Iterator[tuple[Accepted, Demand]]:
-    """The scalar that a message is, and the messages that say all of its fields."""
+    """Yield the scalar that a message is, and the messages that say all of its fields."""
     scalar = scalar_field(schema.type.fields)
     if scalar is not None and isinstance(scalar.type, Primitive):
         yield scalar.type, _of_one_field(demand, schema, scalar.name)
@@ -204,7 +204,7 @@ def _of_message(own: Property, schema: MessageSchema, demand: Demand) -> Iterato
 def _of_field(
     affordances: AffordanceService[State], plan: PropertyPlan, demand: Demand
 ) -> Iterator[tuple[Accepted, Demand]]:
-    """The one field of a message that is written where a mapping picks it."""
+    """Yield the one field of a message that is written where a mapping picks it."""
     path = plan.member.field or ""
     shape = affordances.member_affordance(plan.member, write=True).shape
     if isinstance(kind := getattr(shape, "kind", None), Primitive):
@@ -212,7 +212,7 @@ def _of_field(
 
 
 def _of_one_field(demand: Demand, schema: MessageSchema, name: str) -> Demand:
-    """What is demanded of the one field of a message: all that is demanded of the message is about it."""
+    """Return the demand on the only field of a message: every demand on the message is about it."""
     parts = [(name, part.of_value()) for type, part in demand.type_parts if type == schema.ref.name]
     return replace(demand, value_parts=(*demand.value_parts, *parts), type_parts=()).at(name)
 
@@ -230,11 +230,11 @@ class CommandResource(Resource):
         return WRITES if self.session.is_stopped else frozenset()
 
     async def accepted(self, url: str) -> Document | None:
-        """What may be written to it as RDF, as the shapes graph at `url`; None where no shape of its own says so."""
+        """Return the shape of the RDF that the resource accepts, as the shapes graph at `url`; None without one."""
         return None
 
     async def select_variant(self, exchange: Exchange) -> Resource:
-        """The shape of what may be written, where `?shape` asks for that."""
+        """Return the shape of what may be written, where `?shape` asks for that."""
         query: bytes = exchange.request.scope["query_string"]
         if b"shape" in query and exchange.method in ("GET", "HEAD") and "shape" in exchange.query:
             return AcceptedShape(self, self.accepted)
@@ -260,14 +260,14 @@ async def load_limited_types(
 def datatypes_of_limits(
     session: Session, affordances: AffordanceService[State], limit_checks: LimitChecks
 ) -> tuple[Triple, ...]:
-    """The datatypes of the fields that limits are about."""
+    """Return the datatypes of the fields that limits are about."""
     return limit_datatypes(limit_checks.limits, tuple(_places(session, affordances, limit_checks)), session.space.types)
 
 
 def _places(
     session: Session, affordances: AffordanceService[State], limit_checks: LimitChecks
 ) -> Iterator[tuple[str, Place]]:
-    """Each target of a limit, and what it is."""
+    """Yield each target of a limit, and what it is."""
     for iri in limit_checks.limits.by_class:
         name = session.space.type_of(iri)
         schema = None if name is None else session.schemas.find_cached(TypeRef(name))
@@ -288,7 +288,7 @@ def _locations(space: Space, limit_checks: LimitChecks) -> Iterator[Location]:
 
 
 def _type(graph: Graph, location: Location) -> TypeRef | None:
-    """The type of a topic or a service."""
+    """Return the type of a topic or a service."""
     topic = graph.topics.get(location.name) if location.kind == "topics" else None
     service = graph.services.get(location.name) if location.kind == "services" else None
     return topic.type if topic is not None else None if service is None else service.type
@@ -309,7 +309,7 @@ def _place(session: Session, affordances: AffordanceService[State], location: Lo
 
 
 def _value_of_property(session: Session, affordances: AffordanceService[State], name: str) -> ValuePlace | None:
-    """What a property is written as: a scalar where its message is one."""
+    """Return the written form of a property: a scalar if its message has one field."""
     tree = affordances.cached_tree() or affordances.last_tree
     plan = None if tree is None else tree.property(name)
     writer = None if plan is None else property_writer(session.adapter, session.settings, plan.source)

@@ -1,4 +1,4 @@
-"""The messages of a recording, in pages and one by one."""
+"""The messages of a recording: pages, single messages, and the messages at a moment."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ class BagMessages(Resource):
         return tuple(SequenceLink(rel, f"{base}?page={at}") for rel, at in places.items() if first <= at <= last)
 
     async def select_variant(self, exchange: Exchange) -> Resource:
-        """The page that `?page=`, or a filter, asks for; a 404 Problem where there is none."""
+        """Return the page that `?page=`, or a filter, asks for; a 404 Problem where there is none."""
         wanted = exchange.query.get("page")
         if wanted is None:
             return selection_of(self.session, self.recording, exchange) or self
@@ -126,7 +126,7 @@ class BagMessage(Resource):
         self.links = (*Resource.links, *(Link(step.url, step.rel) for step in self.navigation_links()))
 
     def navigation_links(self) -> tuple[SequenceLink, ...]:
-        """The messages before and after, first and last (RFC 8288)."""
+        """Return the messages before and after, first and last (RFC 8288)."""
         first, last = self.recording.first, self.recording.first + self.recording.count - 1
         places = {"first": first, "prev": self.index - 1, "next": self.index + 1, "last": last}
         links = ((rel, self.session.space.bag_message(self.recording.name, at)) for rel, at in places.items())
@@ -134,7 +134,7 @@ class BagMessage(Resource):
         return tuple(SequenceLink(rel, url) for rel, url in links if rel in there)
 
     async def message(self) -> RecordedMessage:
-        """The message, read off the loop; a 404 Problem where there is none."""
+        """Return the message, read off the loop; a 404 Problem where there is none."""
         try:
             message = await asyncio.to_thread(self.recording.message, self.index)
         except NotFound as error:
@@ -175,7 +175,7 @@ class BagMessage(Resource):
         return self.states.put(self.url, 0, State(describe, plain, shapes=shapes))
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
-        """`?field=PATH`: the bytes of one field; or its picture or points, where that is preferred."""
+        """Return `?field=PATH`: the bytes of one field; or its picture or points, where that is preferred."""
         if cloud_is_preferred(exchange, is_cloud=False):
             sample = (await self.message()).sample
             return await cloud_response(self, self.session.schemas, self.pictures, self.url, sample, exchange)
@@ -192,7 +192,7 @@ class BagMessage(Resource):
 
 
 def _pages(recording: Recording) -> tuple[int, int]:
-    """The first and the last page of a recording's messages."""
+    """Return the first and the last page of a recording's messages."""
     return recording.first // PAGE, max(0, (recording.first + recording.count - 1) // PAGE)
 
 
@@ -257,5 +257,5 @@ class BagMoment(BagSelection):
 
 
 def bag_moment(session: Session, recording: Recording) -> BagMoment:
-    """The moment at which a recording ended, which requests ask others of."""
+    """Return the moment at which a recording ended, which requests ask others of."""
     return BagMoment(session, recording, recording.end_ns, sorted(recording.topics), "", Detail.RDF)

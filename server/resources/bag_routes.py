@@ -1,4 +1,4 @@
-"""The container of recordings, which records what is posted to it."""
+"""The container of recordings, which starts those that are posted to it, and the routes below it."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ class BagContainer(Resource):
         return CreatedAnswer(resource.url, resource, await resource.state())
 
     async def _read_order(self, exchange: Exchange) -> RecordingOrder:
-        """What is to be recorded, by the body and `Slug`. Raises a 403 Problem for a topic that must not be read."""
+        """Return the order in a body and `Slug`. Raises a 403 Problem for a topic that must not be read."""
         order = read_order(await exchange.body(), exchange.media_type, self.url, is_form=bool(exchange.typed))
         slug = exchange.header("slug")
         if order.name is None and slug is not None and self.recordings.can_be_named(slug):
@@ -128,7 +128,7 @@ class BagContainer(Resource):
         return order
 
     async def _begin(self, order: RecordingOrder, exchange: Exchange) -> RunningBag | ArmedBag:
-        """The recording that was begun, or that waits for its trigger. Raises RecordingRefused, OSError."""
+        """Return the recording that was begun, or that waits for its trigger. Raises RecordingRefused, OSError."""
         space, settings = self.session.space, self.session.settings
         if order.trigger is None:
             may_record = partial(may_read_topic, space, exchange.permissions)
@@ -148,7 +148,7 @@ def bag_route(
     location: Location,
     triggers: RecordingTriggers | None = None,
 ) -> Resource:
-    """The resource at `/bags/` or below. Raises a 404 Problem where there is none, 308 where only the slash differs."""
+    """Return the resource at `/bags/` or below. Raises a 404 Problem, or 308 if only the slash differs."""
     match location.segments:
         case ():
             return (
@@ -180,7 +180,7 @@ def bag_route(
 
 
 def _bag(space: Space, settings: Settings, states: VersionCache[State], recordings: Recordings, name: str) -> Resource:
-    """The recording of a name, in whatever state it is. Raises a 404 Problem where there is none."""
+    """Return the recording of a name, in any state. Raises a 404 Problem if there is none."""
     if name in recordings.armed:
         return ArmedBag(space, settings, recordings, recordings.armed[name])
     if name in recordings.unreadable:
@@ -192,7 +192,7 @@ def _bag(space: Space, settings: Settings, states: VersionCache[State], recordin
 
 
 def _message_index(recording: Recording, segment: str) -> int:
-    """The index of a message that is there; a 410 Problem for one that was removed, 404 for what never was one."""
+    """Return the index of an existing message. Raises a 410 Problem if it was removed, else 404."""
     first, beyond = recording.first, recording.first + recording.count
     is_number = segment.isascii() and segment.isdigit() and str(int(segment)) == segment
     if is_number and first <= int(segment) < beyond:

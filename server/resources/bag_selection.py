@@ -1,4 +1,4 @@
-"""Recorded messages lifted many at a time: each as the resource at its own URL says it."""
+"""Selections of recorded messages, lifted in batches; each as at its own URL."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ async def decode_records(
 def record_document(
     space: Space, lifting: LiftSettings, recording: Recording, one: DecodedRecord, *, simulated_time: bool
 ) -> Document:
-    """What the resource of a recorded message says."""
+    """Return the document of a recorded message."""
     lifted = lift_sample(space, lifting, one.decoded) if one.decoded.message is not None else None
     said = bag_message_document(recording, one.message, space, lifted, unreadable=one.decoded.reason)
     return replace(said, simulated_time=simulated_time)
@@ -84,7 +84,7 @@ def record_triples(
     *,
     simulated_time: bool,
 ) -> list[Triple]:
-    """The same of many. It takes a while: for a thread."""
+    """Return the same of many. It takes a while: for a thread."""
     describe = partial(record_document, space, lifting, recording, simulated_time=simulated_time)
     return [triple for one in records for triple in describe(one).all_triples()]
 
@@ -102,7 +102,7 @@ _NAMES = tuple(parameter.name for parameter in PARAMETERS)
 
 
 class Detail(Enum):
-    """What of its messages a page tells: that they are there, or what they say, in RDF or in JSON."""
+    """Detail of the messages on a page: URLs only, RDF, or JSON."""
 
     LIST = "list"
     RDF = "rdf"
@@ -135,7 +135,7 @@ class BagSelection(Resource):
         return (self.session.space.document_shape("Container"), self.session.space.document_shape("Record"))
 
     async def prepare(self) -> None:
-        """Read the page: what comes after it is told in Link."""
+        """Read the page, because Link needs the position after it."""
         await self._read()
         self.links = (RESOURCE, RDF_SOURCE, *(Link(step.url, step.rel) for step in self.navigation_links()))
 
@@ -225,7 +225,7 @@ class BagSelection(Resource):
 
 
 def selection_of(session: Session, recording: Recording, exchange: Exchange) -> BagSelection | None:
-    """The page that a request asks for; None where it names neither topic nor time nor number. Raises Problems."""
+    """Return the requested page, or None without a topic, time or number in the query. Raises Problems."""
     query = exchange.query
     given = {name: query[name] for name in _NAMES if name in query}
     if not given:
@@ -246,7 +246,7 @@ def selection_of(session: Session, recording: Recording, exchange: Exchange) -> 
 
 
 def topics_of(recording: Recording, text: str) -> frozenset[str]:
-    """The topics of a recording that a name or a glob fits. Raises Problems: 400, 404."""
+    """Return the topics of a recording that a name or a glob fits. Raises Problems: 400, 404."""
     if not text.startswith(("/", "*")) or len(text) > _MAX_TOPIC:
         raise Problem(400, f"?topic={text[:60]}: a name or a glob begins with a slash or a star, such as /odom.")
     names = recording.topics
@@ -265,7 +265,7 @@ def _number(name: str, text: str, least: int, most: int) -> int:
 
 
 def detail_of(exchange: Exchange) -> Detail:
-    """What of messages the representation that a request prefers tells."""
+    """Return the detail that the preferred representation needs."""
     asked = exchange.query.get("format")
     chosen = FORMATS.get(asked) if asked else choose_offer(exchange.accept, OFFERS)
     return {HTML: Detail.LIST, JSON: Detail.JSON}.get(chosen or "", Detail.RDF)

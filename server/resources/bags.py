@@ -1,4 +1,4 @@
-"""Descriptions of recordings: of those that can be read, are being made, or wait for their trigger."""
+"""Recordings: those that can be read, those being made, and those that wait for a trigger."""
 
 from __future__ import annotations
 
@@ -67,13 +67,13 @@ class RunningView:
 
 
 def bag_urls(space: Space, recordings: Recordings) -> tuple[str, ...]:
-    """The URLs of all recordings, those that are being made, and those that wait to be, included."""
+    """Return the URLs of all recordings, those that are being made, and those that wait to be, included."""
     names = (*recordings.readable, *recordings.running, *recordings.armed)
     return tuple(map(space.bag, dict.fromkeys(names)))
 
 
 def describe_bag(space: Space, recordings: Recordings, recording: Recording) -> Document:
-    """The document of a recording that can be read."""
+    """Return the document of a recording that can be read."""
     history = recordings.history
     if recording is history.recording:
         return bag_document(recording, space, dropped=history.dropped(), problem=history.problem)
@@ -86,7 +86,7 @@ def describe_bag(space: Space, recordings: Recordings, recording: Recording) -> 
 
 
 def describe_running(space: Space, recordings: Recordings, one: RunningRecording) -> Document:
-    """The document of a recording that is being made."""
+    """Return the document of a recording that is being made."""
     writer = one.writer
     return bag_document(
         RunningView(one, recordings.silent(one)),
@@ -100,7 +100,7 @@ def describe_running(space: Space, recordings: Recordings, one: RunningRecording
 
 
 def describe_armed(space: Space, one: ArmedRecording) -> Document:
-    """The document of a recording that waits for its trigger."""
+    """Return the document of a recording that waits for its trigger."""
     status, problem = ("armed", one.problem) if one.suspended is None else ("suspended", one.suspended)
     view = ArmedView(one.name)
     return bag_document(view, space, problem=problem, status=status, order=one.order, triggered=one.count)
@@ -179,7 +179,7 @@ class BagResource(Resource):
         return (DeleteForm("Delete the recording", "Delete", about),) if "DELETE" in self.methods() else ()
 
     def navigation_links(self) -> tuple[SequenceLink, ...]:
-        """A button that saves its file, where it is one."""
+        """Return a button that saves its file, where it is one."""
         is_file = self.recording is not self.recordings.history.recording and self.recording.path.is_file()
         return (SequenceLink("enclosure", f"{self.url}file"),) if is_file else ()
 
@@ -337,7 +337,7 @@ class RunningBag(UnfinishedBag):
 
 
 class ArmedBag(UnfinishedBag):
-    """A recording that waits for its trigger. PATCH and DELETE have it wait no more."""
+    """A recording that waits for its trigger. PATCH and DELETE cancel it."""
 
     kind = "Recording that waits for its trigger"
 
@@ -354,13 +354,13 @@ class ArmedBag(UnfinishedBag):
         return (DeleteForm("Disarm", "Disarm", about),) if "DELETE" in self.methods() else ()
 
     async def patch(self, exchange: Exchange) -> Answer:
-        """Have it wait no more."""
+        """Cancel the recording."""
         before = describe_armed(self.space, self.one).triples
         require_end(await exchange.body(), exchange.media_type, self.url, before)
         return await self.delete(exchange)
 
     async def delete(self, exchange: Exchange) -> Answer:
-        """Have it wait no more."""
+        """Cancel the recording."""
         try:
             await self.recordings.disarm(self.one.name)
         except OSError as error:

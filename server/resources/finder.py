@@ -1,4 +1,4 @@
-"""What clients keep, as entries to be found: stored queries, mappings and documents by their paths and titles."""
+"""The finder: entries of the search index, stored documents included, and names similar to a missing one."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _ROOTS = (stored_mappings.ROUTE, stored_cockpits.ROUTE, "data/")
 
 
 async def kept_entries(documents: Documents, queries: StoredQueries) -> list[Entry]:
-    """The entries of what is kept now, at most `MAX_KEPT` beside the queries."""
+    """Return the entries of stored documents, at most `MAX_KEPT` beside the queries."""
     found = [
         Entry(EntryKind.QUERY, f"/{query.name}", url, (), (query.purpose,))
         for url, query in queries.all(limit=MAX_KEPT)
@@ -70,12 +70,12 @@ def _entry(space: Space, record: Record) -> Entry:
 
 
 def _name(path: str) -> str:
-    """The path below its route, as people write it."""
+    """Return the path below its route, as people write it."""
     return "/" + "/".join(locate(f"/{path}").segments)
 
 
 def titles_in(triples: bytes) -> list[str]:
-    """The titles and labels in the first of N-Triples that are kept so."""
+    """Return the titles and labels in the first of N-Triples that are kept so."""
     found = _TITLES.findall(unpack_prefix(triples, _MAX_BYTES))
     return [text.decode("utf-8", "replace").replace('\\"', '"') for text in found]
 
@@ -107,7 +107,7 @@ class Finder:
         self._making = asyncio.Lock()
 
     async def find(self, terms: Sequence[str], permissions: Permissions, limit: int) -> SearchResults:
-        """What has all these terms and may be read, the best first, at most `limit` of it."""
+        """Return the readable entries with all these terms, the best first, at most `limit`."""
         async with self._making:
             self._of_robot = await self._robot_index(self._of_robot)
             self._of_kept = await self._kept_index(self._of_kept)
@@ -157,7 +157,7 @@ _tree_names: IdentityCache[ResourceTree, NearNames] = IdentityCache(_near_in_tre
 
 
 def near_urls(space: Space, adapter: AuditedAdapter, affordances: AffordanceService[State], url: str) -> Sequence[str]:
-    """The URLs of what the robot has under names near that of `url`, the nearest first.
+    """Return the URLs of what the robot has under names near that of `url`, the nearest first.
 
     None where `url` is in no container of names, and where its name is there: then it is absent for another reason.
     """

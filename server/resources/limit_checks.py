@@ -1,4 +1,7 @@
-"""Strictness: whether what JSON leaves out is refused or has its default. RDF says all of a message, or is refused."""
+"""Checks of limits on writes, by message type, by URL, and by the property of the topic, service or parameter.
+
+The constraints that a node declares on a parameter count as limits, and so does the finiteness of command numbers.
+"""
 
 from __future__ import annotations
 
@@ -126,7 +129,7 @@ class LimitChecks:
         )
 
     async def message_demand(self, kind: Kind, name: str, schema: MessageSchema, url: str, node: str) -> Demand:
-        """What all limits demand of a message that is sent to what is called `name`, at a URL."""
+        """Return the demand of all limits on a message that is sent to `name`, at a URL."""
         limits = self.limits
         demand = Demand(largest=largest_number(schema) if self._takes_finite(kind, name, schema.ref.name) else None)
         if not limits:
@@ -144,7 +147,7 @@ class LimitChecks:
         return demand
 
     async def parameter_demand(self, name: str, descriptor: Descriptor) -> Demand:
-        """What its node and all limits demand of a parameter that is declared as a scalar."""
+        """Return the demand of its node and all limits on a parameter that is declared as a scalar."""
         limits, demand = self.limits, declared_demand(descriptor)
         demand = replace(demand, largest=LARGEST_NUMBER if self._takes_finite(Kind.PARAMETER, name) else None)
         if not limits:
@@ -156,7 +159,7 @@ class LimitChecks:
         return demand
 
     async def topic_bounds(self, name: str, schema: MessageSchema) -> Mapping[str, Bounds]:
-        """What the limits demand of single fields of a message that is published on a topic, by their paths."""
+        """Return the bounds of single fields of a message published on a topic, by path."""
         limits = self.limits
         if not limits:
             return {}
@@ -192,7 +195,7 @@ class LimitChecks:
             require_finite_parameter(value, path, any_number_hint(name))
 
     def _declaration_violations(self, name: str, value: ParameterValue) -> list[Violation]:
-        """What a value, or one in a tree, breaks of what the nodes declare."""
+        """Return the violations by a value, or one in a tree, of declarations of nodes."""
         parameter = self._adapter.graph.parameters.get(name)
         if parameter is not None:
             return list(violations(parameter.descriptor or Descriptor(), name, self._space.parameter(name), value))
@@ -215,7 +218,7 @@ class LimitChecks:
         return broken + await self._of_property(Kind.PARAMETER, name, stored)
 
     async def _of_property(self, kind: Kind, name: str, value: Value) -> list[Violation]:
-        """What a value breaks of the limits on the property that a topic, service or parameter writes, by any name."""
+        """Return the violations of limits on the property that a topic, service or parameter writes."""
         broken: list[Violation] = []
         for url, field in await self._property_names(kind, name):
             shape = self.limits.resource(url)
@@ -225,7 +228,7 @@ class LimitChecks:
         return broken
 
     async def _property_names(self, kind: Kind, name: str) -> Sequence[tuple[str, str | None]]:
-        """The URLs of the property that a topic, service or parameter writes, each with the field shown there."""
+        """Return the URLs of the properties that a topic, service or parameter writes, each with its field."""
         tree = await self._affordances.tree()
         catalogue = tree.catalogue
         ways = {
@@ -254,7 +257,7 @@ def require_no_octets(body: RdfBody, texts: Set[NamedNode]) -> None:
 
 
 def octets_error(path: str, value: Literal, subject: Term) -> LoweringError:
-    """What is said of a text with limits that is written as octets."""
+    """Return the sentence about a limited text that was written as octets."""
     focus = subject if isinstance(subject, NamedNode | BlankNode) else None
     words = "has a limit, which looks at characters: write it as text, not as octets"
     return LoweringError(

@@ -1,4 +1,4 @@
-"""What a robot tells another store (`--store`): its dataset, with the values of the topics that are always followed."""
+"""The mirror of the dataset in another store (`--store`), with the values of topics that are always followed."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ _log = logging.getLogger("rosld.store")
 def create_mirror(
     session: Session, instance_id: str, process: QueryProcess, materializer: Materializer, routes: Collection[str]
 ) -> Mirror | None:
-    """The mirror that the settings ask for, None for none. `routes` are the first segments of all paths of this server.
+    """Return the mirror of the settings, or None. `routes` are the first segments of all paths of this server.
 
     Raises ValueError where the credentials cannot be used, OSError where they cannot be read.
     """
@@ -69,7 +69,7 @@ def create_mirror(
 
 
 def authorization(file: Path) -> str:
-    """The value of the Authorization header that a file stands for. Raises ValueError, OSError.
+    """Return the Authorization header from a file. Raises ValueError, OSError.
 
     `USER:PASSWORD` is Basic (RFC 7617, in UTF-8); what begins with `Bearer` or `Basic` is sent as it is.
     """
@@ -93,7 +93,7 @@ def _warn(settings: Settings, endpoints: tuple[str, str]) -> None:
 
 
 class _Dataset:
-    """What the query process holds, as a mirror reads it."""
+    """The dataset of the query process, as read by a mirror."""
 
     def __init__(self, process: QueryProcess, materializer: Materializer) -> None:
         self._process = process
@@ -190,7 +190,7 @@ class ReplicationResource(Resource):
 
 
 def replication_document(url: str, status: ReplicationStatus) -> Document:
-    """A mirror described. It is stale, with the reason, while its store cannot be told anything."""
+    """Return the document of a mirror. It is stale, with the reason, while its store is unreachable."""
     return Document(
         url,
         tuple(

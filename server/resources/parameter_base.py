@@ -1,4 +1,4 @@
-"""Values of parameters and their names: what lies in a tree, what a tree comes to parameter by parameter."""
+"""Base of parameters: their methods, and the values and names in trees."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from rosld.server.runtime.tasks import call_every, combine_watches, loop_time
 
 
 def omit_parameters(name: str, tree: dict[str, ParameterValue], omitted: Container[str]) -> dict[str, ParameterValue]:
-    """The tree of a name without these parameters, and without the trees that hold no others.
+    """Return the tree of a name without these parameters, and without trees that become empty.
 
-    Where nothing is omitted it is the same object, which tells so without a comparison of all values.
+    If nothing is omitted, the result is the same object, which is cheaper to recognize than equal values.
     """
     kept: dict[str, ParameterValue] = {}
     for key, value in tree.items():
@@ -35,13 +35,13 @@ def omit_parameters(name: str, tree: dict[str, ParameterValue], omitted: Contain
 
 
 def names_below(name: str, graph: Graph) -> list[str]:
-    """The names of the parameters that lie in the tree of this name now, at any depth."""
+    """Return the names of the parameters that lie in the tree of this name now, at any depth."""
     prefix = name.rstrip("/") + "/"
     return [each for each in graph.parameters if each.startswith(prefix)]
 
 
 def leaf_values(name: str, value: ParameterValue) -> Iterator[tuple[str, ParameterValue]]:
-    """The parameters that a tree written at `name` comes to, each with its value; of no tree, this one."""
+    """Yield the parameters that a tree written at `name` comes to, each with its value; of no tree, this one."""
     if not isinstance(value, dict):
         yield name, value
         return
@@ -50,14 +50,14 @@ def leaf_values(name: str, value: ParameterValue) -> Iterator[tuple[str, Paramet
 
 
 def leaf_names(name: str, value: ParameterValue) -> Iterator[str]:
-    """The names of the parameters that a tree written at `name` comes to."""
+    """Return the names of the parameters that a tree written at `name` comes to."""
     return (leaf for leaf, _ in leaf_values(name, value))
 
 
 def changed_values(
     before: Mapping[str, ParameterValue], after: Mapping[str, ParameterValue]
 ) -> dict[str, ParameterValue]:
-    """Those of the values after a write that are not written as before: 1, 1.0 and true are three."""
+    """Return the values after a write that differ from those written: 1, 1.0 and true are three."""
     return {
         name: value
         for name, value in after.items()
@@ -117,7 +117,7 @@ class ParameterBase(CommandResource):
         return (await self.session.adapter.get_parameters([self.name], deadline=deadline)).get(self.name)
 
     def _plain(self, value: ParameterValue) -> bytes:
-        """The value as plain JSON; a 406 Problem for one that another node nested too deep to be shown."""
+        """Return the value as plain JSON; a 406 Problem for one that another node nested too deep to be shown."""
         try:
             return parameter_json(value)
         except ValueError as error:
@@ -145,7 +145,7 @@ class ParameterBase(CommandResource):
             self._announce(values)
 
     async def _answer(self, asked: Mapping[str, ParameterValue]) -> Answer:
-        """What a write answers: 204, or what there is now where a node has made something else of what was asked."""
+        """Return 204, or the representation if a node changed the written value."""
         values = {name: value for each, whole in asked.items() for name, value in leaf_values(each, whole)}
         deadline = loop_time() + self.session.settings.call_deadline
         if await has_other_values(self.session.adapter, values, deadline=deadline):
@@ -187,7 +187,7 @@ class ParameterBase(CommandResource):
 
 
 def descriptor_of(graph: Graph, name: str) -> Descriptor | None:
-    """What is declared of a parameter."""
+    """Return the declaration of a parameter."""
     parameter = graph.parameters.get(name)
     return None if parameter is None else parameter.descriptor
 

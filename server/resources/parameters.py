@@ -1,4 +1,4 @@
-"""The form that sets a parameter."""
+"""Parameters, and the form that sets one."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ from rosld.shapes.value import OpenShape
 
 
 def parameter_form(value: Json, descriptor: Descriptor | None, note: str | None) -> Form:
-    """The form for a value, drawn from what is declared of the parameter; an open one where that does not say."""
+    """Return the form for a value by the declaration of the parameter, or an open one without."""
     if descriptor is None:
         return ParameterForm(value, about=note or "")
     choices = "; ".join(choice_words(descriptor))
@@ -109,7 +109,7 @@ class ParameterResource(ParameterBase):
         )
 
     def _note(self, graph: Graph) -> str | None:
-        """What a value means that a server keeps for nodes, which they are not told of; None where it is a node's."""
+        """Return the explanation of a value that the server keeps for nodes; None for a node's own."""
         parameter = graph.parameters.get(self.name)
         is_kept = parameter is None or parameter.node is None  # one that was just set is in no graph yet
         return _AT_START if is_kept and self.session.adapter.capabilities.parameter_server else None
@@ -140,7 +140,7 @@ class ParameterResource(ParameterBase):
         return self.session.space.container("parameters", names.segments(self.name))
 
     def state_of(self, value: ParameterValue) -> State:
-        """The state with this value, which is no tree. Raises Problem 406 for one that is nested too deep."""
+        """Return the state with this value, which is no tree. Raises Problem 406 for one that is nested too deep."""
         graph = self.session.graph
         plain, descriptor, note = self._plain(value), descriptor_of(graph, self.name), self._note(graph)
 
@@ -293,7 +293,7 @@ class ParameterTree(ParameterContainer):
         return Operation.SET_PARAMETER in allowed and not self.session.settings.read_only
 
     async def select_variant(self, exchange: Exchange) -> Resource:
-        """The page that `?page=` asks for, the first of many pages (303) where the container is asked for."""
+        """Return the page of `?page=`; redirect from the container to the first of many pages (303)."""
         if exchange.method not in ("GET", "HEAD"):
             return self
         token = exchange.query.get("page")
@@ -381,7 +381,7 @@ def _require_below(exchange: Exchange, url: str, value: ParameterValue) -> None:
 
 
 def _wants_value(exchange: Exchange) -> bool:
-    """Whether what is asked for is the value of a tree, in JSON or as a stream of it, rather than the container."""
+    """Whether a request prefers the value of a tree, as JSON or as a stream, to the container."""
     wanted = exchange.query.get("format")
     if wanted:
         return wanted == "json"

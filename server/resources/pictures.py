@@ -1,4 +1,4 @@
-"""Pictures of topics and recorded messages: JPEG and PNG by content negotiation, and motion streams."""
+"""Pictures of messages, as JPEG or PNG by content negotiation, as motion streams, and point clouds as PLY."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ _NAMES = {JPEG: "jpeg", PNG: "png"}
 
 
 def picture_type(exchange: Exchange, *, is_picture: bool) -> str | None:
-    """The media type of the picture that a request prefers to all else; None for what is no picture.
+    """Return the media type of the picture that a request prefers to all else; None for what is no picture.
 
     Raises a 406 Problem where none that is offered is acceptable, images included.
     """
@@ -73,7 +73,7 @@ def picture_type(exchange: Exchange, *, is_picture: bool) -> str | None:
 
 
 def explicit_picture_type(exchange: Exchange) -> str | None:
-    """The media type of a picture that nothing but a picture satisfies."""
+    """Return the media type of a picture that nothing but a picture satisfies."""
     if b"format=" in exchange.request.scope["query_string"] and exchange.query.get("format"):
         return PICTURE_FORMATS.get(exchange.query["format"])
     accept = exchange.accept
@@ -99,7 +99,7 @@ async def picture_response(
     exchange: Exchange,
     media_type: str,
 ) -> Response:
-    """The picture of a sample, 304 where it is known. Raises Problems."""
+    """Return the picture of a sample, 304 where it is known. Raises Problems."""
     if media_type not in _NAMES:
         raise Problem(406, "This picture does not move: ask for image/jpeg or image/png.")
     form = _form(exchange, media_type)
@@ -118,7 +118,7 @@ async def picture_response(
 async def picture_motion(
     session: Session, pictures: PictureCache, name: str, first: Sample | None, exchange: Exchange
 ) -> Motion:
-    """The pictures of a topic from now on; the first is drawn at once, for what it refuses. Raises Problems."""
+    """Return the pictures of a topic from now on; the first is drawn at once, for what it refuses. Raises Problems."""
     form = _form(exchange, JPEG)
     if first is not None:
         await _draw(pictures, name, await _schema(session.schemas, first), first, form)
@@ -162,7 +162,7 @@ async def _draw(pictures: PictureCache, name: str, schema: MessageSchema, sample
 
 
 def _form(exchange: Exchange, media_type: str) -> PictureForm:
-    """How a request wants its picture. Raises 400 Problems."""
+    """Return the form of a requested picture. Raises 400 Problems."""
     query = exchange.query
     return PictureForm(media_type, _width(query.get("width")), _range(query.get("range")))
 
@@ -189,7 +189,7 @@ def _range(text: str | None) -> DepthRange:
 
 
 def sample_identity(sample: Sample) -> str:
-    """A short text that tells a sample from all others of its topic."""
+    """Return a short text that identifies a sample within its topic."""
     said = f"{sample.publisher}\0{sample.epoch}\0{sample.sequence}\0{sample.received_ns}"
     return digest(said.encode("utf-8", "replace"))
 
@@ -217,7 +217,7 @@ def is_cloud(type_name: str) -> bool:
 
 
 def cloud_is_preferred(exchange: Exchange, *, is_cloud: bool) -> bool:
-    """Whether a request prefers a file of points to all else; `?format=ply` wants one whatever there is."""
+    """Whether a request prefers a file of points (or demands it by `?format=ply`)."""
     if b"field=" in exchange.request.scope["query_string"]:
         return False
     if b"format=" in exchange.request.scope["query_string"] and exchange.query.get("format"):
@@ -239,7 +239,7 @@ def require_cloud(name: str, types: Sequence[TypeRef]) -> None:
 async def cloud_response(
     resource: Resource, schemas: Schemas, files: PictureCache, name: str, sample: Sample, exchange: Exchange
 ) -> Response:
-    """The file of a sample's points, 304 where it is known. Raises Problems."""
+    """Return the file of a sample's points, 304 where it is known. Raises Problems."""
     require_cloud(name, (sample.schema,))
     most = _points(exchange.query.get("points"))
     etag = ETag(f"{files.instance_id}-{sample_identity(sample)}", f"ply-{most}")

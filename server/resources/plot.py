@@ -1,4 +1,4 @@
-"""Numbers of topics by the references that plots name them by: a URL, and after # the path of a field."""
+"""Plots of numbers of topics, each referenced by a URL with the path of a field as fragment."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class NumberFinder:
         self._permissions = permissions
 
     async def locate(self, reference: str) -> NumberReference:
-        """The topic and the field that a `y` names. Raises Problems."""
+        """Return the topic and the field that a `y` names. Raises Problems."""
         url, _, path = reference.partition("#")
         space = self._session.space
         if len(reference) > _MAX_REFERENCE:
@@ -85,7 +85,7 @@ class NumberFinder:
         return NumberReference(location.name, path)
 
     async def _of_property(self, name: str, url: str, path: str) -> NumberReference:
-        """The field of the topic that a property is read from."""
+        """Return the field of the topic that a property is read from."""
         plan = (await self._affordances.tree()).property(name)
         if plan is None:
             raise Problem(404, f"There is no property {name}.")
@@ -96,7 +96,7 @@ class NumberFinder:
         return NumberReference(source.name, path or (fields[0].name if len(fields) == 1 else ""))
 
     async def describe(self, number: NumberReference) -> PlottedNumber:
-        """What a number is, and what is recorded of it. Raises Problems."""
+        """Return the description and recording of a number. Raises Problems."""
         topic = self._session.graph.topics[number.topic]
         url = self._session.space.topic(number.topic)
         if topic.type is None:
@@ -141,7 +141,7 @@ _PLAIN: DataSchema = {
 
 
 class PlotResource(Resource):
-    """The plot of some numbers; without any, what can be asked for."""
+    """The plot of some numbers; without any, a form to choose them."""
 
     kind = "Plot"
     links = (RESOURCE, RDF_SOURCE)
@@ -171,7 +171,7 @@ class PlotResource(Resource):
         )
 
     async def select_variant(self, exchange: Exchange) -> Resource:
-        """The plot of what the `y` say, as far as the agent may see it. Raises Problems."""
+        """Return the plot of what the `y` say, as far as the agent may see it. Raises Problems."""
         references = exchange.query_values("y")
         if len(references) > MAX_NUMBERS:
             raise Problem(
@@ -186,7 +186,7 @@ class PlotResource(Resource):
         return (self.session.space.document_shape("Plot"),)
 
     def document(self) -> Document:
-        """The plot while nothing is asked for."""
+        """Return the document without a selection."""
         return plot_document(self.url, ())
 
     async def state(self) -> State:
@@ -196,7 +196,7 @@ class PlotResource(Resource):
         return State(partial(plot_document, self.url, numbers), lambda: plain, digest(plain))
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
-        """The event stream of the numbers as they come, where one is preferred; else None.
+        """Return the event stream of the numbers as they come, where one is preferred; else None.
 
         Raises a 400 Problem without numbers, 404 for one that there is not.
         """
@@ -222,5 +222,5 @@ class PlotResource(Resource):
 
 
 def number_json(number: PlottedNumber) -> dict[str, str | None]:
-    """A number as plain JSON."""
+    """Return a number as plain JSON."""
     return {"topic": number.topic, "field": number.field, "type": number.type, "series": number.series}

@@ -1,4 +1,7 @@
-"""Preconditions of writes: the conditions of mappings, evaluated on values that are read again before the write."""
+"""Writes of properties: planned, checked against limits and conditions, carried out, and reported.
+
+Several members of a complex resource are planned together, and carried out and reported one by one.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +50,7 @@ from rosld.server.runtime.dry_run import DryRunEnded, note_conditions
 async def read_fresh_state(
     affordances: AffordanceService[State], tree: ResourceTree, reads: Sequence[Property]
 ) -> Snapshot:
-    """The state as it is now, not as it was a moment ago."""
+    """Return the state as it is now, not as it was a moment ago."""
     return affordances.snapshot(tree, await affordances.read(reads, refresh=True))
 
 
@@ -79,7 +82,7 @@ def condition_conflict(space: Space, conditions: Sequence[Condition], snapshot: 
 async def plan_property_write(
     session: Session, limit_checks: LimitChecks, own: Property, content: object, *, defaults: bool = False
 ) -> PlannedWrite:
-    """How a property comes to have a value: within the limits, and nothing moves yet. Raises as `plan_write` does."""
+    """Plan a write of a property within the limits. Raises as `plan_write` does."""
     plan = plan_write(session, own, content, defaults=defaults)
     name, value = plan.writer.name, plan.value
     if not isinstance(value, MessageValue):
@@ -94,7 +97,7 @@ async def plan_property_write(
 
 
 def write_response(exchange: Exchange, space: Space, plan: PlannedWrite, written: WriteOutcome) -> Response:
-    """The answer to a write that was carried out: 204, or 202 where nobody was there to hear it."""
+    """Return the response to a write that was carried out: 204, or 202 without a receiver."""
     name = plan.writer.name
     if written is WriteOutcome.UNHEARD:
         return render(no_subscriber_problem(name), exchange.accept).response()
@@ -112,7 +115,7 @@ class MemberChange:
 
 
 def changes_in_json(patch: object, plan: ComplexPlan, view: ComplexView) -> tuple[MemberChange, ...]:
-    """The changes that a JSON merge patch asks for (RFC 7396). Raises LoweringError for what is no member."""
+    """Return the changes that a JSON merge patch asks for (RFC 7396). Raises LoweringError for what is no member."""
     if not isinstance(patch, dict):
         raise LoweringError(Violation("", "expected an object of members and their values"))
     members = {one.name: one for one in plan.members}
@@ -133,7 +136,7 @@ def changes_in_json(patch: object, plan: ComplexPlan, view: ComplexView) -> tupl
 def changes_in_graph(
     body: RdfBody, plan: ComplexPlan, view: ComplexView, lifting: LiftSettings
 ) -> tuple[MemberChange, ...]:
-    """The changes between what is said of the members now and what `body` says. Raises LoweringError."""
+    """Return the changes between what is said of the members now and what `body` says. Raises LoweringError."""
     seen = {one.affordance.name: one for one in view.members}
     found = (_member_change(body, one, seen[one.name], view.url, lifting) for one in plan.members)
     return tuple(change for change in found if change is not None)
@@ -176,7 +179,7 @@ def _is_said(member: Member) -> bool:
 
 
 def _literal(member: Member) -> Literal | None:
-    """The literal that is the value of a member, None where there is none."""
+    """Return the literal that is the value of a member, None where there is none."""
     value = member.reading.value
     try:
         return None if value is None else value_literal(value, member.field)
@@ -185,7 +188,7 @@ def _literal(member: Member) -> Literal | None:
 
 
 def _present(member: Member) -> object:
-    """The value of a member as plain JSON, None where there is none."""
+    """Return the value of a member as plain JSON, None where there is none."""
     value, field = member.reading.value, member.field
     if value is None:
         return None
@@ -201,7 +204,7 @@ def _present(member: Member) -> object:
 async def plan_changes(
     session: Session, limit_checks: LimitChecks, plan: ComplexPlan, snapshot: Snapshot, changes: Sequence[MemberChange]
 ) -> tuple[tuple[str, PlannedWrite], ...]:
-    """The writes that bring these changes about, with the names of the members that ask for them.
+    """Return the writes that bring these changes about, with the names of the members that ask for them.
 
     Everything that can be refused is: a member that must not be written now (409), that nothing writes (409), a value
     that does not fit or breaks a limit (LoweringError). Nothing moves.
@@ -241,10 +244,10 @@ def _by_property(
 
 
 def with_field(own: Property, reading: Reading, name: str, path: str, value: object, content: object = None) -> object:
-    """Return what the property is to be written, of which `name` shows the field at a dotted path.
+    """Return the value of a property with one field, named `name`, set to a value.
 
-    `content` is what others of its fields have made of it already, None where none has. Raises a 409 Problem where the
-    field is one of several and the others are not known, and LoweringError where there is no such field.
+    `content` is the value with other fields set already, or None. Raises a 409 Problem if other fields are unknown, and
+    LoweringError if there is no such field.
     """
     if _is_whole_value(own, reading, path):
         return value
@@ -278,12 +281,12 @@ def _replace_field(content: object, path: str, value: object) -> object:
 
 
 def _plain(value: object) -> object:
-    """A literal as JSON, so that it can stand within a message."""
+    """Return a literal as JSON, for use in a message."""
     return parse_json(parameter_json(lower_term(value))) if isinstance(value, Literal) else value
 
 
 def _within(name: str, error: LoweringError) -> LoweringError:
-    """The same violations, at a member."""
+    """Return the same violations, at a member."""
     return LoweringError(*(replace(one, path=f"{name}.{one.path}" if one.path else name) for one in error.violations))
 
 
@@ -291,7 +294,7 @@ def _within(name: str, error: LoweringError) -> LoweringError:
 
 
 async def carry_out_all(session: Session, writes: Sequence[tuple[str, PlannedWrite]]) -> Response:
-    """Carry the writes out in their order. The first that fails ends it: the Problem tells what became of each."""
+    """Carry the writes out in order. The first failure ends this: its Problem has the outcome of each."""
     done: list[dict[str, object]] = []
     for place, (name, write) in enumerate(writes):
         try:

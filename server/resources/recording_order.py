@@ -1,4 +1,4 @@
-"""The form of the page `/bags/` that begins a recording, or has one wait for its trigger."""
+"""Orders of recordings in bodies, and their form on the page `/bags/`."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def _schema() -> MessageSchema:
 
 
 def recording_form(topics: Mapping[str, str]) -> MessageForm:
-    """The form; `topics` are those that there are, with their URLs."""
+    """Return the form; `topics` are those that there are, with their URLs."""
     return MessageForm(
         _schema(),
         method="POST",
@@ -58,7 +58,7 @@ def recording_form(topics: Mapping[str, str]) -> MessageForm:
 
 
 def order_of_form(said: Mapping[str, object]) -> dict[str, object]:
-    """What a form was filled with as an order: what was left empty is left out."""
+    """Return the order in a form; empty inputs are left out."""
     found = {key: said[key] for key in ("name", "before", "duration") if said.get(key)}
     found["topics"] = str(said.get("topics", "")).split() or ["*"]
     if said.get("trigger_condition") or said.get("trigger_resource"):
@@ -112,13 +112,13 @@ SCHEMA: DataSchema = {
 
 
 def read_order(data: bytes, media_type: str, url: str, *, is_form: bool = False) -> RecordingOrder:
-    """The order in a body that was sent to `url`. Raises BodyError, and a 422 Problem that names what is wrong."""
+    """Return the order in a body that was sent to `url`. Raises BodyError, and 422 Problems."""
     said = _of_json(data) if media_type == JSON else _of_rdf(parse_body(data, media_type, url))
     return order_of(order_of_form(said) if is_form else said)
 
 
 def order_of(said: Mapping[str, object]) -> RecordingOrder:
-    """The order that these members are. Raises a 422 Problem that names what is wrong."""
+    """Return the order that these members are. Raises a 422 Problem that names what is wrong."""
     unknown = said.keys() - {"name", "topics", "before", "duration", "trigger"}
     if unknown:
         known = "name, topics, before, duration, trigger"

@@ -1,4 +1,4 @@
-"""Where a pose that somebody chooses on a map is sent: navigation actions, and topics of goals."""
+"""`/space`: topics drawn in space, and the destinations of a pose that is chosen on a map."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ class GoalTargets:
         return None if self._session.graph.simulated_time else time.time()
 
     async def offered(self, permissions: Permissions) -> Sequence[GoalTarget]:
-        """The targets on offer, actions first; none while the robot is stopped."""
+        """Return the targets on offer, actions first; none while the robot is stopped."""
         graph = self._session.graph
         if self._found is None or self._found[0] is not graph:
             self._found = graph, [each async for each in self._targets(graph)]
@@ -177,7 +177,7 @@ _PLAIN: DataSchema = {
 
 
 class SpaceResource(Resource):
-    """A view of space: of the topics that are asked for, or of all that can be drawn, as one agent may see them."""
+    """A view of the requested topics, or of all that can be drawn, as one agent may see them."""
 
     kind = "View of space"
     title = "Space"
@@ -219,7 +219,7 @@ class SpaceResource(Resource):
         return (self.session.space.document_shape("Source"),)
 
     async def select_variant(self, exchange: Exchange) -> Resource:
-        """The view that `frame` and `show` ask for, as far as the agent may see it. Raises Problems."""
+        """Return the view that `frame` and `show` ask for, as far as the agent may see it. Raises Problems."""
         references = exchange.query_values("show")
         if len(references) > MAX_SHOWN:
             raise Problem(
@@ -244,7 +244,7 @@ class SpaceResource(Resource):
         )
 
     def document(self) -> Document:
-        """The view while nothing is asked for."""
+        """Return the document without a selection."""
         return _document(self.url, ())
 
     async def state(self) -> State:
@@ -272,7 +272,7 @@ class SpaceResource(Resource):
         return State(partial(_document, self.url, [each.url for each in topics]), lambda: plain, digest(plain))
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
-        """The view as it changes, where an event stream is asked for."""
+        """Return the event stream of the view, if requested."""
         if not stream_is_preferred(exchange.accept, OFFERS):
             return None
         names = self._topics_to_show(self.session.graph)
@@ -328,7 +328,7 @@ class SpaceResource(Resource):
         return all(self._permissions.may_read(space.topic(each)) for each in TOPICS)
 
     def _model(self, graph: Graph) -> str:
-        """Where the robot's model is read: a topic (ROS 2) or a parameter (ROS 1); empty where there is none."""
+        """Return the source of the robot's model: a topic (ROS 2) or a parameter (ROS 1), or empty."""
         space = self.session.space
         topic, url = graph.topics.get(_MODEL), space.topic(_MODEL)
         if (
@@ -344,7 +344,7 @@ class SpaceResource(Resource):
         return ""
 
     def _all(self, graph: Graph) -> list[str]:
-        """The topics that can be drawn and that the agent may read, what is drawn first first."""
+        """Return the topics that can be drawn and that the agent may read, what is drawn first first."""
         space, topics = self.session.space, listed_graph(graph, self.session.adapter.capabilities).topics
         found = [
             (PLACED_TYPES.index(topic.type.name), name)
@@ -354,7 +354,7 @@ class SpaceResource(Resource):
         return [name for _, name in sorted(found)]
 
     def _topics_to_show(self, graph: Graph) -> list[str]:
-        """The topics that `show` names. Raises Problems."""
+        """Return the topics that `show` names. Raises Problems."""
         return [self._topic_of(graph, each) for each in self.references]
 
     def _topic_of(self, graph: Graph, reference: str) -> str:
@@ -376,11 +376,11 @@ class SpaceResource(Resource):
         return location.name
 
     def _shown_topics(self, graph: Graph, names: Sequence[str]) -> list[ShownTopic]:
-        """These topics as the stream tells of them; all that can be drawn, as far as they are not too many."""
+        """Return these topics for the stream, or all that can be drawn, up to the limit."""
         return [self._shown_topic(graph, name) for name in names or self._all(graph)[:MAX_SHOWN]]
 
     def _shown_topic(self, graph: Graph, name: str) -> ShownTopic:
-        """A topic as the stream tells of it."""
+        """Return a topic for the stream."""
         space, url = self.session.space, self.session.space.topic(name)
         topic = graph.topics.get(name)
         type_name = topic.type.name if topic is not None and topic.type is not None else ""
@@ -415,6 +415,6 @@ def _target_json(target: GoalTarget, reference: str) -> dict[str, object]:
 
 
 def _document(url: str, topics: Sequence[str]) -> Document:
-    """The view as RDF: of which topics it is."""
+    """Return the view as RDF: its topics."""
     said = statements(rdfs.seeAlso, (NamedNode(each) for each in topics))
     return Document(url, tuple(triples_about(NamedNode(url), *RDF_SOURCE, (dcterms.title, text("Space")), *said)))

@@ -1,4 +1,4 @@
-"""Parts of a Thing Description of many affordances (WoT TD 1.1): some of them, with a link to the next. Pure."""
+"""Thing Descriptions (WoT TD 1.1); those of many affordances in parts, each with a link to the next."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _FRAME = 600
 
 @dataclass(frozen=True, slots=True)
 class _Named:
-    """An affordance, of which kind it is and what it is called."""
+    """An affordance with its kind and name."""
 
     kind: str
     name: str
@@ -51,7 +51,7 @@ class _Named:
 
 
 def add_part_link(data: bytes, url: str) -> bytes:
-    """A description that links to its first part, if it has several; `url` is its own."""
+    """Return a description that links to its first part, if it has several; `url` is its own."""
     if len(data) <= MAX_PART:
         return data
     thing = orjson.loads(data)
@@ -59,7 +59,7 @@ def add_part_link(data: bytes, url: str) -> bytes:
 
 
 def thing_parts(data: bytes, base: str, url: str, below: str) -> tuple[bytes, ...]:
-    """The parts of the description at `url` with the affordances at paths below `base` that begin with `below`.
+    """Return the parts of the description at `url` with the affordances at paths below `base` that begin with `below`.
 
     None where there are none.
     """
@@ -89,7 +89,7 @@ def thing_parts(data: bytes, base: str, url: str, below: str) -> tuple[bytes, ..
 
 
 def _cut(affordances: list[_Named], room: int) -> Iterator[list[_Named]]:
-    """Affordances in their order, as many at a time as have room together, but one at the least."""
+    """Split affordances into parts that fit, each with at least one."""
     part: list[_Named] = []
     size = 0
     for one in affordances:
@@ -111,7 +111,7 @@ def _is_below(affordance: _Affordance, own: str, base: str, below: str) -> bool:
 
 
 def _link(relation: str, target: str) -> dict[str, str]:
-    """A link to a Thing Description (RFC 6573, RFC 8288)."""
+    """Return a link to a Thing Description (RFC 6573, RFC 8288)."""
     return {"rel": relation, "href": target, "type": "application/td+json"}
 
 
@@ -120,7 +120,7 @@ _OFFERS = (*RDF_BODIES, "application/json", "text/html", MEDIA_TYPE)
 
 
 def wants_thing(exchange: Exchange) -> bool:
-    """Whether a Thing Description is asked for rather than the state."""
+    """Whether a request prefers a Thing Description to the state."""
     if exchange.request.scope["query_string"] and "format" in exchange.query:
         return exchange.query["format"] == FORMAT
     accept = exchange.accept
@@ -140,7 +140,7 @@ class ThingDescriptions:
         self._instance_id = instance_id
 
     def response(self, exchange: Exchange, url: str, own: str, data: bytes) -> Response:
-        """The answer with a Thing Description, or a part of it, as it is for who asks, in the syntax that is asked for.
+        """Return the response with a Thing Description, or a part of it, redacted, in the requested syntax.
 
         `url` is that of the resource that answers, `own` that of the description.
         """
@@ -158,7 +158,7 @@ class ThingDescriptions:
         return bytes_response(exchange, written, media_type, ETag(tag, f"{FORMAT}-{VARIANTS[media_type]}"))
 
     def of_complex(self, plan: ComplexPlan) -> bytes:
-        """The Thing Description of a complex resource: everything it can ever offer."""
+        """Return the Thing Description of a complex resource: everything it can ever offer."""
         properties, actions = self._of_members(plan)
         space = self._session.space
         up = () if plan.parent is None else (ThingLink("collection", url_of(plan.parent, space)),)
@@ -177,7 +177,7 @@ class ThingDescriptions:
         )
 
     def of_robot(self, tree: ResourceTree, permissions: Permissions = ALLOW_ALL) -> bytes:
-        """The Thing Description of the whole robot: the affordances of all its complex resources, named by their paths.
+        """Return the Thing Description of the robot: the affordances of all complex resources, named by path.
 
         Actions are there that no complex resource lists, too.
 
@@ -216,14 +216,14 @@ class ThingDescriptions:
         return properties, tuple(map(offers.action_affordance, plan.actions))
 
     def _unlisted_actions(self, tree: ResourceTree, listed: Container[str]) -> Iterator[ActionAffordance]:
-        """The actions that no complex resource lists, because a mapping leaves them out: they have own URLs."""
+        """Yield the actions that no complex resource lists, because a mapping leaves them out: they have own URLs."""
         for name in sorted(tree.actions):
             plan = tree.action(name)
             if plan is not None and (affordance := self._affordances.action_affordance(plan)).url not in listed:
                 yield replace(affordance, name=name[1:])
 
     def _by_themselves(self, tree: ResourceTree, plan: ComplexPlan) -> Iterator[PropertyAffordance]:
-        """The members of a complex resource as their own URLs have them, whatever it calls them."""
+        """Return the members of a complex resource as at their own URLs."""
         for name in (member.url_name for member in plan.members if member.url_name is not None):
             own = tree.property(name)
             if own is not None:
@@ -231,7 +231,7 @@ class ThingDescriptions:
 
 
 def _choose_syntax(exchange: Exchange) -> str:
-    """In which of its syntaxes a Thing Description is asked for: JSON, unless one of RDF is preferred."""
+    """Return the syntax of a requested Thing Description: JSON, unless RDF is preferred."""
     return choose_offer(exchange.accept, (MEDIA_TYPE, *RDF_BODIES)) or MEDIA_TYPE
 
 

@@ -1,6 +1,6 @@
-"""Interaction models (LDP 4, 5): the one that a request asks for, its Link headers, and the members of containers.
+"""Interaction models (LDP 4, 5): the requested one, its Link headers, the members of containers, and names from Slug.
 
-Pure: links, triples and names go in, values come out; what cannot be is a Problem.
+Pure functions of links, triples and names; invalid requests are Problems.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _SERVERS_OWN = frozenset({ldp.contains, rdf.type})
 
 
 def requested_model(links: Sequence[Link], url: str, media_type: str | None, *, container_hint: bool) -> Model:
-    """The interaction model that a request asks for (LDP 5.2.3.4), by its Link headers, its body and its URL.
+    """Return the interaction model that a request asks for (LDP 5.2.3.4), by its Link headers, its body and its URL.
 
     `url` is the URL that the request is sent to, `media_type` that of its body, None where it has none.
     `container_hint`: what is to be made has a URL that ends in a slash. A PUT says where, so there both must agree.
@@ -67,7 +67,7 @@ def requested_model(links: Sequence[Link], url: str, media_type: str | None, *, 
 
 
 def model_links(model: Model) -> tuple[Link, ...]:
-    """The links of relation `type` in every answer about a resource of this model.
+    """Return the links of relation `type` in every answer about a resource of this model.
 
     LDP 4.2.1.4 wants ldp:Resource, 5.2.1.4 the one type of container, 4.4.1.2 allows ldp:NonRDFSource. ldp:Container
     is none of the types that 5.2.1.4 lists: it is said in the RDF only.
@@ -76,7 +76,7 @@ def model_links(model: Model) -> tuple[Link, ...]:
 
 
 def _asked(links: Sequence[Link], url: str) -> frozenset[str]:
-    """The local names of the models that the links ask for; other types and links of other things mean nothing here."""
+    """Return the local names of the models in the links; other types and links are ignored."""
     found = [
         link.target.removeprefix(ldp.iri)
         for link in links
@@ -91,7 +91,7 @@ def _asked(links: Sequence[Link], url: str) -> frozenset[str]:
 
 
 def _container(asked: frozenset[str]) -> Model | None:
-    """The one kind of container that is asked for; ldp:Container alone is a Basic one."""
+    """Return the requested kind of container; ldp:Container alone means a Basic one."""
     kinds = [model for model in Model if model.is_container and model.value in asked]
     if len(kinds) > 1:
         raise Problem(400, f"A container is of one kind, not of {_words(asked & {kind.value for kind in kinds})}.")
@@ -184,7 +184,7 @@ def member_derived_uri(membership: Membership | None, body: RdfBody, url: str) -
 
 
 def member_derived_uris(members: Iterable[tuple[str, str | None]]) -> Iterator[str]:
-    """What stands in membership triples for members, each its URL and what its record says stands for it."""
+    """Return the URIs of members in membership triples, from their URLs and records."""
     return (url if stated is None else stated for url, stated in members if stated != NO_MEMBER)
 
 
@@ -205,7 +205,7 @@ def membership_declaration(membership: Membership, container_url: str) -> list[T
 
 
 def membership_triples(membership: Membership, members: Iterable[str]) -> list[Triple]:
-    """The membership triples of these member-derived URIs (LDP 5.4.1.4.1, 5.4.1.4.2)."""
+    """Return the membership triples of these member-derived URIs (LDP 5.4.1.4.1, 5.4.1.4.2)."""
     constant, relation = NamedNode(membership.resource), NamedNode(membership.relation)
     if membership.inverse:
         return [Triple(NamedNode(member), relation, constant) for member in members]
@@ -213,7 +213,7 @@ def membership_triples(membership: Membership, members: Iterable[str]) -> list[T
 
 
 def _one(said: Sequence[Triple], predicate: NamedNode) -> NamedNode | None:
-    """The one IRI that a container says by a predicate, None where it says nothing."""
+    """Return the one IRI that a container says by a predicate, None where it says nothing."""
     found = list(dict.fromkeys(triple.object for triple in said if triple.predicate == predicate))
     if len(found) > 1:
         values = " and ".join(map(str, found[:5]))
@@ -224,7 +224,7 @@ def _one(said: Sequence[Triple], predicate: NamedNode) -> NamedNode | None:
 
 
 def _content(said: NamedNode | None, model: Model) -> NamedNode | None:
-    """The inserted content relation: an Indirect container's own, none of a Direct one (LDP 5.4.1.5, 5.5.1.2)."""
+    """Return the inserted content relation of an Indirect container; a Direct one has none (LDP 5.4.1.5, 5.5.1.2)."""
     if model is Model.INDIRECT_CONTAINER:
         if said is None:
             raise Problem(
@@ -258,7 +258,7 @@ _INVISIBLE = frozenset("\u034f\u115f\u1160\u17b4\u17b5\u3164\uffa0") | {
 
 
 def choose_name(slug: str | None, taken: Callable[[str], bool], *, suffix: str = "") -> str:
-    """A name for a new member, not yet percent-encoded: readable, one segment of a path, and nobody's before.
+    """Return a name for a new member, not yet percent-encoded: readable, one segment of a path, and nobody's before.
 
     Letters, marks, digits, `-`, `_` and `.` of the Slug are kept, everything else becomes `-`; without a Slug, or where
     nothing of it remains, the name is made of sounds. In NFC, at most 100 characters, it begins with a letter, a digit
@@ -281,13 +281,13 @@ def _candidates(stem: str, extension: str) -> Iterator[str]:
 
 
 def _join(stem: str, added: str, extension: str) -> str:
-    """A name of all three, the stem cut short where it is too long; what was cut may have ended well before."""
+    """Return a name of all three, the stem cut short where it is too long; what was cut may have ended well before."""
     kept = stem[: MAX_LENGTH - len(added) - len(extension)].rstrip("-.")
     return unicodedata.normalize("NFC", kept + added + extension)
 
 
 def _readable(slug: str) -> str:
-    """What remains of a Slug: empty where nothing does."""
+    """Return the usable characters of a Slug, perhaps none."""
     text = unicodedata.normalize("NFC", _decode(slug))
     kept = "".join(char if _is_kept(char) else "-" for char in text if char not in _INVISIBLE)
     name = re.sub(r"-{2,}", "-", kept)
@@ -299,7 +299,7 @@ def _readable(slug: str) -> str:
 
 
 def _decode(slug: str) -> str:
-    """The text of a Slug (RFC 5023 9.7.1): its octets percent-decoded, then read as UTF-8."""
+    """Return the text of a Slug (RFC 5023 9.7.1): its octets percent-decoded, then read as UTF-8."""
     raw = slug[:_READ].encode("latin-1", "ignore") if _is_latin(slug) else slug[:_READ].encode("utf-8", "ignore")
     return unquote_to_bytes(raw).decode("utf-8", "replace")
 
@@ -314,7 +314,7 @@ def _is_kept(char: str) -> bool:
 
 
 def _split(name: str, suffix: str) -> tuple[str, str]:
-    """A name without its extension, and the extension; `suffix` for a name that has none."""
+    """Return a name without its extension, and the extension; `suffix` for a name that has none."""
     stem, dot, last = name.rpartition(".")
     if dot and stem and re.fullmatch(r"[0-9A-Za-z]{1,15}", last):
         return stem, dot + last
@@ -322,7 +322,7 @@ def _split(name: str, suffix: str) -> tuple[str, str]:
 
 
 def _word() -> str:
-    """A name by chance that can be read aloud: two words of three sounds, of 5 * 10^11 such names."""
+    """Return a name by chance that can be read aloud: two words of three sounds, of 5 * 10^11 such names."""
     number, sounds = secrets.randbelow(len(_SOUNDS) ** 6), []
     for _ in range(6):
         number, sound = divmod(number, len(_SOUNDS))

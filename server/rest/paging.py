@@ -1,4 +1,4 @@
-"""The parts of a container that a request prefers: its members, its membership triples, all else (LDP 7.2)."""
+"""Pages of containers, and the parts of a container that a request prefers (LDP 7.2)."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _KNOWN = frozenset({_CONTAINMENT, _MEMBERSHIP, _MINIMAL})
 
 @dataclass(frozen=True, slots=True)
 class ContainerParts:
-    """What a representation of a container holds. `applied`: a preference chose it, and the answer says so."""
+    """Parts in a representation of a container. `applied`: a preference chose them, and the response says so."""
 
     containment: bool = True
     membership: bool = True
@@ -95,14 +95,14 @@ _COUNT = re.compile(r"0*([1-9][0-9]{0,8})")
 
 @dataclass(frozen=True, slots=True)
 class PagePosition:
-    """The members after the one of number or name `after`, of which a page tells `limit`; 0 is before all of them."""
+    """Position of a page: `limit` members after the one of number or name `after`; 0 is before all of them."""
 
     after: Key = 0
     limit: int = MAX_PAGE_SIZE
 
     @property
     def token(self) -> str:
-        """What stands for it in `?page=`."""
+        """The value in `?page=`."""
         limit = "" if self.limit == MAX_PAGE_SIZE else str(self.limit)
         if isinstance(self.after, str):
             return f"{limit}:{self.after}"
@@ -126,15 +126,17 @@ class LdpPage:
         return page_url(self.container, self.token)
 
     def neighbours(self) -> tuple[SequenceLink, ...]:
-        """The neighbours: first, prev, next and last, as far as they are known and there."""
+        """Return the neighbours: first, prev, next and last, as far as they are known and there."""
         tokens = {"first": self.first, "prev": self.prev, "next": self.next, "last": self.last}
         return tuple(
             SequenceLink(rel, page_url(self.container, token)) for rel, token in tokens.items() if token is not None
         )
 
     def links(self, etag: str | None = None) -> tuple[Link, ...]:
-        """The links of every answer with it, beside those of the container: that it is a page, its neighbours, and the
-        container it is a page of, with the container's entity tag (`"x"` or `x`), so that a change is noticed."""
+        """Return the links of a page: its type, its neighbours, and its container.
+
+        The link to the container has its entity tag (`"x"` or `x`), so that changes between pages are noticed.
+        """
         noted = () if etag is None else (("etag", etag.removeprefix('"').removesuffix('"')),)
         return (
             Link(ldp.Page.value, "type"),
@@ -143,11 +145,11 @@ class LdpPage:
         )
 
     def add_to(self, document: Document) -> Document:
-        """A document of the members on this page, and what the page itself is."""
+        """Return a document of the members on this page, and what the page itself is."""
         return replace(document, triples=(*document.triples, *self.triples()))
 
     def triples(self) -> list[Triple]:
-        """The same in RDF."""
+        """Return the same in RDF."""
         relations = {"first": xhv.first, "prev": xhv.prev, "next": xhv.next, "last": xhv.last}
         return triples_about(
             NamedNode(self.url),
@@ -166,17 +168,17 @@ def require_page(exchange: Exchange, container: str, count: int) -> None:
 
 
 def page_url(container: str, token: str) -> str:
-    """The URL of a page of a container, whose own URL may have a query."""
+    """Return the URL of a page of a container, whose own URL may have a query."""
     return f"{container}{'&' if '?' in container else '?'}{page_query(token)}"
 
 
 def page_query(token: str) -> str:
-    """What the URL of a page has behind the question mark."""
+    """Return the query string of a page."""
     return f"page={quote(token, safe=':/')}"
 
 
 def parse_position(token: str) -> PagePosition:
-    """The place among numbered members that `?page=` names; a 404 Problem for what names none."""
+    """Return the place among numbered members that `?page=` names; a 404 Problem for what names none."""
     found = _TOKEN.fullmatch(token)
     if found is None or int(found[2] or 1) > MAX_PAGE_SIZE:
         raise _no_page(token)
@@ -184,7 +186,7 @@ def parse_position(token: str) -> PagePosition:
 
 
 def parse_named_position(token: str) -> PagePosition:
-    """The place among members ordered by name that `?page=` names; a 404 Problem for what names none."""
+    """Return the place among members ordered by name that `?page=` names; a 404 Problem for what names none."""
     found = _NAMED.fullmatch(token)
     if found is None:
         place = parse_position(token)
@@ -201,7 +203,7 @@ def _no_page(token: str) -> Problem:
 
 
 def page_of_names(container: str, place: PagePosition, names: Sequence[str]) -> tuple[LdpPage, Sequence[str]]:
-    """The page at a place, and what it tells of `names`: those of all members, in order."""
+    """Return the page at a position, and its part of `names`, the sorted names of all members."""
     start = bisect_right(names, place.after) if isinstance(place.after, str) else 0
     limit = place.limit
     found, before = names[start : start + limit + 1], names[max(0, start - limit - 1) : start]
@@ -216,7 +218,7 @@ def page_of(
     before: Sequence[Key] = (),
     last: PagePosition | None = None,
 ) -> LdpPage:
-    """The page at a place, where `keys` are those of the members after it: one more than it tells, if there are.
+    """Return the page at a place, where `keys` are those of the members after it: one more than it tells, if there are.
 
     So the last page has no `next`, though it be full. `before` are the keys up to the place, the last one first: one
     more than a page tells, if there are. So the page before ends where this one begins; where fewer than a page are
@@ -236,7 +238,7 @@ def page_of(
 
 
 def last_page_size(count: int, limit: int) -> int:
-    """How many members the last page tells of `count`: that page to which `next` leads from the first."""
+    """Return the number of members on the last page of `count`, counted from the first page."""
     return (count - 1) % limit + 1 if count else 0
 
 
@@ -250,8 +252,7 @@ def last_position(limit: int, count: int, latest: Sequence[Key]) -> PagePosition
 
 
 def requested_page_size(preferences: Preferences) -> int | None:
-    """The members of a page that a request prefers: max-member-count of return=representation, None where there is
-    none, at most `MAX_PAGE_SIZE`."""
+    """Return max-member-count of return=representation, at most `MAX_PAGE_SIZE`, or None."""
     if not preferences.representation:
         return None
     parameters = dict(reversed(preferences.named["return"].parameters))
@@ -260,7 +261,7 @@ def requested_page_size(preferences: Preferences) -> int | None:
 
 
 def redirect_to_first(container: str, count: int, preferences: Preferences, query: str = "") -> Problem | None:
-    """The 303 to the first page of a container of `count` members, None where it is told at once.
+    """Return the 303 to the first page of a container of `count` members, None where it is told at once.
 
     It comes in pages where it has more members than `MAX_PAGE_SIZE`, or than the request prefers. What its `query` asks
     for besides (`format=ttl`) is asked of the page.

@@ -1,4 +1,4 @@
-"""What a URL answers, as resources declare it and `/openapi.json` tells it (OpenAPI 3.1.1, 4.8.9)."""
+"""Path items: the operations that resources declare for `/openapi.json` (OpenAPI 3.1.1, 4.8.9), and its parts."""
 
 from __future__ import annotations
 
@@ -48,11 +48,11 @@ _DONE = {"PUT": (200, 201, 204), "POST": (200, 201, 204), "PATCH": (200, 201, 20
 
 @dataclass(frozen=True, slots=True)
 class WriteMethod:
-    """What a method that writes takes and answers.
+    """Request and response of a method that writes.
 
-    `sends` is the schema of its JSON, `accepts` are its media types where they are not those that the resource has now.
-    `done` are the statuses of success where they are not the usual ones of the method, `shows` is what then comes as
-    `application/json`.
+    `sends` is the schema of its JSON, `accepts` are its media types if they differ from the current ones of the
+    resource. `done` are the statuses of success if they differ from the usual ones of the method, `shows` is the
+    `application/json` of the response.
     """
 
     note: str | None = None
@@ -64,7 +64,7 @@ class WriteMethod:
     accepts: tuple[str, ...] | None = None
 
     def statuses(self, method: str) -> tuple[int, ...]:
-        """The statuses of success."""
+        """Return the statuses of success."""
         return self.done or _DONE[method]
 
 
@@ -74,7 +74,7 @@ USUAL_STATUSES = WriteMethod()
 
 @dataclass(frozen=True, slots=True)
 class PathItem:
-    """What a URL, or each URL that fits a template, answers.
+    """The operations of a URL, or of each URL that fits a template.
 
     `reads` are the media types of GET, `plain` is the schema of `application/json` among them (JSON-LD where there is
     none), `query` what GET takes. `streams`: its changes can be had as an event stream. `also` are statuses of refusals
@@ -109,7 +109,7 @@ class PathItem:
 
     @property
     def has_value(self) -> bool:
-        """Whether it has a value that changes, of which there may be a condition."""
+        """Whether there is a changing value that a condition can be about."""
         return self.plain is not None and self.streams
 
     @property
@@ -140,24 +140,24 @@ _MAX_DIGITS = 6
 
 @dataclass(frozen=True, slots=True)
 class PartRequest:
-    """Which part is asked for: the one of this number, of what is told of paths that begin with `below`."""
+    """A requested part: its number, among the parts about paths that begin with `below`."""
 
     below: str
     number: int
 
     def url(self, url: str, number: int) -> str:
-        """The URL of a part of the description at `url`."""
+        """Return the URL of a part of the description at `url`."""
         return part_url(url, self.below, number)
 
     def links(self, url: str, count: int) -> Iterator[Link]:
-        """Links from this part, of `count`, to its neighbours (RFC 8288)."""
+        """Yield links from this part, of `count`, to its neighbours (RFC 8288)."""
         if self.number:
             yield Link(self.url(url, self.number - 1), "prev")
         if self.number + 1 < count:
             yield Link(self.url(url, self.number + 1), "next")
 
     def choose(self, parts: Sequence[bytes]) -> bytes:
-        """The part that is asked for. Raises a 404 Problem where there is none."""
+        """Return the requested part. Raises a 404 Problem if there is none."""
         if not parts:
             raise Problem(
                 404, f"Nothing that is described here begins with {self.below}: send ?below= with a shorter one."
@@ -168,13 +168,13 @@ class PartRequest:
 
 
 def part_url(url: str, below: str, number: int = 0) -> str:
-    """The URL of a part of the description at `url`, which may have a query."""
+    """Return the URL of a part of the description at `url`, which may have a query."""
     suffix = f"&part={number}" if number else ""
     return f"{url}{'&' if '?' in url else '?'}below={quote(below, safe='/')}{suffix}"
 
 
 def parse_part(query: Mapping[str, str]) -> PartRequest | None:
-    """The part that a query asks for, None where it asks for the whole. Raises a 400 Problem."""
+    """Return the part that a query asks for, None where it asks for the whole. Raises a 400 Problem."""
     if "below" not in query and "part" not in query:
         return None
     below, number = query.get("below", "/"), query.get("part", "0")

@@ -124,7 +124,7 @@ class Resource:
         return False
 
     def methods(self) -> frozenset[str]:
-        """The verbs it answers; what `Allow` says but for those withheld, unless it is absent."""
+        """Return the verbs it answers; what `Allow` says but for those withheld, unless it is absent."""
         return READ
 
     @property
@@ -133,11 +133,11 @@ class Resource:
         return frozenset()
 
     async def current_methods(self) -> frozenset[str]:
-        """The verbs it answers in its present state, which may have to be read: what OPTIONS says."""
+        """Return the verbs it answers in its present state, which may have to be read: what OPTIONS says."""
         return ABSENT if self.is_absent else self.methods()
 
     async def methods_if_there(self) -> frozenset[str]:
-        """Its methods, as its state tells, read now, whether there is anything to GET."""
+        """Return the methods of the current state, if there is anything to GET."""
         try:
             await self.state()
         except (RosError, Problem) as error:  # another one may pass, and tells nothing of what is there
@@ -147,7 +147,7 @@ class Resource:
         return self.methods()
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        """What its URL answers, for the description of the server; `schemas` gives and collects those of messages."""
+        """Return the path item for `/openapi.json`; `schemas` collects those of messages."""
         return PathItem(self.kind)
 
     def deny_reason(self, method: str) -> str:
@@ -165,24 +165,24 @@ class Resource:
         return Problem(status, self.deny_reason(method), headers=headers, about=self.deny_about)
 
     async def state(self) -> State:
-        """What it is like now. Raises a 404 (or 410) Problem where there is nothing."""
+        """Return the current state. Raises a 404 (or 410) Problem if there is none."""
         raise NotImplementedError
 
     def redact(self, state: State, permissions: Permissions) -> State:
-        """Its state as an agent may see it who may not know of everything."""
+        """Return its state as an agent may see it who may not know of everything."""
         return state.redact(permissions)
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:
-        """Call `wake` on the loop whenever its state may have changed, until the watch is closed.
+        """Call `wake` on the loop whenever the state may have changed, until the watch is closed.
 
-        It may wake for nothing: whoever is woken reads the state again. Whenever anything in general has changed (the
-        graph, the mappings) the state is read and the watch is made anew in any case. None where nothing in particular
-        tells of it: then it is looked at every few seconds as well.
+        Wake-ups may be spurious: read the state again. After general changes (the graph, the mappings) the state is
+        read and the watch is renewed anyway. None if there is no specific notification: the state is polled every few
+        seconds.
         """
         return None
 
     async def forms(self) -> Sequence[Form]:
-        """What its page offers to send."""
+        """Return the forms on the page."""
         return ()
 
     @property
@@ -192,12 +192,12 @@ class Resource:
 
     @property
     def also_changes(self) -> Sequence[str]:
-        """The URLs of what its writes change beside itself, so that they take the right to each."""
+        """Return the URLs of other resources that a write changes, and so needs permission for."""
         return ()
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        """The URLs of the shapes of what it says: that of its class, and those of the messages that it tells of."""
+        """The URLs of the shapes of the document: that of the class, and those of its messages."""
         return ()
 
     @property
@@ -208,7 +208,7 @@ class Resource:
     def page(
         self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]
     ) -> Page | bytes:
-        """Its page for people, rendered already where it has a template of its own."""
+        """Return its page for people, rendered already where it has a template of its own."""
         return Page(
             site,
             self.kind,
@@ -233,19 +233,19 @@ class Resource:
 
     @property
     def query(self) -> str:
-        """What its URL ends in after the question mark: which page of several it is, or which variant."""
+        """The query string of a variant, such as one page of several."""
         return self.url.partition("?")[2]
 
     def listing(self) -> MemberColumns | None:
-        """What its page tells of its members beside their names."""
+        """The columns of members on the page."""
         return None
 
     def navigation_links(self) -> tuple[SequenceLink, ...]:
-        """The neighbours that its page links to."""
+        """Return the neighbours that its page links to."""
         return ()
 
     async def select_variant(self, exchange: Exchange) -> Resource:
-        """The resource that query and preferences ask for: a page of this one, a variant, itself."""
+        """Return the resource that query and preferences ask for: a page of this one, a variant, itself."""
         return self
 
     def streams_body(self, exchange: Exchange) -> bool:
@@ -253,27 +253,27 @@ class Resource:
         return False
 
     def keep_alive(self, exchange: Exchange) -> AbstractContextManager[float | None]:
-        """What lasts as long as an event stream of its changes. Raises Problems; entering what it gives raises nothing.
+        """Return the context of an event stream of changes. Raises Problems; entering it raises nothing.
 
-        Entered, that gives the seconds after which the stream says that it is alive, None for the usual.
+        Its value is the interval of keep-alive comments in seconds, None for the default.
         """
         return nullcontext()
 
     async def custom_get(self, exchange: Exchange) -> Response | Motion | None:
-        """An answer to a GET that is no representation of the whole, such as the bytes of one field, or a picture."""
+        """Return a response that is no representation of the whole, such as the bytes of one field."""
         return None
 
     async def plan_graph_change(self, change: TripleChanges) -> Plan | None:
-        """The plan of a small change of a large graph; None where it must be planned from all that the graph is to say.
+        """Plan a small change of a large graph; None if the plan needs the whole graph.
 
         Raises as `plan_graph_write`.
         """
         return None
 
     async def plan_graph_write(self, triples: Sequence[Triple] | None) -> Plan:
-        """How its graph comes to say these triples and nothing else; None: how it comes to be no more.
+        """Plan to make the graph exactly these triples, or to delete it (None).
 
-        Everything that can be refused is, and nothing moves. Raises Problems (403 where it cannot be written at all),
+        Everything that can be refused is, and nothing moves. Raises Problems (403 if it is never writable),
         LoweringError for what does not fit, and RosError.
         """
         raise self.not_allowed("PUT", 403)
@@ -322,16 +322,16 @@ Answer: TypeAlias = Response | CreatedAnswer | ShownAnswer
 
 
 def _heading(title: str, path: str) -> str:
-    """What the page at a path below the base is headed by: a container right there by its own name."""
+    """Return the heading of the page at a path below the base: the own name of a top-level container."""
     route, slash, rest = path.partition("/")
     return SECTIONS.get(route, route.capitalize()) if slash and not rest else title or path
 
 
 def permanent_redirect(url: str) -> Problem:
-    """308: what was asked for is at `url` (RFC 9110 15.4.9)."""
+    """Return 308: the resource is at `url` (RFC 9110 15.4.9)."""
     return Problem(308, f"It is at {url}", title="Moved", headers={"Location": to_uri(url)})
 
 
 def allow_field(resource: Resource) -> str:
-    """The Allow field of a resource."""
+    """Return the Allow field of a resource."""
     return ", ".join(sorted(ABSENT if resource.is_absent else resource.methods() - resource.withheld))

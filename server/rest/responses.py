@@ -40,9 +40,9 @@ def no_content() -> RawResponse:
 def bytes_response(
     exchange: Exchange, data: bytes, media_type: str, etag: ETag, more: Iterable[tuple[str, str]] = ()
 ) -> RawResponse:
-    """The answer to a GET with bytes that are at hand; 304 where they are known, 412 as RFC 9110 13.1 has it.
+    """Return the response to a GET with bytes: 200, 304, or 412 by RFC 9110 13.1.
 
-    `more` are headers beside those of the bytes themselves.
+    `more` are further headers.
     """
     fixed_headers = {"etag": str(etag), "vary": "Accept", "cache-control": "no-cache", **dict(more)}
     headers = [(name.encode("latin-1"), value.encode("latin-1")) for name, value in fixed_headers.items()]
@@ -60,10 +60,10 @@ ACCEPT_FIELDS = {"PUT": "Accept-Put", "POST": "Accept-Post", "PATCH": "Accept-Pa
 def resource_headers(
     resource: Resource, methods: frozenset[str] | None = None, shapes: Sequence[str] = ()
 ) -> dict[str, str]:
-    """The headers every answer about a resource has: Allow, Link, and Accept-* for the writes that it takes now.
+    """Return the headers of every response about a resource: Allow, Link, and Accept-*.
 
-    `methods` are those it answers, where more is known of them than the resource says without being read; `shapes` are
-    what its state conforms to beside the shape of its class.
+    `methods` are the current ones if they are known better than by the resource without its state; `shapes` are those
+    of its state beside that of its class.
     """
     methods = (resource.methods() if methods is None else methods) - resource.withheld
     links = (*resource.links, *(Link(url, CONFORMS_TO) for url in (*resource.conforms_to, *shapes)))
@@ -101,7 +101,7 @@ _T = TypeVar("_T")
 
 
 def exact_media_type(stated: str | None) -> str:
-    """The Content-Type of a body to be kept, exactly as it was stated; a 415 Problem where it is none.
+    """Return the Content-Type of a body to be kept, exactly as it was stated; a 415 Problem where it is none.
 
     Parameters are kept, and any charset is: nothing here reads such a body.
     """
@@ -126,7 +126,7 @@ async def file_response(
     if_range: str | None = None,
     head: bool = False,
 ) -> Response:
-    """The answer to a GET (or HEAD) of the file at `path` of `size` bytes.
+    """Return the answer to a GET (or HEAD) of the file at `path` of `size` bytes.
 
     `headers` (lower-case names) are sent beside its own. 200 with all of it, or 206 with what Range asks for while
     If-Range holds. `etag` is quoted; If-Match and If-None-Match are checked before (RFC 9110 13.2.2). `name` is what it
@@ -161,7 +161,7 @@ def file_stream(headers: list[tuple[bytes, bytes]], file: FileIO, size: int) -> 
 
 
 async def unless_gone(receive: Receive, work: Coroutine[object, object, _T]) -> _T:
-    """Return what work comes to, which is given up where the client goes meanwhile; nobody reads the Problem then."""
+    """Return the result of work, which is cancelled if the client disconnects; nobody reads the Problem then."""
     working, listening = asyncio.ensure_future(work), asyncio.ensure_future(_gone(receive))
     try:
         await asyncio.wait({working, listening}, return_when=asyncio.FIRST_COMPLETED)
@@ -228,7 +228,7 @@ async def _gone(receive: Receive) -> None:
 
 
 def _parts(pieces: Iterable[Piece]) -> Iterator[Piece]:
-    """The pieces with long spans cut into chunks."""
+    """Yield the pieces with long spans cut into chunks."""
     for piece in pieces:
         if isinstance(piece, bytes):
             yield piece
@@ -257,7 +257,7 @@ def _whole(path: Path, pieces: Iterable[Piece]) -> bytes:
 
 
 def _fixed_headers(media_type: str, name: str | None) -> dict[str, str]:
-    """What every answer with a file says, whole or in part."""
+    """Return the headers of every response with a file, whole or in part."""
     return {
         "accept-ranges": "bytes",
         "x-content-type-options": "nosniff",

@@ -1,4 +1,4 @@
-"""Following of actions: which of them the robot is asked to tell the goals of, and for how long."""
+"""Goals of actions: resources that outlive their requests, within a number and an age, followed while they are read."""
 
 from __future__ import annotations
 

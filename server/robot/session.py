@@ -1,4 +1,4 @@
-"""Name of the robot: the parameter `/robot_name`, the name in its URDF, or its host's name."""
+"""The session with a robot: its adapter, its name, and the state of the system while it is served."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Folding: topics whose messages complete each other, such as `/tf`, shown as one message that holds them all.
+"""Views of topics: the newest samples of each publisher, their rate, and the folding of topics such as `/tf`.
 
 A publisher of `/tf` sends some of its frames in one message and others in the next; the newest message alone would
 hide the rest. The elements of such messages have a key (a transform its child frame, a diagnostic status its name),
-and the newest element of each key stays.
+and the newest element of each key is kept.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Which topics and parameters may be written to, and where numbers have to be finite.
+"""Write policy: the topics and parameters that may be written to, finite numbers, and the rate of publishes.
 
-A robot's sensors are published by its nodes; to publish there too is to lie to it. So a topic is writable when no
-other node publishes it and somebody else listens (or rosld itself advertised it); more needs an explicit permission.
+A robot's sensors are published by its nodes; another publisher would falsify them. So a topic is writable if no other
+node publishes it and another node subscribes to it (or rosld itself advertised it); more needs explicit permission.
 """
 
 from __future__ import annotations

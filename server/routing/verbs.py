@@ -54,14 +54,14 @@ _REFUSED_BODIES = frozenset({400, 409, 415, 422})
 
 
 def problem_of_error(error: BodyError | LoweringError | RosError | Problem) -> Problem:
-    """The problem details (RFC 9457) of an error that a resource raises."""
+    """Return the problem details (RFC 9457) of an error that a resource raises."""
     if isinstance(error, Problem):
         return error
     return problem_of(error) if isinstance(error, RosError) else problem_of_body(error)
 
 
 def with_constraint_link(resource: Resource, error: BodyError | LoweringError | Problem) -> Problem:
-    """The refusal of a body, with a link to what constrains it (LDP 4.2.1.6)."""
+    """Return the refusal of a body, with a link to what constrains it (LDP 4.2.1.6)."""
     problem = error if isinstance(error, Problem) else problem_of_body(error)
     if problem.status in _REFUSED_BODIES and resource.constrained_by is not None:
         problem.headers["Link"] = render_links([Link(resource.constrained_by, f"{LDP}constrainedBy")])
@@ -69,7 +69,7 @@ def with_constraint_link(resource: Resource, error: BodyError | LoweringError | 
 
 
 def with_type_links(resource: Resource, problem: Problem) -> Problem:
-    """A refusal, with links to the types of the resource that refuses; what is not there has none."""
+    """Return a refusal, with links to the types of the resource that refuses; what is not there has none."""
     if problem.status not in (404, 410) and resource.links:
         there = problem.headers.get("Link")
         problem.headers["Link"] = ", ".join([render_links(resource.links), *([there] if there else ())])
@@ -122,7 +122,7 @@ class KnownParameters:
 
 @lru_cache(maxsize=256)
 def _names(query_string: bytes) -> tuple[str, ...]:
-    """The names of the parameters of a query string. Raises a 400 Problem."""
+    """Return the names of the parameters of a query string. Raises a 400 Problem."""
     return tuple(name for name, _ in query_pairs(query_string))
 
 

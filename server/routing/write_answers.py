@@ -1,4 +1,4 @@
-"""What a write is answered with: the representation of what it made or changed, as preferred (RFC 7240 4.2)."""
+"""Responses to writes: representations as preferred (RFC 7240 4.2), pages after forms, and dry runs."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class WriteAnswers:
         return RawResponse(200, rendering.body, [*headers, location, *added])
 
     async def as_preferred(self, exchange: Exchange, resource: Resource, response: Response) -> Response:
-        """The representation after a write instead of an empty 204, where the request prefers it (RFC 7240 4.2)."""
+        """Replace an empty 204 by the representation if the request prefers it (RFC 7240 4.2)."""
         if not exchange.prefer.representation or response.status_code != 204 or exchange.method == "DELETE":
             return response
         rendering = await self._outcome(exchange, resource)
@@ -91,7 +91,7 @@ class WriteAnswers:
     async def _outcome(
         self, exchange: Exchange, resource: Resource, state: State | None = None, *, answer: bool = False
     ) -> Rendering | None:
-        """What shows a write that was done; None where it cannot be had now, or not as preferred: it is not undone.
+        """Return the representation after a write; None if it is unavailable, not preferred, or not readable.
 
         What who asks may not read is not shown, unless it is the `answer` to what was asked, such as a call.
         """
@@ -117,7 +117,7 @@ class FormAnswers:
         self._known_parameters = known_parameters
 
     async def answer(self, exchange: Exchange, resource: Resource) -> Response:
-        """A form of one of our pages: the write it means, then the way back to a page (303)."""
+        """Return a form of one of our pages: the write it means, then the way back to a page (303)."""
         place = enforcement.location_of(exchange.request.scope, self._pages.space)
         try:
             form = await self._pages.read_form(exchange, resource)
@@ -158,7 +158,7 @@ def is_form(exchange: Exchange, resource: Resource) -> bool:
 
 
 def _back(resource: Resource, answer: Answer, came_from: str | None, space: Space) -> str:
-    """Where a browser goes after a form: to what it made, or back to where it stood, which a cockpit always is."""
+    """Return the target after a form: the created resource, or the page of the form (always for a cockpit)."""
     cockpits = space.container("cockpit")
     if came_from is not None and came_from.startswith(cockpits) and not resource.url.startswith(cockpits):
         return came_from
@@ -203,14 +203,14 @@ async def answer_dry_run(
 
 
 def _only_status(resource: Resource, method: str, session: Session) -> int | None:
-    """The status of success of a method, None where it has several."""
+    """Return the status of success of a method, None where it has several."""
     item = resource.path_item(MessageSchemas(lambda ref: None, session.lifting))
     statuses = item.write(method).statuses(method)
     return statuses[0] if len(statuses) == 1 else None
 
 
 def _steps(dry_run: DryRun, url: str, session: Session, permissions: Permissions) -> Iterator[dict[str, object]]:
-    """The steps that an agent may know of, with the URLs of the nodes that each would reach."""
+    """Yield the steps that an agent may know of, with the URLs of the nodes that each would reach."""
     space, graph = session.space, session.graph
     for step in dry_run.steps:
         about = step.touches[0] if step.touches else url
@@ -221,7 +221,7 @@ def _steps(dry_run: DryRun, url: str, session: Session, permissions: Permissions
 
 
 def _receivers(step: PlannedStep, space: Space, graph: Graph) -> list[str]:
-    """The nodes that a step would reach: subscribers of a topic, providers of a service or an action, owners."""
+    """Return the nodes that a step would reach: subscribers of a topic, providers of a service or an action, owners."""
     found: list[str] = []
     for url in step.touches:
         location = space.location(url)

@@ -1,4 +1,4 @@
-"""Entries: what can be found, each with what it is found by."""
+"""The search index: words, entries, and the ranking of those that match a query."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The open connections of one server: their limit, which are closed first, and a reserve for the stop."""
+"""The open connections of a server, WebSocket connections included: their limits, and a reserve for the stop."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""TLS by the server itself: `--tls-cert` and `--tls-key`."""
+"""The HTTP server on its listening socket, and its TLS (`--tls-cert`, `--tls-key`)."""
 
 from __future__ import annotations
 

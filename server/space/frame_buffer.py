@@ -1,4 +1,4 @@
-"""The frames of a robot: the transforms of `/tf` and `/tf_static` of the last seconds, and look-ups among them."""
+"""The frames of a robot: the transforms of `/tf` and `/tf_static` of the last seconds, their tree, and look-ups."""
 
 from __future__ import annotations
 

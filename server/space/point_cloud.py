@@ -1,4 +1,4 @@
-"""Point clouds (sensor_msgs/PointCloud2): where their points are and of which colour, thinned. Pure, for a thread."""
+"""Point clouds (sensor_msgs/PointCloud2): positions and colours of their points, thinned, or as PLY. Pure."""
 
 from __future__ import annotations
 

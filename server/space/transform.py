@@ -1,4 +1,4 @@
-"""Rigid transforms: a translation and a rotation as a unit quaternion, as geometry_msgs/Transform has them. Pure."""
+"""Rigid transforms, and fields of messages that hold them. Pure."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What clients keep: RDF sources, files and containers under `/data/` (LDP 1.0)."""
+"""Documents of clients: RDF sources, files and containers under `/data/` (LDP 1.0)."""

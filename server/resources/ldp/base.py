@@ -1,4 +1,4 @@
-"""The documents that clients keep, and the services with which their resources read and write them."""
+"""Base of LDP resources: the documents of clients, the services that read and write them, and their transaction."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Bodies of writes: the model they ask for, the triples they state, what they must not change."""
+"""Bodies of writes: the requested model, the stated triples, protected statements, and merges of graphs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Creation of resources: the record, and the containers on the way to it."""
+"""Containers (LDP 5), and the creation of resources in them."""
 
 from __future__ import annotations
 

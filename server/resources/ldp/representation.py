@@ -1,4 +1,4 @@
-"""The document of a record. Pure; worker processes import it, so it imports little."""
+"""Representations of records, with their documents. Pure; worker processes import it, so it imports little."""
 
 from __future__ import annotations
 

@@ -359,7 +359,7 @@ def _contexts(data: bytes) -> Iterator[str | dict[str, object]]:
     try:
         waiting: list[object] = [orjson.loads(data)]
     except orjson.JSONDecodeError as error:
-        raise BodyError(_json_words(error), error.lineno, error.colno) from error
+        raise BodyError(f"this is no JSON: {error.msg}", error.lineno, error.colno) from error
     while waiting:
         value = waiting.pop()
         if isinstance(value, list):
@@ -390,10 +390,6 @@ def _longest_iri(context: Mapping[str, object]) -> int:
         for term in reversed(chain):
             length = lengths[term] = length + len(terms[term])
     return max(lengths.values(), default=0) + lengths.get("@vocab", 0) + lengths.get("@base", 0)
-
-
-def _json_words(error: orjson.JSONDecodeError) -> str:
-    return f"this is no JSON: {error.msg}"
 
 
 # RDF/XML

@@ -50,10 +50,6 @@ def _question(ask: Callable[[Flight], object]) -> Callable[[Flight, Message, int
     return answer
 
 
-def _text(request: Message) -> str:
-    return cast(_Text, request).data
-
-
 def _number(request: Message) -> float:
     return cast(_Number, request).data
 
@@ -68,7 +64,7 @@ SERVICES: Mapping[str, AircraftService] = MappingProxyType(
         ),
         "/aircraft/set_power": AircraftService(
             "rosld_aircraft/srv/SetText",
-            _command(lambda flight, request, now: set_power(flight, _text(request), now), "power set"),
+            _command(lambda flight, request, now: set_power(flight, cast(_Text, request).data, now), "power set"),
         ),
         "/aircraft/get_power": AircraftService("rosld_aircraft/srv/GetText", _question(lambda flight: flight.power)),
         "/aircraft/engine/set_speed": AircraftService(

@@ -9,7 +9,7 @@ from itertools import islice
 from typing import cast
 from urllib.parse import quote
 
-from pyoxigraph import BlankNode, Literal, NamedNode, Triple
+from pyoxigraph import BlankNode, Literal, NamedNode
 
 from rosld.ontology.body import parse_json
 from rosld.ontology.lift import LiftSettings
@@ -50,7 +50,7 @@ def term_view(term: Term, site: Site, here: str = "") -> View:
         return literal_view(term, site)
     if isinstance(term, BlankNode):
         return TextView(f"_:{term.value}", tone="quiet")
-    return _triple_view(term)
+    return TextView(escape_controls(f"<<{term}>>"), tone="iri")
 
 
 def cell_view(cell: Cell, site: Site) -> View:
@@ -116,10 +116,6 @@ def _json_view(text: str) -> View:
     items = [each if isinstance(each, str) else json.dumps(each, ensure_ascii=False) for each in value[:2_000]]
     head, full = escape_controls(", ".join(items[:_HEAD])), escape_controls(", ".join(items))
     return ArrayView(len(value), head, full if len(value) > _HEAD else None, hint="JSON")
-
-
-def _triple_view(triple: Triple) -> View:
-    return TextView(escape_controls(f"<<{triple}>>"), tone="iri")
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ from urllib.parse import quote
 
 import httpx
 from sparql import oxigraph
-from web import compare, compare_reading, heading, serving
+from web import compare, compare_anew, heading, serving
 
 TURTLE, TRIPLES = "text/turtle", "application/n-triples"
 NUMBER = 9
@@ -86,7 +86,7 @@ def main() -> None:
     ):
         heading(44, "oxigraph")
         for label, ours, theirs, options in rows(rosld, other, Path(folder)):
-            told = compare_reading if label.startswith("GET") else compare
+            told = compare_anew if label.startswith("GET") else compare
             told(44, label, ours, theirs, seconds, *options)
 
 

@@ -28,7 +28,7 @@ from starlette.applications import Starlette
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
-from web import compare_reading, heading, serving
+from web import compare_anew, heading, serving
 
 from rosld.adapters.model import Encoding, TypeRef
 from rosld.adapters.model.library import TypeLibrary
@@ -192,7 +192,7 @@ def against_oxigraph(seconds: int) -> None:
             ("SELECT, a message's graph at 10 Hz", graph),
         ):
             ours, theirs = f"{rosld}sparql?query={quote(query)}", f"{other}query?query={quote(query)}"
-            compare_reading(36, label, ours, theirs, seconds, anew=NEW_TEXT)
+            compare_anew(36, label, ours, theirs, seconds, anew=NEW_TEXT)
 
 
 def many_rows() -> None:

@@ -1,6 +1,6 @@
 """GET and PUT through HTTP, as ratios to a bare Starlette on the same server (uvloop, httptools), in one run.
 
-No two GETs are the same, so that each is read and answered by itself.
+No two requests are the same, so that each is answered by itself.
 
 Run: python bench/web.py [seconds]. Needs `wrk` (Debian: apt-get install wrk).
 """
@@ -15,7 +15,6 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import NamedTuple
 
 ROUNDS = 3
@@ -40,12 +39,6 @@ print(f"http://127.0.0.1:{sock.getsockname()[1]}/", flush=True)
 config = uvicorn.Config(app, loop="uvloop", http="httptools", access_log=False, log_level="error")
 uvicorn.Server(config).run(sockets=[sock])
 """
-PUT = """
-wrk.method = "PUT"
-wrk.headers["Content-Type"] = "text/turtle"
-wrk.body = [[<#message> a <https://w3id.org/rosld/types/std_msgs/msg/String> ;
-  <https://w3id.org/rosld/types/std_msgs/msg/String#data> "climb to 3000" .]]
-"""
 ANEW = """
 local number = 0
 request = function()
@@ -55,6 +48,16 @@ request = function()
 end
 """
 """No two requests the same."""
+PUT = """
+local number = 0
+request = function()
+  number = number + 1
+  return wrk.format("PUT", nil, {["Content-Type"] = "text/turtle"}, [[
+<#message> a <https://w3id.org/rosld/types/std_msgs/msg/String> ;
+  <https://w3id.org/rosld/types/std_msgs/msg/String#data> "climb to ]] .. number .. [[" .]])
+end
+"""
+"""No two messages the same."""
 
 
 class Rate(NamedTuple):
@@ -100,10 +103,8 @@ def compare(width: int, label: str, ours: str, theirs: str, seconds: int, *optio
     print(f"{label:{width}}{fast:10.0f}{slow:12.0f}{ratio:8.2f}" + (f"  {failures} failed" if failures else ""))
 
 
-def compare_reading(
-    width: int, label: str, ours: str, theirs: str, seconds: int, *options: str, anew: str = ANEW
-) -> None:
-    """The same for a GET, no two the same, as the Lua program `anew` makes them."""
+def compare_anew(width: int, label: str, ours: str, theirs: str, seconds: int, *options: str, anew: str = ANEW) -> None:
+    """The same for requests of which no two are the same, as the Lua program `anew` makes them."""
     with tempfile.NamedTemporaryFile("w", suffix=".lua") as script:
         script.write(anew)
         script.flush()
@@ -115,25 +116,21 @@ def main() -> None:
     if shutil.which("wrk") is None:
         raise SystemExit("bench/web.py needs wrk: apt-get install wrk")
     seconds = int(sys.argv[1]) if len(sys.argv) > 1 else 4
-    with tempfile.TemporaryDirectory() as folder:
-        script = Path(folder, "put.lua")
-        script.write_text(PUT)
-        serve = ("-m", "rosld", "serve", "aircraft", "--port", "0", "--max-publish-rate", "1000000000")
-        with serving("-c", BASELINE) as bare, serving(*serve) as rosld:
-            speed, aircraft = f"{rosld}topics/aircraft/engine/speed", f"{rosld}resources/aircraft/"
-            rows = {
-                "GET live topic at 10 Hz, Turtle": (speed, f"{bare}x", ("-H", "Accept: text/turtle")),
-                "GET live topic at 10 Hz, JSON-LD": (speed, f"{bare}x", ("-H", "Accept: application/ld+json")),
-                "GET live topic at 10 Hz, JSON": (speed, f"{bare}x", ("-H", "Accept: application/json")),
-                "GET complex resource, Turtle": (aircraft, f"{bare}x", ("-H", "Accept: text/turtle")),
-                "GET complex resource, JSON": (aircraft, f"{bare}x", ("-H", "Accept: application/json")),
-                "GET property by a getter, JSON": (f"{aircraft}power", f"{bare}x", ("-H", "Accept: application/json")),
-                "PUT that publishes, Turtle": (f"{rosld}topics/cockpit/display", f"{bare}x", ("-s", str(script))),
-            }
-            heading(36, "bare")
-            for label, (ours, theirs, options) in rows.items():
-                told = compare_reading if label.startswith("GET") else compare
-                told(36, label, ours, theirs, seconds, *options)
+    serve = ("-m", "rosld", "serve", "aircraft", "--port", "0", "--max-publish-rate", "1000000000")
+    with serving("-c", BASELINE) as bare, serving(*serve) as rosld:
+        speed, aircraft = f"{rosld}topics/aircraft/engine/speed", f"{rosld}resources/aircraft/"
+        rows = {
+            "GET live topic at 10 Hz, Turtle": (speed, "text/turtle"),
+            "GET live topic at 10 Hz, JSON-LD": (speed, "application/ld+json"),
+            "GET live topic at 10 Hz, JSON": (speed, "application/json"),
+            "GET complex resource, Turtle": (aircraft, "text/turtle"),
+            "GET complex resource, JSON": (aircraft, "application/json"),
+            "GET property by a getter, JSON": (f"{aircraft}power", "application/json"),
+        }
+        heading(36, "bare")
+        for label, (ours, accept) in rows.items():
+            compare_anew(36, label, ours, f"{bare}x", seconds, "-H", f"Accept: {accept}")
+        compare_anew(36, "PUT that publishes, Turtle", f"{rosld}topics/cockpit/display", f"{bare}x", seconds, anew=PUT)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
 """SPARQL over live values, as ratios: to the Oxigraph server on the same data, and to the same query without any sync.
 
 Run: python bench/sparql.py [seconds]. Needs `wrk` (Debian: apt-get install wrk) and `pip install oxigraph`.
-`python bench/sparql.py cpu [seconds]` prints only the CPU of one query, without wrk; where the Oxigraph server is not
-installed, that of rosld alone.
+`python bench/sparql.py cpu [seconds]` prints only the CPU of one query or write, without wrk; where the Oxigraph server
+is not installed, that of rosld alone.
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, asynccontextmanager, contextmanager, suppress
+from functools import partial
 from http.client import HTTPConnection
 from pathlib import Path
 from urllib.parse import quote, urlsplit
@@ -82,9 +83,38 @@ QUERIES = {
     "COUNT of everything": "SELECT (COUNT(*) AS ?n) { ?s ?p ?o }",
 }
 """Queries by what they are about."""
+TWIST = f"{TYPES}geometry_msgs/msg/Twist"
+VECTOR = f"{TYPES}geometry_msgs/msg/Vector3"
+VELOCITY = (
+    f"<#message> a <{TWIST}> ; <{TWIST}#linear> [ a <{VECTOR}> ; <{VECTOR}#x> NUMBERe-9 ; <{VECTOR}#y> 0e0 ; "
+    f"<{VECTOR}#z> 0e0 ] ; "
+    f"<{TWIST}#angular> [ a <{VECTOR}> ; <{VECTOR}#x> 0e0 ; <{VECTOR}#y> 0e0 ; <{VECTOR}#z> 0e0 ] ."
+)
+DRIVE = (
+    f"DELETE {{ GRAPH <topics/cmd_vel> {{ ?v <{VECTOR}#x> ?old }} }} "
+    f"INSERT {{ GRAPH <topics/cmd_vel> {{ ?v <{VECTOR}#x> NUMBERe-9 }} }} "
+    f"WHERE {{ GRAPH <topics/cmd_vel> {{ ?m <{TWIST}#linear> ?v . ?v <{VECTOR}#x> ?old }} }}"
+)
+WRITES = {
+    "PUT of a new document": ("PUT", "/data/put/NUMBER", "<> rdf:value NUMBER , 'a' ."),
+    "INSERT DATA, a new document": (
+        "POST",
+        "/sparql",
+        "INSERT DATA { GRAPH <data/new/NUMBER> { <data/new/NUMBER> rdf:value NUMBER , 'a' } }",
+    ),
+    "PUT of a document": ("PUT", "/data/one", "<> rdf:value NUMBER , 'a' ."),
+    "INSERT DATA into a document": (
+        "POST",
+        "/sparql",
+        "INSERT DATA { GRAPH <data/few/DIGIT> { <data/few/DIGIT> rdf:value NUMBER } }",
+    ),
+    "PUT that publishes": ("PUT", "/topics/cmd_vel", VELOCITY),
+    "update that publishes": ("POST", "/sparql", DRIVE),
+}
+"""Writes by what they do; NUMBER is another in each request, DIGIT one of a hundred."""
 
 
-# The CPU of one query
+# The CPU of one request
 
 
 def children_of(pid: int) -> set[int]:
@@ -105,9 +135,11 @@ def cpu_milliseconds(pid: int) -> float:
 
 
 def cpu_of_queries(seconds: float) -> None:
-    """CPU of all processes for one query on one connection, each with a text of its own, on the rover."""
+    """CPU of all processes for one request on one connection, each with a text of its own, on the rover."""
     with ExitStack() as servers:
-        rosld = servers.enter_context(serving("-m", "rosld", "serve", "rover", "--port", "0"))
+        rosld = servers.enter_context(
+            serving("-m", "rosld", "serve", "rover", "--port", "0", "--max-publish-rate", "1000000")
+        )
         [ours] = children_of(os.getpid())
         clients = [(Client(rosld), "/sparql", ours)]
         for query in QUERIES.values():
@@ -117,23 +149,35 @@ def cpu_of_queries(seconds: float) -> None:
             [theirs] = children_of(os.getpid()) - {ours}
             copy(rosld, other)
             clients.append((Client(other), "/query", theirs))
-        print(f"{'CPU of one query, in ms':36}{'rosld':>10}{'p50':>10}{'oxigraph':>12}{'p50':>10}")
+        print(f"{'CPU of one request, in ms':36}{'rosld':>10}{'p50':>10}{'oxigraph':>12}{'p50':>10}")
         for label, query in QUERIES.items():
-            text = "".join(f"PREFIX {name}: <{iri}> " for name, iri in PREFIXES.items() if f"{name}:" in query)
-            text = f"BASE <{rosld}> {text}{query}"
-            found = [cpu_of_query(client, path, pid, text, seconds) for client, path, pid in clients]
+            text = f"BASE <{rosld}> {declarations(query)}{query}"
+            found = [cpu_of(pid, seconds, partial(client.seconds, path, text)) for client, path, pid in clients]
             print(f"{label:36}" + "  ".join(f"{cpu:10.2f}{median:10.2f}" for cpu, median in found))
+        client = Client(rosld)
+        for label, (method, path, body) in WRITES.items():
+            base = "" if method == "PUT" else f"BASE <{rosld}> "
+            cpu, median = cpu_of(
+                ours, seconds, partial(client.write, method, path, f"{base}{declarations(body)}{body}")
+            )
+            print(f"{label:36}{cpu:10.2f}{median:10.2f}")
 
 
-def cpu_of_query(client: Client, path: str, pid: int, query: str, seconds: float) -> tuple[float, float]:
-    """The milliseconds of CPU that a query takes, beyond those used without any, and the median of all."""
+def declarations(text: str) -> str:
+    """The declarations of the prefixes in a text."""
+    return "".join(f"PREFIX {name}: <{iri}> " for name, iri in PREFIXES.items() if f"{name}:" in text)
+
+
+def cpu_of(pid: int, seconds: float, send: Callable[[int], float]) -> tuple[float, float]:
+    """The milliseconds of CPU that a request takes, beyond those used without any, and the median of all."""
+    send(0)
     begun, before = time.perf_counter(), cpu_milliseconds(pid)
     time.sleep(seconds)
     idle = (cpu_milliseconds(pid) - before) / (time.perf_counter() - begun)
     times: list[float] = []
     begun, before = time.perf_counter(), cpu_milliseconds(pid)
     while time.perf_counter() - begun < seconds:
-        times.append(client.seconds(f"{path}?query={quote(f'{query} #{len(times)}')}") * 1e3)
+        times.append(send(len(times) + 1) * 1e3)
     used = cpu_milliseconds(pid) - before - idle * (time.perf_counter() - begun)
     return used / len(times), statistics.median(times)
 
@@ -321,13 +365,23 @@ class Client:
         parts = urlsplit(url)
         self._connection = HTTPConnection(parts.hostname or "", parts.port)
 
-    def seconds(self, path: str) -> float:
-        """How long a GET takes."""
+    def seconds(self, path: str, query: str = "", number: int = 0) -> float:
+        """How long a GET takes, or a query, whose text a number makes another."""
+        url = f"{path}?query={quote(f'{query} #{number}')}" if query else path
+        return self._request("GET", url, None, {"Accept": "application/sparql-results+json, text/csv"})
+
+    def write(self, method: str, path: str, body: str, number: int) -> float:
+        """How long a write takes."""
+        path, body = (each.replace("NUMBER", str(number)).replace("DIGIT", str(number % 100)) for each in (path, body))
+        media_type = "application/sparql-update" if path == "/sparql" else "text/turtle"
+        return self._request(method, path, body, {"Content-Type": media_type})
+
+    def _request(self, method: str, path: str, body: str | None, headers: dict[str, str]) -> float:
         begun = time.perf_counter()
-        self._connection.request("GET", path, headers={"Accept": "application/sparql-results+json, text/csv"})
+        self._connection.request(method, path, body, headers)
         response = self._connection.getresponse()
-        response.read()
-        assert response.status == 200, path
+        answer = response.read()
+        assert response.status < 300, (path, answer)
         return time.perf_counter() - begun
 
 

@@ -203,6 +203,8 @@ def _quads(data: bytes, form: RdfFormat, base: str, *, relabelled: bool = False)
     data = data.removeprefix(b"\xef\xbb\xbf")
     _check_utf8(data)
     if form is RdfFormat.JSON_LD:
+        if data.lstrip(b" \t\r\n")[:1] not in (b"{", b"[", b""):  # which the parser takes for an empty document
+            raise BodyError("a JSON-LD document must be an object or an array (JSON-LD 1.1, 9)")
         check_json_depth(data)
         _check_contexts(data, base)
     elif form is RdfFormat.RDF_XML:

@@ -42,6 +42,12 @@ def parse_timeout(query: Mapping[str, str]) -> float:
     return min(wanted, MAX_TIMEOUT)
 
 
+def require_numbers(query: Mapping[str, str]) -> None:
+    """Raise a 400 Problem for a `?timeout=` or `?rate=` that is no such number, even where nothing depends on it."""
+    parse_timeout(query)
+    parse_rate(query)
+
+
 def is_state(text: str | None, state: str) -> bool:
     """Whether this is the name of a state: an event's id, or an entity tag of any variant, with or without quotes."""
     if text is None:

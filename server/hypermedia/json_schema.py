@@ -18,7 +18,7 @@ BOOLEAN: JsonSchema = {"type": "boolean"}
 URI: JsonSchema = {"type": "string", "format": "uri"}
 OBJECT: JsonSchema = {"type": "object"}
 NOTHING: JsonSchema = {"type": "null"}
-JSON_LD: JsonSchema = {"type": ["object", "array"]}
+JSON_LD: JsonSchema = {"anyOf": [{"type": "object"}, {"type": "array", "items": {}}]}
 _OF_THINGS = {"unit": "x-unit"}
 """What only Thing Descriptions have words for, and the extensions that stand for it."""
 

@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from http import HTTPStatus
+from itertools import chain, count
+
+import orjson
 
 from rosld.adapters.model import Sent
 from rosld.server.events.condition import MAX_LENGTH
 from rosld.server.events.query_params import (
     DEFAULT_RATE,
-    EVENT_STREAM,
     MAX_RATE,
     MAX_TIMEOUT,
     MIN_RATE,
 )
 from rosld.server.http.problem import AGENT_SAID, ROBOT_SAID
 from rosld.server.hypermedia.data_schema import Json
-from rosld.server.hypermedia.json_schema import ANYTHING, JSON_LD, TEXT, URI, JsonSchema
-from rosld.server.rest.formats import HTML, JSON, OFFERS, RDF_BODIES
-from rosld.server.rest.path_item import OF_EVERY_WRITE
+from rosld.server.hypermedia.json_schema import ANYTHING, JSON_LD, OBJECT, TEXT, URI, JsonSchema
+from rosld.server.rest.formats import HTML, JSON, RDF_BODIES
+from rosld.server.rest.path_item import FIELD_READS, OF_EVERY_WRITE
 
 PROBLEM = "application/problem+json"
 _PROBLEM_SCHEMA: JsonSchema = {
@@ -167,42 +168,50 @@ PARAMETERS: Mapping[str, Json] = {
         "example": "return=minimal",
     },
 }
-_WORDS = {
-    303: "What was asked for is shown elsewhere.",
-    304: "It has not changed.",
-    308: "It is at the URL in Location.",
-    400: "The request, or its body, cannot be read.",
-    404: "There is nothing here now.",
-    405: "The resource does not answer this method now; Allow says which it answers.",
-    406: "It cannot be had in a form that the request accepts.",
-    409: "The request does not go with the state of the resource.",
-    410: "It was here and is no more.",
-    412: "A precondition does not hold.",
-    413: "The body is too large.",
-    415: "The body is of a media type, a coding or a charset that is not read here.",
-    422: "The body is well-formed and does not fit; the violations say where.",
-    423: "The robot is stopped: nothing is written to it.",
-    426: "It is received by WebSocket.",
-    428: "The request must state with If-Match what it changes.",
-    429: "Too many requests, or too fast.",
-    502: "The robot's answer cannot be read.",
-    503: "The robot is not there, or everything is busy; try again later.",
-    507: "There is no room for it.",
-    504: "The robot did not answer in time; the outcome is not known.",
+_STATUSES = {
+    303: "it is shown at the URL in Location",
+    304: "it has not changed",
+    308: "it is at the URL in Location",
+    400: "the request, or its body, cannot be read",
+    403: "this agent, or this server, may not do it",
+    404: "there is nothing here now",
+    405: "the resource does not answer this method now; Allow lists those that it answers",
+    406: "it cannot be had in a form that the request accepts",
+    408: "the request took too long",
+    409: "the request conflicts with the state of the resource",
+    410: "it was here and has been removed",
+    412: "a precondition does not hold",
+    413: "the body is too large",
+    415: "the media type, coding or charset of the body is not read here",
+    421: "the host is not this server's",
+    422: "the body is well-formed and does not fit; the violations say where",
+    423: "the robot is stopped: nothing is written to it",
+    426: "it is received by WebSocket",
+    428: "the request must state with If-Match what it changes",
+    429: "too many requests, or too fast",
+    431: "the header fields are too long",
+    500: "the server failed",
+    502: "the robot's answer cannot be read",
+    503: "the robot is not there, or everything is busy: try again later",
+    504: "the robot did not answer in time; the outcome is not known",
+    507: "there is no room for it",
 }
-_TOLD: Mapping[int, tuple[str, ...]] = {
-    303: ("Location",), 304: ("ETag",), 308: ("Location",), 405: ("Allow",), 409: ("Link",), 412: ("ETag",),
-    415: ("Accept-Put", "Accept-Post", "Accept-Patch"), 422: ("Link",), 429: ("Retry-After",), 503: ("Retry-After",),
-}  # fmt: skip
-_EMPTY = frozenset({303, 304})
-_CERTAIN = {(405, "Allow"), (308, "Location"), (303, "Location")}
-READING = (304, 308, 400, 404, 406, 412, 502, 503, 504)
-WRITING = (308, 400, 404, 405, 406, 409, 412, 413, 415, 422, 423, 428, 429, 502, 503, 504)
-"""Statuses of refusals and failures: of GET and HEAD, of what writes. Some resources have more (`PathItem.also`)."""
-ANY = (403, 408, 421, 429, 431, 500)
-"""What any request may meet, before it comes to the resource or because the server fails: `default`."""
-_STANDING = ("ETag", "Link", "Allow", "Accept-Put", "Accept-Post", "Accept-Patch")
-_FURTHER = (303, 410, 426, 507)
+_OTHERWISE = ("Location", "Allow", "Retry-After", "ETag", "Link", "Accept-Put", "Accept-Post", "Accept-Patch")
+
+
+def _schema_of(media_type: str, plain: JsonSchema | None) -> JsonSchema | None:
+    """The schema of a body of JSON, or of text; None for other syntaxes."""
+    if media_type == JSON:
+        return JSON_LD if plain is None else plain
+    if media_type in _BY_SCHEMA:
+        return plain
+    return TEXT if media_type == "text/plain" else None
+
+
+_BY_SCHEMA = frozenset(
+    {"application/merge-patch+json", "application/sparql-results+json", "application/x-www-form-urlencoded"}
+)
+"""Media types of bodies that have the schema of JSON."""
 
 
 def reference(kind: str, name: str) -> dict[str, Json]:
@@ -210,39 +219,119 @@ def reference(kind: str, name: str) -> dict[str, Json]:
     return {"$ref": f"#/components/{kind}/{name}"}
 
 
-def refusals(statuses: Iterable[int], *, body: bool = True) -> dict[str, Json]:
-    """The answers that refuse, by status; without `body` those to HEAD."""
-    found: dict[str, Json] = {
-        str(status): reference("responses", f"{status}" if body else f"{status}.head") for status in sorted({*statuses})
-    }
-    return {**found, "default": reference("responses", "default")}
-
-
-def document() -> dict[str, Json]:
-    """The answer with a resource that is RDF in every syntax, and nothing else."""
-    return reference("responses", "document")
-
-
-def representation(media_types: Iterable[str], plain: JsonSchema | None) -> dict[str, Json]:
-    """The answer with a resource in these media types; `plain` as for `content`."""
-    return {"description": "OK.", "headers": headers(*_STANDING, "Age"), "content": content(media_types, plain)}
-
-
-def headers(*names: str, certain: Iterable[str] = ()) -> dict[str, Json]:
-    """Header fields of an answer; those that are `certain` are in each."""
-    sure = frozenset(certain)
-    found: dict[str, Json] = {}
-    for name in names:
-        about, schema = HEADERS[name]
-        found[name] = (
-            {"description": about, "required": True, "schema": schema} if name in sure else reference("headers", name)
-        )
-    return found
+def headers(*names: str) -> dict[str, Json]:
+    """Header fields of an answer."""
+    return {name: reference("headers", name) for name in names}
 
 
 def content(media_types: Iterable[str], plain: JsonSchema | None = None) -> dict[str, Json]:
-    """The content of a body; `plain` is the schema of `application/json`, which is JSON-LD where there is none."""
-    return {media_type: {"schema": schema_of(media_type, plain)} for media_type in media_types}
+    """The content of an answer; `plain` is the schema of JSON, which is JSON-LD where there is none."""
+    return {
+        kind: {} if (schema := _schema_of(kind, plain)) is None else {"schema": schema}
+        for kind in _json_first(media_types)
+    }
+
+
+def body_content(media_types: Iterable[str], sent: JsonSchema | None) -> dict[str, Json]:
+    """The content of a request: generators of clients need a schema of each media type."""
+    text = ("text/", "application/n-", "application/trig", "application/rdf", "application/sparql")
+    json_ld = JSON_LD if sent is None else OBJECT  # beside a type of its own, generators take no list
+    found: dict[str, Json] = {}
+    for kind in _json_first(media_types):
+        schema = json_ld if kind == "application/ld+json" else _schema_of(kind, ANYTHING if sent is None else sent)
+        found[kind] = {"schema": schema if schema is not None else TEXT if kind.startswith(text) else ANYTHING}
+    return found
+
+
+def _json_first(media_types: Iterable[str]) -> list[str]:
+    """Return media types with JSON first: generators of clients make a type of the first that they know."""
+    return sorted(media_types, key=lambda kind: kind != JSON)
+
+
+_REFUSED: Json = content((*RDF_BODIES, HTML)) | {PROBLEM: {"schema": reference("schemas", "Problem")}}
+
+
+class Components:
+    """The Components Object (OpenAPI 3.1.1, 4.8.7): each different object once, under a name of its kind."""
+
+    def __init__(self, schemas: Mapping[str, JsonSchema]) -> None:
+        words = "; ".join(f"{status}: {about}" for status, about in _STATUSES.items())
+        self.objects: dict[str, dict[str, Json]] = {
+            "schemas": {"Problem": _PROBLEM_SCHEMA, "DryRun": _PLAN_SCHEMA},
+            "responses": {
+                "otherwise": {"description": f"{words}.", "headers": headers(*_OTHERWISE), "content": _REFUSED},
+                "200": {
+                    "description": "OK. The resource as GET has it (`Prefer: return=representation`), or the plan of a "
+                    "dry run.",
+                    "headers": headers("ETag", "Link", "Content-Location", "Preference-Applied"),
+                    "content": content(FIELD_READS, {}),
+                },
+                "201": {
+                    "description": "Created. The resource as GET has it (`Prefer: return=representation`).",
+                    "headers": headers("Location", "ETag", "Link", "Content-Location"),
+                },
+                "202": {
+                    "description": "Accepted. It was published, but no subscriber was there to get it.",
+                    "content": _REFUSED,
+                },
+                "204": {
+                    "description": "No Content. It was done.",
+                    "headers": headers("Link", "Content-Location", "Preference-Applied"),
+                },
+                "dry-run": {
+                    "description": "OK. The plan of a dry run: nothing was done.",
+                    "content": {JSON: {"schema": reference("schemas", "DryRun")}},
+                },
+                "unmet": {
+                    "description": "No Content. The time is over, and the condition of `until` does not hold.",
+                    "headers": headers("ETag", "Link", "Allow", "Content-Location"),
+                },
+            },
+            "parameters": dict(PARAMETERS),
+            "headers": {name: {"description": about, "schema": schema} for name, (about, schema) in HEADERS.items()},
+        }
+        self._names: dict[tuple[str, bytes], str] = {
+            (kind, orjson.dumps(each)): name for kind, named in self.objects.items() for name, each in named.items()
+        }
+
+        for name, schema in schemas.items():
+            self._keep("schemas", name, self._fold(name, schema))
+
+    def schema(self, name: str, schema: JsonSchema) -> JsonSchema:
+        """Return a schema in which each large object is a reference, to a component named by its property."""
+        folded = self._fold(name, schema)
+        return self.share("schemas", name, {**folded}) if _is_large(folded) else folded
+
+    def _fold(self, name: str, schema: JsonSchema) -> JsonSchema:
+        """Return a schema whose parts are folded."""
+        found: dict[str, Json] = {**schema}
+        for word, part in schema.items():
+            if word == "properties" and isinstance(part, dict):
+                found[word] = {each: self._folded(each, inner) for each, inner in part.items()}
+            elif isinstance(part, list) and word in ("anyOf", "oneOf"):
+                found[word] = [self._folded(name, inner) for inner in part]
+            elif word == "items":
+                found[word] = self._folded(name, part)
+        return found
+
+    def _folded(self, name: str, part: Json) -> Json:
+        return dict(self.schema(name, part)) if isinstance(part, dict) else part
+
+    def _keep(self, kind: str, name: str, shared: JsonSchema) -> None:
+        """Keep a component under its own name."""
+        self.objects[kind][name] = {**shared}
+        self._names.setdefault((kind, orjson.dumps(shared)), name)
+
+    def share(self, kind: str, name: str, shared: dict[str, Json]) -> dict[str, Json]:
+        """Return a reference to an equal component of this kind; a new one is called `name`, or that and a number."""
+        key = (kind, orjson.dumps(shared))
+        found = self._names.get(key)
+        if found is None:
+            others = self.objects.setdefault(kind, {})
+            found = next(each for each in chain([name], (f"{name}.{n}" for n in count(2))) if each not in others)
+            others[found] = shared
+            self._names[key] = found
+        return reference(kind, found)
 
 
 def or_plan(content: dict[str, Json]) -> dict[str, Json]:
@@ -253,66 +342,9 @@ def or_plan(content: dict[str, Json]) -> dict[str, Json]:
     return {**content, JSON: either}
 
 
-def schema_of(media_type: str, plain: JsonSchema | None = None) -> JsonSchema:
-    """The schema of a body of a media type: text is one string."""
-    if media_type == "application/json":
-        return JSON_LD if plain is None else plain
-    if media_type in ("application/ld+json", "application/td+json"):
-        return JSON_LD
-    if media_type in ("application/merge-patch+json", "application/sparql-results+json"):
-        return ANYTHING if plain is None else plain
-    if media_type.startswith("text/") or media_type in _TEXTS:
-        return TEXT
-    return ANYTHING
+_LARGE = 100
+"""Bytes of JSON from which the schema of an object is a component."""
 
 
-_TEXTS = frozenset(
-    {
-        "application/n-triples", "application/n-quads", "application/trig", "application/rdf+xml",
-        "application/sparql-query", "application/sparql-update", "application/sparql-results+xml", "application/xml",
-        "image/svg+xml",
-    }
-)  # fmt: skip
-
-
-def components(schemas: Mapping[str, JsonSchema]) -> dict[str, Json]:
-    """The Components Object (OpenAPI 3.1.1, 4.8.7)."""
-    told: Json = content((*RDF_BODIES, HTML)) | {PROBLEM: {"schema": reference("schemas", "Problem")}}
-    answers: dict[str, Json] = {
-        "document": representation((*OFFERS, EVENT_STREAM), None),
-        "head": {"description": "OK.", "headers": headers(*_STANDING, "Age")},
-        "options": {"description": "What may be done.", "headers": headers(*_STANDING[1:], certain=["Allow"])},
-        "204": {
-            "description": "No Content. It was done.",
-            "headers": headers("Link", "Content-Location", "Preference-Applied"),
-        },
-        "dry-run": {
-            "description": "OK. The plan of a dry run: nothing was done.",
-            "content": {"application/json": {"schema": reference("schemas", "DryRun")}},
-        },
-        "unmet": {
-            "description": "No Content. The time is over, and what `until` says does not hold.",
-            "headers": headers("ETag", "Link", "Allow", "Content-Location"),
-        },
-        "202": {
-            "description": "Accepted. It was published, but no subscriber was there to get it.",
-            "content": told,
-        },
-        "default": {
-            "description": f"What any request may meet: {', '.join(map(str, ANY))}.",
-            "content": told,
-        },
-    }
-    for status in sorted({*READING, *WRITING, *_FURTHER}):
-        bare: dict[str, Json] = {"description": f"{HTTPStatus(status).phrase}. {_WORDS[status]}"}
-        names = _TOLD.get(status, ())
-        if names:
-            bare["headers"] = headers(*names, certain=[name for name in names if (status, name) in _CERTAIN])
-        answers[f"{status}.head"] = bare
-        answers[str(status)] = bare if status in _EMPTY else {**bare, "content": told}
-    return {
-        "schemas": {"Problem": _PROBLEM_SCHEMA, "DryRun": _PLAN_SCHEMA, **dict(sorted(schemas.items()))},
-        "responses": answers,
-        "parameters": dict(PARAMETERS),
-        "headers": {name: {"description": about, "schema": schema} for name, (about, schema) in HEADERS.items()},
-    }
+def _is_large(schema: JsonSchema) -> bool:
+    return "properties" in schema and len(orjson.dumps(schema)) >= _LARGE

@@ -4,37 +4,22 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
 from http import HTTPStatus
+from itertools import chain, count
 
 import orjson
 
 from rosld.server.events.query_params import EVENT_STREAM
 from rosld.server.hypermedia.data_schema import Json
-from rosld.server.hypermedia.json_schema import ANYTHING, JSON_LD, JsonSchema
-from rosld.server.openapi.components import (
-    READING,
-    WRITING,
-    components,
-    content,
-    document,
-    headers,
-    or_plan,
-    reference,
-    refusals,
-    representation,
-    schema_of,
-)
+from rosld.server.hypermedia.json_schema import JsonSchema
+from rosld.server.openapi.components import Components, body_content, content, headers, or_plan, reference
 from rosld.server.openapi.description_parts import sections
 from rosld.server.openapi.path_collector import DescribedPath
-from rosld.server.rest.path_item import OF_EVERY_WRITE, QueryParameter
+from rosld.server.rest.path_item import FIELD_READS, OF_EVERY_WRITE, QueryParameter
 
 VERSION = "3.1.1"
-_ORDER = ("GET", "HEAD", "OPTIONS", "PUT", "POST", "PATCH", "DELETE")
-_SHORT = frozenset({"HEAD", "OPTIONS"})
+_ORDER = ("GET", "PUT", "POST", "PATCH", "DELETE")
 _TEMPLATE = re.compile(r"\{([^{}]+)\}")
-_BY_SCHEMA = frozenset({"application/json", "application/merge-patch+json", "application/x-www-form-urlencoded"})
-"""Media types of bodies that have the schema of their path."""
 _NOT_IN_A_NAME = re.compile(r"[^A-Za-z0-9]+")
 _VERBS = {
     "GET": "Read", "PUT": "Write", "POST": "Post to", "PATCH": "Change", "DELETE": "Delete",
@@ -56,10 +41,9 @@ def description(
     `query` is that of its URL, which the URLs of its parts have too.
     """
     ordered = sorted({path.template: path for path in described}.values(), key=lambda path: path.template)
-    names, shared = _Names(), _Shared()
-    paths = {
-        path.template: _path_item(path, names) if path.item.alike is None else shared.item(path) for path in ordered
-    }
+    components = Components(schemas)
+    writer = _Writer(components)
+    paths = {path.template: writer.path_item(path) for path in ordered}
     return orjson.dumps(
         {
             "openapi": VERSION,
@@ -73,56 +57,101 @@ def description(
             "tags": [{"name": tag} for tag in dict.fromkeys(path.tag for path in ordered)],
             "x-parts": sections(f"{base}openapi.json{query}", paths),
             "paths": paths,
-            "components": {**components(schemas), "pathItems": shared.items},
+            "components": components.objects,
         }
     )
 
 
-class _Names:
-    """Names of operations: made from method and path, no two alike."""
+class _Writer:
+    """Writes Path Items, and what they share into `components`."""
 
-    def __init__(self) -> None:
-        self._given: set[str] = set()
+    def __init__(self, components: Components) -> None:
+        self._components = components
+        self._names: set[str] = set()
 
-    def of(self, method: str, path: str) -> str:
-        """The name of an operation (`operationId`), such as `put_topics_cockpit_display`."""
-        name = wanted = f"{method.lower()}_{_NOT_IN_A_NAME.sub('_', path).strip('_') or 'entry'}"
-        number = 2
-        while name in self._given:
-            name = f"{wanted}_{number}"
-            number += 1
-        self._given.add(name)
+    def path_item(self, path: DescribedPath) -> dict[str, Json]:
+        """Return the Path Item Object (4.8.9): an operation for each method."""
+        segments: list[Json] = [_segment(name, path.segments[name]) for name in _TEMPLATE.findall(path.template)]
+        item: dict[str, Json] = {"parameters": segments} if segments else {}
+        for method in _ORDER:
+            if method in path.methods:
+                item[method.lower()] = self._operation(path, method)
+        return item
+
+    def _operation(self, path: DescribedPath, method: str) -> dict[str, Json]:
+        """Return the Operation Object (4.8.10)."""
+        operation: dict[str, Json] = {
+            "tags": [path.tag],
+            "operationId": self._name(method, path.template),
+            "summary": f"{_VERBS[method]}: {path.item.summary}",
+        }
+        if (about := path.write(method).note) is not None:
+            operation["description"] = about
+        if parameters := [*self._parameters(path, method)]:
+            operation["parameters"] = parameters
+        if accepted := path.accepts.get(method):
+            sent = self._shared(path, path.write(method).sends)
+            body: dict[str, Json] = {"content": body_content(accepted, sent)}
+            if path.write(method).is_body_required:
+                body["required"] = True
+            operation["requestBody"] = self._components.share("requestBodies", _referred(sent), body)
+        operation["responses"] = {**dict(self._answers(path, method)), "default": reference("responses", "otherwise")}
+        return operation
+
+    def _name(self, method: str, path: str) -> str:
+        """Return the name of an operation (`operationId`), such as `put_topics_cockpit_display`, which no other has."""
+        wanted = f"{method.lower()}_{_NOT_IN_A_NAME.sub('_', path).strip('_') or 'entry'}"
+        numbered = (f"{wanted}_{number}" for number in count(2))
+        name = next(each for each in chain([wanted], numbered) if each not in self._names)
+        self._names.add(name)
         return name
 
+    def _parameters(self, path: DescribedPath, method: str) -> Iterator[Json]:
+        if method == "GET":
+            query, shared = path.item.query, path.item.shared_query
+            shared += ("Prefer.container",) if path.item.is_paged else ()
+        else:
+            query, own = path.write(method).query, {one.name for one in path.write(method).query}
+            shared = ("If-Match", *(("If-None-Match",) if method == "PUT" else ()), "Prefer")
+            shared += tuple(one.name for one in OF_EVERY_WRITE if one.name not in own)
+        yield from (self._components.share("parameters", one.name, _query(one)) for one in query)
+        yield from (reference("parameters", name) for name in shared)
 
-class _Shared:
-    """Path Items of paths that are alike: one for each way in which they answer, referred to by its name."""
+    def _shared(self, path: DescribedPath, schema: JsonSchema | None) -> JsonSchema | None:
+        """Return a schema of a path, or a reference to a large one, which several operations have."""
+        name = _NOT_IN_A_NAME.sub(".", path.template).strip(".") or "entry"
+        return None if schema is None else self._components.schema(name, schema)
 
-    def __init__(self) -> None:
-        self.items: dict[str, Json] = {}
-        self._names: dict[bytes, str] = {}
-
-    def item(self, path: DescribedPath) -> dict[str, Json]:
-        """A reference to the Path Item of a path."""
-        item = _path_item(replace(path, item=replace(path.item, summary=f"A {path.item.alike}")), None)
-        key = orjson.dumps(item)
-        name = self._names.get(key)
-        if name is None:
-            name = self._names[key] = f"{path.item.alike}.{len(self._names) + 1}"
-            self.items[name] = item
-        return reference("pathItems", name)
-
-
-def _path_item(path: DescribedPath, names: _Names | None) -> dict[str, Json]:
-    """The Path Item Object (4.8.9): an operation for each method, without names where they would occur twice."""
-    segments: list[Json] = [_segment(name, path.segments[name]) for name in _TEMPLATE.findall(path.template)]
-    item: dict[str, Json] = {"summary": path.item.summary}
-    if segments:
-        item["parameters"] = segments
-    for method in _ORDER:
-        if method in path.methods:
-            item[method.lower()] = _operation(path, method, names)
-    return item
+    def _answers(self, path: DescribedPath, method: str) -> Iterator[tuple[str, Json]]:
+        """Yield the successes by their status (4.8.16)."""
+        if method == "GET":
+            plain = self._shared(path, path.item.plain)
+            read = (*path.item.reads, EVENT_STREAM) if path.item.streams else path.item.reads
+            answer: dict[str, Json] = {
+                "description": "OK.",
+                "headers": headers("ETag", "Link", "Allow"),
+                "content": content(read, plain),
+            }
+            yield "200", self._components.share("responses", _referred(plain), answer)
+            if path.item.has_value:
+                yield "204", reference("responses", "unmet")
+            return
+        statuses = path.write(method).statuses(method)
+        if 200 not in statuses:
+            yield "200", reference("responses", "dry-run")
+        shown = path.write(method).shows
+        is_usual = shown is None and {*path.item.reads} <= {*FIELD_READS}
+        for status in statuses:
+            if status not in (200, 201) or (shown is None and (is_usual or status == 201)):
+                yield str(status), reference("responses", str(status))
+                continue
+            told = content(path.item.reads, self._shared(path, path.item.plain if shown is None else shown))
+            answer = {
+                "description": f"{HTTPStatus(status).phrase}.",
+                "headers": headers(*(("Location",) if status == 201 else ()), "Link"),
+                "content": or_plan(told) if status == 200 else told,
+            }
+            yield str(status), self._components.share("responses", f"{_referred(shown)}.{status}", answer)
 
 
 def _segment(name: str, about: str) -> Json:
@@ -135,97 +164,15 @@ def _segment(name: str, about: str) -> Json:
     }
 
 
-def _operation(path: DescribedPath, method: str, names: _Names | None) -> dict[str, Json]:
-    """The Operation Object (4.8.10). Those that tell only of the others are told in short."""
-    operation: dict[str, Json] = {"tags": [path.tag]}
-    if names is not None:
-        operation["operationId"] = names.of(method, path.template)
-    about = path.write(method).note
-    if about is not None:
-        operation["description"] = about
-    if method not in _SHORT:
-        operation["summary"] = f"{_VERBS[method]}: {path.item.summary}"
-        operation["parameters"] = [*_parameters(path, method)]
-    elif method == "HEAD" and (required := [_query(one) for one in path.item.query if one.required]):
-        operation["parameters"] = [*required]
-    body = _body(path, method)
-    if body is not None:
-        operation["requestBody"] = body
-    operation["responses"] = _answers(path, method)
-    return operation
-
-
-def _parameters(path: DescribedPath, method: str) -> Iterator[Json]:
-    if method == "GET":
-        yield from (_query(one) for one in path.item.query)
-        container = ("Prefer.container",) if path.item.is_paged else ()
-        names = (*path.item.shared_query, *container, "If-None-Match")
-        yield from (reference("parameters", name) for name in names)
-    else:
-        yield from (reference("parameters", name) for name in ("If-Match", "If-None-Match", "Prefer"))
-        query = path.write(method).query
-        yield from map(_query, query)
-        own = {one.name for one in query}
-        yield from (reference("parameters", one.name) for one in OF_EVERY_WRITE if one.name not in own)
-
-
-def _query(one: QueryParameter) -> Json:
+def _query(one: QueryParameter) -> dict[str, Json]:
     found: dict[str, Json] = {"name": one.name, "in": "query", "description": one.about, "schema": one.schema}
     return {**found, "required": True} if one.required else found
 
 
-def _body(path: DescribedPath, method: str) -> Json:
-    accepted = path.accepts.get(method, ())
-    if not accepted:
-        return None
-    sent = path.write(method).sends
-    told: dict[str, Json] = {"content": {kind: {"schema": _body_schema(kind, sent)} for kind in accepted}}
-    return {"required": True, **told} if path.write(method).is_body_required else told
-
-
-def _body_schema(media_type: str, sent: JsonSchema | None) -> JsonSchema:
-    if media_type in _BY_SCHEMA:
-        return ANYTHING if sent is None else sent
-    return schema_of(media_type)
-
-
-def _answers(path: DescribedPath, method: str) -> dict[str, Json]:
-    """The Responses Object (4.8.16)."""
-    if method == "OPTIONS":
-        return {"204": reference("responses", "options"), **refusals((308, 400, 404, 503, *path.item.also))}
-    if method == "HEAD":
-        return {"200": reference("responses", "head"), **refusals((*READING, *_ways(path)), body=False)}
-    if method == "GET":
-        unmet = {"204": reference("responses", "unmet")} if path.item.has_value else {}
-        return {"200": _read(path), **unmet, **refusals((*READING, *_ways(path)))}
-    done = {str(status): _success_response(path, method, status) for status in path.write(method).statuses(method)}
-    return {"200": reference("responses", "dry-run"), **done, **refusals((*WRITING, *path.item.also))}
-
-
-def _ways(path: DescribedPath) -> tuple[int, ...]:
-    """What reading a path may come to besides."""
-    return (303, *path.item.also) if path.item.is_paged else path.item.also
-
-
-def _read(path: DescribedPath) -> dict[str, Json]:
-    if path.item.is_document:
-        return document()
-    plain = path.item.plain
-    if path.item.has_shape and plain is not None:
-        plain = {"anyOf": [plain, JSON_LD]}
-    return representation((*path.item.reads, EVENT_STREAM) if path.item.streams else path.item.reads, plain)
-
-
-def _success_response(path: DescribedPath, method: str, status: int) -> dict[str, Json]:
-    """The answer to a write that was done."""
-    if status in (202, 204):
-        return reference("responses", str(status))
-    shown = path.write(method).shows
-    answer: dict[str, Json] = {"description": f"{HTTPStatus(status).phrase}."}
-    if status == 201:
-        answer["headers"] = headers("Location", "ETag", "Link", "Content-Location", certain=["Location"])
-    else:
-        answer["headers"] = headers("ETag", "Link", "Content-Location", "Preference-Applied")
-    told = content(path.item.reads, path.item.plain if shown is None else shown)
-    answer["content"] = or_plan(told) if status == 200 else told
-    return answer
+def _referred(schema: JsonSchema | None) -> str:
+    """Return the name of the component that a schema, or the first of its alternatives, refers to."""
+    found: Json = schema
+    while isinstance(found, dict) and isinstance(alternatives := found.get("anyOf"), list):
+        found = alternatives[0]
+    referred = found.get("$ref") if isinstance(found, dict) else None
+    return referred.rpartition("/")[2] if isinstance(referred, str) else "any"

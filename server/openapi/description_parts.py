@@ -81,7 +81,7 @@ def description_parts(data: bytes, url: str, below: str) -> tuple[bytes, ...]:
             {
                 **said,
                 **({"x-next": part_url(url, below, number)} if number < len(found) else {}),
-                "tags": [tag for tag in tags if tag["name"] in part.tags(components)],
+                "tags": [tag for tag in tags if tag["name"] in part.tags],
                 "paths": part.paths,
                 "components": chosen(components, part.keys),
             }
@@ -110,10 +110,11 @@ class _Part:
         self.keys |= needed
         self.size += size
 
-    def tags(self, components: Components) -> set[object]:
+    @property
+    def tags(self) -> set[object]:
         """The tags of the operations of its paths."""
-        items = [*self.paths.values(), *(components[kind][name] for kind, name in self.keys if kind == "pathItems")]
-        operations = [one for item in items if isinstance(item, dict) for one in item.values() if isinstance(one, dict)]
+        items = [item for item in self.paths.values() if isinstance(item, dict)]
+        operations = [one for item in items for one in item.values() if isinstance(one, dict)]
         return {tag for one in operations for tag in one.get("tags", ())}
 
 
@@ -139,8 +140,7 @@ class _Weights:
 _Json: TypeAlias = "dict[str, object]"
 May: TypeAlias = Callable[[str, str], bool]
 """Whether a method may be used at a path."""
-_METHODS = ("get", "head", "options", "put", "post", "patch", "delete")
-_ITEMS = "#/components/pathItems/"
+_METHODS = frozenset({"get", "put", "post", "patch", "delete"})
 _SCHEMES: _Json = {
     "bearer": {"type": "http", "scheme": "bearer", "description": "A token, as whoever runs this server gives it."},
     "basic": {"type": "http", "scheme": "basic", "description": "The same token as the password; the name is free."},
@@ -184,33 +184,15 @@ def _left(schema: JsonSchema, hidden: Set[str]) -> JsonSchema:
 def add_security(data: bytes, public: May, *, whole: bool) -> bytes:
     """The description of what an agent may use, with how it says who it is: what the `public` may do takes no token."""
     said = orjson.loads(data)
-    shared: _Json = said["components"].get("pathItems", {})
-    made: _Json = {}
-    paths: _Json = {}
     for path, item in said["paths"].items():
-        name = item.get("$ref", "").removeprefix(_ITEMS)
-        left = dict(_object(shared[name] if name else item))
-        free = [method for method in _METHODS if method in left and public(method.upper(), path)]
-        for method in free:
-            left[method] = {**_object(left[method]), "security": [{}, *_DEMANDED]}
-        if not name:
-            paths[path] = left
-            continue
-        kind = ".".join((name, *(f"free-{each}" for each in free)))
-        made[kind] = left
-        paths[path] = {"$ref": _ITEMS + kind}
-    said["paths"] = paths
-    said["components"]["pathItems"] = made
+        for method in _METHODS & item.keys():
+            if public(method.upper(), path):
+                item[method]["security"] = [{}, *_DEMANDED]
     said["components"]["securitySchemes"] = _SCHEMES
     said["security"] = _DEMANDED
     if not whole:
         said["components"] = _referred_to(said)
     return orjson.dumps(said)
-
-
-def _object(found: object) -> _Json:
-    assert isinstance(found, dict)
-    return found
 
 
 def _referred_to(said: _Json) -> _Json:

@@ -18,7 +18,6 @@ from rosld.server.hypermedia.resource_tree import ResourceTree
 from rosld.server.policies.stored_queries import StoredQueries
 from rosld.server.resources.channels import channel_item, source_item
 from rosld.server.resources.namespaces import namespaces
-from rosld.server.resources.static_assets import FILES
 from rosld.server.resources.types import SHAPES_GRAPHS
 from rosld.server.rest.path_item import ANY_TYPE, FIELD_READS, FORMAT, PathItem, WriteMethod
 from rosld.server.rest.resource import Resource
@@ -83,7 +82,7 @@ class PathCollector:
     hidden: bool
 
     def all(self) -> Iterator[DescribedPath]:
-        """Every path."""
+        """Yield every path but those of the scripts, styles and icons of pages."""
         yield self._path("/")
         yield from self._graph()
         yield from self._parameters()
@@ -106,7 +105,6 @@ class PathCollector:
             "sparql",
             "graphs",
             *_ENTRY,
-            *FILES,
         ):
             yield self._path(f"/{path}")
         with suppress(Problem):  # there is one only if it was asked for
@@ -130,7 +128,7 @@ class PathCollector:
         return DescribedPath(path, self._tag(path[1:]), item, methods, accepts)
 
     def _tag(self, path: str) -> str:
-        if path in _ENTRY or path in FILES:
+        if path in _ENTRY:
             return "entry"
         return _TAGS.get(path) or path.partition("/")[0]
 
@@ -170,7 +168,7 @@ class PathCollector:
             yield self._path(self._of(space.parameter(name)))
         summary = "A parameter that may be made" + ("" if len(graph.parameters) <= MAX_SINGLE else _OR_ANOTHER)
         item = self.resolve("/parameters/new").path_item(self.schemas)
-        item = replace(item, summary=summary, alike=None)
+        item = replace(item, summary=summary)
         yield self._template("/parameters/{name}", "/parameters/new", item=item, name=_NAME)
 
     # Levels two and three

@@ -272,7 +272,6 @@ class GoalResource(Resource):
             "A goal of an action",
             plain=_goal_schema(schemas, None),
             writes={"DELETE": cancel},
-            also=(409, 410),
             methods=READ if self.session.settings.read_only else READ | {"DELETE"},
         )
 

@@ -53,7 +53,7 @@ class BagFile(Resource):
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         reads, about = (BYTES, *_EXPORTED), f"The file of {self.recording.name}"
-        return PathItem(about, reads=reads, query=(_FORMAT,), streams=False, also=(503, 507))
+        return PathItem(about, reads=reads, query=(_FORMAT,), streams=False)
 
     async def state(self) -> State:
         raise Problem(406, "The file of a recording has no other representation than its bytes.")
@@ -166,7 +166,7 @@ class BagUpload(Resource):
             done=(201,),
             accepts=(ANY_TYPE,),
         )
-        return PathItem("Where a recording is sent to", writes={"PUT": put}, also=(308, 507))
+        return PathItem("Where a recording is sent to", writes={"PUT": put})
 
     def streams_body(self, exchange: Exchange) -> bool:
         return exchange.method == "PUT"

@@ -84,7 +84,7 @@ class BagContainer(Resource):
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         post = WriteMethod("Records topics, the last seconds of the history before them", sends=SCHEMA, done=(201,))
-        return PathItem("The recordings", writes={"POST": post}, also=(507,))
+        return PathItem("The recordings", writes={"POST": post})
 
     @property
     def conforms_to(self) -> Sequence[str]:

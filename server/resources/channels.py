@@ -422,7 +422,7 @@ def source_item() -> PathItem:
     """What the URL answers that a channel receives from."""
     summary = "Where notifications are received from: by WebSocket, or a response that goes on"
     reads = (LINES, "text/turtle", "application/n-triples")
-    return PathItem(summary, reads, query=(), streams=False, also=(426,), methods=READ)
+    return PathItem(summary, reads, query=(), streams=False, methods=READ)
 
 
 def channel_of(notifications: Notifications, kind: str, token: str) -> Channel:

@@ -30,7 +30,7 @@ from rosld.server.hypermedia.json_schema import MessageSchemas
 from rosld.server.policies.stored_cockpits import DEFAULT, ROUTE, cockpit_titles
 from rosld.server.resources.cockpit_panels import CockpitSources, PanelReader
 from rosld.server.resources.default_cockpit import default_cockpit
-from rosld.server.resources.ldp.base import EXTRA_STATUSES, Documents, conflict_problem, write_together
+from rosld.server.resources.ldp.base import Documents, conflict_problem, write_together
 from rosld.server.resources.ldp.containers import ContainerResource, creation_writes
 from rosld.server.resources.ldp.rdf_sources import RdfSourceResource
 from rosld.server.resources.ldp.representation import state_of
@@ -327,7 +327,7 @@ class CockpitContainer(ContainerResource):
         return found
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem("The cockpits", query=(FORMAT, PAGE), also=EXTRA_STATUSES)
+        return PathItem("The cockpits", query=(FORMAT, PAGE))
 
     def is_taken(self, name: str) -> bool:
         return name == DEFAULT or super().is_taken(name)

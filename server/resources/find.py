@@ -82,7 +82,7 @@ _RESULTS: DataSchema = {
                 "properties": {
                     "name": TEXT,
                     "kind": {"type": "string", "enum": list[Json](kind.value for kind in EntryKind)},
-                    "type": {"type": ["string", "array"]},
+                    "type": {"anyOf": [TEXT, {"type": "array", "items": TEXT}]},
                     "url": URI,
                     "match": {"type": "string", "enum": list[Json](sorted({match.label for match in Match}))},
                     "field": TEXT,

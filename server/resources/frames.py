@@ -31,7 +31,7 @@ from rosld.server.space.drawing import pose_json
 from rosld.server.space.frame_buffer import TOPICS, FrameNode, frame_tree
 
 _LOOK_SECONDS = 1.0
-_NUMBERS: DataSchema = {"type": ["array", "null"], "items": {"type": "number"}}
+_NUMBERS: DataSchema = {"anyOf": [{"type": "array", "items": {"type": "number"}}, {"type": "null"}]}
 _PLAIN: DataSchema = {
     "type": "object",
     "properties": {

@@ -108,9 +108,7 @@ class GraphResource(Resource):
         self._permissions = permissions
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem(
-            "Who talks to whom", (*OFFERS, *_DRAWINGS.values()), plain=_PLAIN, query=_PARAMETERS, also=(400,)
-        )
+        return PathItem("Who talks to whom", (*OFFERS, *_DRAWINGS.values()), plain=_PLAIN, query=_PARAMETERS)
 
     @property
     def conforms_to(self) -> Sequence[str]:

@@ -26,7 +26,7 @@ from rosld.server.http.body import MULTIPART
 from rosld.server.http.fields import to_uri
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import ANYTHING, MessageSchemas
-from rosld.server.resources.ldp.base import EXTRA_STATUSES, StoredResource
+from rosld.server.resources.ldp.base import StoredResource
 from rosld.server.resources.ldp.containers import ContainerResource
 from rosld.server.resources.ldp.routes import AbsentResource
 from rosld.server.resources.ldp.statements import N3_PATCH
@@ -151,7 +151,6 @@ class GraphStore(Resource):
                 "PUT": WriteMethod(accepts=(*self.accepts["PUT"], ANY_TYPE), query=of_a_graph),
                 **dict.fromkeys(("POST", "PATCH", "DELETE"), WriteMethod(query=of_a_graph)),
             },
-            also=EXTRA_STATUSES,
         )
 
     @property

@@ -192,7 +192,6 @@ class HoldResource(Resource):
             plain=hold_schema(schemas, None),
             query=(FORMAT, _KEEP),
             writes={"PATCH": renew, "DELETE": end},
-            also=(410,),
         )
 
     def methods(self) -> frozenset[str]:

@@ -241,9 +241,7 @@ class NamespaceContainer(Resource):
         return await self.methods_if_there()
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem(
-            self.route.capitalize(), query=LISTING_PARAMETERS, is_paged=True, alike=f"namespace-of-{self.route}"
-        )
+        return PathItem(self.route.capitalize(), query=LISTING_PARAMETERS, is_paged=True)
 
     async def state(self) -> State:
         now = self._listed()

@@ -87,13 +87,13 @@ class NodeResource(CommandResource):
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         if "POST" not in self.methods():
-            return PathItem("A node", alike="node")
+            return PathItem(f"The node {self.name}")
         transition = WriteMethod(
             "Has a managed node make a transition of its lifecycle; 409 tells its state and what is legal in it.",
             sends={"type": "object", "properties": {TRANSITION: TEXT}, "required": [TRANSITION]},
             done=(200, 204),
         )
-        return PathItem("A node", writes={"POST": transition}, alike="managed-node")
+        return PathItem(f"The node {self.name}", writes={"POST": transition})
 
     @property
     def conforms_to(self) -> Sequence[str]:

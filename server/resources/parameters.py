@@ -67,7 +67,10 @@ def parameter_form(value: Json, descriptor: Descriptor | None, note: str | None)
 
 _AT_START = "Kept by the parameter server: nodes may read it only when they start."
 _MAX_SLUG = 100
-_NEW_VALUE: DataSchema = {"type": ["string", "number", "boolean", "array", "object"]}
+_VALUES: tuple[DataSchema, ...] = (
+    {"type": "string"}, {"type": "number"}, {"type": "boolean"}, {"type": "array", "items": {}},
+)  # fmt: skip
+_NEW_VALUE: DataSchema = {"anyOf": [*_VALUES, {"type": "object"}]}
 
 
 class ParameterResource(ParameterBase):
@@ -97,15 +100,14 @@ class ParameterResource(ParameterBase):
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem(
-            "A parameter",
-            plain={"type": ["string", "number", "boolean", "array"]},
+            f"The parameter {self.name}",
+            plain={"anyOf": [*_VALUES]},
             writes={
                 "PUT": WriteMethod(sends=_NEW_VALUE, done=(200, 201, 204)),
                 "PATCH": WriteMethod(sends=_NEW_VALUE, done=(200, 204)),
                 "DELETE": WriteMethod(done=(204,)),
             },
             has_shape=True,
-            alike="parameter",
         )
 
     def _note(self, graph: Graph) -> str | None:
@@ -267,7 +269,6 @@ class ParameterTree(ParameterContainer):
                 "DELETE": WriteMethod(done=(204,)),
             },
             is_paged=True,
-            alike="tree-of-parameters",
         )
 
     def methods(self) -> frozenset[str]:

@@ -36,7 +36,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import DataSchema
 from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, MessageSchemas
 from rosld.server.policies.stored_queries import ROUTE, StoredQueries, query_triples
-from rosld.server.resources.ldp.base import EXTRA_STATUSES, Documents
+from rosld.server.resources.ldp.base import Documents
 from rosld.server.resources.ldp.bodies import require_small
 from rosld.server.resources.ldp.containers import ContainerResource
 from rosld.server.resources.ldp.rdf_sources import DescriptionResource
@@ -106,7 +106,6 @@ def _query_item(purpose: str, parameters: Iterable[QueryParameterDeclaration]) -
         ANYTHING,
         (RESULT_FORMAT, TIMEOUT, PARTIAL, *given),
         streams=False,
-        also=(409, *EXTRA_STATUSES),
     )
 
 
@@ -351,7 +350,7 @@ class QueryContainer(ContainerResource):
         return self.documents.changes.watch(wake, lambda path: path.startswith(ROUTE))
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem("The stored queries", query=(FORMAT, PAGE), also=EXTRA_STATUSES)
+        return PathItem("The stored queries", query=(FORMAT, PAGE))
 
     async def state(self) -> State:
         kept = await super().state()

@@ -40,7 +40,7 @@ PARAMETERS = (
     QueryParameter("series", "The path of a number, such as `pose.position.x`: its values over a time."),
     QueryParameter("from", "Since when: an xsd:dateTime, or seconds before now as `-60`. Default: a minute ago."),
     QueryParameter("to", "Until when, alike. Default: now."),
-    QueryParameter("points", "The most points.", {"type": "integer", "minimum": 1, "maximum": MAX_POINTS}),
+    QueryParameter("points", f"The most points of a series, up to {MAX_POINTS}.", {"type": "integer", "minimum": 1}),
     QueryParameter("at", "The topic as it was at this time, an xsd:dateTime, by the history."),
 )
 

@@ -179,7 +179,7 @@ class CallResource(Resource):
         return False
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem("A call of a service", plain=_CALL, writes={"DELETE": WriteMethod(done=(204,))}, also=(410,))
+        return PathItem("A call of a service", plain=_CALL, writes={"DELETE": WriteMethod(done=(204,))})
 
     def methods(self) -> frozenset[str]:
         return READ if self.session.settings.read_only else READ | {"DELETE"}

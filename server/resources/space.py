@@ -150,7 +150,7 @@ _PLAIN: DataSchema = {
                     "topic": URI,
                     "kind": TEXT,
                     "frame": TEXT,
-                    "pose": {"type": ["array", "null"], "items": {"type": "number"}},
+                    "pose": {"anyOf": [{"type": "array", "items": {"type": "number"}}, {"type": "null"}]},
                     "problem": TEXT,
                 },
                 "required": ["topic", "kind", "frame", "pose", "problem"],

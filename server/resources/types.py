@@ -23,7 +23,7 @@ from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.json_schema import MessageSchemas
 from rosld.server.policies import active_limits
 from rosld.server.resources.accepted_shape import datatypes_of_limits, load_limited_types
-from rosld.server.resources.ldp.base import EXTRA_STATUSES, Documents
+from rosld.server.resources.ldp.base import Documents
 from rosld.server.resources.ldp.bodies import require_small
 from rosld.server.resources.ldp.containers import ContainerResource
 from rosld.server.resources.ldp.representation import all_members
@@ -315,7 +315,7 @@ class LimitsContainer(ContainerResource):
         return name in SHAPES_GRAPHS or name in _packages(self.adapter) or super().is_taken(name)
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem("Shapes", query=(FORMAT, PAGE), also=EXTRA_STATUSES)
+        return PathItem("Shapes", query=(FORMAT, PAGE))
 
     async def state(self) -> State:
         kept = await super().state()

@@ -77,9 +77,8 @@ class PathItem:
     """The operations of a URL, or of each URL that fits a template.
 
     `reads` are the media types of GET, `plain` is the schema of `application/json` among them (JSON-LD where there is
-    none), `query` what GET takes. `streams`: its changes can be had as an event stream. `also` are statuses of refusals
-    that most URLs do not have. `methods` are those that it may have, where they are more than it has now. URLs `alike`
-    (a name such as "parameter") are described once: robots have thousands of them.
+    none), `query` what GET takes. `streams`: its changes can be had as an event stream. `methods` are those that it may
+    have, where they are more than it has now.
     """
 
     summary: str
@@ -90,13 +89,11 @@ class PathItem:
     streams: bool = True
     has_shape: bool = False
     """Whether `?shape` asks for the shape of what may be written."""
-    also: tuple[int, ...] = ()
     is_paged: bool = False
     """Whether it is a container that may come in pages: GET then takes `page` and the preferences of LDP."""
     members: Mapping[str, str] = field(default_factory=dict)
     """The URLs of what the members of its JSON are the values of, by their names: who may not read one is not told."""
     methods: frozenset[str] | None = None
-    alike: str | None = None
 
     def write(self, method: str) -> WriteMethod:
         """Return the description of a method that writes."""
@@ -133,7 +130,7 @@ PART_QUERY = (
         "A path, such as `/topics/arm/`: only what begins with it, in parts of 100 kB at the most.",
         {"type": "string", "pattern": "^/"},
     ),
-    QueryParameter("part", "The number of a part, from 0.", {"type": "integer", "minimum": 0, "maximum": 999_999}),
+    QueryParameter("part", "The number of a part, from 0.", {"type": "integer", "minimum": 0}),
 )
 _MAX_DIGITS = 6
 

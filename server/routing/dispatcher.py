@@ -117,6 +117,8 @@ class Dispatcher:
         if method not in resource.methods():
             raise resource.not_allowed(method)
         try:
+            if b"format=" in exchange.request.scope["query_string"]:
+                negotiate(exchange)  # nothing is written whose answer cannot be given
             refuse_partial_put(exchange)
             check_media_type(exchange, resource)
             if method != "DELETE" and not resource.streams_body(exchange):
@@ -153,13 +155,15 @@ class Dispatcher:
             return special
         if query_params.stream_is_preferred(exchange.accept, OFFERS):
             return await self._observation.stream(exchange, resource)
+        if query_string := exchange.request.scope["query_string"]:
+            query_params.require_numbers(exchange.query)
         state = await resource.state()
         unchanged = False
-        if b"until=" in exchange.request.scope["query_string"] and "until" in exchange.query:
+        if b"until=" in query_string and "until" in exchange.query:
             state, holds = await self._observation.wait_until(exchange, resource, state)
             if not holds:
                 return self._representations.unmet(exchange, resource, state)
-        elif b"after=" in exchange.request.scope["query_string"] and "after" in exchange.query:
+        elif b"after=" in query_string and "after" in exchange.query:
             await self._observation.wait_for_another(exchange, resource, state)
             if not exchange.auth.is_valid():
                 raise invalid_token("Your rights have changed meanwhile.")

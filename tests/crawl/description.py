@@ -9,8 +9,20 @@ from typing import Any
 
 from jsonschema import Draft202012Validator
 
-UNTOLD = (403, 408, 421, 431)
-"""Statuses of any request, of which no operation tells."""
+
+def inlined(document: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return the paths of a description with what their operations refer to in its place."""
+    resolved = Description(document).resolved
+
+    def operation(found: dict[str, Any]) -> dict[str, Any]:
+        parts = {**found, "responses": {status: resolved(each) for status, each in found["responses"].items()}}
+        parts["parameters"] = [resolved(each) for each in found.get("parameters", ())]
+        return parts | {"requestBody": resolved(found["requestBody"])} if "requestBody" in found else parts
+
+    return {
+        path: {name: operation(each) if isinstance(each, dict) else each for name, each in item.items()}
+        for path, item in document["paths"].items()
+    }
 
 
 class Description:
@@ -25,33 +37,32 @@ class Description:
         for at in sorted(self.document["paths"], key=lambda at: at.count("{")):
             pattern = re.sub(r"\\\{path\\\}", ".+", re.escape(at))
             fits = re.fullmatch(re.sub(r"\\\{\w+\\\}", "[^/]+", pattern), path)
-            if fits and method.lower() in self.resolved(self.document["paths"][at]):
+            if fits and _described(method) in self.document["paths"][at]:
                 return at
         return None
 
     def operation(self, at: str, method: str) -> dict[str, Any]:
         """Return the Operation Object of a described path."""
-        item = self.resolved(self.document["paths"][at])
-        found: dict[str, Any] = item[method.lower()]
+        found: dict[str, Any] = self.document["paths"][at][_described(method)]
         return found
 
     def disagreement(self, at: str, method: str, status: int, headers: Mapping[str, str], body: str | bytes) -> str:
         """Say what an answer is that the description does not tell of, or nothing."""
         responses = self.operation(at, method)["responses"]
-        if str(status) not in responses:
-            return "" if status in UNTOLD else f"{status} is not told of: {body[:300]!r}"
-        told = self.resolved(responses[str(status)])
+        if str(status) not in responses and status < 300:
+            return f"{status} is not told of: {body[:300]!r}"
+        told = self.resolved(responses.get(str(status), responses["default"]))
         for name, header in told.get("headers", {}).items():
             if header.get("required") and name.lower() not in headers:
                 return f"{name} is missing in a {status}"
         if method == "HEAD" or not body:
             return ""
-        contents = told.get("content", {})
+        contents = told.get("content", {"*/*": {}})
         media_type = headers.get("content-type", "").partition(";")[0]
         if media_type not in contents and "*/*" not in contents:
             return f"a {status} is {media_type}, not {list(contents)}"
         if status < 300 and media_type == "application/json":
-            errors = self._validator(contents[media_type]["schema"]).iter_errors(json.loads(body))
+            errors = self._validator(contents.get(media_type, {}).get("schema", {})).iter_errors(json.loads(body))
             return next((f"the JSON of a {status}: {error.message[:300]}" for error in errors), "")
         return ""
 
@@ -71,3 +82,8 @@ class Description:
             found = found[step]
         assert isinstance(found, dict)
         return found
+
+
+def _described(method: str) -> str:
+    """Return the method under which another is described: what is said of GET holds for HEAD."""
+    return "get" if method == "HEAD" else method.lower()

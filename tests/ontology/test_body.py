@@ -59,6 +59,7 @@ def test_an_unknown_media_type_is_named() -> None:
         ("application/n-triples", b"<a> <b> <c> .", "line 1"),
         ("application/ld+json", b'{"a": 1', "line 1"),
         ("application/ld+json", b"\xef\xbb\xbf[", "line 1"),
+        ("application/ld+json", b'"a"', "must be an object or an array"),
         ("application/ld+json", b'{"@context": {"@vocab": 5}}', ""),
         ("application/rdf+xml", b"<a>", ""),
         ("application/rdf+xml", b"<a", "line 1, column 1: what begins here with < does not end"),

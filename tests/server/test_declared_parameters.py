@@ -100,8 +100,6 @@ def test_allow_forms_and_openapi_tell_the_truth(client: httpx.Client) -> None:
         for method in ("PUT", "DELETE"):
             assert (f'name="method" value="{method}"' in shown) is (method in methods)
         item = described["paths"][path]
-        while "$ref" in item:
-            item = described["components"]["pathItems"][item["$ref"].rpartition("/")[2]]
         assert {verb for verb in item if verb in ("put", "patch", "delete")} == set(map(str.lower, methods))
 
 

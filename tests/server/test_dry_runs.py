@@ -15,6 +15,7 @@ from mcap.writer import Writer
 
 from rosld.adapters.base import Adapter, AdapterOptions
 from rosld.adapters.registry import adapter_for
+from tests.crawl.description import inlined
 from tests.server.robots.made_up import MadeUp, Serving, served
 from tests.server.test_mappings import COCKPIT
 from tests.stopping import release
@@ -72,13 +73,10 @@ class Told:
 
 def described_writes(http: httpx.Client) -> Iterator[tuple[str, str]]:
     """The method and the path of every write that the description lists."""
-    described = http.get("/openapi.json").json()
-    shared = described["components"].get("pathItems", {})
-    for path, item in described["paths"].items():
-        item = shared[item["$ref"].rpartition("/")[2]] if "$ref" in item else item
+    for path, item in inlined(http.get("/openapi.json").json()).items():
         for method in WRITES:
             if method in item:
-                names = [one.get("$ref", "").rpartition("/")[2] for one in item[method]["parameters"]]
+                names = [one["name"] for one in item[method]["parameters"]]
                 assert "dry-run" in names, (method, path)
                 yield method.upper(), path
 

@@ -9,6 +9,7 @@ import pytest
 from pyoxigraph import NamedNode, RdfFormat, parse
 
 from rosld.ontology.vocab import ldp, rdfs
+from tests.crawl.description import inlined
 from tests.server.robots.made_up import MadeUp, Serving
 
 READ, JSON = {"accept": "application/n-triples"}, {"accept": "application/json"}
@@ -100,10 +101,7 @@ def test_the_description_leaves_them_out_and_tells_how_to_ask_for_them(client: h
     assert "/topics/fly/_action/feedback" in client.get("/openapi.json?hidden=true").json()["paths"]
 
     def queries(path: str) -> set[str]:
-        place = paths[path]
-        if "$ref" in place:
-            place = description["components"]["pathItems"][place["$ref"].rpartition("/")[2]]
-        return {each["name"] for each in place["get"]["parameters"] if "name" in each}
+        return {each["name"] for each in inlined(description)[path]["get"]["parameters"]}
 
     for path in ("/topics/", "/services/", "/nodes/", "/actions/", "/parameters/", "/openapi.json"):
         assert "hidden" in queries(path), path

@@ -13,6 +13,7 @@ from pyoxigraph import NamedNode, Triple
 from rosld.ontology.vocab import dcterms, ldp, rdf, ros
 from rosld.server.storage.record import Model, Put
 from rosld.server.storage.sqlite import open_records
+from tests.crawl.description import inlined
 from tests.server.robots.durable import running
 
 pytestmark = pytest.mark.slow
@@ -205,8 +206,8 @@ def test_queries_are_in_the_dataset_each_once(stored: httpx.Client) -> None:
 
 def test_each_kept_query_is_an_operation_of_the_description(stored: httpx.Client) -> None:
     description = stored.get("/openapi.json").json()
-    place = description["paths"]["/queries/mine"]
-    assert place["summary"] == "Which topics have a name that begins so."
+    place = inlined(description)["/queries/mine"]
+    assert place["get"]["summary"] == "Read: Which topics have a name that begins so."
     told = {one["name"]: one["schema"] for one in place["get"]["parameters"] if one.get("in") == "query"}
     assert (told["start"], told["least"]) == ({"type": "string"}, {"type": "integer"})
     assert "application/sparql-query" in place["put"]["requestBody"]["content"]

@@ -10,6 +10,7 @@ import httpx
 import jsonschema
 import pytest
 
+from tests.crawl.description import Description
 from tests.server.robots.made_up import TYPES, MadeUp, Serving
 from tests.waiting import until
 
@@ -199,16 +200,17 @@ def test_a_form_is_filled_with_the_defaults(http: httpx.Client) -> None:
 
 
 def test_the_description_says_what_may_be_left_out_and_what_it_is_then(http: httpx.Client, robot: MadeUp) -> None:
-    schemas = http.get("/openapi.json").json()["components"]["schemas"]
-    sent = schemas["made_up.srv.Turn_Request.sent"]
+    description = Description(http.get("/openapi.json").json())
+    sent = description.document["components"]["schemas"]["made_up.srv.Turn_Request.sent"]
     assert "required" not in sent
     told = {name: one["default"] for name, one in sent["properties"].items() if "default" in one}
     assert told == {name: value for name, value in NAMES.items() if name not in ("pose", "pair", "four")}
-    assert sent["properties"]["pose"]["properties"]["orientation"]["properties"]["w"]["default"] == 1.0
+    orientation = description.resolved(sent["properties"]["pose"])["properties"]["orientation"]
+    assert description.resolved(orientation)["properties"]["w"]["default"] == 1.0
     jsonschema.Draft202012Validator(sent).validate({})
     for name, value in told.items():
         jsonschema.Draft202012Validator(sent["properties"][name]).validate(value)
-    read = schemas["made_up.srv.Turn_Response"]
+    read = description.document["components"]["schemas"]["made_up.srv.Turn_Response"]
     assert read["required"] == ["success"]
     assert "default" not in read["properties"]["success"]
 

@@ -9,6 +9,7 @@ from typing import Any
 import httpx
 import pytest
 
+from tests.crawl.description import Description
 from tests.server.robots import asking
 from tests.server.robots.made_up import MadeUp, Serving, served
 
@@ -210,9 +211,10 @@ def test_a_measurement_may_be_no_finite_number(robot: MadeUp, serving: Serving) 
 def test_schemas_and_shapes_of_commands_say_that_their_numbers_are_finite(robot: MadeUp, serving: Serving) -> None:
     robot.topic("/cmd_vel", "geometry_msgs/msg/Twist", published=False, heard=True)
     http = serving()
-    described = http.get("/openapi.json").json()["components"]["schemas"]
+    description = Description(http.get("/openapi.json").json())
     speed = {"type": "number", "minimum": -1e6, "maximum": 1e6, "default": 0.0}
-    assert described["geometry_msgs.msg.Twist.sent"]["properties"]["linear"]["properties"]["x"] == speed
+    twist = description.document["components"]["schemas"]["geometry_msgs.msg.Twist.sent"]["properties"]
+    assert description.resolved(twist["linear"])["properties"]["x"] == speed
     thing = value(http, "/.well-known/wot")
     assert thing["actions"]["cmd_vel/hold"]["input"]["properties"]["linear"]["properties"]["x"] == speed
     shape = http.get("/topics/cmd_vel?shape").text

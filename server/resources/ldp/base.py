@@ -108,9 +108,6 @@ DELETES = WriteMethod(
 )
 """Description of DELETE of a stored document."""
 
-EXTRA_STATUSES = (303, 410, 507)
-"""Statuses of refusals that what clients keep has beside the usual ones."""
-
 
 class StoredResource(Resource):
     """Base of the resources that clients keep. `path` is the URL without the base."""

@@ -16,7 +16,6 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import MessageSchemas
 from rosld.server.resources.ldp.base import (
     DELETES,
-    EXTRA_STATUSES,
     Documents,
     StoredResource,
     conflict_problem,
@@ -48,7 +47,7 @@ from rosld.server.rest.paging import (
     require_page,
     select_parts,
 )
-from rosld.server.rest.path_item import PathItem
+from rosld.server.rest.path_item import PathItem, WriteMethod
 from rosld.server.rest.resource import Answer, CreatedAnswer, Resource
 from rosld.server.rest.state import State
 from rosld.server.runtime.dry_run import expect_status
@@ -157,7 +156,8 @@ class ContainerResource(RdfSourceResource):
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         summary = _SUMMARIES.get(self.path, "A container")
-        return PathItem(summary, is_paged=True, also=EXTRA_STATUSES, writes={"DELETE": DELETES})
+        post = WriteMethod(is_body_required=False)
+        return PathItem(summary, is_paged=True, writes={"POST": post, "DELETE": DELETES})
 
     @property
     def conforms_to(self) -> Sequence[str]:

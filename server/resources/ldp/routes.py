@@ -16,7 +16,6 @@ from rosld.server.hypermedia.json_schema import ANYTHING, MessageSchemas
 from rosld.server.patches.patch import has_deletes
 from rosld.server.resources.ldp.base import (
     DELETES,
-    EXTRA_STATUSES,
     Documents,
     StoredResource,
     conflict_problem,
@@ -70,7 +69,6 @@ class AbsentResource(StoredResource):
             return PathItem(
                 "Limits that a client keeps in force",
                 writes={"PUT": WriteMethod(accepts=RDF_BODIES), "PATCH": WriteMethod(accepts=_PATCHES)},
-                also=EXTRA_STATUSES,
                 methods=methods,
             )
         taken = (*RDF_BODIES, ANY_TYPE)
@@ -85,7 +83,6 @@ class AbsentResource(StoredResource):
                 "DELETE": DELETES,
             },
             is_paged=True,
-            also=EXTRA_STATUSES,
             methods=methods,
         )
 

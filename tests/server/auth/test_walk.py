@@ -27,13 +27,9 @@ def described(guarded: Guarded, agent: str) -> dict[str, Any]:
 
 
 def operations(said: dict[str, Any]) -> dict[str, set[str]]:
-    """The methods of each path."""
-    items = said["components"].get("pathItems", {})
-    found = {}
-    for path, item in said["paths"].items():
-        item = items[item["$ref"].rpartition("/")[2]] if "$ref" in item else item
-        found[path] = {name.upper() for name in item if name.upper() in VERBS}
-    return found
+    """The methods of each path; what answers GET answers HEAD, and everything OPTIONS."""
+    found = {path: {name.upper() for name in item if name.upper() in VERBS} for path, item in said["paths"].items()}
+    return {path: {*methods, *(("HEAD",) if "GET" in methods else ()), "OPTIONS"} for path, methods in found.items()}
 
 
 @pytest.mark.parametrize("agent", EVERYBODY)

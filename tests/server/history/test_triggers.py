@@ -12,6 +12,7 @@ import pyshacl
 import pytest
 import rdflib
 
+from tests.crawl.description import Description
 from tests.server.auth.conftest import token, tokens
 from tests.server.history.test_recordings import MERGE_PATCH, ROS, SPEED, count, end, value
 from tests.waiting import until
@@ -132,10 +133,11 @@ def test_what_a_recording_is_ordered_by_is_told_by_the_container_in_shacl_and_js
         answer = http.post("/bags/", content=body, headers={"Content-Type": "text/turtle"})
         assert answer.status_code == (201 if fits else 422), answer.text
     assert http.delete("/bags/shaped/").status_code == 204
-    described = http.get("/openapi.json?below=/bags/").json()["paths"]["/bags/"]["post"]["requestBody"]["content"]
-    members = described["application/json"]["schema"]["properties"]
+    description = Description(http.get("/openapi.json?below=/bags/").json())
+    body = description.resolved(description.document["paths"]["/bags/"]["post"]["requestBody"])
+    members = description.resolved(body["content"]["application/json"]["schema"])["properties"]
     assert members.keys() == {"topics", "name", "before", "duration", "trigger"}
-    assert all("description" in each for each in members.values())
+    assert all("description" in description.resolved(each) for each in members.values())
 
 
 def shacl_graph(text: str, url: str) -> rdflib.Graph:

@@ -39,8 +39,6 @@ from rosld.server.sparql.protocol import (
     UpdateRequest,
     posted_request,
     query_request,
-    requested_partial,
-    requested_timeout,
 )
 from rosld.server.sparql.query_limits import describe_limits
 from rosld.server.sparql.query_service import QueryAnswer, QueryService
@@ -325,8 +323,6 @@ class SparqlResource(Resource):
             if not exchange.query.keys().isdisjoint(_OF_GRAPHS):
                 store = f"{self.space.base}graphs"
                 raise Problem(400, f"Graphs are read and written at {store}?graph=URL; here queries are answered.")
-            requested_timeout(exchange.query.items())
-            requested_partial(exchange.query.items())
             return self._page(exchange.permissions) if prefers_page(accept) else None
         request = query_request("GET", exchange.request.scope["query_string"])
         return await self._answer(request, accept, exchange)

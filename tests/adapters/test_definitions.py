@@ -1,4 +1,4 @@
-"""The definitions shipped with rosld: all can be read, and hash to what ROS's own generator says."""
+"""Definitions shipped with rosld, hashes of types, and types that ROS 2 derives."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from rosld.adapters.model import TypeRef
+from rosld.adapters.model import ActionSchema, Encoding, MessageSchema, ServiceSchema, TypeRef, UnknownType
 from rosld.adapters.model.library import SHIPPED, TypeLibrary
 
 NAMES = sorted(f"{path.parts[-3]}/{path.parts[-2]}/{path.stem}" for path in SHIPPED.glob("*/*/*"))
@@ -66,3 +66,67 @@ def test_shipped_definitions_have_the_md5_that_genpy_says() -> None:
     expected = json.loads(said.stdout)
     assert len(expected) >= 20
     assert {name: hash_of(name) for name in expected} == expected
+
+
+FLY = "rosld_aircraft/action/Fly"
+HASHES = {
+    "std_msgs/msg/String": "df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18",
+    "std_srvs/srv/SetBool": "abe9e4bb6b41b40e6789712c00ec8871923e089af3f667a79992a428cff2da0a",
+    f"{FLY}_FeedbackMessage": "d18a3556a261de15d29e8ccd38eded71e72e111a0e2783639ac60888e1ac2db8",
+    f"{FLY}_SendGoal_Request": "f37b07c532f46ff9d99339e187247a7af5a90170f68df20abb5283c98e2bf661",
+    f"{FLY}_SendGoal_Response": "5b33199b9de335324844a52d16e750707da311834db70ab831ade06cbfb830a0",
+    f"{FLY}_GetResult_Request": "ab4141fe40eb4c4f0299a60e6e902473852ad1969cc4f3c07015f607e9358415",
+    f"{FLY}_GetResult_Response": "a6b6c16144dbcfca39245f4d18b12c97c679550f4d7bfc13b26da3e1c15aab2d",
+    "std_srvs/srv/Trigger_Request": "d010825374ce8918e72bfd826c82603e60f45419e932ea976f807b74a863a199",
+    "std_srvs/srv/Trigger_Response": "2d946c21e2fc3f1e9ca6986a8191d85fcc70097a8bb7771a053564bc47009cdf",
+}
+"""As ROS 2 ships them, and as the endpoints of a node of Jazzy tell those that are derived."""
+
+
+@pytest.fixture(scope="module")
+def library() -> TypeLibrary:
+    return TypeLibrary(ros_version=2)
+
+
+def test_a_type_has_the_hash_that_ros_2_gives_it(library: TypeLibrary) -> None:
+    for name, hash in HASHES.items():
+        wanted = TypeRef(name, f"RIHS01_{hash}")
+        assert library.find(wanted).ref == library.find(TypeRef(name)).ref == wanted
+    with pytest.raises(UnknownType, match="SetBool"):
+        library.find(TypeRef("std_srvs/srv/SetBool", "RIHS01_" + "0" * 64))
+
+
+def test_what_is_derived_is_a_message_or_a_service(library: TypeLibrary) -> None:
+    kinds = {
+        FLY: ActionSchema,
+        f"{FLY}_SendGoal": ServiceSchema,
+        f"{FLY}_GetResult": ServiceSchema,
+        f"{FLY}_GetResult_Event": MessageSchema,
+        f"{FLY}_Result": MessageSchema,
+        "action_msgs/srv/CancelGoal": ServiceSchema,
+        "action_msgs/srv/CancelGoal_Event": MessageSchema,
+    }
+    assert {name: type(library.find(TypeRef(name))) for name in kinds} == kinds
+    for name in ("odd/action/Walk_FeedbackMessage", "odd/srv/Ask_Event", "odd/action/Walk_SendGoal"):
+        with pytest.raises(UnknownType, match=r"needs odd/(action/Walk|srv/Ask)_"):
+            library.find(TypeRef(name))
+
+
+def test_a_part_of_an_action_has_its_own_name_where_it_is_nested(library: TypeLibrary) -> None:
+    schema = library.find(TypeRef(f"{FLY}_FeedbackMessage"))
+    assert isinstance(schema, MessageSchema)
+    assert set(schema.types) == {schema.ref.name, f"{FLY}_Feedback", "unique_identifier_msgs/msg/UUID"}
+    assert f"MSG: {FLY}_Feedback\n" in schema.definition
+    data = b"\0\1\0\0" + bytes(range(16)) + b"\0\0\0\0\0\0\x12\x40"
+    message = schema.codec.decode(data, Encoding.CDR)
+    assert (bytes(message.goal_id.uuid), message.feedback.flown) == (bytes(range(16)), 4.5)  # type: ignore[attr-defined]
+    assert schema.codec.encode(message, Encoding.CDR) == data
+
+
+def test_ros_1_derives_nothing(tmp_path: Path) -> None:
+    folder = tmp_path / "diary" / "srv"
+    folder.mkdir(parents=True)
+    (folder / "New_Event.srv").write_text("string what\n---\n")
+    assert isinstance(TypeLibrary(ros_version=1, folders=[folder]).find(TypeRef("diary/srv/New_Event")), ServiceSchema)
+    with pytest.raises(UnknownType):
+        TypeLibrary(ros_version=1).find(TypeRef("std_srvs/srv/Trigger_Event"))

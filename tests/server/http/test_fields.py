@@ -1,4 +1,4 @@
-"""Web links (RFC 8288)."""
+"""Header fields: web links (RFC 8288)."""
 
 from __future__ import annotations
 

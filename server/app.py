@@ -31,6 +31,7 @@ from rosld.server.middleware.access import (
 from rosld.server.middleware.audit import Audit
 from rosld.server.middleware.dispatch import Dispatch, ErrorResponses, ServerOptions, WebSockets
 from rosld.server.middleware.limits import Admission, RateLimits, Scheduling
+from rosld.server.policies.stored_mappings import log_mapping_warnings
 from rosld.server.receipts.journal import Journal
 from rosld.server.resources.about import AboutResources, types_at
 from rosld.server.resources.acl import AclResource
@@ -38,7 +39,6 @@ from rosld.server.resources.channels import Notifications, fixed_resources
 from rosld.server.resources.channels import routes as notification_routes
 from rosld.server.resources.finder import near_urls
 from rosld.server.resources.frames import FramesResource
-from rosld.server.resources.mapping_warnings import log_mapping_warnings
 from rosld.server.resources.mirror import ReplicationResource, create_mirror
 from rosld.server.resources.plot import PlotResource
 from rosld.server.resources.recording_trigger import RecordingTriggers

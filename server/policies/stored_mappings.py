@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 from collections.abc import Iterator
 
@@ -10,8 +11,11 @@ from pyoxigraph import RdfFormat, parse
 from rosld.adapters.base import Adapter
 from rosld.ontology.body import index_quads
 from rosld.ontology.urls import Space
+from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.mapping_parser import MappingDocument, load_mapping, mapping_of
 from rosld.server.hypermedia.mappings import Mappings
+from rosld.server.rest.state import State
+from rosld.server.runtime.tasks import loop_time
 from rosld.server.settings import Settings
 from rosld.server.storage.record import Model, Put
 from rosld.server.storage.record_documents import to_ntriples, unpack_triples
@@ -60,3 +64,25 @@ async def load_stored_mappings(mappings: Mappings, records: Records, settings: S
             mappings.replace(stored_mapping(unpack_triples(record.triples), url))
         except ValueError as error:
             _log.error("The mapping %s is kept and not in force: %s", url, error)
+
+
+_DISCOVERY = 5.0
+"""Seconds that a robot is given to be discovered: in ROS 2 nodes are heard of one after the other."""
+_AGAIN = 0.5
+
+
+async def log_mapping_warnings(affordances: AffordanceService[State], mappings: Mappings) -> None:
+    """Log what the mappings name that is not there, or cannot be offered, once the robot can have been discovered."""
+    until = loop_time() + _DISCOVERY
+    while found := await _warnings(affordances, mappings):
+        if loop_time() > until:
+            for url, words in found:
+                _log.warning("The mapping %s names in vain: %s", url, words)
+            return
+        await asyncio.sleep(_AGAIN)
+
+
+async def _warnings(affordances: AffordanceService[State], mappings: Mappings) -> list[tuple[str, str]]:
+    """The mapping documents' URLs, and what of each is not there now."""
+    urls = tuple(mappings.documents)
+    return [(url, words) for url in urls for words in await affordances.mapping_warnings(url)]

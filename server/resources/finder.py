@@ -17,7 +17,8 @@ from rosld.server.auth.permissions import Permissions
 from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.resource_tree import ResourceTree, path_of, segments_of
-from rosld.server.policies import stored_cockpits, stored_mappings
+from rosld.server.policies import stored_cockpits
+from rosld.server.policies.stored_mappings import ROUTE
 from rosld.server.policies.stored_queries import StoredQueries
 from rosld.server.resources.ldp.base import Documents
 from rosld.server.resources.namespaces import listed_graph, namespaces, things_of
@@ -40,7 +41,7 @@ _AT_ONCE = 25
 """Documents that are read before the loop has its turn."""
 _NAMING = "|".join(map(re.escape, (dcterms.title.value, rdfs.label.value, schema_org.name.value)))
 _TITLES = re.compile(rf'<(?:{_NAMING})> "((?:[^"\\]|\\.)*)"'.encode())
-_ROOTS = (stored_mappings.ROUTE, stored_cockpits.ROUTE, "data/")
+_ROOTS = (ROUTE, stored_cockpits.ROUTE, "data/")
 
 
 async def kept_entries(documents: Documents, queries: StoredQueries) -> list[Entry]:
@@ -65,7 +66,7 @@ async def kept_entries(documents: Documents, queries: StoredQueries) -> list[Ent
 
 
 def _entry(space: Space, record: Record) -> Entry:
-    kind = EntryKind.MAPPING if record.path.startswith(stored_mappings.ROUTE) else EntryKind.DOCUMENT
+    kind = EntryKind.MAPPING if record.path.startswith(ROUTE) else EntryKind.DOCUMENT
     return Entry(kind, _name(record.path), space.base + record.path, (), tuple(titles_in(record.triples)))
 
 

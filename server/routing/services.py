@@ -13,9 +13,9 @@ from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.mappings import Mappings
 from rosld.server.hypermedia.property_reader import PropertyReader
 from rosld.server.pictures.picture_cache import PictureCache
-from rosld.server.policies import active_limits, stored_cockpits, stored_mappings, stored_queries
+from rosld.server.policies import active_limits, stored_cockpits, stored_queries
 from rosld.server.policies.active_limits import ActiveLimits, initial_limits
-from rosld.server.policies.stored_mappings import initial_mappings, load_stored_mappings
+from rosld.server.policies.stored_mappings import ROUTE, initial_mappings, load_stored_mappings
 from rosld.server.receipts.journal import Journal
 from rosld.server.resources.ldp.base import Documents
 from rosld.server.resources.ldp.validation import (
@@ -37,7 +37,7 @@ from rosld.server.sparql.syntax.lexer import QueryBounds
 from rosld.server.storage.record import RecordChange
 from rosld.server.storage.sqlite import Records, open_records
 
-_ROUTES = (stored_mappings.ROUTE, stored_queries.ROUTE, active_limits.ROUTE, stored_cockpits.ROUTE)
+_ROUTES = (ROUTE, stored_queries.ROUTE, active_limits.ROUTE, stored_cockpits.ROUTE)
 """The containers of what clients keep that has an effect here."""
 
 
@@ -93,7 +93,7 @@ class Services:
         """What judges the documents of each route, and puts them into force."""
         space, announce = self.session.space, self.session.changes.emit
         return {
-            stored_mappings.ROUTE: MappingValidator(self.mappings, space, announce),
+            ROUTE: MappingValidator(self.mappings, space, announce),
             stored_queries.ROUTE: QueryValidator(self.queries, records, space, announce),
             active_limits.ROUTE: LimitsValidator(self.active_limits, self.states, space, announce),
             stored_cockpits.ROUTE: CockpitValidator(space),

@@ -10,7 +10,7 @@ from rosld.ontology.serialize import serialize
 from rosld.ontology.syntax import Syntax
 from rosld.ontology.violations import Violation
 from rosld.ontology.vocab import sh
-from rosld.shapes.report import validation_report
+from rosld.server.http.problem_details import validation_report
 
 URL = "http://127.0.0.1:8080/topics/cmd_vel"
 VIOLATIONS = [Violation("linear.x", "expected a float64", '"fast"'), Violation("", "the message is missing", None)]

@@ -73,7 +73,7 @@ class Subscription(Protocol):
     """A counted interest in one topic."""
 
     def latest(self) -> Sequence[Sample]:
-        """The newest sample of each publisher (the newest `depth` of each), the one that came last at the end.
+        """Return the newest sample of each publisher (the newest `depth` of each), the one that came last at the end.
 
         Cheap: the very same sequence object comes back while nothing new has arrived.
         """
@@ -225,11 +225,11 @@ class Recording(Protocol):
         ...
 
     def topic_of(self, index: int) -> str | None:
-        """The topic of message `index`, None where there is no such message. Quick, and reads no message."""
+        """Return the topic of message `index`, None where there is no such message. Quick, and reads no message."""
         ...
 
     def messages(self) -> Iterator[RecordedMessage]:
-        """All messages in recorded order, those that cannot be decoded included."""
+        """Return all messages in recorded order, those that cannot be decoded included."""
         ...
 
     @property
@@ -258,7 +258,7 @@ class Recording(Protocol):
         ...
 
     def schema(self, ref: TypeRef) -> Schema:
-        """The schema of a type of this recording; raises UnknownType."""
+        """Return the schema of a type of this recording; raises UnknownType."""
         ...
 
 
@@ -300,11 +300,11 @@ class Adapter(Protocol):
         ...
 
     async def schema(self, ref: TypeRef, *, deadline: float) -> Schema:
-        """The schema of a type; without a hash, the one in use. Raises UnknownType."""
+        """Return the schema of a type; without a hash, the one in use. Raises UnknownType."""
         ...
 
     def known_types(self) -> Sequence[TypeRef]:
-        """The types in use or met so far (what `/types/` lists); cheap."""
+        """Return the types in use or met so far (what `/types/` lists); cheap."""
         ...
 
     async def subscribe(self, topic: str, *, depth: int = 1) -> Subscription:
@@ -380,7 +380,7 @@ class Adapter(Protocol):
         ...
 
     async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
-        """The values of those names that exist; a name that is a tree gives a dict, `/` all."""
+        """Return the values of those names that exist; a name that is a tree gives a dict, `/` all."""
         ...
 
     async def set_parameters(self, values: Mapping[str, ParameterValue], *, deadline: float) -> None:

@@ -21,7 +21,7 @@ _INT32 = range(-(2**31), 2**31)
 
 
 def read_name(tree: Tree, name: str) -> ParameterValue | None:
-    """The value of a name, a dict where it is a tree; None where there is nothing."""
+    """Return the value of a name, a dict where it is a tree; None where there is nothing."""
     found: ParameterValue = tree
     for step in _path(name):
         if not isinstance(found, dict) or step not in found:
@@ -31,7 +31,7 @@ def read_name(tree: Tree, name: str) -> ParameterValue | None:
 
 
 def with_value(tree: Tree, name: str, value: ParameterValue) -> Tree:
-    """The tree with `name` set, as the master does it: a scalar on the way becomes a namespace.
+    """Return the tree with `name` set, as the master does it: a scalar on the way becomes a namespace.
 
     Raises Refused for a root that is no dict.
     """
@@ -53,7 +53,7 @@ def _with(tree: Tree, path: Sequence[str], value: ParameterValue) -> Tree:
 
 
 def without_name(tree: Tree, name: str) -> Tree:
-    """The tree without `name` and all below it. Raises NotFound, and Refused for the root."""
+    """Return the tree without `name` and all below it. Raises NotFound, and Refused for the root."""
     path = _path(name)
     if not path:
         raise Refused("the root of the parameter tree, '/', cannot be deleted")
@@ -82,7 +82,7 @@ def leaves(tree: Mapping[str, ParameterValue], prefix: str = "") -> Iterator[str
 
 
 def check(name: str, value: object, depth: int = 0) -> None:
-    """Raises Refused, naming the parameter, for a value that ROS 1's parameter server could not hold."""
+    """Raise Refused, naming the parameter, for a value that ROS 1's parameter server could not hold."""
     if depth > _MAX_NESTED:
         raise Refused(f"the parameter {name} is nested more than {_MAX_NESTED} deep")
     if isinstance(value, int) and not isinstance(value, bool) and value not in _INT32:
@@ -99,7 +99,7 @@ def check(name: str, value: object, depth: int = 0) -> None:
 
 
 def deep_copy(value: ParameterValue) -> ParameterValue:
-    """A value that shares no list and no dict with `value`."""
+    """Return a value that shares no list and no dict with `value`."""
     if isinstance(value, dict):
         return {key: deep_copy(below) for key, below in value.items()}
     if isinstance(value, list):

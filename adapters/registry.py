@@ -17,7 +17,7 @@ _SCHEME = re.compile(r"([a-z][a-z0-9+.-]+):(?!\\)")
 
 
 def scheme_of(source: str, known: frozenset[str]) -> str:
-    """The scheme of a source: a bare adapter name, `scheme:...` of a known scheme, else a recording's path.
+    """Return the scheme of a source: a bare adapter name, `scheme:...` of a known scheme, else a recording's path.
 
     Raises ValueError for `scheme://...` of a scheme that no installed adapter has.
     """
@@ -33,12 +33,12 @@ def scheme_of(source: str, known: frozenset[str]) -> str:
 
 
 def installed() -> dict[str, EntryPoint]:
-    """The installed adapters by scheme."""
+    """Return the installed adapters by scheme."""
     return {point.name: point for point in entry_points(group=GROUP)}
 
 
 def adapter_for(source: str, options: AdapterOptions) -> Adapter:
-    """The adapter of a source, not yet open. Raises ValueError with a sentence for the user."""
+    """Return the adapter of a source, not yet open. Raises ValueError with a sentence for the user."""
     points = installed()
     scheme = scheme_of(source, frozenset(points))
     if scheme not in points:

@@ -138,7 +138,7 @@ class SlotSubscription:
         slot.subscriptions += 1
 
     def latest(self) -> Sequence[Sample]:
-        """The newest samples of each publisher, in order of receipt."""
+        """Return the newest samples of each publisher, in order of receipt."""
         return () if self._slot is None else self._slot.latest(self._depth)
 
     def watch(self, wake: Callable[[], None]) -> Watch:

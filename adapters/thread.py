@@ -33,7 +33,7 @@ class IoThread:
         self._thread.start()
 
     async def run(self, coroutine: Coroutine[Any, Any, _T]) -> _T:
-        """The result of a coroutine that runs on the thread. Cancelling the await leaves it running.
+        """Return the result of a coroutine that runs on the thread. Cancelling the await leaves it running.
 
         Raises what it raises, or Unreachable once the thread has stopped.
         """

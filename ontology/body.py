@@ -89,15 +89,15 @@ class RdfBody:
         return _NOTHING if isinstance(subject, Literal) else self.subjects.get(subject, _NOTHING)
 
     def objects(self, subject: Term, predicate: NamedNode) -> list[Term]:
-        """The objects of one predicate of `subject`."""
+        """Return the objects of one predicate of `subject`."""
         return list(dict.fromkeys(self.properties(subject).get(predicate, ())))
 
     def instances(self, type: NamedNode) -> list[Subject]:
-        """The subjects of a type."""
+        """Return the subjects of a type."""
         return [subject for subject in self.subjects if type in self.objects(subject, rdf.type)]
 
     def literals(self) -> Iterator[Literal]:
-        """All literals."""
+        """Yield all literals."""
         for properties in self.subjects.values():
             for objects in properties.values():
                 yield from (each for each in objects if isinstance(each, Literal))
@@ -113,7 +113,7 @@ _DEFAULT_GRAPHS_OF_JENA = tuple(NamedNode(f"urn:x-arq:{name}") for name in ("Def
 
 
 def parse_body(data: bytes, media_type: str, base: str, *, alone: bool = False) -> RdfBody:
-    """The triples of `data`, its relative IRIs resolved against `base` (absolute).
+    """Return the triples of `data`, its relative IRIs resolved against `base` (absolute).
 
     Of a dataset those of the default graph and of the graph named `base` are taken; other graphs are passed over, or
     refused where these are to come `alone`. Raises BodyError for such a graph, for what is not UTF-8, nested deeper
@@ -143,12 +143,12 @@ def parse_quads(data: bytes, media_type: str, base: str) -> list[Quad]:
 
 
 def parse_triples(data: bytes, media_type: str, base: str) -> list[Triple]:
-    """The triples that `read_ntriples` reads."""
+    """Return the triples that `read_ntriples` reads."""
     return [quad.triple for quad in parse(read_ntriples(data, media_type, base), RdfFormat.N_TRIPLES)]
 
 
 def read_ntriples(data: bytes, media_type: str, base: str) -> bytes:
-    """The triples of `data` as they come, as N-Triples, of the graph named `base` alone; raises as `parse_body`.
+    """Return the triples of `data` as they come, as N-Triples, of the graph named `base` alone; raises as `parse_body`.
 
     Blank nodes have new labels, which no other document has: labels mean nothing beyond their document (RDF 1.1, 3.4).
     """
@@ -161,7 +161,7 @@ def read_ntriples(data: bytes, media_type: str, base: str) -> bytes:
 
 @contextmanager
 def _parser_errors() -> Iterator[None]:
-    """Raises a BodyError for what the parser says is wrong."""
+    """Raise a BodyError for what the parser says is wrong."""
     try:
         yield
     except SyntaxError as error:
@@ -181,7 +181,7 @@ def _of_graph(quads: Iterable[Quad], base: str) -> Iterator[Triple]:
 
 
 def _own_graphs(base: str) -> tuple[DefaultGraph | NamedNode, ...]:
-    """The names of the one graph of a resource: none, its own, and those by which Jena's writers say none."""
+    """Return the names of the one graph of a resource: none, its own, and those by which Jena's writers say none."""
     return (DefaultGraph(), NamedNode(base), *_DEFAULT_GRAPHS_OF_JENA)
 
 
@@ -216,7 +216,7 @@ def _quads(data: bytes, form: RdfFormat, base: str, *, relabelled: bool = False)
 
 
 def _limited(quads: Iterable[Quad], size: int) -> Iterator[Quad]:
-    """The quads of a body of `size` bytes. Raises ExpandedBodyError once they are too long, written out."""
+    """Yield the quads of a body of `size` bytes. Raises ExpandedBodyError once they are too long, written out."""
     left = expansion_limit(size)
     for quad in quads:
         left -= len(str(quad))
@@ -247,7 +247,7 @@ def index_triples(triples: Iterable[Triple]) -> RdfBody:
 
 
 def index_quads(quads: Iterable[Quad], base: str, *, alone: bool = False) -> RdfBody:
-    """The triples of the default graph and of the graph named `base`, by subject and predicate.
+    """Return the triples of the default graph and of the graph named `base`, by subject and predicate.
 
     Other graphs are passed over; with `alone` they raise BodyError.
     """
@@ -265,7 +265,7 @@ def index_quads(quads: Iterable[Quad], base: str, *, alone: bool = False) -> Rdf
 
 
 def _syntax_error(error: SyntaxError) -> BodyError:
-    """The parser's words, without the place, which is told apart."""
+    """Return the parser's words, without the place, which is told apart."""
     words = re.sub(r"^Parser error at [^:]*: ", "", str(error.msg))
     return BodyError(words, error.lineno, error.offset)
 
@@ -278,7 +278,7 @@ def _check_utf8(data: bytes) -> None:
 
 
 def error_at(data: bytes, position: int, words: str) -> BodyError:
-    """A BodyError at a byte of `data`."""
+    """Return a BodyError at a byte of `data`."""
     line = data.count(b"\n", 0, position) + 1
     return BodyError(words, line, position - data.rfind(b"\n", 0, position))
 
@@ -357,7 +357,7 @@ def _check_contexts(data: bytes, base: str) -> None:
 
 
 def _contexts(data: bytes) -> Iterator[str | dict[str, object]]:
-    """The contexts of a JSON-LD document: objects, and the URLs of remote ones."""
+    """Yield the contexts of a JSON-LD document: objects, and the URLs of remote ones."""
     try:
         waiting: list[object] = [orjson.loads(data)]
     except orjson.JSONDecodeError as error:
@@ -375,7 +375,7 @@ def _contexts(data: bytes) -> Iterator[str | dict[str, object]]:
 
 
 def _longest_iri(context: Mapping[str, object]) -> int:
-    """An upper bound of the characters that a context adds to an IRI: terms may be prefixes of each other."""
+    """Return an upper bound of the characters that a context adds to an IRI: terms may be prefixes of each other."""
     terms: dict[str, str] = {}
     for term, value in context.items():
         iri = value.get("@id") if isinstance(value, dict) else value
@@ -409,7 +409,7 @@ _XML_TOKENS = re.compile(
 
 
 def _xml(data: bytes) -> bytes:
-    """An XML document in UTF-8, whatever encoding it declares. Raises UnsupportedCharset and BodyError."""
+    """Return an XML document in UTF-8, whatever encoding it declares. Raises UnsupportedCharset and BodyError."""
     try:
         return decode_xml(data)
     except UnknownCharset as error:
@@ -439,7 +439,7 @@ def _check_xml(data: bytes) -> None:
 
 
 def parse_json(data: bytes) -> object:
-    """The value of a JSON text: integers exact, whatever their size.
+    """Return the value of a JSON text: integers exact, whatever their size.
 
     Raises BodyError for what is not UTF-8, nested deeper than `MAX_DEPTH`, no JSON (NaN and Infinity are none), or says
     one key of an object twice.

@@ -31,7 +31,7 @@ class UnknownCharset(ValueError):
 
 
 def codec_of(charset: str) -> str:
-    """The Python codec of a charset. Raises UnknownCharset."""
+    """Return the Python codec of a charset. Raises UnknownCharset."""
     found = _CODECS.get(charset.strip().lower())
     if found is None:
         raise UnknownCharset(charset)
@@ -39,7 +39,7 @@ def codec_of(charset: str) -> str:
 
 
 def decode(data: bytes, codec: str) -> str:
-    """The text of `data` without a byte order mark; UTF-16 without one is big-endian (RFC 2781 4.3).
+    """Return the text of `data` without a byte order mark; UTF-16 without one is big-endian (RFC 2781 4.3).
 
     Raises UnicodeDecodeError.
     """

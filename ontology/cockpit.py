@@ -87,7 +87,7 @@ NOTHING = Cockpit("")
 
 
 def read_cockpit(triples: Iterable[Triple], url: str) -> Cockpit:
-    """The cockpit that a document at a URL describes, as far as it does: nothing is demanded."""
+    """Return the cockpit that a document at a URL describes, as far as it does: nothing is demanded."""
     said: dict[object, dict[NamedNode, list[object]]] = defaultdict(lambda: defaultdict(list))
     for subject, predicate, value in triples:
         said[subject][predicate].append(value)
@@ -133,7 +133,7 @@ def _number(values: Iterable[object]) -> int | None:
 
 
 def cockpit_triples(url: str, cockpit: Cockpit) -> list[Triple]:
-    """A cockpit as the document at a URL says it."""
+    """Return a cockpit as the document at a URL says it."""
     nodes = [NamedNode(f"{url}#panel.{number}") for number in range(1, len(cockpit.panels) + 1)]
     triples = triples_about(
         NamedNode(url),

@@ -68,7 +68,7 @@ def _count(kind: Array) -> str:
 
 
 def integer_fit(kind: Primitive) -> Callable[[Number], int]:
-    """The function that gives a number as an integer of this primitive. It raises Misfit."""
+    """Return the function that gives a number as an integer of this primitive. It raises Misfit."""
     least, greatest = RANGES[kind.name]
 
     def fit(value: Number) -> int:
@@ -91,7 +91,7 @@ def _whole(value: Number) -> int | None:
 
 
 def float_fit(kind: Primitive) -> Callable[[Number], float]:
-    """The function that gives a number rounded to the nearest float of this primitive. It raises Misfit.
+    """Return the function that gives a number rounded to the nearest float of this primitive. It raises Misfit.
 
     What rounds to infinity without being it does not fit.
     """
@@ -110,7 +110,7 @@ def float_fit(kind: Primitive) -> Callable[[Number], float]:
 
 
 def to_float32(value: Number) -> float:
-    """The float32 nearest to `value`, as a double. Raises OverflowError beyond the range of float32."""
+    """Return the float32 nearest to `value`, as a double. Raises OverflowError beyond the range of float32."""
     double = float(value)
     nearest: float = _FLOAT32.unpack(_FLOAT32.pack(double))[0]
     if nearest == double or isinstance(value, float) or not may_tie(double):
@@ -127,7 +127,7 @@ def may_tie(double: float) -> bool:
 
 
 def string_fit(kind: Primitive) -> Callable[[str], str]:
-    """The function that checks a string against its bound, in bytes of UTF-8. It raises Misfit."""
+    """Return the function that checks a string against its bound, in bytes of UTF-8. It raises Misfit."""
     bound = kind.bound
 
     def fit(value: str) -> str:
@@ -139,7 +139,7 @@ def string_fit(kind: Primitive) -> Callable[[str], str]:
 
 
 def base64_octets(text: str) -> bytes:
-    """The octets of xsd:base64Binary, which may hold white space. Raises Misfit."""
+    """Return the octets of xsd:base64Binary, which may hold white space. Raises Misfit."""
     try:
         return b64decode("".join(text.split()), validate=True)
     except (Base64Error, ValueError) as error:
@@ -152,7 +152,7 @@ def octet_array(kind: Array, octets: bytes) -> Numbers:
 
 
 def check_length(kind: Array, values: _Sized) -> _Sized:
-    """The values themselves, if there are as many as the field may hold. Raises Misfit."""
+    """Return the values themselves, if there are as many as the field may hold. Raises Misfit."""
     count = len(values)
     if kind.length is not None and count != kind.length:
         raise Misfit(f"expected {describe_kind(kind)}, and this has {count}")

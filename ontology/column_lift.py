@@ -94,7 +94,7 @@ def column_lifter(lifter: Lifter, only: frozenset[str], topic: str, node: str) -
 
 
 def _mark_text(mark: float | str) -> str:
-    """A mark as a lifter writes it: a string comes with the quotes of JSON."""
+    """Return a mark as a lifter writes it: a string comes with the quotes of JSON."""
     return f'"{mark}"' if isinstance(mark, str) else scalar_texts(np.array([mark], np.float32))[0]
 
 

@@ -52,7 +52,7 @@ def compile_lift(
     *,
     is_linked: bool = False,
 ) -> Lift:
-    """The function that writes messages of `schema`. Raises ValueError for a type with a bad name or no end.
+    """Return the function that writes messages of `schema`. Raises ValueError for a type with a bad name or no end.
 
     `only` (None: all) are the predicates that are of use: what is said by no other may be left out. `is_linked`: so may
     what is said of nodes to which none of these lead.
@@ -61,7 +61,7 @@ def compile_lift(
 
 
 def minimum_size(kind: Nested | Primitive, types: Mapping[str, MessageType]) -> int:
-    """The least bytes an element of an array takes on the wire of ROS 1."""
+    """Return the least bytes an element of an array takes on the wire of ROS 1."""
     if isinstance(kind, Primitive):
         return 4 if kind.name in STRINGS else DTYPES[kind.name].itemsize
     return max(1, sum(_field_size(field, types) for field in types[kind.name].fields))
@@ -115,7 +115,7 @@ class _Module:
         return cast(Lift, self.namespace[root])
 
     def function(self, name: str) -> str:
-        """The name of the function of a type, which will be compiled."""
+        """Return the name of the function of a type, which will be compiled."""
         if name not in self._functions:
             self._functions[name] = f"lift_{len(self._functions)}"
             self._wanted.append(name)
@@ -169,7 +169,7 @@ class _Function:
         self._single: dict[str, str] = {}
 
     def source(self, name: str) -> str:
-        """The source of the function for this type."""
+        """Return the source of the function for this type."""
         text = self._block(self._kind, "m", "{n}", "{x}")
         lines = [*self._lines, *self._batches(), f"return f'{text}'"]
         return f"def {name}(m, n, e, s, x=''):\n " + "\n ".join(lines) + "\n"
@@ -204,7 +204,7 @@ class _Function:
         return "".join([notation.begin, own, self._time(kind, message, subject), notation.end, *after])
 
     def _time(self, kind: MessageType, message: str, subject: str) -> str:
-        """The derived xsd:dateTime of a stamp."""
+        """Return the derived xsd:dateTime of a stamp."""
         is_wanted = kind.name == TIME and self._module.is_wanted(_DATE_TIME)
         text = self._notation.time(subject, "{t}") if is_wanted else ""
         if not text:
@@ -251,7 +251,7 @@ class _Function:
         return (text, "") if self._notation.inside else (self._notation.node(node), text)
 
     def _array(self, element: Primitive, length: int | None, value: str, node: str) -> tuple[str, str]:
-        """An array of primitives: one literal."""
+        """Return an array of primitives: one literal."""
         values, limit = self._new(value), self._module.inline_limit
         if element.name in STRINGS:
             too_large = f"4 * len({values}) + sum(map(octet_count, {values})) > {limit}"
@@ -283,13 +283,13 @@ class _Function:
 
 
 def _nested_type(field: Field) -> str | None:
-    """The type of the messages in a field, None where it holds none."""
+    """Return the type of the messages in a field, None where it holds none."""
     kind = field.type.element if isinstance(field.type, Array) else field.type
     return kind.name if isinstance(kind, Nested) else None
 
 
 def _attribute(field: Field) -> str:
-    """The attribute of a field, proved to be no more than a name: it goes into source."""
+    """Return the attribute of a field, proved to be no more than a name: it goes into source."""
     if not (_ATTRIBUTE.fullmatch(field.attribute) and _ATTRIBUTE.fullmatch(field.name)):
         raise ValueError(f"{field.name!r} is no name of a ROS field")
     return field.attribute

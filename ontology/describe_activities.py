@@ -62,7 +62,7 @@ class Receipt(NamedTuple):
 
 
 def activity_document(receipt: Receipt, space: Space) -> Document:
-    """A receipt: who asked what and when, the plan it came to, what that touched, what was answered."""
+    """Return a receipt: who asked what and when, the plan it came to, what that touched, what was answered."""
     url = space.activity(receipt.id)
     activity, agent = NamedNode(url), NamedNode(receipt.webid or agent_url(receipt.agent, space))
     request, answer, association, plan = (

@@ -155,7 +155,7 @@ def bag_document(
 
 
 def _track_nodes(bag: Bag, space: Space) -> dict[NamedNode, Track]:
-    """The topics of a recording by the fragments that identify them."""
+    """Return the topics of a recording by the fragments that identify them."""
     url = space.bag(bag.name)
     return {NamedNode(space.fragment(url, "topic", *name[1:].split("/"))): track for name, track in bag.topics.items()}
 

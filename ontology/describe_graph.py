@@ -174,7 +174,7 @@ def _master_triples(graph: Graph, space: Space) -> list[Triple]:
 
 
 def _section_triples(graph: Graph, space: Space) -> Iterator[Triple]:
-    """The titles of the routes, and their numbers of members if the graph has them."""
+    """Yield the titles of the routes, and their numbers of members if the graph has them."""
     counts = {
         "nodes": len(graph.nodes),
         "topics": len(graph.topics),
@@ -341,7 +341,7 @@ def namespace_document(
     is_name: bool = False,
     whole: str | None = None,
 ) -> Document:
-    """A namespace of names of one kind: its direct members and nested namespaces; a name can be both.
+    """Return a namespace of names of one kind: its direct members and nested namespaces; a name can be both.
 
     `is_name`: the namespace is also a name (`/camera/image_raw`), and links to it. `whole` is the URL that includes its
     hidden members, if any. Members are described in their own graphs only, so that a query over all graphs finds

@@ -87,7 +87,7 @@ class HoldView:
 
 
 def hold_document(hold: HoldView, space: Space, settings: LiftSettings = _SETTINGS) -> Document:
-    """The document of a hold: topic, message, rate, holder, lease, and what is published at its end."""
+    """Return the document of a hold: topic, message, rate, holder, lease, and what is published at its end."""
     url = space.hold(hold.id)
     subject = NamedNode(url)
     messages = [LiftedMessage("#message", lifter(hold.message[0], settings), hold.message[1])]
@@ -189,7 +189,7 @@ def stop_document(
     warning: str | None = None,
     usable: bool = True,
 ) -> Document:
-    """The stop: whether the robot is stopped (`by` somebody), and what is done to stop it.
+    """Return the stop: whether the robot is stopped (`by` somebody), and what is done to stop it.
 
     `warning` says why it may go on moving all the same. `usable`: the robot can be stopped here, and forms say how.
     """
@@ -236,7 +236,7 @@ def _step_statements(step: StepView) -> tuple[Statement, ...]:
 
 
 def _step_node(url: str, step: StepView) -> NamedNode:
-    """The name of a step, of what it does: numbers would tell who may not see all steps how many there are."""
+    """Return the name of a step, of what it does: numbers would tell who may not see all steps how many there are."""
     return NamedNode(f"{url}#step-{sha256(step.does.encode()).hexdigest()[:12]}")
 
 

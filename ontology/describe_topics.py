@@ -33,7 +33,7 @@ def topic_document(
     holdable: bool = False,
     hold: str | None = None,
 ) -> Document:
-    """A topic and its latest messages, the newest of each publisher in order of receipt (the newest last).
+    """Return a topic and its latest messages, the newest of each publisher in order of receipt (the newest last).
 
     The newest of all is `#message`; where several publish, each publisher's is linked by ros:latestFrom. `unreadable`
     says why messages cannot be decoded, and goes before what the topic says itself. `holdable`: the topic can be held
@@ -119,7 +119,7 @@ def _description(topic: Topic, space: Space, is_namespace: bool) -> tuple[Triple
 
 
 def _type(topic: Topic, space: Space) -> list[Statement]:
-    """The type with its shape, or the variants that contradict each other."""
+    """Return the type with its shape, or the variants that contradict each other."""
     if topic.type is None:
         return statements(ros.conflictingType, [NamedNode(space.type(ref)) for ref in topic.types])
     name = topic.type.name
@@ -138,7 +138,7 @@ def _nodes(endpoints: Iterable[Endpoint], space: Space) -> list[NamedNode]:
 def endpoints_of(
     kind: NamedNode, endpoints: Iterable[Endpoint], topic: Topic, space: Space
 ) -> Iterator[tuple[NamedNode, list[Triple]]]:
-    """Those endpoints (ros:Publisher, ros:Subscriber) that have more to say than that they are there, described.
+    """Yield those endpoints (ros:Publisher, ros:Subscriber) that have more to say than that they are there, described.
 
     All of a topic, or all of one node on it.
     """

@@ -145,7 +145,7 @@ def _constant(constant: Constant, position: int) -> list[Statement]:
 
 
 def constant_value(constant: Constant) -> Literal | None:
-    """The value of a constant, with the datatype of its type."""
+    """Return the value of a constant, with the datatype of its type."""
     value = constant.value
     if isinstance(value, str):
         return text(value)
@@ -156,13 +156,13 @@ def constant_value(constant: Constant) -> Literal | None:
 
 
 def _nested_type(kind: FieldType) -> str | None:
-    """The name of the message type within a field's type."""
+    """Return the name of the message type within a field's type."""
     element = kind.element if isinstance(kind, Array) else kind
     return element.name if isinstance(element, Nested) else None
 
 
 def definition_text(kind: FieldType) -> str:
-    """A field's type as ROS definitions write it: `float64`, `geometry_msgs/msg/Point[]`, `string<=10[<=3]`."""
+    """Return a field's type as ROS definitions write it: `float64`, `geometry_msgs/msg/Point[]`, `string<=10[<=3]`."""
     if isinstance(kind, Nested):
         return kind.name
     if isinstance(kind, Primitive):

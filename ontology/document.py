@@ -81,7 +81,7 @@ class Document:
     parts: tuple[Document, ...] = ()
 
     def all_triples(self) -> list[Triple]:
-        """The description, the messages and the parts, as terms."""
+        """Return the description, the messages and the parts, as terms."""
         own = [*self.triples, *(triple for message in self.messages for triple in message.triples(self))]
         return own + [triple for part in self.parts for triple in part.all_triples()]
 

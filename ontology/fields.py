@@ -16,7 +16,7 @@ _WHOLE = LiftSettings(inline_limit=2**62)
 
 
 def field_bytes(schema: MessageSchema, message: Message, path: str) -> tuple[bytes, str]:
-    """The bytes of the field at `path` (`transforms.0.data`) and their media type.
+    """Return the bytes of the field at `path` (`transforms.0.data`) and their media type.
 
     Octets and strings are as they are on the wire, anything else is JSON, whole however large. Raises ValueError
     naming the path where there is no such field.
@@ -39,7 +39,7 @@ def field_at(schema: MessageSchema, message: Message, path: str) -> tuple[FieldT
 
 
 def number_type(schema: MessageSchema, path: str) -> Primitive | Array:
-    """The type of the number, or of the array of numbers, at `path` in every message of a type.
+    """Return the type of the number, or of the array of numbers, at `path` in every message of a type.
 
     Raises ValueError naming the path where there is no such field, or it holds no numbers.
     """
@@ -104,7 +104,7 @@ def _message_json(schema: MessageSchema, kind: Nested, message: Message) -> byte
 
 @lru_cache(maxsize=256)
 def _part(schema: MessageSchema, name: str) -> MessageSchema:
-    """The schema of a type nested in `schema`."""
+    """Return the schema of a type nested in `schema`."""
     return replace(schema, ref=TypeRef(name, schema.ref.hash))
 
 

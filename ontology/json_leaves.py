@@ -199,7 +199,7 @@ def _bools_at_once(values: list[Any], dtype: np.dtype[Any], limits: tuple[int, i
 
 
 def array_of_json(kind: Array) -> Callable[[str], object]:
-    """The reader of an rdf:JSON literal as an array of primitives. It raises Misfit.
+    """Return the reader of an rdf:JSON literal as an array of primitives. It raises Misfit.
 
     Integers must have no fraction: a shape could not tell which other numbers are whole.
     """

@@ -84,7 +84,7 @@ class _Writer:
         return self.context.setdefault(term, value) == value
 
     def _key(self, predicate: NamedNode, objects: Iterable[Term]) -> tuple[str, str | None]:
-        """The key for a predicate and the kind to which the context coerces its values (None: no coercion)."""
+        """Return the key for a predicate and the kind to which the context coerces its values (None: no coercion)."""
         iri = predicate.value
         kinds = {self._kind(term) for term in objects}
         kind = kinds.pop() if len(kinds) == 1 else None
@@ -125,7 +125,7 @@ class _Writer:
             yield self._message(iri)
 
     def _node(self, subject: Subject, depth: int) -> Json:
-        """A node object."""
+        """Return a node object."""
         self.written.add(subject)
         node: dict[str, Json] = {}
         if isinstance(subject, NamedNode):
@@ -180,7 +180,7 @@ class _Writer:
             (cell,) = self.shape.subjects[cell][rdf.rest]
 
     def _message(self, iri: str) -> Json:
-        """The node object of a message, with a context of its own where that of the document says otherwise."""
+        """Return the node object of a message, with a context of its own where that of the document says otherwise."""
         message: LiftedMessage = self.messages.pop(iri)
         text = message.jsonld(self.document)
         if iri in self.embedded:
@@ -204,7 +204,7 @@ def _literal(literal: Literal, compact: str | None) -> Json:
 
 
 def _by_predicate(shape: Outline) -> Mapping[NamedNode, list[Term]]:
-    """All objects of each predicate."""
+    """Return all objects of each predicate."""
     objects: dict[NamedNode, list[Term]] = {}
     for statements in shape.subjects.values():
         for predicate, terms in statements.items():

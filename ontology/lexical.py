@@ -90,7 +90,7 @@ NUMBERS: dict[NamedNode, Callable[[str], Number]] = {
 
 
 def parse_boolean(text: str) -> bool:
-    """The value of an xsd:boolean. Raises Misfit."""
+    """Return the value of an xsd:boolean. Raises Misfit."""
     value = _BOOLEANS.get(text)
     if value is None:
         raise Misfit("expected an xsd:boolean: true or false", text)
@@ -98,7 +98,7 @@ def parse_boolean(text: str) -> bool:
 
 
 def parse_hex_binary(text: str) -> bytes:
-    """The octets of an xsd:hexBinary. Raises Misfit."""
+    """Return the octets of an xsd:hexBinary. Raises Misfit."""
     if not _HEX.fullmatch(text):
         raise Misfit("expected an xsd:hexBinary", text)
     return bytes.fromhex(text)
@@ -112,7 +112,7 @@ BINARIES: dict[NamedNode, Callable[[str], bytes]] = {
 
 
 def parse_date_time(text: str) -> int:
-    """The nanoseconds from the epoch to an xsd:dateTime, which must say its time zone. Raises Misfit."""
+    """Return the nanoseconds from the epoch to an xsd:dateTime, which must say its time zone. Raises Misfit."""
     match = _DATE_TIME.fullmatch(text.strip())
     if match is None or match[8] is None:
         raise Misfit("expected an xsd:dateTime with a time zone, such as 2026-01-31T12:00:00.5Z", text)

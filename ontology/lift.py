@@ -203,7 +203,7 @@ class CompiledLifter:
 
 @lru_cache(maxsize=1024)
 def lifter(schema: MessageSchema, settings: LiftSettings = LiftSettings()) -> Lifter:
-    """The compiled lifter of a schema; compiled once a schema and settings.
+    """Return the compiled lifter of a schema; compiled once a schema and settings.
 
     Raises ValueError for a type that contains itself or whose name is none.
     """
@@ -261,7 +261,7 @@ def _prefixes(names: Iterable[TypeName]) -> dict[str, str]:
 
 
 def _terms(schema: MessageSchema, names: Mapping[str, TypeName]) -> dict[str, object]:
-    """A term a type, whose scoped context gives its fields' properties and datatypes."""
+    """Return a term a type, whose scoped context gives its fields' properties and datatypes."""
     return {
         names[kind.name].term: {
             "@id": names[kind.name].iri,

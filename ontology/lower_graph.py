@@ -67,7 +67,7 @@ def _unexpected(kind: FieldType, term: Term) -> Misfit:
 
 
 def _number(kind: Primitive, fit: Callable[[Number], object]) -> TermLeaf:
-    """The reader of a number; of an integer no float is one, for no shape could tell which of them are whole."""
+    """Return the reader of a number; of an integer no float is one, for no shape could tell which of them are whole."""
     is_integer = kind.name in RANGES
 
     def read(term: Term) -> object:
@@ -105,7 +105,7 @@ def _string(kind: Primitive) -> TermLeaf:
 
 
 def term_leaf(kind: Primitive) -> TermLeaf:
-    """The reader of a literal as a primitive. It raises Misfit."""
+    """Return the reader of a literal as a primitive. It raises Misfit."""
     if kind.name in STRINGS:
         return _string(kind)
     if kind.name == "bool":
@@ -117,7 +117,7 @@ def term_leaf(kind: Primitive) -> TermLeaf:
 
 
 def _elements(kind: Array, head: Term, reading: GraphReading) -> list[Term]:
-    """The elements of an rdf:List (RDF Schema 5.2). Raises Misfit for anything that is none."""
+    """Return the elements of an rdf:List (RDF Schema 5.2). Raises Misfit for anything that is none."""
     elements: list[Term] = []
     cells: set[Term] = set()
     cell = head
@@ -143,7 +143,7 @@ def _no_list(kind: Array | Primitive, term: Term, reading: GraphReading) -> Misf
 
 
 def _array(kind: Array, element: Primitive) -> Reader:
-    """The reader of an array of primitives: an rdf:JSON literal, octets or an rdf:List of literals."""
+    """Return the reader of an array of primitives: an rdf:JSON literal, octets or an rdf:List of literals."""
     from_json, one = array_of_json(kind), term_leaf(element)
     binary = is_octets(kind)
 
@@ -189,7 +189,7 @@ class GraphReaders:
         self._messages: dict[str, Reader] = {}
 
     def message(self, name: str) -> Reader:
-        """The reader of a node as a message of a type of this schema."""
+        """Return the reader of a node as a message of a type of this schema."""
         if name not in self._messages:
             self._messages[name] = self._message(name)
         return self._messages[name]

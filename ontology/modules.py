@@ -28,7 +28,7 @@ _DECLARED = (ros.iri, owl.iri, rdf.iri, rdfs.iri)
 
 
 def module_iri(name: str, version: str = "") -> str:
-    """The IRI of a module; with a version, that of this version of it."""
+    """Return the IRI of a module; with a version, that of this version of it."""
     return "/".join((ROOT, *_path(name, version)))
 
 
@@ -78,7 +78,7 @@ def _signposts(name: str) -> Iterator[Triple]:
 
 @cache
 def home_of_terms() -> Mapping[str, str]:
-    """The module that defines each term, by the term's IRI."""
+    """Return the module that defines each term, by the term's IRI."""
     return {
         triple.subject.value: name
         for name in OWN
@@ -99,5 +99,5 @@ def term_url(iri: str, base: str) -> str | None:
 
 @cache
 def _modules() -> Mapping[str, str]:
-    """The path of each module, by its IRI and by the IRI of its version."""
+    """Return the path of each module, by its IRI and by the IRI of its version."""
     return {module_iri(name, version): module_url(name, "", version) for name in MODULES for version in ("", VERSION)}

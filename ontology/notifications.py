@@ -79,7 +79,7 @@ _TYPES: Json = {"@type": [ldp.Resource.value, ldp.RDFSource.value]}
 
 
 def channel_type(name: str) -> NamedNode:
-    """The IRI of a channel type."""
+    """Return the IRI of a channel type."""
     return NamedNode(notify.iri + name)
 
 
@@ -147,7 +147,7 @@ class ChannelDescription:
     state: str | None = None
 
     def document(self) -> Document:
-        """The channel as RDF."""
+        """Return the channel as RDF."""
         triples = triples_about(
             NamedNode(self.url),
             (rdf.type, channel_type(self.type)),
@@ -188,7 +188,7 @@ class Activity(NamedTuple):
     state: str | None = None
 
     def document(self, id: str, published: int) -> Document:
-        """The notification as RDF: told with this id, published so many ns after 1970."""
+        """Return the notification as RDF: told with this id, published so many ns after 1970."""
         triples = triples_about(
             NamedNode(id),
             (rdf.type, NamedNode(activity.iri + self.type)),
@@ -213,7 +213,7 @@ class Activity(NamedTuple):
 
 
 def duration(seconds: float) -> str:
-    """The xsd:duration of so many seconds, down to the microsecond."""
+    """Return the xsd:duration of so many seconds, down to the microsecond."""
     return f"PT{seconds:.6f}".rstrip("0").rstrip(".") + "S"
 
 

@@ -34,7 +34,7 @@ class Outline:
 
 
 def outline(triples: Iterable[Triple]) -> Outline:
-    """The outline of `triples`. Raises ValueError for a triple term as subject, which RDF 1.2 does not know."""
+    """Return the outline of `triples`. Raises ValueError for a triple term as subject, which RDF 1.2 does not know."""
     subjects: dict[Subject, Statements] = {}
     for triple in dict.fromkeys(triples):
         subject = triple.subject
@@ -67,7 +67,7 @@ def _uses(subjects: dict[Subject, Statements]) -> Counter[BlankNode]:
 
 
 def _blanks_within(term: Triple) -> set[BlankNode]:
-    """The blank nodes of a triple term, however deep."""
+    """Return the blank nodes of a triple term, however deep."""
     blanks: set[BlankNode] = set()
     waiting: list[Triple] = [term]
     while waiting:
@@ -92,7 +92,7 @@ def _is_cell(statements: Statements) -> bool:
 def _lists(
     subjects: dict[Subject, Statements], uses: Counter[BlankNode]
 ) -> tuple[dict[BlankNode, list[Term]], frozenset[BlankNode]]:
-    """The elements of each well-formed list by its head, and the cells of all of them."""
+    """Return the elements of each well-formed list by its head, and the cells of all of them."""
     rests = {
         subject: statements[rdf.rest][0]
         for subject, statements in subjects.items()

@@ -46,7 +46,7 @@ _DATE_TIME = re.compile(
 
 
 def parameter_document(name: str, value: ParameterValue, space: Space) -> Document:
-    """A parameter and its value; a dict comes with all that lies in it, under the container of this name."""
+    """Return a parameter and its value; a dict comes with all that lies in it, under the container of this name."""
     if isinstance(value, dict):
         return parameter_container_document(tuple(name[1:].split("/")), value, space)
     url = space.parameter(name)
@@ -66,7 +66,7 @@ def parameter_container_document(
     *,
     whole: str | None = None,
 ) -> Document:
-    """A tree of parameters as a container with all its members and their values.
+    """Return a tree of parameters as a container with all its members and their values.
 
     Of trees in it that have more than `limit` members it is told that they are there, and not what they hold. `whole`
     is where hidden members are told as well, if there are any. A value that is None is not told.
@@ -126,7 +126,7 @@ def parameter_literal(value: ParameterValue) -> Literal | None:
 
 
 def _date_time(value: datetime) -> str:
-    """The xsd:dateTime, without a zone where the value has none; UTC is `Z`."""
+    """Return the xsd:dateTime, without a zone where the value has none; UTC is `Z`."""
     written = value.isoformat()
     return written.removesuffix("+00:00") + "Z" if written.endswith("+00:00") else written
 
@@ -135,7 +135,7 @@ def _date_time(value: datetime) -> str:
 
 
 def parameter_json(value: ParameterValue) -> bytes:
-    """The value as plain JSON."""
+    """Return the value as plain JSON."""
     return orjson.dumps(plain_value(value))
 
 
@@ -169,7 +169,7 @@ def _plain(value: ParameterValue, depth: int) -> Json:
 
 
 def lower_parameter(body: RdfBody, url: str) -> ParameterValue:
-    """The value that a body states for the parameter at `url` (for a tree with or without its slash).
+    """Return the value that a body states for the parameter at `url` (for a tree with or without its slash).
 
     Also found: the only subject of type ros:Parameter, or the only one with an ros:value, that nothing links to.
     Raises LoweringError with the path of what does not fit.
@@ -211,7 +211,7 @@ def _lower(body: RdfBody, subject: NamedNode, path: str, depth: int) -> Paramete
 
 
 def _key(member: Term, container: NamedNode, path: str) -> str:
-    """The key of a member: the last segment of its URL, which lies directly in the container's."""
+    """Return the key of a member: the last segment of its URL, which lies directly in the container's."""
     base = container.value.rstrip("/") + "/"
     value = member.value if isinstance(member, NamedNode) else ""
     segment = value.removeprefix(base).removesuffix("/")
@@ -230,7 +230,7 @@ def _member(body: RdfBody, member: Term, container: NamedNode, path: str, depth:
 
 
 def lower_term(term: Term, path: str = "") -> ParameterValue:
-    """The value of an RDF term. Raises LoweringError with the `path` for a term that has none."""
+    """Return the value of an RDF term. Raises LoweringError with the `path` for a term that has none."""
     if not isinstance(term, Literal):
         raise _error(path, "expected a literal as ros:value", str(term))
     if term.language is not None:
@@ -251,7 +251,7 @@ def lower_term(term: Term, path: str = "") -> ParameterValue:
 
 
 def _scalar(datatype: NamedNode, lexical: str) -> ParameterValue:
-    """The value of a literal. Raises Misfit."""
+    """Return the value of a literal. Raises Misfit."""
     if datatype == xsd.string:
         return lexical
     if datatype == xsd.boolean:
@@ -274,7 +274,7 @@ def _base64(lexical: str) -> bytes:
 
 
 def _moment(lexical: str) -> datetime:
-    """A date to the microsecond, which is as fine as ROS parameters get."""
+    """Return a date to the microsecond, which is as fine as ROS parameters get."""
     match = _DATE_TIME.fullmatch(lexical.strip())
     if match is None:
         raise Misfit("expected an xsd:dateTime to the microsecond, such as 2026-01-31T12:00:00.5Z", lexical)
@@ -320,7 +320,7 @@ def _members(items: Iterable[tuple[object, object]], path: str, depth: int) -> d
 
 
 def _text(value: str, path: str) -> str:
-    """A string of JSON, which may escape what is no character."""
+    """Return a string of JSON, which may escape what is no character."""
     if any("\ud800" <= character <= "\udfff" for character in value):
         raise _error(path, "expected a string of Unicode characters, and half a surrogate pair is none", ascii(value))
     return value

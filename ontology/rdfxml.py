@@ -36,7 +36,7 @@ _NO_PROPERTIES = frozenset(
 
 
 def rdfxml(triples: Iterable[Triple], base: str) -> str:
-    """The triples in RDF/XML. Raises CannotCarry for what XML cannot hold."""
+    """Return the triples in RDF/XML. Raises CannotCarry for what XML cannot hold."""
     writer = _Writer()
     body = [writer.description(subject, statements) for subject, statements in outline(triples).subjects.items()]
     names = "".join(f"\n    xmlns:{prefix}={_quote(iri)}" for iri, prefix in writer.namespaces.items())
@@ -61,7 +61,7 @@ class _Writer:
         return f"  <rdf:Description {self._node(subject, 'rdf:about')}>\n{''.join(lines)}  </rdf:Description>\n"
 
     def _element(self, name: str, term: Term) -> str:
-        """A property element."""
+        """Return a property element."""
         if isinstance(term, Triple):
             raise CannotCarry("RDF/XML 1.1 cannot carry a triple term; ask for Turtle or N-Triples")
         if isinstance(term, Literal):
@@ -69,7 +69,7 @@ class _Writer:
         return f"<{name} {self._node(term, 'rdf:resource')}/>"
 
     def _node(self, node: Subject, attribute: str) -> str:
-        """The attribute that names a node."""
+        """Return the attribute that names a node."""
         if isinstance(node, NamedNode):
             return f"{attribute}={_quote(node.value)}"
         return f'rdf:nodeID="{self.labels.setdefault(node, f"b{len(self.labels)}")}"'
@@ -86,7 +86,7 @@ class _Writer:
 
 
 def _attributes(literal: Literal) -> str:
-    """The language or the datatype of a literal, as attributes."""
+    """Return the language or the datatype of a literal, as attributes."""
     if literal.direction is not None:
         raise CannotCarry(f"RDF/XML 1.1 cannot carry the base direction of {literal.value!r}; ask for Turtle")
     if literal.language is not None:
@@ -103,5 +103,5 @@ def _text(value: str) -> str:
 
 
 def _quote(value: str) -> str:
-    """The value of an attribute, in quotes."""
+    """Return the value of an attribute, in quotes."""
     return f'"{value.translate(_IN_QUOTES)}"'

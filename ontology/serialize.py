@@ -15,7 +15,7 @@ __all__ = ["CannotCarry", "Syntax", "serialize", "serialize_named"]
 
 
 def serialize(document: Document, syntax: Syntax | str) -> bytes:
-    """The document in a syntax (or the syntax of a media type), UTF-8. All syntaxes say the same.
+    """Return the document in a syntax (or the syntax of a media type), UTF-8. All syntaxes say the same.
 
     A document is one graph (LDP 4.3.1), so N-Quads and TriG have its triples in the default graph, but those of its
     parts in graphs of their own. Raises CannotCarry where the syntax cannot hold what the document says, ValueError for
@@ -29,7 +29,7 @@ def serialize(document: Document, syntax: Syntax | str) -> bytes:
 
 
 def serialize_named(document: Document, syntax: Syntax) -> bytes:
-    """The document as a part of a dataset: N-Quads and TriG put its triples into the graph named by its URL.
+    """Return the document as a part of a dataset: N-Quads and TriG put its triples into the graph named by its URL.
 
     In other syntaxes it is as `serialize` has it; raises as that does.
     """

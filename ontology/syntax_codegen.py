@@ -44,7 +44,7 @@ class Site(NamedTuple):
     simulated_time: bool
 
     def href(self, node: str) -> str:
-        """The URL of the bytes of an elided field."""
+        """Return the URL of the bytes of an elided field."""
         return f"{self.source}{'&' if '?' in self.source else '?'}field={node[self.start :]}"
 
 
@@ -77,27 +77,27 @@ class Notation(Protocol):
     runtime: Runtime
 
     def head(self, subject: str, kind: TypeName) -> str:
-        """The node itself with its type; empty where the syntax says neither."""
+        """Return the node itself with its type; empty where the syntax says neither."""
         ...
 
     def field(self, subject: str, kind: TypeName, name: str, value: str, key: str | None = None) -> str:
-        """A field and its value. `key` stands for the name where that depends on the value (JSON-LD)."""
+        """Return a field and its value. `key` stands for the name where that depends on the value (JSON-LD)."""
         ...
 
     def time(self, subject: str, value: str) -> str:
-        """The derived ros:dateTime; empty where the syntax has none."""
+        """Return the derived ros:dateTime; empty where the syntax has none."""
         ...
 
     def literal(self, datatype: str, value: str) -> str:
-        """A number, bool or octets; `datatype` is XSD's local name."""
+        """Return a number, bool or octets; `datatype` is XSD's local name."""
         ...
 
     def json(self, value: str) -> str:
-        """The JSON of an array of numbers or bools."""
+        """Return the JSON of an array of numbers or bools."""
         ...
 
     def node(self, subject: str) -> str:
-        """A link to a nested node."""
+        """Return a link to a nested node."""
         ...
 
 

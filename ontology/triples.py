@@ -58,7 +58,7 @@ def boolean(value: bool) -> Literal:
 
 
 def date_time_literal(nanoseconds: int | None) -> Literal | None:
-    """The xsd:dateTime (UTC) of nanoseconds after the epoch; None for None."""
+    """Return the xsd:dateTime (UTC) of nanoseconds after the epoch; None for None."""
     return None if nanoseconds is None else Literal(date_time(0, nanoseconds), datatype=xsd.dateTime)
 
 

@@ -23,7 +23,7 @@ _LONG_TO_ESCAPE = re.compile('[\\\\"\\x00-\\x09\\x0b-\\x1f\\x7f-\\x9f\u2028\u202
 
 
 def quote_turtle(text: str) -> str:
-    """A quoted string; one of several lines in long quotes, so that definitions read as they were written."""
+    """Return a quoted string; one of several lines in long quotes, so that definitions read as they were written."""
     if not _TO_ESCAPE.search(text):
         return f'"{text}"'
     if "\n" in text.strip("\n"):
@@ -37,7 +37,7 @@ def _escape(match: re.Match[str]) -> str:
 
 @lru_cache(maxsize=4096)
 def prefixed_name(iri: str) -> tuple[str, str | None]:
-    """The IRI as a prefixed name and its prefix, or in angle brackets and None."""
+    """Return the IRI as a prefixed name and its prefix, or in angle brackets and None."""
     cut = max(iri.rfind("#"), iri.rfind("/")) + 1
     prefix = _NAMESPACES.get(iri[:cut])
     if prefix is None or not _LOCAL.fullmatch(iri, cut):
@@ -59,7 +59,7 @@ class _Writer:
         return isinstance(subject, NamedNode) or (subject not in self.shape.nested and subject not in self.shape.cells)
 
     def paragraphs(self) -> Iterator[str]:
-        """All subjects; blank nodes that hang on nothing but themselves come last."""
+        """Yield all subjects; blank nodes that hang on nothing but themselves come last."""
         yield from self._waiting()
         for subject in self.shape.subjects:
             # List cells that no one led to belong to a blank node written below, or to a ring of them.
@@ -106,7 +106,7 @@ class _Writer:
         return f"<<( {term} )>>"
 
     def blank(self, blank: BlankNode, depth: int) -> str:
-        """A blank node: a list, nested in brackets, or by its label."""
+        """Return a blank node: a list, nested in brackets, or by its label."""
         if blank in self.written or depth >= DEPTH or self._stands_alone(blank) or blank not in self.shape.subjects:
             if blank in self.shape.subjects and blank not in self.written:
                 self.waiting.append(blank)
@@ -129,7 +129,7 @@ class _Writer:
             (cell,) = self.shape.subjects[cell][rdf.rest]
 
     def iri(self, iri: str) -> str:
-        """An IRI: a prefixed name, a fragment of this document, or in full."""
+        """Return an IRI: a prefixed name, a fragment of this document, or in full."""
         if iri.startswith(self.fragment):
             return f"<{iri[len(self.fragment) - 1 :]}>"
         text, prefix = prefixed_name(iri)
@@ -138,7 +138,7 @@ class _Writer:
         return text
 
     def literal(self, literal: Literal) -> str:
-        """A literal: bare where Turtle allows it."""
+        """Return a literal: bare where Turtle allows it."""
         if literal.language is not None:
             return str(literal)
         datatype = literal.datatype.value
@@ -151,13 +151,13 @@ class _Writer:
 
 
 def turtle(document: Document) -> str:
-    """The document in Turtle; what it carries of messages follows its description."""
+    """Return the document in Turtle; what it carries of messages follows its description."""
     prefixes, body = _sections(document)
     return f"{_header(document.url, prefixes)}\n{body}"
 
 
 def trig(document: Document) -> str:
-    """The document in TriG: its triples are in the graph named by its URL."""
+    """Return the document in TriG: its triples are in the graph named by its URL."""
     prefixes, body = _sections(document, inner="    ")
     return f"{_header(document.url, prefixes)}\n<{document.url}> {{\n{body}}}\n"
 
@@ -172,7 +172,7 @@ def _declaration(prefix: str, iri: str) -> str:
 
 
 def _sections(document: Document, inner: str = "") -> tuple[dict[str, str], str]:
-    """The prefixes for the head, and the body."""
+    """Return the prefixes for the head, and the body."""
     writer = _Writer(outline(document.triples), document.url)
     sections = list(writer.paragraphs())
     prefixes = {prefix: PREFIXES[prefix] for prefix in sorted(writer.prefixes)}

@@ -34,7 +34,7 @@ def encode_segment(segment: str) -> str:
 
 
 def decode_segment(raw: str) -> str:
-    """The segment written as `raw`: the inverse of `encode_segment`.
+    """Return the segment written as `raw`: the inverse of `encode_segment`.
 
     Raises ValueError for a malformed escape, for bytes that are not UTF-8, and for an empty or dot segment.
     """
@@ -115,7 +115,7 @@ class Space:
         return urlsplit(self.base).path
 
     def absolute(self, reference: str) -> str:
-        """The URL that a reference names: a URL of this space is itself, all others are paths below the base."""
+        """Return the URL that a reference names: a URL of this space is itself, all others are paths below the base."""
         if reference.startswith(self.base):
             return reference
         return self.base + reference.removeprefix(self.path).removeprefix("/")
@@ -131,11 +131,11 @@ class Space:
             return None
 
     def url(self, kind: str, segments: tuple[str, ...]) -> str:
-        """The URL of a leaf: `kind` and the segments below it."""
+        """Return the URL of a leaf: `kind` and the segments below it."""
         return self.base + "/".join((kind, *map(encode_segment, segments)))
 
     def container(self, kind: str, namespace: tuple[str, ...] = ()) -> str:
-        """The URL of the container of a namespace: `topics/` and its segments, ending in a slash."""
+        """Return the URL of the container of a namespace: `topics/` and its segments, ending in a slash."""
         return self.url(kind, namespace) + "/"
 
     def _leaf_url(self, kind: str, name: str) -> str:
@@ -168,7 +168,7 @@ class Space:
         return self.url("types", tuple(name.split("/"))) + (f"?hash={quote(hash, safe='')}" if hash else "")
 
     def shape(self, name: str) -> str:
-        """The SHACL shape of a type."""
+        """Return the SHACL shape of a type."""
         return self.url("shapes", tuple(name.split("/")))
 
     def shapes_of(self, schema: Schema) -> tuple[str, ...]:
@@ -176,7 +176,7 @@ class Space:
         return tuple(self.shape(half.ref.name) for half in halves_of(schema))
 
     def document_shape(self, name: str) -> str:
-        """The SHACL shape of what documents say of a class: `Topic` -> `shapes/documents#Topic`."""
+        """Return the SHACL shape of what documents say of a class: `Topic` -> `shapes/documents#Topic`."""
         return f"{self.base}shapes/documents#{name}"
 
     def call(self, id: str) -> str:
@@ -201,23 +201,23 @@ class Space:
         return f"{self.base}stop"
 
     def activity(self, id: str) -> str:
-        """The receipt of a write."""
+        """Return the receipt of a write."""
         return self.url("activity", (id,))
 
     def query(self, name: str) -> str:
-        """A stored query."""
+        """Return a stored query."""
         return self.url("queries", (name,))
 
     def cockpit(self, name: str) -> str:
-        """A cockpit by its name: `cockpit/default`."""
+        """Return a cockpit by its name: `cockpit/default`."""
         return self.url("cockpit", (name,))
 
     def bag(self, name: str) -> str:
-        """A recording: a container of its parts."""
+        """Return a recording: a container of its parts."""
         return self.container("bags", (name,))
 
     def bag_messages(self, name: str) -> str:
-        """The messages of a recording."""
+        """Return the messages of a recording."""
         return self.container("bags", (name, "messages"))
 
     def bag_message(self, name: str, index: int) -> str:
@@ -225,19 +225,19 @@ class Space:
         return self.url("bags", (name, "messages", str(index)))
 
     def bag_moment(self, name: str) -> str:
-        """All topics of a recording at one moment."""
+        """Return all topics of a recording at one moment."""
         return self.url("bags", (name, "at"))
 
     def bag_stream(self, name: str) -> str:
-        """The messages of a recording as an event stream."""
+        """Return the messages of a recording as an event stream."""
         return self.url("bags", (name, "ldes"))
 
     def bag_stream_page(self, name: str, page: str) -> str:
-        """A page of that stream."""
+        """Return a page of that stream."""
         return self.url("bags", (name, "ldes", page))
 
     def class_of(self, name: str) -> str:
-        """The class of a message or service type: an IRI in the types' namespace, not of this server."""
+        """Return the class of a message or service type: an IRI in the types' namespace, not of this server."""
         return self.types + "/".join(map(encode_segment, name.split("/")))
 
     def type_of(self, iri: str) -> str | None:
@@ -247,9 +247,9 @@ class Space:
         return "/".join(decode_segment(each) for each in iri[len(self.types) :].split("/"))
 
     def property_of(self, name: str, field: str) -> str:
-        """The property of a field (or a constant) of a type."""
+        """Return the property of a field (or a constant) of a type."""
         return f"{self.class_of(name)}#{quote(field, safe='')}"
 
     def fragment(self, document: str, *parts: str) -> str:
-        """A node within a document: `#from/talker`; parts are encoded and joined by slashes."""
+        """Return a node within a document: `#from/talker`; parts are encoded and joined by slashes."""
         return f"{document}#" + "/".join(quote(part, safe="") for part in parts)

@@ -86,7 +86,7 @@ class Findings:
 
 
 def path_text(path: Path) -> str:
-    """The path as text."""
+    """Return the path as text."""
     steps: list[str] = []
     while path is not None:
         path, step = path

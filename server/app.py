@@ -160,7 +160,7 @@ def create_authenticator(services: Services, channels: Channels) -> Authenticato
 
 
 def client_limiter(settings: Settings) -> ClientLimiter:
-    """The limits of each client, as the settings have them."""
+    """Return the limits of each client, as the settings have them."""
     allowance = ClientLimits(
         settings.client_rate, settings.client_requests, settings.client_connections, settings.client_websockets
     )
@@ -177,7 +177,7 @@ def middleware(
     admission: Admission,
     authenticator: Authenticator | None,
 ) -> Handler:
-    """The stack that answers a request, made from its end to its beginning."""
+    """Return the stack that answers a request, made from its end to its beginning."""
     stop = f"{space.path}stop".encode("ascii")
     handler: Handler = Dispatch(router.resolve, dispatcher)
     if authenticator is None:

@@ -228,7 +228,7 @@ class AcceptedFields:
                     self._writer.add(within(self.node(kind.name), field.name), (sh.datatype, xsd.string))
 
     def _way(self, path: str) -> tuple[Value, Primitive] | None:
-        """The property path to a scalar, and what that is; None where the message has none there."""
+        """Return the property path to a scalar, and what that is; None where the message has none there."""
         writer, kind, steps = self._writer, cast(FieldType, Nested(self._schema.ref.name)), list[Value]()
         for step in path.split("."):
             if not isinstance(kind, Nested):

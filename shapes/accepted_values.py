@@ -87,12 +87,12 @@ class AcceptedValues:
         self._written: set[str] = set()
 
     def scalar(self, kind: Primitive) -> NamedNode:
-        """The shape of a scalar."""
+        """Return the shape of a scalar."""
         bound = "" if kind.bound is None else f"-{kind.bound}"
         return self._node_shape(f"{kind.name}{bound}", lambda: self._scalar(kind))
 
     def array(self, kind: Array, element: Primitive) -> NamedNode:
-        """The shape of an array of primitives: one literal, or a list of literals."""
+        """Return the shape of an array of primitives: one literal, or a list of literals."""
         parts = [element.name, "array"]
         parts += [] if element.bound is None else [f"of-{element.bound}"]
         parts += [] if kind.length is None else [f"{kind.length}"]
@@ -209,7 +209,7 @@ class AcceptedValues:
         )
 
     def _floats(self, name: str) -> Iterator[Sequence[Statement]]:
-        """An alternative for each datatype of numbers with a fraction, within the range of a float."""
+        """Yield an alternative for each datatype of numbers with a fraction, within the range of a float."""
         # NaN is within no range, and what is no xsd:float is none; not every validator has it so.
         finite = [] if self._largest is None else [(sh.not_, self._not_a_number())]
         yield [(sh.datatype, xsd.double), *self._range(name), *finite]
@@ -260,7 +260,7 @@ class AcceptedValues:
 
 
 def _integers(within: Sequence[Statement] = ()) -> Iterator[Sequence[Statement]]:
-    """An alternative for each datatype of integers: those that know no bounds are `within` some.
+    """Yield an alternative for each datatype of integers: those that know no bounds are `within` some.
 
     Of those of 64 bits not every validator knows the range.
     """

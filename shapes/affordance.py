@@ -35,7 +35,7 @@ def value_shape_triples(shape: ValueShape, node: NamedNode, path: NamedNode, spa
 
 
 def _datatype(kind: Primitive, *, is_parameter: bool = False) -> NamedNode:
-    """The datatype of a primitive; all integers of parameters are xsd:integer."""
+    """Return the datatype of a primitive; all integers of parameters are xsd:integer."""
     return xsd.integer if is_parameter and kind.name in RANGES else NamedNode(xsd.iri + DATATYPES[kind.name])
 
 
@@ -129,7 +129,7 @@ def _bounds_triples(node: NamedNode, kind: str, schema: MessageSchema, tree: _Bo
 
 
 def _list_triples(name: NamedNode, elements: Iterable[NamedNode | BlankNode | Literal]) -> tuple[Value, list[Triple]]:
-    """An rdf:List, whose cells are blank: its head and its triples."""
+    """Return an rdf:List, whose cells are blank: its head and its triples."""
     cells: list[Triple] = []
     rest: Value = rdf.nil
     for number, element in reversed(list(enumerate(elements))):
@@ -140,5 +140,5 @@ def _list_triples(name: NamedNode, elements: Iterable[NamedNode | BlankNode | Li
 
 
 def _label(name: NamedNode) -> str:
-    """A label for blank nodes that belong to a node: no other node's, within one document or many."""
+    """Return a label for blank nodes that belong to a node: no other node's, within one document or many."""
     return "".join(letter if letter.isascii() and letter.isalnum() else f"-{ord(letter):x}-" for letter in name.value)

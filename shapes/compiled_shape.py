@@ -23,7 +23,7 @@ class ShapeValidator(Protocol):
     """What can tell how a focus node breaks a shape."""
 
     def find_violations(self, focus: Term, view: View, above: str = "") -> Iterator[Violation]:
-        """Each violation; `above` is the dotted path to the focus node."""
+        """Return each violation; `above` is the dotted path to the focus node."""
         ...
 
 
@@ -80,7 +80,7 @@ class Shape:
     extent: Extent = ALONE
 
     def values(self, focus: Term, view: View) -> Sequence[Term]:
-        """The value nodes of a focus node."""
+        """Return the value nodes of a focus node."""
         return (focus,) if self.path is None else view.objects(focus, self.path)
 
     def conforms(self, focus: Term, view: View) -> bool:
@@ -99,7 +99,7 @@ class Shape:
         return True
 
     def find_violations(self, focus: Term, view: View, above: str = "") -> Iterator[Violation]:
-        """Each violation; `above` is the dotted path to the focus node."""
+        """Yield each violation; `above` is the dotted path to the focus node."""
         if self.conforms(focus, view):
             return
         values = self.values(focus, view)
@@ -117,7 +117,7 @@ class Shape:
     def violation(
         self, focus: Term, path: str, constraint: ValueConstraint | SetConstraint, value: Term | None
     ) -> Violation:
-        """A violation of one constraint, with the shape's own message where it has any (SHACL 2.1.5)."""
+        """Return a violation of one constraint, with the shape's own message where it has any (SHACL 2.1.5)."""
         return Violation(
             path,
             constraint.words,
@@ -133,7 +133,7 @@ class Shape:
 
 
 def join_path(above: str, predicate: NamedNode) -> str:
-    """The dotted path with one step more; `rdf:value` is the value itself, so that it is none."""
+    """Return the dotted path with one step more; `rdf:value` is the value itself, so that it is none."""
     if predicate == rdf.value:
         return above
     iri = predicate.value.rstrip("/#")

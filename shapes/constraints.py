@@ -72,7 +72,7 @@ class NodeShape:
 
 
 def compile_shape(graph: ShapesGraph, iri: NamedNode | BlankNode) -> NodeShape:
-    """The shape `iri` of a shapes graph, compiled.
+    """Return the shape `iri` of a shapes graph, compiled.
 
     Raises ValueError, naming the shape and what is wrong with it, for one that is not there, is malformed, refers to
     itself, is nested too deep or would need more than SHACL Core.

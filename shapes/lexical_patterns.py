@@ -61,7 +61,7 @@ def hex_pattern(length: int | None = None, bound: int | None = None) -> str:
 
 
 def json_array_pattern(kind: Array, element: Primitive, *, is_finite: bool = False) -> str:
-    """An array of a primitive in JSON; of more than 1000 elements the number is not told.
+    """Return an array of a primitive in JSON; of more than 1000 elements the number is not told.
 
     `is_finite`: its floats are finite, also as float32.
     """
@@ -103,7 +103,7 @@ def _parameter_element(kind: Primitive, *, is_finite: bool) -> str:
 
 
 def _typed_object(value: str, datatype: str) -> str:
-    """An object of a value, as text, and its datatype."""
+    """Return an object of a value, as text, and its datatype."""
     members = rf'"@value"{_SPACE}:{_SPACE}"{value}"', rf'"@type"{_SPACE}:{_SPACE}"xsd:{datatype}"'
     comma = f"{_SPACE},{_SPACE}"
     return rf"\{{{_SPACE}({comma.join(members)}|{comma.join(reversed(members))}){_SPACE}\}}"
@@ -126,7 +126,7 @@ def _json_element(kind: Primitive, *, is_finite: bool = False) -> str:
 
 
 def integer_pattern(least: int, greatest: int) -> str:
-    """The integers from `least` (0 or less) to `greatest` (0 or more) in JSON, which has no leading zeros."""
+    """Return the integers from `least` (0 or less) to `greatest` (0 or more) in JSON, which has no leading zeros."""
     positive = "|".join(_up_to(str(greatest)))
     if least == 0:
         return f"(-?0|{positive})"

@@ -48,7 +48,7 @@ _TYPE_NAME = re.compile(r"[A-Za-z]\w*/(?:msg|srv|action)/[A-Za-z]\w*", re.ASCII)
 
 
 def read_limits(data: bytes, base: str, document: str | None = None) -> tuple[Triple, ...]:
-    """The shapes graph of a Turtle file, its relative IRIs resolved against the server's base URL.
+    """Return the shapes graph of a Turtle file, its relative IRIs resolved against the server's base URL.
 
     Its own names (`<#speed>`) are those of `document`, which shows it.
     Raises BodyError for what is no Turtle, ValueError for triples about triples.
@@ -65,7 +65,7 @@ def read_limits(data: bytes, base: str, document: str | None = None) -> tuple[Tr
 
 
 def _rename(triple: Triple, old: str, new: str) -> Triple:
-    """A triple whose IRIs that begin with `old` begin with `new`."""
+    """Return a triple whose IRIs that begin with `old` begin with `new`."""
     subject, value = triple.subject, triple.object
     if isinstance(subject, NamedNode) and subject.value.startswith(old):
         subject = NamedNode(new + subject.value[len(old) :])
@@ -88,7 +88,7 @@ class Limits:
 
     @classmethod
     def from_graphs(cls, graphs: Sequence[Sequence[Triple]], space: Space) -> Limits:
-        """The limits of shapes graphs; blank nodes of different graphs are different.
+        """Return the limits of shapes graphs; blank nodes of different graphs are different.
 
         Raises ValueError with a sentence for a malformed shape, one that limits nothing because it has no target, and a
         target that is neither the class of a message type nor the URL of a resource of `space`.
@@ -205,7 +205,7 @@ def _of_parts(shape: NodeShape, predicate: NamedNode, place: ValuePlace | None, 
 
 
 def _targets(graph: Sequence[Triple], shapes: ShapesGraph) -> Iterator[tuple[NamedNode | BlankNode, NamedNode, Term]]:
-    """Each target, those of shapes that are classes too (SHACL 2.1.3.3)."""
+    """Yield each target, those of shapes that are classes too (SHACL 2.1.3.3)."""
     yield from shapes.targets()
     classes = {triple.subject for triple in graph if triple.predicate == rdf.type and triple.object == rdfs.Class}
     for root in shapes.roots():
@@ -243,7 +243,7 @@ def _url(name: str, kind: NamedNode, target: Term, space: Space) -> str:
 
 
 def _union(graphs: Sequence[Sequence[Triple]]) -> Iterator[Triple]:
-    """The triples of all graphs, their blank nodes kept apart."""
+    """Yield the triples of all graphs, their blank nodes kept apart."""
     for number, graph in enumerate(graphs):
 
         def apart(term: Term, prefix: str = f"g{number}-") -> Term:
@@ -306,7 +306,7 @@ class _MessageCheck:
                     )
 
     def _reaching(self) -> set[str]:
-        """The types that hold, at whatever depth, a type with a shape."""
+        """Return the types that hold, at whatever depth, a type with a shape."""
         types = self._schema.types
         found: set[str] = set()
         while more := {
@@ -318,7 +318,7 @@ class _MessageCheck:
         return found
 
     def _inner(self, name: str, wanted: Set[str]) -> tuple[tuple[str, str, str, bool], ...]:
-        """The fields that lead on: attribute, name, type, whether it is an array."""
+        """Return the fields that lead on: attribute, name, type, whether it is an array."""
         return tuple(
             (each.attribute, each.name, nested, isinstance(each.type, Array))
             for each in self._schema.types[name].fields
@@ -327,7 +327,7 @@ class _MessageCheck:
 
 
 def _nested_type(kind: object) -> str | None:
-    """The message type within a field's type."""
+    """Return the message type within a field's type."""
     element = kind.element if isinstance(kind, Array) else kind
     return element.name if isinstance(element, Nested) else None
 
@@ -366,13 +366,13 @@ class MessageView:
         self._lifted: TripleView | None = None
 
     def place(self, name: str, message: Message, place: str) -> NamedNode:
-        """The node of a message within, at `.linear`."""
+        """Return the node of a message within, at `.linear`."""
         node = NamedNode(self._document + self._node + place)
         self._places[node] = (name, message)
         return node
 
     def objects(self, node: Term, predicate: NamedNode) -> Sequence[Term]:
-        """The value nodes of a predicate."""
+        """Return the value nodes of a predicate."""
         if self._lifted is None and (place := self._places.get(node)) is not None:
             name, message = place
             if predicate == rdf.type:
@@ -421,7 +421,7 @@ def _bounds(limits: Limits, schema: MessageSchema) -> Mapping[str, Bounds]:
 
 
 def _bounds_of(limits: Limits, schema: MessageSchema, name: str, space: Space) -> dict[str, Bounds]:
-    """The bounds of a type and of all it holds."""
+    """Return the bounds of a type and of all it holds."""
     shape = limits.by_class.get(space.class_of(name))
     own: dict[str, Bounds] = {}
     if shape is not None:
@@ -438,7 +438,7 @@ def _bounds_of(limits: Limits, schema: MessageSchema, name: str, space: Space) -
 
 
 def _dotted_path(schema: MessageSchema, name: str, way: Sequence[NamedNode], space: Space) -> str | None:
-    """The dotted path of the scalar that predicates lead to; None where they lead to none."""
+    """Return the dotted path of the scalar that predicates lead to; None where they lead to none."""
     kind: object = Nested(name)
     steps = []
     for predicate in way:

@@ -49,7 +49,7 @@ _NUMBER = r"[^,\[\]{}]+"
 
 
 def shape_document(schema: Schema, space: Space) -> Document:
-    """The shape of a message type, or links to the shapes of the messages of a service or an action."""
+    """Return the shape of a message type, or links to the shapes of the messages of a service or an action."""
     name = schema.ref.name
     url = space.shape(name)
     if isinstance(schema, MessageSchema):
@@ -73,7 +73,7 @@ class FieldShapes(Protocol):
     """What is demanded of the values of fields, by their kinds."""
 
     def node(self, name: str) -> NamedNode:
-        """The node shape of a type."""
+        """Return the node shape of a type."""
         ...
 
     def is_required(self, kind: MessageType) -> bool:
@@ -228,7 +228,7 @@ def _default(field: Field) -> Literal | None:
 
 
 def _octets(kind: Array) -> list[Statement]:
-    """An array of octets: one base64 literal, four characters for each three octets begun."""
+    """Return an array of octets: one base64 literal, four characters for each three octets begun."""
     longest = kind.length if kind.length is not None else kind.bound
     return [
         (sh.datatype, xsd.base64Binary),
@@ -247,7 +247,7 @@ def _json(kind: Array, element: Primitive) -> list[Statement]:
 
 
 def _pattern(kind: Array) -> str | None:
-    """A pattern of arrays of the right length; None where it would be too long to be of use."""
+    """Return a pattern of arrays of the right length; None where it would be too long to be of use."""
     least, limit = (kind.length, kind.length) if kind.length is not None else (0, kind.bound)
     if limit is None or limit > _LONGEST_PATTERN:
         return None

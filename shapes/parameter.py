@@ -31,7 +31,7 @@ _INT64 = Range(-(2**63), 2**63 - 1)
 
 
 def constraint_url(url: str, descriptor: Descriptor | None) -> str | None:
-    """The shape of the parameter at a URL; None where its values are as they like."""
+    """Return the shape of the parameter at a URL; None where its values are as they like."""
     return None if descriptor is None or descriptor.type is None else f"{url}#constraint"
 
 
@@ -106,7 +106,7 @@ _ARRAYS: Mapping[ParameterType, NamedNode] = {
 
 
 def _range(descriptor: Descriptor) -> Range | None:
-    """The range of a number; ROS 2's integers have 64 bits."""
+    """Return the range of a number; ROS 2's integers have 64 bits."""
     return _INT64 if descriptor.range is None and descriptor.type is ParameterType.INTEGER else descriptor.range
 
 
@@ -121,7 +121,7 @@ def _number(value: int | float | None) -> Literal | None:
 
 
 def _choices(range: Range | None) -> tuple[Literal, ...]:
-    """All whole numbers of a range with a step, where they are few; none where SHACL Core cannot say them."""
+    """Return all whole numbers of a range with a step, where they are few; none where SHACL Core cannot say them."""
     match range:
         case Range(int(least), int(greatest), int(step)) if step > 1 and (greatest - least) // step < _MAX_CHOICES:
             values = dict.fromkeys((*_count_up(least, greatest, step), greatest))

@@ -45,7 +45,7 @@ class PyshaclShape:
             raise ValueError(report)
 
     def find_violations(self, focus: Term, view: View, above: str = "") -> Iterator[Violation]:
-        """Each violation that pyshacl finds; where it fails, that is one too."""
+        """Yield each violation that pyshacl finds; where it fails, that is one too."""
         triples = view.triples()
         for triple in triples:
             if isinstance(triple.object, Literal) and len(triple.object.value) > self._longest:
@@ -77,7 +77,7 @@ class PyshaclShape:
 
 
 def _report(data: rdflib.Graph, shapes: rdflib.Graph) -> rdflib.Graph | str:
-    """The validation report, or why there is none."""
+    """Return the validation report, or why there is none."""
     import pyshacl
 
     try:
@@ -98,7 +98,7 @@ def _iri(term: object) -> NamedNode | None:
 def _violation(
     report: rdflib.Graph, result: rdflib.term.Node, terms: dict[Node, Term], above: str, shapes: rdflib.Graph
 ) -> Violation:
-    """A result of the report, with the data's terms as they were."""
+    """Return a result of the report, with the data's terms as they were."""
 
     def said(name: str) -> Node | None:
         found = report.value(result, _sh(name))

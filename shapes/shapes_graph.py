@@ -82,14 +82,14 @@ class ShapesGraph:
         self._longest: dict[Node, int] = {}
 
     def targets(self) -> Iterator[tuple[Node, NamedNode, Term]]:
-        """Each target declaration: the shape, the kind of target (`sh:targetNode`), the target (SHACL 2.1.3)."""
+        """Yield each target declaration: the shape, the kind of target (`sh:targetNode`), the target (SHACL 2.1.3)."""
         for node, said in self._said.items():
             if isinstance(node, NamedNode | BlankNode):
                 for kind in sorted(said.keys() & TARGETS, key=str):
                     yield from ((node, kind, target) for target in said[kind])
 
     def roots(self) -> Iterator[Node]:
-        """The shapes that no other shape refers to."""
+        """Yield the shapes that no other shape refers to."""
         inner = {
             each
             for said in self._said.values()
@@ -108,18 +108,18 @@ class ShapesGraph:
         return self._said.get(node, {})
 
     def members(self, head: Term) -> Sequence[Term]:
-        """The members of a list."""
+        """Return the members of a list."""
         return self._list(head)
 
     def name(self, node: Term) -> str:
-        """A shape as an error calls it."""
+        """Return a shape as an error calls it."""
         if isinstance(node, NamedNode):
             return f"the shape <{node.value}>"
         within = next((each for each in reversed(self._open) if isinstance(each, NamedNode)), None)
         return "a shape without a name" + ("" if within is None else f" in <{within.value}>")
 
     def shape(self, node: Node) -> Shape:
-        """A shape, compiled."""
+        """Return a shape, compiled."""
         known = self._shapes.get(node)
         if known is not None:
             return known
@@ -137,7 +137,7 @@ class ShapesGraph:
         return shape
 
     def pyshacl_shape(self, node: Node) -> PyshaclShape:
-        """A shape as pyshacl judges it, with all that it refers to and nothing else."""
+        """Return a shape as pyshacl judges it, with all that it refers to and nothing else."""
         from rosld.shapes.pyshacl_fallback import PyshaclShape  # rdflib, as in `terms`
 
         shapes: dict[Term, None] = {}
@@ -152,7 +152,7 @@ class ShapesGraph:
         return ValueError(f"{self.name(self._open[0])} has shapes nested deeper than {MAX_DEPTH} levels")
 
     def _closure(self, node: Term, shapes: dict[Term, None]) -> Iterator[Triple]:
-        """The triples of a shape and of those it refers to, without their targets."""
+        """Yield the triples of a shape and of those it refers to, without their targets."""
         if node in shapes:
             return
         shapes[node] = None
@@ -174,7 +174,7 @@ class ShapesGraph:
                     yield from self._inner(each)
 
     def _inner(self, node: Term) -> Iterator[Triple]:
-        """The triples of lists and paths."""
+        """Yield the triples of lists and paths."""
         waiting, seen = [node], {node}
         while waiting:
             subject = waiting.pop()
@@ -246,7 +246,7 @@ class ShapesGraph:
     def _paths(
         self, said: Mapping[NamedNode, list[Term]], path: NamedNode | None, is_property: bool, children: list[Shape]
     ) -> frozenset[NamedNode] | None:
-        """The predicates that a shape looks at from the focus node; None where there are more than these."""
+        """Return the predicates that a shape looks at from the focus node; None where there are more than these."""
         pairs = frozenset(
             each for pair in said.keys() & PAIRS for each in said[pair] if isinstance(each, NamedNode)
         )  # fmt: skip
@@ -443,7 +443,7 @@ class ShapesGraph:
         return None
 
     def _words(self, node: Node, said: Mapping[NamedNode, list[Term]]) -> str | None:
-        """The shape's own message: in English or in no language, if it can be."""
+        """Return the shape's own message: in English or in no language, if it can be."""
         messages = [value for value in said.get(sh.message, ()) if isinstance(value, Literal)]
         if len(messages) < len(said.get(sh.message, ())):
             raise self._wrong(node, sh.message, "is no text")

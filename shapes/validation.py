@@ -64,7 +64,7 @@ def _misfit(report: rdflib.Graph, result: rdflib.term.Node) -> ValidationResult:
 
 
 def _graph(triples: Iterable[Triple], *, exact: bool = False) -> rdflib.Graph:
-    """The triples for pyshacl. Unless `exact`, it sees as much of a stranger's document as the shape asks about:
+    """Return the triples for pyshacl. Unless `exact`, it sees as much of a stranger's document as the shape asks about:
 
     subclasses, which it would follow however long their chains, are left out, and a datatype but xsd:string, or that of
     a short integer, is only told to be another: rdflib would read the value, which costs what a stranger likes it to.

@@ -61,7 +61,7 @@ _KNOWN_PARAMETER = frozenset({Operation.GET_PARAMETER, Operation.SET_PARAMETER, 
 
 
 def initial_parameters() -> parameters.Tree:
-    """The parameters that the aircraft starts with."""
+    """Return the parameters that the aircraft starts with."""
     return {
         "aircraft": {
             "registration": "RO-SLD",
@@ -147,7 +147,7 @@ class Aircraft:
         return self._library.find(ref)
 
     def known_types(self) -> Sequence[TypeRef]:
-        """The types of the aircraft's topics, services and action, and of what rosld advertises."""
+        """Return the types of the aircraft's topics, services and action, and of what rosld advertises."""
         return list(dict.fromkeys([*self._types.values(), *(each.type for each in self._topics.advertised.values())]))
 
     async def subscribe(self, topic: str, *, depth: int = 1) -> Subscription:
@@ -232,7 +232,7 @@ class Aircraft:
         raise without_lifecycle(self._graph.nodes, node)
 
     async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
-        """The values of those names that exist."""
+        """Return the values of those names that exist."""
         self._reachable(deadline)
         found = {name: parameters.read_name(self._parameters, name) for name in names}
         return {name: parameters.deep_copy(value) for name, value in found.items() if value is not None}

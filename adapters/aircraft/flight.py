@@ -33,7 +33,7 @@ class Flight:
         return "on" if self.on else "off"
 
     def speed_at(self, now_ns: int) -> float:
-        """The speed at a time not before `since_ns`; exactly the commanded one as soon as it is reached."""
+        """Return the speed at a time not before `since_ns`; exactly the commanded one as soon as it is reached."""
         way = self.commanded - self.speed
         gone = ACCELERATION * (now_ns - self.since_ns) / 1e9
         return self.commanded if abs(way) <= gone else self.speed + math.copysign(gone, way)
@@ -120,7 +120,7 @@ class GoalEnd:
 
 
 def accept(flight: Flight, underway: FlyGoal | None, id: str, distance: float, now_ns: int) -> FlyGoal:
-    """The goal to fly a distance from now on.
+    """Return the goal to fly a distance from now on.
 
     Raises Declined while the aircraft is off, while another goal is underway, and for less than 0 or more than
     `MAX_DISTANCE`.
@@ -135,7 +135,7 @@ def accept(flight: Flight, underway: FlyGoal | None, id: str, distance: float, n
 
 
 def cancel(fly: FlyGoal) -> FlyGoal:
-    """The goal, to be canceled."""
+    """Return the goal, to be canceled."""
     return replace(fly, canceling=True)
 
 

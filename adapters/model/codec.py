@@ -54,7 +54,7 @@ def default_texts(name: str, text: str) -> Mapping[str, str]:
 
 
 def with_default(field: Field, texts: Mapping[str, str]) -> Field:
-    """The field with its default value, if it has one that fits its type: ROS builds no package with another."""
+    """Return the field with its default value, if it has one that fits its type: ROS builds no package with another."""
     text = texts.get(field.name)
     if text is None:
         return field
@@ -81,7 +81,7 @@ def read_default(kind: FieldType, text: str) -> Default:
 
 
 def _elements(text: str, element: Primitive) -> Sequence[str]:
-    """The texts between the commas of an array; strings may stand in quotes, which are taken off."""
+    """Return the texts between the commas of an array; strings may stand in quotes, which are taken off."""
     if not text.strip():
         return ()
     if element.name not in _STRINGS:
@@ -152,12 +152,12 @@ _NESTED_PARTS = re.compile(r"^([ \t]*\w+)/(?:srv|action)/", re.MULTILINE | re.AS
 
 
 def store_name(name: str) -> str:
-    """The name under which rosbags keeps a type: it knows only messages, the halves of services included."""
+    """Return the name under which rosbags keeps a type: it knows only messages, the halves of services included."""
     return name.replace("/srv/", "/msg/").replace("/action/", "/msg/")
 
 
 def typestore_of(texts: Mapping[str, str]) -> Typestore:
-    """A type store holding just these texts. Raises ValueError where one cannot be parsed."""
+    """Return a type store holding just these texts. Raises ValueError where one cannot be parsed."""
     store = get_typestore(Stores.EMPTY)
     for name, text in texts.items():
         try:
@@ -180,7 +180,7 @@ class RosbagsCodec:
         self._may_be_empty = may_be_empty(types)
 
     def decode(self, data: bytes, encoding: Encoding) -> Message:
-        """The message in `data`; raises ValueError naming the type when it holds none."""
+        """Return the message in `data`; raises ValueError naming the type when it holds none."""
         if self._may_be_empty:  # the compiled code makes as many elements as the message claims
             return self._decode_slowly(data, encoding)
         try:
@@ -200,7 +200,7 @@ class RosbagsCodec:
         return message
 
     def encode(self, message: Message, encoding: Encoding) -> bytes:
-        """The bytes of a message; raises ValueError naming the field that does not fit."""
+        """Return the bytes of a message; raises ValueError naming the field that does not fit."""
         try:
             if encoding is Encoding.ROS1:
                 return bytes(self._store.serialize_ros1(message, self._stored))
@@ -211,7 +211,7 @@ class RosbagsCodec:
             return writer.octets()
 
     def build(self, type_name: str, values: Mapping[str, object]) -> Message:
-        """A message from its attributes' values, which must be complete and right."""
+        """Return a message from its attributes' values, which must be complete and right."""
         if type_name in self._empty:
             values = {DUMMY: 0}
         return cast(Message, self._classes[type_name](**values))  # type: ignore[arg-type]

@@ -116,7 +116,7 @@ _MAX_DEPTH = 64
 
 
 def split_sections(name: str, definition: str) -> dict[str, str]:
-    """The texts in a concatenated definition: the type itself first, then those after `===` and `MSG:` lines.
+    """Return the texts in a concatenated definition: the type itself first, then those after `===` and `MSG:` lines.
 
     The old `roslib/Header` is read as `std_msgs/Header`, of which it is the former name.
     Raises ValueError for a section without its `MSG:` line.
@@ -151,7 +151,7 @@ def split_action(definition: str) -> tuple[str, str, str]:
 
 
 def resolve(reference: str, package: str) -> str | None:
-    """The full name of a field's base type as written in `package`; None for a primitive."""
+    """Return the full name of a field's base type as written in `package`; None for a primitive."""
     base = reference.partition("[")[0].partition("<=")[0]
     if base in _PRIMITIVES:
         return None
@@ -163,7 +163,7 @@ def resolve(reference: str, package: str) -> str | None:
 
 
 def references(name: str, text: str) -> frozenset[str]:
-    """The message types that a text mentions, by full name."""
+    """Return the message types that a text mentions, by full name."""
     package = name.partition("/")[0]
     resolved = (resolve(words[0], package) for words in map(str.split, _lines(text)) if words)
     return frozenset(found for found in resolved if found is not None)
@@ -174,7 +174,7 @@ def _lines(text: str) -> list[str]:
 
 
 def _declarations(text: str) -> tuple[list[str], list[tuple[str, str]]]:
-    """The constants as genmsg hashes them, and the fields as (type, name)."""
+    """Return the constants as genmsg hashes them, and the fields as (type, name)."""
     constants: list[str] = []
     fields: list[tuple[str, str]] = []
     for raw in text.splitlines():
@@ -194,7 +194,7 @@ def _declarations(text: str) -> tuple[list[str], list[tuple[str, str]]]:
 
 
 def md5_text(name: str, text: str, md5_of: Callable[[str], str]) -> str:
-    """The text that genmsg hashes: constants, then fields with each nested type as its own MD5."""
+    """Return the text that genmsg hashes: constants, then fields with each nested type as its own MD5."""
     constants, fields = _declarations(text)
     package = name.partition("/")[0]
     lines = list(constants)
@@ -240,7 +240,7 @@ class _Hashing:
 
 
 def service_md5(name: str, texts: Mapping[str, str]) -> str:
-    """The MD5 of a service type: that of the texts of its two halves, one after the other."""
+    """Return the MD5 of a service type: that of the texts of its two halves, one after the other."""
     joined = message_text(f"{name}_Request", texts) + message_text(f"{name}_Response", texts)
     return hashlib.md5(joined.encode(), usedforsecurity=False).hexdigest()
 

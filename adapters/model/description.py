@@ -65,7 +65,7 @@ class IndividualTypeMessage(Protocol):
 
 
 def definition_of(name: str, described: Iterable[IndividualTypeMessage]) -> str:
-    """The text that defines a message, service or action, with the messages that it nests appended.
+    """Return the text that defines a message, service or action, with the messages that it nests appended.
 
     `described` are the type and all that it refers to. Raises ValueError naming what lacks, or has no name in .msg.
     """

@@ -257,7 +257,7 @@ class Parameter:
 
 
 def freeze(mapping: Mapping[str, _V]) -> Mapping[str, _V]:
-    """A read-only copy of `mapping`."""
+    """Return a read-only copy of `mapping`."""
     return MappingProxyType(dict(mapping))
 
 

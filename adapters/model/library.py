@@ -71,7 +71,7 @@ class TypeLibrary:
         }
 
     def learn_message(self, name: str, definition: str, hash: str | None = None) -> MessageSchema:
-        """The schema of a message type from its text, whose dependencies may be appended or are found.
+        """Return the schema of a message type from its text, whose dependencies may be appended or are found.
 
         Raises ValueError for a text that cannot be read, lacks a dependency, or (`hash` given) hashes to another.
         """
@@ -83,7 +83,7 @@ class TypeLibrary:
             return schema
 
     def learn_service(self, name: str, definition: str, hash: str | None = None) -> ServiceSchema:
-        """The schema of a service type from its text (request, `---`, response); errors as `learn_message`."""
+        """Return the schema of a service type from its text (request, `---`, response); errors as `learn_message`."""
         with self._lock:
             schema = self._service(name, definition, hash)
             self._keep(schema)
@@ -100,7 +100,7 @@ class TypeLibrary:
             return schema
 
     def find(self, ref: TypeRef) -> Schema:
-        """The schema of a type: learnt, else from the folders, else shipped; a hash in `ref` is proved.
+        """Return the schema of a type: learnt, else from the folders, else shipped; a hash in `ref` is proved.
 
         Raises UnknownType saying what was looked at.
         """
@@ -113,7 +113,7 @@ class TypeLibrary:
             return self._look_for(ref)
 
     def known(self) -> Sequence[TypeRef]:
-        """Every type learnt or found so far, in the order of its learning."""
+        """Return every type learnt or found so far, in the order of its learning."""
         with self._lock:
             return [schema.ref for schemas in self._learnt.values() for schema in schemas.values()]
 
@@ -182,7 +182,7 @@ class TypeLibrary:
             return None
 
     def _of_messages(self, package: str, short: str) -> str | None:
-        """The text of an action from the messages that actionlib made of it, as far as these are known."""
+        """Return the text of an action from the messages that actionlib made of it, as far as these are known."""
         try:
             found = [self.find(TypeRef(f"{package}/msg/{short}{part}")) for part in ("Goal", "Result", "Feedback")]
         except UnknownType:
@@ -287,7 +287,7 @@ def _full_text(name: str, closed: Mapping[str, str], definition: str) -> str:
 
 
 def _append(texts: Mapping[str, str]) -> list[str]:
-    """The texts of types, each as ROS 1 appends it to those that need it."""
+    """Return the texts of types, each as ROS 1 appends it to those that need it."""
     return [f"{SEPARATOR}\nMSG: {each.replace('/msg/', '/')}\n{text}" for each, text in texts.items()]
 
 
@@ -305,7 +305,7 @@ def _definition_files(folders: Sequence[Path]) -> Mapping[tuple[str, str], Path]
 
 @cache
 def stored_texts(ros_version: Literal[1, 2]) -> Mapping[str, str]:
-    """The texts of the types that rosbags ships, by name."""
+    """Return the texts of the types that rosbags ships, by name."""
     store = get_typestore(Stores.ROS1_NOETIC if ros_version == 1 else Stores.ROS2_JAZZY)
     texts: dict[str, str] = {}
     for name in store.fielddefs:

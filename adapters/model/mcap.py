@@ -23,11 +23,11 @@ class Fields:
         self._at = 0
 
     def uint(self, size: int) -> int:
-        """An unsigned integer of so many bytes."""
+        """Return an unsigned integer of so many bytes."""
         return int.from_bytes(self._take(size), "little")
 
     def text(self) -> str:
-        """A string."""
+        """Return a string."""
         return self._take(self.uint(4)).decode("utf-8", self.errors)
 
     def octets(self) -> bytes:
@@ -35,7 +35,7 @@ class Fields:
         return self._take(self.uint(4))
 
     def texts(self) -> dict[str, str]:
-        """A map of strings."""
+        """Return a map of strings."""
         inner = type(self)(self.octets())
         found: dict[str, str] = {}
         while inner.more():

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 
 def segments(name: str) -> tuple[str, ...]:
-    """The segments of a global name: `/a/b` has two, `/` none, `/a//b` three with an empty one between.
+    """Return the segments of a global name: `/a/b` has two, `/` none, `/a//b` three with an empty one between.
 
     Raises ValueError for a name that does not begin with a slash.
     """
@@ -18,12 +18,12 @@ def segments(name: str) -> tuple[str, ...]:
 
 
 def join(parts: tuple[str, ...]) -> str:
-    """The global name of these segments: the inverse of `segments`."""
+    """Return the global name of these segments: the inverse of `segments`."""
     return "/" + "/".join(parts)
 
 
 def global_name(name: str) -> str:
-    """The name with a leading slash, as the master stores it."""
+    """Return the name with a leading slash, as the master stores it."""
     return name if name.startswith("/") else "/" + name
 
 

@@ -88,7 +88,7 @@ class Descriptor:
 
 
 def coerce(value: ParameterValue, type: ParameterType) -> ParameterValue | None:
-    """The value as one of this type, None where it is none: 1 is a double too, and 1.0 an integer."""
+    """Return the value as one of this type, None where it is none: 1 is a double too, and 1.0 an integer."""
     element = _ELEMENTS.get(type)
     if element is None:
         return _octets(value) if type is ParameterType.BYTE_ARRAY else _scalar(value, type)

@@ -42,7 +42,7 @@ class Qos:
 
 
 def read_profile(text: str) -> Qos:
-    """The profile that a text such as `best_effort,volatile,depth:5,deadline:0.1` says; times are in seconds.
+    """Return the profile that a text such as `best_effort,volatile,depth:5,deadline:0.1` says; times are in seconds.
 
     Every policy is said at most once and may be left out. Raises ValueError naming the word that is wrong.
     """

@@ -60,7 +60,7 @@ _DERIVED = {
 
 
 def message_hash(name: str, types: Mapping[str, MessageType]) -> str:
-    """The hash of a message type; `types` is closed.
+    """Return the hash of a message type; `types` is closed.
 
     Raises KeyError naming what lacks, RecursionError naming what is nested in itself.
     """
@@ -74,12 +74,12 @@ def message_hash(name: str, types: Mapping[str, MessageType]) -> str:
 
 
 def service_hash(name: str, types: Mapping[str, MessageType]) -> str:
-    """The hash of a service type; `types` holds its two halves and all that they nest."""
+    """Return the hash of a service type; `types` holds its two halves and all that they nest."""
     return message_hash(name, {**_DERIVED, **types, **_service(name)})
 
 
 def action_hash(name: str, types: Mapping[str, MessageType]) -> str:
-    """The hash of an action type; `types` holds its three parts and all that they nest."""
+    """Return the hash of an action type; `types` holds its three parts and all that they nest."""
     goal, result, feedback = (Nested(f"{name}_{part}") for part in ("Goal", "Result", "Feedback"))
     send, get, message = f"{name}_SendGoal", f"{name}_GetResult", f"{name}_FeedbackMessage"
     made = (
@@ -104,7 +104,7 @@ def action_hash(name: str, types: Mapping[str, MessageType]) -> str:
 
 
 def _service(name: str) -> Mapping[str, MessageType]:
-    """A service as a type of its messages, and the type of its events."""
+    """Return a service as a type of its messages, and the type of its events."""
     request, response, event = (Nested(f"{name}_{part}") for part in ("Request", "Response", "Event"))
     whole = _layout(name, request_message=request, response_message=response, event_message=event)
     events = _layout(event.name, info=Nested(_INFO), request=Array(request, bound=1), response=Array(response, bound=1))

@@ -133,15 +133,15 @@ class Codec(Protocol):
     """Turns bytes into messages and back for all types of one schema."""
 
     def decode(self, data: bytes, encoding: Encoding) -> Message:
-        """The message in `data`. Raises ValueError for bytes that are no message of this type."""
+        """Return the message in `data`. Raises ValueError for bytes that are no message of this type."""
         ...
 
     def encode(self, message: Message, encoding: Encoding) -> bytes:
-        """The bytes of `message`. Raises ValueError naming the field that does not fit."""
+        """Return the bytes of `message`. Raises ValueError naming the field that does not fit."""
         ...
 
     def build(self, type_name: str, values: Mapping[str, object]) -> Message:
-        """A message of a type of this schema from its attributes' values, which must be complete and right."""
+        """Return a message of a type of this schema from its attributes' values, which must be complete and right."""
         ...
 
 

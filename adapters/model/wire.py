@@ -49,7 +49,7 @@ class Reader:
         self._build = build
 
     def message(self, name: str) -> Message:
-        """The message of type `name` that begins here."""
+        """Return the message of type `name` that begins here."""
         fields = self._types[name].fields
         if not fields and self._cdr:
             self._take(1)

@@ -10,7 +10,7 @@ _SCHEME = "recording:"
 
 
 def adapter(source: str, options: AdapterOptions) -> Adapter:
-    """The adapter of a recording's path, `recording:` before it or not, and after it what of it is played.
+    """Return the adapter of a recording's path, `recording:` before it or not, and after it what of it is played.
 
     Raises ValueError for options out of range.
     """

@@ -156,7 +156,7 @@ def inflate_file(path: Path, target: Path, check: Callable[[int], None]) -> None
 
 
 def _inflate(decompressor: _Decompressor, data: bytes, most: int) -> Iterator[bytes]:
-    """The first `most` bytes of one compressed stream, in pieces, as far as it goes.
+    """Yield the first `most` bytes of one compressed stream, in pieces, as far as it goes.
 
     Both sides go in steps: the decompressor of lz4 sets aside all that it is allowed to make, and copies what it has
     not used of its input at each step.
@@ -186,7 +186,7 @@ class ChunkCache:
         self._lock = threading.Lock()
 
     def get(self, chunk: int) -> BytesSource:
-        """The chunk. Raises Damaged."""
+        """Return the chunk. Raises Damaged."""
         with self._lock:
             found = self._chunks.get(chunk)
             if found is not None:

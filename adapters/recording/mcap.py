@@ -110,7 +110,7 @@ class _Scan:
             self._add(number, _connection(self.schemas.get(fields.uint(2)), fields))
 
     def connection(self, number: int) -> int:
-        """The index of channel `number`; one that the file does not describe is kept as an odd one."""
+        """Return the index of channel `number`; one that the file does not describe is kept as an odd one."""
         if number not in self.numbers:
             odd = f"the recording does not describe its channel {number}"
             self._add(number, RecordedConnection(f"/channel_{number}", "", Encoding.CDR, odd=odd))
@@ -142,7 +142,7 @@ class Mcap:
         self.silent = contents.silent
 
     def read(self, place: int, offset: int) -> bytes:
-        """The bytes of the message record at `offset` of the file or of a chunk. Raises Damaged."""
+        """Return the bytes of the message record at `offset` of the file or of a chunk. Raises Damaged."""
         source: ByteSource = self._cache.get(place - 1) if place else self._file
         record = _record_at(source, offset)
         if record.op != _MESSAGE or record.size < _MESSAGE_HEAD.size:
@@ -326,7 +326,7 @@ def _record_at(source: ByteSource, at: int) -> _Record:
 
 
 def _connection(schema: _Schema | None, channel: _Fields) -> RecordedConnection:
-    """A channel as a connection; a format that is not ROS's makes it odd, never the file unreadable."""
+    """Return a channel as a connection; a format that is not ROS's makes it odd, never the file unreadable."""
     topic, encoding, said = channel.text(), channel.text(), channel.texts()
     name, syntax, definition = schema or _Schema("", "", "")
     odd = None

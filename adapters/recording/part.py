@@ -24,7 +24,7 @@ class Moment(NamedTuple):
     is_absolute: bool
 
     def at(self, start_ns: int, end_ns: int) -> int:
-        """The time after the epoch, in a recording that lasts from one until another."""
+        """Return the time after the epoch, in a recording that lasts from one until another."""
         if self.is_absolute:
             return self.ns
         return end_ns + self.ns if self.ns < 0 else start_ns + self.ns
@@ -45,7 +45,7 @@ class Part(NamedTuple):
     rate: float | None = None
 
     def select(self, table: MessageTable, latched: Callable[[MessageTable, int], NDArray[np.int64]]) -> Selection:
-        """The rows of it, of a table in recorded order. Raises Damaged where there are none.
+        """Return the rows of it, of a table in recorded order. Raises Damaged where there are none.
 
         `latched` returns those before a row that open a part which begins there: they come first, as if recorded then.
         """
@@ -69,7 +69,7 @@ WHOLE = Part()
 
 
 def parse_part(query: str) -> Part:
-    """The part that a query such as `from=2026-11-24T12:00:00Z&to=-10&rate=2` names. Raises ValueError."""
+    """Return the part that a query such as `from=2026-11-24T12:00:00Z&to=-10&rate=2` names. Raises ValueError."""
     pairs = parse_qsl(query, keep_blank_values=True, strict_parsing=True)
     said = dict(pairs)
     unknown = said.keys() - _NAMES

@@ -86,7 +86,7 @@ class _Scan:
         self.notes: list[str] = []
 
     def connection(self, number: int) -> int:
-        """The index of connection `number`; one that the file does not describe is kept as an odd one."""
+        """Return the index of connection `number`; one that the file does not describe is kept as an odd one."""
         if number not in self.numbers:
             odd = f"the recording does not describe its connection {number}"
             self.add(number, RecordedConnection(f"/connection_{number}", "", Encoding.ROS1, odd=odd))
@@ -120,7 +120,7 @@ class Rosbag1:
         self.notes = self._contents.notes
 
     def read(self, place: int, offset: int) -> bytes:
-        """The bytes of the message at `offset` of the file or of a chunk. Raises Damaged."""
+        """Return the bytes of the message at `offset` of the file or of a chunk. Raises Damaged."""
         source: ByteSource = self._cache.get(place - 1) if place else self._file
         head = source.read_up_to(offset, 256)
         if (size := _header_size(head)) and _IS_MESSAGE in head[4 : size + 4] and len(head) >= size + 8:
@@ -300,7 +300,7 @@ def _header_size(head: bytes) -> int:
 
 
 def _fields(data: bytes) -> dict[bytes, bytes]:
-    """The fields of a header, `NAME=VALUE` each behind its length."""
+    """Return the fields of a header, `NAME=VALUE` each behind its length."""
     fields: dict[bytes, bytes] = {}
     at = 0
     while at + 4 <= len(data):
@@ -314,7 +314,7 @@ def _fields(data: bytes) -> dict[bytes, bytes]:
 
 
 def _connection(source: ByteSource, record: _Record) -> tuple[int, RecordedConnection]:
-    """A connection's number and description. What its header lacks makes it odd, never the file unreadable."""
+    """Return a connection's number and description. What its header lacks makes it odd, never the file unreadable."""
     number = record.uint32(b"conn")
     try:
         said = _fields(read_exactly(source, record.data_at, record.size))

@@ -35,7 +35,7 @@ STATUSES: Mapping[int, GoalStatus] = {
 def actions_of(
     publishers: Mapping[str, Sequence[str]], subscribers: Mapping[str, Sequence[str]], types: Mapping[str, str]
 ) -> Mapping[str, Action]:
-    """The actions among topics, by name: each is five topics of the types that go together.
+    """Return the actions among topics, by name: each is five topics of the types that go together.
 
     Given are the nodes by topic and ROS 1's names of types. Who publishes the status serves the action, who publishes
     goals is a client.
@@ -84,17 +84,17 @@ class _Reader(WireReader):
         self.text()
 
     def goal_id(self) -> str:
-        """The id in an actionlib_msgs/GoalID."""
+        """Return the id in an actionlib_msgs/GoalID."""
         self.skip(_TIME.size)
         return self.text()
 
     def status(self) -> Status:
-        """An actionlib_msgs/GoalStatus."""
+        """Return an actionlib_msgs/GoalStatus."""
         return Status(self.goal_id(), self.skip(1)[0], self.text())
 
 
 def read_statuses(data: bytes) -> list[Status]:
-    """The statuses in a GoalStatusArray. Raises ValueError."""
+    """Return the statuses in a GoalStatusArray. Raises ValueError."""
     reader = _Reader(data)
     reader.header()
     return reader.array(reader.status, _MAX_STATUSES)
@@ -108,14 +108,14 @@ def read_feedback_or_result(data: bytes) -> tuple[Status, bytes]:
 
 
 def read_goal(data: bytes) -> tuple[str, bytes]:
-    """The id of the goal in an XActionGoal, and the goal. Raises ValueError."""
+    """Return the id of the goal in an XActionGoal, and the goal. Raises ValueError."""
     reader = _Reader(data)
     reader.header()
     return reader.goal_id(), reader.rest()
 
 
 def goal_message(id: str, stamp_ns: int, goal: bytes) -> bytes:
-    """An XActionGoal."""
+    """Return an XActionGoal."""
     stamp = _TIME.pack(stamp_ns // 1_000_000_000, stamp_ns % 1_000_000_000)
     return _LENGTH.pack(0) + stamp + _text("") + stamp + _text(id) + goal
 

@@ -263,7 +263,7 @@ class Actions:
         return schema
 
     async def _publication(self, action: str, schema: ActionSchema, followed: _Followed, until: float) -> Publication:
-        """The topic of goals, with the server connected both ways, so that nothing it says is missed."""
+        """Return the topic of goals, with the server connected both ways, so that nothing it says is missed."""
         learn = self._types.library.learn_message
         name, definition = goal_definition(schema)
         learnt = await asyncio.get_running_loop().run_in_executor(None, learn, name, definition)
@@ -459,7 +459,7 @@ class Actions:
 
 
 def goal_definition(schema: ActionSchema) -> tuple[str, str]:
-    """The message that carries goals of a type: its name, and its definition as actionlib makes it."""
+    """Return the message that carries goals of a type: its name, and its definition as actionlib makes it."""
     package, _, short = schema.ref.name.partition("/action/")
     own, *nested = schema.goal.definition.split(SEPARATOR)
     parts = [

@@ -67,7 +67,7 @@ def node_name() -> str:
 
 
 def adapter(source: str, options: AdapterOptions) -> Ros1Adapter:
-    """The adapter for a source `ros1://host:port` or `ros1:`. Raises ValueError for what is neither."""
+    """Return the adapter for a source `ros1://host:port` or `ros1:`. Raises ValueError for what is neither."""
     return Ros1Adapter(master_address(source), options)
 
 
@@ -151,7 +151,7 @@ class Ros1Adapter:
         return operations - {Operation.DELETE_PARAMETER} if is_declared else operations
 
     async def schema(self, ref: TypeRef, *, deadline: float) -> Schema:
-        """The schema of a type. Raises UnknownType."""
+        """Return the schema of a type. Raises UnknownType."""
         thread, client = self._running()
         try:
             return await asyncio.wait_for(thread.run(client.types.schema(ref)), max(_seconds_left(deadline), 0.0))
@@ -159,7 +159,7 @@ class Ros1Adapter:
             raise TimedOut(f"the definition of {ref.name} was not found in time") from error
 
     def known_types(self) -> Sequence[TypeRef]:
-        """The types met so far, and those that the graph names."""
+        """Return the types met so far, and those that the graph names."""
         graph = self.graph
         met = dict.fromkeys(self._library.known())
         named = {ref.name for ref in met}
@@ -253,7 +253,7 @@ class Ros1Adapter:
         raise without_lifecycle(self.graph.nodes, node)
 
     async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
-        """The values of those names that exist, asked of the master now."""
+        """Return the values of those names that exist, asked of the master now."""
         thread, client = self._running()
         return await thread.run(client.parameters.get(names, _until(deadline)))
 
@@ -351,7 +351,7 @@ class _Following:
 
 
 def _until(deadline: float) -> float:
-    """A deadline of the running loop as a time of the thread's loop, whose clock is the monotonic one."""
+    """Return a deadline of the running loop as a time of the thread's loop, whose clock is the monotonic one."""
     return time.monotonic() + _seconds_left(deadline)
 
 

@@ -25,7 +25,7 @@ class SystemState:
     topic_types: Mapping[str, str] = field(default_factory=dict)
 
     def nodes(self) -> set[str]:
-        """Every node that publishes, subscribes or provides."""
+        """Return every node that publishes, subscribes or provides."""
         return {
             node for each in (self.publishers, self.subscribers, self.services) for of in each.values() for node in of
         }
@@ -43,7 +43,7 @@ class Observation:
 
 
 def compose(previous: Graph, seen: Observation, learnt: LearntFacts, unreadable: Mapping[TypeRef, str]) -> Graph:
-    """The graph of an observation; `previous` itself where nothing changed."""
+    """Return the graph of an observation; `previous` itself where nothing changed."""
     system = seen.system
 
     def topic(name: str) -> Topic:
@@ -73,7 +73,7 @@ def compose(previous: Graph, seen: Observation, learnt: LearntFacts, unreadable:
 
 
 def stale(previous: Graph, since_ns: int, why: str) -> Graph:
-    """The last known graph, as one that cannot be seen any more."""
+    """Return the last known graph, as one that cannot be seen any more."""
     if isinstance(previous.state, Stale):
         return previous
     return replace(previous, state=Stale(since_ns, why), revision=previous.revision + 1)

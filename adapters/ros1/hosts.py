@@ -46,7 +46,7 @@ class Hosts:
         self._known: dict[str, tuple[float, Address]] = {}
 
     async def streams(self, host: str, port: int) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
-        """A stream to `port` of `host`. Raises Unreachable saying what was tried."""
+        """Return a stream to `port` of `host`. Raises Unreachable saying what was tried."""
         address = await self.resolve(host)
         try:
             return await asyncio.wait_for(asyncio.open_connection(address.ip, port), CONNECT)
@@ -54,7 +54,7 @@ class Hosts:
             raise Unreachable(_story(host, port, address, error)) from error
 
     async def connect(self, host: str, port: int, protocol: Callable[[], _P]) -> _P:
-        """A protocol connected to `port` of `host`. Raises Unreachable saying what was tried."""
+        """Return a protocol connected to `port` of `host`. Raises Unreachable saying what was tried."""
         address = await self.resolve(host)
         loop = asyncio.get_running_loop()
         try:
@@ -64,7 +64,7 @@ class Hosts:
         return made
 
     async def resolve(self, host: str) -> Address:
-        """The address of a host name, remembered for half a minute."""
+        """Return the address of a host name, remembered for half a minute."""
         now = time.monotonic()
         known = self._known.get(host)
         if known is None or known[0] < now:
@@ -84,7 +84,7 @@ class Hosts:
 
 
 async def _first_ip(host: str) -> str:
-    """The first address of a host, IPv4 (ROS 1's own) before IPv6."""
+    """Return the first address of a host, IPv4 (ROS 1's own) before IPv6."""
     loop = asyncio.get_running_loop()
     found = await asyncio.wait_for(loop.getaddrinfo(host, None, type=socket.SOCK_STREAM), _RESOLVE)
     family_first = sorted(found, key=lambda each: each[0] != socket.AF_INET)

@@ -47,7 +47,7 @@ class MasterApi:
         return MasterSnapshot(pid.value if isinstance(pid.value, int) else 0, state, types)
 
     def system_state(self, looked: MasterSnapshot) -> SystemState:
-        """The state in a look. Raises Unreachable for what is no ROS master's."""
+        """Return the state in a look. Raises Unreachable for what is no ROS master's."""
         state = self._client.decode(looked.state)
         types = self._client.decode(looked.types)
         if state.code != 1 or types.code != 1:
@@ -60,20 +60,20 @@ class MasterApi:
             raise Unreachable(f"{self.uri} does not answer as a ROS 1 master does: {error}") from error
 
     async def parameters_document(self) -> bytes:
-        """The whole parameter tree, unread."""
+        """Return the whole parameter tree, unread."""
         return await self._client.request(encode_call("getParam", self._caller, "/"), timeout=4 * LOOK)
 
     def parameter_tree(self, document: bytes) -> dict[str, ParameterValue]:
-        """The tree in such a document."""
+        """Return the tree in such a document."""
         answer = self._client.decode(document)
         return answer.value if answer.code == 1 and isinstance(answer.value, dict) else {}
 
     async def lookup_node(self, node: str, timeout: float = LOOK) -> str:
-        """A node's own URI. Raises NotFound."""
+        """Return a node's own URI. Raises NotFound."""
         return str(await self._call("lookupNode", node, timeout=timeout))
 
     async def lookup_service(self, service: str, timeout: float = LOOK) -> str:
-        """A service's URI (`rosrpc://host:port`). Raises NotFound."""
+        """Return a service's URI (`rosrpc://host:port`). Raises NotFound."""
         return str(await self._call("lookupService", service, timeout=timeout))
 
     async def register_publisher(self, topic: str, type_name: str, uri: str, timeout: float) -> list[str]:
@@ -86,7 +86,7 @@ class MasterApi:
         await self._call("unregisterPublisher", topic, uri, timeout=timeout, caller=node)
 
     async def get_parameter(self, name: str, timeout: float) -> ParameterValue:
-        """A parameter's value, or a tree. Raises NotFound."""
+        """Return a parameter's value, or a tree. Raises NotFound."""
         return await self._call("getParam", name, timeout=timeout)
 
     async def set_parameter(self, name: str, value: ParameterValue, timeout: float) -> None:

@@ -39,7 +39,7 @@ class Leaf(NamedTuple):
 
 
 def leaves(tree: Mapping[str, ParameterValue], above: tuple[str, ...] = ()) -> Iterator[Leaf]:
-    """The leaves of a tree that lies under the keys `above`, in its order."""
+    """Yield the leaves of a tree that lies under the keys `above`, in its order."""
     stack: list[tuple[tuple[str, ...], ParameterValue]] = [((*above, key), value) for key, value in tree.items()]
     stack.reverse()
     while stack:
@@ -71,7 +71,7 @@ def find(tree: ParameterValue, rest: str) -> ParameterValue | None:
 
 
 def differences(old: Mapping[str, Leaf], new: Mapping[str, Leaf]) -> list[str]:
-    """The names of the leaves that came, went or changed."""
+    """Return the names of the leaves that came, went or changed."""
     came = [name for name, leaf in new.items() if name not in old or not _equal(old[name].value, leaf.value)]
     return [*came, *(old.keys() - new.keys())]
 
@@ -90,7 +90,7 @@ def assign(named: Mapping[str, Leaf], name: str, value: ParameterValue) -> dict[
 
 
 def without(named: Mapping[str, Leaf], name: str) -> dict[str, Leaf]:
-    """The leaves without `name` and all below it."""
+    """Return the leaves without `name` and all below it."""
     below = name.rstrip("/") + "/"
     return {each: leaf for each, leaf in named.items() if each != name and not each.startswith(below)}
 
@@ -156,7 +156,7 @@ def _tree_objection(tree: Mapping[object, object], depth: int) -> str | None:
 
 
 def _plain_name(name: str) -> str:
-    """The name, where the master takes it as it is. Raises Refused where it would fold it into another."""
+    """Return the name, where the master takes it as it is. Raises Refused where it would fold it into another."""
     if not name.startswith("/") or (name != "/" and "" in name[1:].split("/")):
         raise Refused(f"the parameter {name!r}: ROS 1 folds empty segments; set the tree that holds it whole")
     if words := _text_objection(name):
@@ -286,7 +286,7 @@ class Parameters:
 
 
 def _trees(named: Mapping[str, Leaf]) -> Iterator[str]:
-    """The names of all trees that hold these leaves, the root first."""
+    """Yield the names of all trees that hold these leaves, the root first."""
     yield "/"
     for name, leaf in named.items():
         if not leaf.odd:
@@ -310,7 +310,7 @@ class _Writing:
 
 
 def _seconds_left(until: float) -> float:
-    """The seconds left. Raises TimedOut where there are none, for then nothing was sent."""
+    """Return the seconds left. Raises TimedOut where there are none, for then nothing was sent."""
     left = until - asyncio.get_running_loop().time()
     if left <= 0:
         raise TimedOut("the time was up before the master was asked")

@@ -36,7 +36,7 @@ class Outbox:
             self._bytes -= len(self._frames.popleft())
 
     def take(self, max_bytes: int) -> bytes:
-        """The oldest frames joined: at least one, and no more than so many bytes unless one alone is larger."""
+        """Return the oldest frames joined: at least one, and no more than so many bytes unless one alone is larger."""
         taken = [self._frames.popleft()]
         size = len(taken[0])
         while self._frames and size + len(self._frames[0]) <= max_bytes:
@@ -46,7 +46,7 @@ class Outbox:
         return b"".join(taken)
 
     def take_all(self) -> list[bytes]:
-        """All frames, oldest first."""
+        """Return all frames, oldest first."""
         taken = list(self._frames)
         self._frames.clear()
         self._bytes = 0
@@ -120,7 +120,7 @@ class Publication:
                 return
 
     def links_to(self, nodes: Collection[str]) -> frozenset[SubscriberConnection]:
-        """The connections to these nodes, and to subscribers that do not say who they are."""
+        """Return the connections to these nodes, and to subscribers that do not say who they are."""
         return frozenset(link for link in self._links if not link.node or link.node in nodes)
 
     async def connected_to(self, nodes: Collection[str], until: float) -> frozenset[SubscriberConnection]:
@@ -252,7 +252,7 @@ class SubscriberConnection(asyncio.Protocol):
             self._drained.set_result(None)
 
     def _header(self) -> dict[str, str] | None:
-        """The subscriber's header, None while it is not whole. Raises BadFrame."""
+        """Return the subscriber's header, None while it is not whole. Raises BadFrame."""
         if len(self._received) < 4:
             return None
         (length,) = LENGTH.unpack_from(self._received)

@@ -76,7 +76,7 @@ class Publications:
         return int(self._servers.tcpros.sockets[0].getsockname()[1]) if self._servers else 0
 
     def topics(self) -> Sequence[tuple[str, str]]:
-        """The topics we publish, with the ROS names of their types."""
+        """Return the topics we publish, with the ROS names of their types."""
         return [(topic, publication.type_name) for topic, publication in self.by_topic.items()]
 
     async def advertise(self, topic: str, type: TypeRef, until: float) -> Publication:

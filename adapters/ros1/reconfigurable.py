@@ -95,7 +95,7 @@ class Reconfigurables:
                 each.cancel()
 
     def with_descriptors(self, parameters: Mapping[str, Parameter]) -> Mapping[str, Parameter]:
-        """The parameters of a graph, those that nodes declare with what these say."""
+        """Return the parameters of a graph, those that nodes declare with what these say."""
         declared = {name: parameter for name, parameter in self._parameters.items() if name in parameters}
         return {**parameters, **declared} if declared else parameters
 
@@ -116,7 +116,7 @@ class Reconfigurables:
         return made
 
     def _own(self, namespace: str, values: Mapping[str, ParameterValue]) -> dict[str, Scalar]:
-        """Those values that a server declares, by its own names and of its types. Raises Refused."""
+        """Return those values that a server declares, by its own names and of its types. Raises Refused."""
         descriptors = self._followed[namespace].descriptors
         found: dict[str, Scalar] = {}
         for name, value in values.items():

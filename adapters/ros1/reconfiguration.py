@@ -61,7 +61,7 @@ class Description(NamedTuple):
 def servers_of(
     publishers: Mapping[str, tuple[str, ...]], services: Mapping[str, tuple[str, ...]], types: Mapping[str, str]
 ) -> Iterator[Server]:
-    """The servers in a system: nodes by topic and by service, and ROS 1's names of the types of topics."""
+    """Yield the servers in a system: nodes by topic and by service, and ROS 1's names of the types of topics."""
     for topic, type in types.items():
         namespace, _, last = topic.rpartition("/")
         if type != _DESCRIPTION or last != DESCRIPTIONS or not publishers.get(topic):
@@ -74,7 +74,7 @@ def servers_of(
 
 
 def read_config(data: bytes) -> Mapping[str, Scalar]:
-    """The values in a dynamic_reconfigure/Config. Raises ValueError."""
+    """Return the values in a dynamic_reconfigure/Config. Raises ValueError."""
     return _config(WireReader(data))
 
 
@@ -127,7 +127,7 @@ def _descriptor(one: Description, type: ParameterType, least: Scalar | None, gre
 
 
 def _range(type: ParameterType, least: Scalar | None, greatest: Scalar | None) -> Range | None:
-    """The range of a number; None where there is none, or the ends make none."""
+    """Return the range of a number; None where there is none, or the ends make none."""
     if type not in (ParameterType.INTEGER, ParameterType.DOUBLE):
         return None
     if isinstance(least, bool | str | None) or isinstance(greatest, bool | str | None):

@@ -59,7 +59,7 @@ class Services:
             await asyncio.wait(tuple(self._probes), timeout=patience)
 
     async def call(self, service: str, type: TypeRef, request: bytes, until: float) -> bytes:
-        """The response. Raises Refused with the node's words, TimedOut, Unreachable, NotFound."""
+        """Return the response. Raises Refused with the node's words, TimedOut, Unreachable, NotFound."""
         progress = [Sent.NO]
         left = until - asyncio.get_running_loop().time()
         try:

@@ -47,7 +47,7 @@ class SlaveApi:
         self._shut_down = shut_down
 
     def answer(self, method: str, arguments: Sequence[ParameterValue]) -> Answer:
-        """The answer to a call; -1 for methods there are not."""
+        """Return the answer to a call; -1 for methods there are not."""
         match method, arguments:
             case "getPid", _:
                 return Answer(1, "", os.getpid())

@@ -39,7 +39,7 @@ class Nodes:
         self._look_up = look_up
 
     async def address(self, node: str) -> str:
-        """A node's URI, asked of the master anew, for a restarted node has another one."""
+        """Return a node's URI, asked of the master anew, for a restarted node has another one."""
         uri = await self._look_up(node)
         self.learnt.set_node_uri(node, uri)
         return uri

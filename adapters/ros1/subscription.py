@@ -33,7 +33,7 @@ class Value:
         self._sample: Sample | None = None
 
     def sample(self) -> Sample:
-        """The sample: always the same one."""
+        """Return the sample: always the same one."""
         if self._sample is None:
             self._sample = Sample(
                 bytes(self.data),
@@ -101,7 +101,7 @@ class Feed:
         self._woken = False
 
     def values(self) -> tuple[tuple[Value, ...], ...]:
-        """The newest values of each publisher, ourselves included."""
+        """Return the newest values of each publisher, ourselves included."""
         own = self._own.get(self.topic)
         slots = self.slots if own is None else (*self.slots, own)
         return tuple([slot.values for slot in slots])
@@ -189,7 +189,7 @@ class TopicSubscription:
         self._watches: list[WakingWatch] = []
 
     def latest(self) -> Sequence[Sample]:
-        """The newest `depth` samples of each publisher, oldest first; the same object while nothing new came."""
+        """Return the newest `depth` samples of each publisher, oldest first; the same object while nothing new came."""
         values = self.feed.values()
         if not _same(values, self._seen):
             self._seen = values

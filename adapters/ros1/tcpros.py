@@ -29,7 +29,7 @@ _FORCE = 33 if sys.platform == "linux" else None
 
 
 def wanted_bytes(highest_rate: float) -> int:
-    """The bytes that a buffer should hold for a topic of so many bytes a second."""
+    """Return the bytes that a buffer should hold for a topic of so many bytes a second."""
     return min(max(int(SECONDS * highest_rate), MIN_BYTES), MAX_BYTES)
 
 
@@ -101,14 +101,14 @@ class BadFrame(ValueError):
 
 
 def encode_header(fields: Header) -> bytes:
-    """The header as one frame, its length included."""
+    """Return the header as one frame, its length included."""
     parts = [f"{name}={value}".encode("utf-8", "surrogateescape") for name, value in fields.items()]
     body = b"".join(LENGTH.pack(len(part)) + part for part in parts)
     return LENGTH.pack(len(body)) + body
 
 
 def decode_header(body: bytes | bytearray) -> dict[str, str]:
-    """The fields of a header without its outer length. Raises BadFrame."""
+    """Return the fields of a header without its outer length. Raises BadFrame."""
     fields: dict[str, str] = {}
     position = 0
     while position < len(body):
@@ -125,7 +125,7 @@ def decode_header(body: bytes | bytearray) -> dict[str, str]:
 
 
 def frame(data: bytes) -> bytes:
-    """The data as one frame."""
+    """Return the data as one frame."""
     return LENGTH.pack(len(data)) + data
 
 

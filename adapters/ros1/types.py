@@ -68,7 +68,7 @@ class Types:
             self._learning[ref] = asyncio.get_running_loop().create_task(self._learn(ref, definition))
 
     async def schema(self, ref: TypeRef) -> Schema:
-        """The schema of a type; waits for it where it is being learnt. Raises UnknownType."""
+        """Return the schema of a type; waits for it where it is being learnt. Raises UnknownType."""
         for pending in [task for each, task in self._learning.items() if each.name == ref.name]:
             await asyncio.shield(pending)
         if ref in self.unreadable:
@@ -76,7 +76,7 @@ class Types:
         return await asyncio.get_running_loop().run_in_executor(None, self.library.find, ref)
 
     async def service(self, ref: TypeRef) -> ServiceSchema:
-        """The schema of a service type. Raises UnknownType."""
+        """Return the schema of a service type. Raises UnknownType."""
         schema = await self.schema(ref)
         if not isinstance(schema, ServiceSchema):
             raise UnknownType(f"{ref.name} is no service type")

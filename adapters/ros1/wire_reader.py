@@ -18,34 +18,34 @@ class WireReader:
         self._at = 0
 
     def skip(self, count: int) -> bytes:
-        """The next `count` bytes. Raises ValueError, as all reading does, where the message ends before."""
+        """Return the next `count` bytes. Raises ValueError, as all reading does, where the message ends before."""
         start, self._at = self._at, self._at + count
         if self._at > len(self._data):
             raise ValueError("the message is cut off")
         return self._data[start : self._at]
 
     def length(self) -> int:
-        """The next uint32: the length of what follows."""
+        """Return the next uint32: the length of what follows."""
         return int(_LENGTH.unpack(self.skip(_LENGTH.size))[0])
 
     def int32(self) -> int:
-        """An int32."""
+        """Return an int32."""
         return int(_INT32.unpack(self.skip(_INT32.size))[0])
 
     def float64(self) -> float:
-        """A float64."""
+        """Return a float64."""
         return float(_FLOAT64.unpack(self.skip(_FLOAT64.size))[0])
 
     def bool(self) -> bool:
-        """A bool."""
+        """Return a bool."""
         return bool(_BOOL.unpack(self.skip(_BOOL.size))[0])
 
     def text(self) -> str:
-        """A string; bytes that are no UTF-8 are surrogate escapes."""
+        """Return a string; bytes that are no UTF-8 are surrogate escapes."""
         return self.skip(self.length()).decode("utf-8", "surrogateescape")
 
     def array(self, read: Callable[[], _T], limit: int) -> list[_T]:
-        """An array of what `read` reads. Raises ValueError where it is longer than the limit."""
+        """Return an array of what `read` reads. Raises ValueError where it is longer than the limit."""
         count = self.length()
         if count > limit:
             raise ValueError(f"{count} elements are more than {limit}")

@@ -36,17 +36,17 @@ class Answer(NamedTuple):
 
 
 def encode_call(method: str, *arguments: ParameterValue) -> bytes:
-    """The document of a call."""
+    """Return the document of a call."""
     return xmlrpc.client.dumps(arguments, method).encode()
 
 
 def encode_answer(answer: Answer) -> bytes:
-    """The document of an answer."""
+    """Return the document of an answer."""
     return xmlrpc.client.dumps(([*answer],), methodresponse=True).encode()
 
 
 def encode_fault(words: str) -> bytes:
-    """The document of a fault."""
+    """Return the document of a fault."""
     return xmlrpc.client.dumps(xmlrpc.client.Fault(1, words), methodresponse=True).encode()
 
 
@@ -59,7 +59,7 @@ def decode_call(document: bytes) -> tuple[str, list[ParameterValue]]:
 
 
 def decode_answer(document: bytes) -> Answer:
-    """The answer in a document. Raises Malformed, and Refused for a fault."""
+    """Return the answer in a document. Raises Malformed, and Refused for a fault."""
     arguments, _ = _parse(document)
     match [_value(argument) for argument in arguments]:
         case [[int(code), words, value]]:
@@ -133,7 +133,7 @@ class XmlRpcClient:
         self._idle: list[tuple[asyncio.StreamReader, asyncio.StreamWriter]] = []
 
     async def call(self, method: str, *arguments: ParameterValue, timeout: float) -> Answer:
-        """The answer to a call. Raises Unreachable, TimedOut, or Refused for a fault."""
+        """Return the answer to a call. Raises Unreachable, TimedOut, or Refused for a fault."""
         return self.decode(await self.request(encode_call(method, *arguments), timeout=timeout))
 
     def decode(self, document: bytes) -> Answer:
@@ -144,7 +144,7 @@ class XmlRpcClient:
             raise Unreachable(f"{self.uri} does not speak ROS 1's XML-RPC: {error}", sent=Sent.MAYBE) from error
 
     async def request(self, document: bytes, *, timeout: float) -> bytes:
-        """The document that answers this one, unread. Raises Unreachable, TimedOut."""
+        """Return the document that answers this one, unread. Raises Unreachable, TimedOut."""
         progress = [Sent.NO]
         try:
             return await asyncio.wait_for(self._exchange(document, progress), max(timeout, 0.0))
@@ -205,7 +205,7 @@ async def read_head(reader: asyncio.StreamReader) -> tuple[str, dict[str, str]]:
 
 
 def content_length(fields: dict[str, str], limit: int = MAX_BYTES) -> int | None:
-    """The length that a header states, None where it states none. Raises Malformed."""
+    """Return the length that a header states, None where it states none. Raises Malformed."""
     stated = fields.get("content-length")
     if stated is None:
         return None
@@ -215,7 +215,7 @@ def content_length(fields: dict[str, str], limit: int = MAX_BYTES) -> int | None
 
 
 async def _read_response(reader: asyncio.StreamReader) -> tuple[bytes, bool]:
-    """The body of a response, and whether the connection may be used again."""
+    """Return the body of a response, and whether the connection may be used again."""
     status, fields = await read_head(reader)
     if " 200" not in status[:13]:
         raise Malformed(f"it answers {status[:60]!r}")

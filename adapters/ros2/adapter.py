@@ -44,7 +44,7 @@ _CAPABILITIES = Capabilities(
 
 
 def adapter(source: str, options: AdapterOptions) -> Ros2Adapter:
-    """The adapter for a source `ros2:?domain=42&namespace=/robot1`.
+    """Return the adapter for a source `ros2:?domain=42&namespace=/robot1`.
 
     Raises ValueError for what is no such source, and where there is no rclpy.
     """
@@ -168,7 +168,7 @@ class Ros2Adapter:
         return frozenset()
 
     async def schema(self, ref: TypeRef, *, deadline: float) -> Schema:
-        """The schema of a type. Raises UnknownType."""
+        """Return the schema of a type. Raises UnknownType."""
         thread, system = self._running()
         looking = system.types.schema(type_in_use(self.graph, ref), nodes_using(self.graph, ref), _until(deadline))
         try:
@@ -177,7 +177,7 @@ class Ros2Adapter:
             raise TimedOut(f"the definition of {ref.name} was not found in time") from error
 
     def known_types(self) -> Sequence[TypeRef]:
-        """The types met so far, and those that the graph names."""
+        """Return the types met so far, and those that the graph names."""
         graph = self.graph
         met = dict.fromkeys(self._library.known())
         named = {ref.name for ref in met}
@@ -273,7 +273,7 @@ class Ros2Adapter:
         await thread.run(system.change_state(node, transition, _until(deadline)))
 
     async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
-        """The values of those names that exist, asked of their nodes now."""
+        """Return the values of those names that exist, asked of their nodes now."""
         thread, system = self._running()
         return await thread.run(system.parameters.get(names, _until(deadline)))
 
@@ -347,7 +347,7 @@ class Ros2Adapter:
 
 
 def _until(deadline: float) -> float:
-    """A deadline of the running loop as a time of the thread's loop, whose clock is the monotonic one."""
+    """Return a deadline of the running loop as a time of the thread's loop, whose clock is the monotonic one."""
     return time.monotonic() + _seconds_left(deadline)
 
 

@@ -57,7 +57,7 @@ class LiveGraph:
             self._before_leaving = self.current, now
 
     def _last_whole(self) -> Graph:
-        """The graph as last known: nodes that left one by one, but in one go, are still in it."""
+        """Return the graph as last known: nodes that left one by one, but in one go, are still in it."""
         if isinstance(self.current.state, Stale) or self._before_leaving is None:
             return self.current
         whole, since = self._before_leaving

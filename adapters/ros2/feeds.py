@@ -314,7 +314,7 @@ class TopicSubscription:
         self._watches: list[LoopWatch] = []
 
     def latest(self) -> Sequence[Sample]:
-        """The newest `depth` samples of each publisher, oldest first; the same object while nothing new came."""
+        """Return the newest `depth` samples of each publisher, oldest first; the same object while nothing new came."""
         return () if self._closed else self.feed.latest(self.depth)
 
     def watch(self, wake: Callable[[], None]) -> Watch:

@@ -64,7 +64,7 @@ class GraphInputs:
 
 
 def compose(previous: Graph, seen: Observation, known: GraphInputs) -> Graph:
-    """The graph of an observation; `previous` itself where nothing changed."""
+    """Return the graph of an observation; `previous` itself where nothing changed."""
     providers = _by_service(seen.providers, known)
     callers = _by_service(seen.callers, known)
     topics = _topics(seen, known)
@@ -95,7 +95,7 @@ def compose(previous: Graph, seen: Observation, known: GraphInputs) -> Graph:
 
 
 def stale(previous: Graph, since_ns: int, why: str) -> Graph:
-    """The last known graph, as one that cannot be seen any more."""
+    """Return the last known graph, as one that cannot be seen any more."""
     if isinstance(previous.state, Stale):
         return previous
     return replace(previous, state=Stale(since_ns, why), revision=previous.revision + 1)
@@ -188,7 +188,7 @@ def _by_service(by_node: Mapping[str, Names], known: GraphInputs) -> dict[str, t
 
 
 def _shared(previous: Mapping[str, _V], made: Mapping[str, _V]) -> Mapping[str, _V]:
-    """These values, sorted; equal ones are the previous objects, and so is the mapping if all are."""
+    """Return these values, sorted; equal ones are the previous objects, and so is the mapping if all are."""
     kept: dict[str, _V] = {}
     for name in sorted(made):
         new, old = made[name], previous.get(name)
@@ -207,7 +207,7 @@ def type_in_use(graph: Graph, ref: TypeRef) -> TypeRef:
 
 
 def nodes_using(graph: Graph, ref: TypeRef) -> list[str]:
-    """The nodes that use a type and tell of their types."""
+    """Return the nodes that use a type and tell of their types."""
     nodes: dict[str, None] = {}
     for topic in graph.topics.values():
         for each in (*topic.publishers, *topic.subscribers):

@@ -140,7 +140,7 @@ class Lifecycles:
     # What nodes tell by themselves
 
     def _begin_following(self, node: str) -> _Managed:
-        """A managed node that appeared: followed from now on, where its types are known here."""
+        """Return a managed node that appeared: followed from now on, where its types are known here."""
         problem = class_problem(_STATE)
         if problem is not None:
             return _Managed(Lifecycle(f"{node}/change_state", unknown=problem), ask_at=float("inf"))

@@ -22,22 +22,22 @@ def class_problem(type: str) -> str | None:
 
 
 def request_of(type: str, data: bytes) -> object:
-    """The request of a service type from its bytes. Raises UnknownType, ValueError."""
+    """Return the request of a service type from its bytes. Raises UnknownType, ValueError."""
     return _deserialize(message_class(type).Request, data)
 
 
 def deserialize(type: str, data: bytes) -> object:
-    """A message from its bytes. Raises UnknownType, ValueError."""
+    """Return a message from its bytes. Raises UnknownType, ValueError."""
     return _deserialize(message_class(type), data)
 
 
 def serialize(message: object) -> bytes:
-    """The bytes of a message or of a half of a service."""
+    """Return the bytes of a message or of a half of a service."""
     return bytes(importlib.import_module("rclpy.serialization").serialize_message(message))
 
 
 def make_message(type: str, values: Mapping[str, object], half: str | None = None) -> object:
-    """An object of a type's class, or of its part `half` ("Request"), with these values. Raises UnknownType."""
+    """Return an object of a type's class, or of its part `half` ("Request"), with these values. Raises UnknownType."""
     kind = message_class(type)
     return (getattr(kind, half) if half else kind)(**values)
 
@@ -50,7 +50,7 @@ def _deserialize(kind: Any, data: bytes) -> object:
 
 
 def message_class(type: str) -> Any:
-    """The Python class of a type, with its type support. Raises UnknownType saying what is lacking."""
+    """Return the Python class of a type, with its type support. Raises UnknownType saying what is lacking."""
     if (known := _classes.get(type)) is not None:
         return known
     package, _, rest = type.partition("/")
@@ -88,7 +88,7 @@ _DERIVED = {
 
 
 def _within(module: Any, kind: str, name: str) -> Any:
-    """A class of a module of types; what is derived from a service or an action lies within its class."""
+    """Return a class of a module of types; what is derived from a service or an action lies within its class."""
     derived = _DERIVED if kind == "action" else {"_Event": ("Event",)} if kind == "srv" else {}
     for end, steps in derived.items():
         if name.endswith(end):

@@ -80,7 +80,7 @@ class Reader:
         self._take = subscription.handle.take_message
 
     def take(self) -> TakenMessage | None:
-        """The next message in the history; None where there is none, or no longer a subscription."""
+        """Return the next message in the history; None where there is none, or no longer a subscription."""
         try:
             with self.handle:
                 taken = self._take(self._type, True)
@@ -118,7 +118,7 @@ class ParameterEvents:
         self.handle: Handle = self._subscription.handle
 
     def take(self) -> ParameterChange | None:
-        """The next change in the history, None where there is none."""
+        """Return the next change in the history, None where there is none."""
         try:
             with self.handle:
                 taken = self._subscription.handle.take_message(self._subscription.msg_type, False)
@@ -178,7 +178,7 @@ class Client:
             return int(self._client.handle.send_request(request))
 
     def take(self) -> tuple[int, object] | None:
-        """The next answer with its number, None where there is none."""
+        """Return the next answer with its number, None where there is none."""
         try:
             with self.handle:
                 header, response = self._client.handle.take_response(self._client.srv_type.Response)
@@ -255,11 +255,11 @@ class Participant:
         self.shown_name: str | None = None
 
     def wakeup(self) -> Wakeup:
-        """A guard condition of this context."""
+        """Return a guard condition of this context."""
         return Wakeup(self.context)
 
     def wait_set(self) -> WaitSet:
-        """A wait set of this context."""
+        """Return a wait set of this context."""
         return WaitSet(self.context)
 
     def node_names(self) -> tuple[str, ...]:
@@ -268,15 +268,15 @@ class Participant:
         return tuple(_full_name(name, namespace) for name, namespace in found if name != _UNKNOWN)
 
     def topics(self) -> Names:
-        """The topics and their types, ours included."""
+        """Return the topics and their types, ours included."""
         return {name: tuple(types) for name, types in self._hidden.get_topic_names_and_types()}
 
     def services(self) -> Names:
-        """The services and their types."""
+        """Return the services and their types."""
         return {name: tuple(types) for name, types in self._hidden.get_service_names_and_types()}
 
     def services_of(self, node: str) -> Names:
-        """The services that a node provides."""
+        """Return the services that a node provides."""
         return self._of(self._hidden.get_service_names_and_types_by_node, node)
 
     def clients_of(self, node: str) -> Names:
@@ -291,11 +291,11 @@ class Participant:
             return 0, 0
 
     def publishers(self, topic: str) -> tuple[SeenEndpoint, ...]:
-        """The publishers of a topic."""
+        """Return the publishers of a topic."""
         return _endpoints(self._hidden.get_publishers_info_by_topic, topic)
 
     def subscribers(self, topic: str) -> tuple[SeenEndpoint, ...]:
-        """The subscribers of a topic, our own included."""
+        """Return the subscribers of a topic, our own included."""
         return _endpoints(self._hidden.get_subscriptions_info_by_topic, topic)
 
     def show(self, name: str) -> None:
@@ -327,7 +327,7 @@ class Participant:
         return Writer(self._shown, publisher, qos)
 
     def client(self, service: str, type: str) -> Client:
-        """A client of a service. Raises UnknownType, ValueError."""
+        """Return a client of a service. Raises UnknownType, ValueError."""
         return Client(self._hidden, self._hidden.create_client(message_class(type), service))
 
     def parameter_events(self) -> ParameterEvents:

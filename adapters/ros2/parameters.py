@@ -184,7 +184,7 @@ class Parameters:
         return found
 
     def _below(self, name: str) -> list[str]:
-        """The names of the parameters that lie below a name, which is no parameter itself."""
+        """Return the names of the parameters that lie below a name, which is no parameter itself."""
         prefix = "/" if name == "/" else f"{name}/"
         return [each for each in self._listed if each.startswith(prefix)]
 
@@ -376,7 +376,7 @@ def _provides(providers: Mapping[str, Names], node: str, service: str) -> bool:
 
 
 async def _all(*coroutines: Any) -> list[Any]:
-    """The results of all, which are all waited for; then the first error is raised."""
+    """Return the results of all, which are all waited for; then the first error is raised."""
     results = await asyncio.gather(*coroutines, return_exceptions=True)
     for result in results:
         if isinstance(result, BaseException):

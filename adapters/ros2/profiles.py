@@ -20,7 +20,7 @@ def override_for(topic: str, overrides: Sequence[tuple[str, Qos]]) -> Qos:
 
 
 def reading_profile(publishers: Sequence[Endpoint], depth: int, override: Qos = Qos()) -> Qos:  # noqa: B008
-    """The profile to read with: best effort, so that no reliable writer ever waits for us.
+    """Return the profile to read with: best effort, so that no reliable writer ever waits for us.
 
     Where all publishers are transient-local it is theirs, so that what they said before we came is heard.
     """
@@ -32,7 +32,7 @@ def reading_profile(publishers: Sequence[Endpoint], depth: int, override: Qos = 
 
 
 def publishing_profile(subscribers: Sequence[Endpoint], *, latch: bool, override: Qos = Qos()) -> Qos:  # noqa: B008
-    """The profile that all subscribers accept, and that keeps the last message for later ones where `latch`.
+    """Return the profile that all subscribers accept, and that keeps the last message for later ones where `latch`.
 
     DDS 1.4, 2.2.3: whoever offers more than is requested fits. So it is reliable, and whatever else was requested.
     """
@@ -51,7 +51,7 @@ def publishing_profile(subscribers: Sequence[Endpoint], *, latch: bool, override
 
 
 def apply_override(profile: Qos, override: Qos) -> Qos:
-    """The profile, but for what the override says."""
+    """Return the profile, but for what the override says."""
     said = {each.name: value for each in fields(Qos) if (value := getattr(override, each.name)) not in (None, 0)}
     return replace(profile, **said)
 
@@ -89,7 +89,7 @@ def qos_of_profile(profile: Any) -> Qos:
 
 
 def _nanoseconds(duration: Any) -> int | None:
-    """A time, None for ever: which is "infinite" or, where nobody said anything, zero."""
+    """Return a time, None for ever: which is "infinite" or, where nobody said anything, zero."""
     found = int(duration.nanoseconds)
     return found if 0 < found < _FOR_EVER // 2 else None
 

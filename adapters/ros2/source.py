@@ -27,7 +27,7 @@ class Source:
 
 
 def read_source(text: str) -> Source:
-    """The source that `ros2`, `ros2:` or `ros2:?domain=42&namespace=/robot1` names.
+    """Return the source that `ros2`, `ros2:` or `ros2:?domain=42&namespace=/robot1` names.
 
     Raises ValueError with a sentence for the user.
     """
@@ -62,7 +62,7 @@ def _namespace(text: str) -> str:
 
 
 def require_rclpy() -> None:
-    """Raises ValueError, saying how to get it, where rclpy is not there or cannot be loaded."""
+    """Raise ValueError, saying how to get it, where rclpy is not there or cannot be loaded."""
     try:
         importlib.import_module("rclpy.node")
     except ModuleNotFoundError as error:

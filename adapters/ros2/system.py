@@ -263,7 +263,7 @@ def watch_parameter_events(
 
 
 def hidden_name() -> str:
-    """The name of the node that looks: hidden, as those of ROS 2's own tools are."""
+    """Return the name of the node that looks: hidden, as those of ROS 2's own tools are."""
     return f"_{unique_name()}"
 
 

@@ -86,7 +86,7 @@ class Types:
         self._problems[name] = words
 
     def with_hash(self, ref: TypeRef) -> TypeRef:
-        """The type with the hash of its definition here, where the middleware does not tell it (Humble)."""
+        """Return the type with the hash of its definition here, where the middleware does not tell it (Humble)."""
         if ref.hash is not None:
             return ref
         if ref.name not in self._hashes:
@@ -97,7 +97,7 @@ class Types:
         return TypeRef(ref.name, self._hashes[ref.name])
 
     async def schema(self, ref: TypeRef, users: Sequence[str], until: float) -> Schema:
-        """The schema of a type: from what lies here, else, if its hash is known, asked of the nodes that use it.
+        """Return the schema of a type: from what lies here, else, if its hash is known, asked of the nodes that use it.
 
         Raises UnknownType.
         """

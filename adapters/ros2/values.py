@@ -51,7 +51,7 @@ class ValueMessage(Protocol):
 
 
 def from_message(message: ValueMessage) -> ParameterValue | None:
-    """The value; None where the parameter is declared but not set."""
+    """Return the value; None where the parameter is declared but not set."""
     try:
         tag = Tag(message.type)
     except ValueError:
@@ -68,7 +68,7 @@ def from_message(message: ValueMessage) -> ParameterValue | None:
 
 
 def to_fields(name: str, value: object, current: int | None = None) -> dict[str, object]:
-    """The fields of the message of a value; `current` is the tag that the parameter has now, for an empty list.
+    """Return the fields of the message of a value; `current` is the tag that the parameter has now, for an empty list.
 
     Raises Refused, naming the parameter, for what ROS 2's parameters cannot hold.
     """

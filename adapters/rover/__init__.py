@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def rover_adapter(source: str, options: AdapterOptions) -> Adapter:
-    """The adapter of a source such as `rover` or `rover:?battery=0.21`. Raises ValueError for a bad option."""
+    """Return the adapter of a source such as `rover` or `rover:?battery=0.21`. Raises ValueError for a bad option."""
     from rosld.adapters.rover.adapter import Rover  # imported late: a ROS node's Python may lack what it needs
     from rosld.adapters.rover.simulation import read_source
 

@@ -144,7 +144,7 @@ class Rover:
         return self._library.find(ref)
 
     def known_types(self) -> Sequence[TypeRef]:
-        """The types of the rover's topics, services and action, and of what rosld advertises."""
+        """Return the types of the rover's topics, services and action, and of what rosld advertises."""
         own = (each.type for each in self._topics.advertised.values())
         return list(dict.fromkeys([*self._types.values(), *own]))
 
@@ -238,7 +238,7 @@ class Rover:
         raise without_lifecycle(self._graph.nodes, node)
 
     async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
-        """The values of those names that exist."""
+        """Return the values of those names that exist."""
         self._reachable(deadline)
         found = {name: read(self._parameters, name) for name in names}
         return {name: value for name, value in found.items() if value is not None}

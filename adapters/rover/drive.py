@@ -52,13 +52,13 @@ class Motion:
 
 
 def wheel_speeds(velocity: Velocity) -> tuple[float, float]:
-    """The speeds of the left and of the right wheel on the ground."""
+    """Return the speeds of the left and of the right wheel on the ground."""
     half = velocity.turn_rate * WHEEL_SEPARATION / 2
     return velocity.speed - half, velocity.speed + half
 
 
 def drive(motion: Motion, command: Velocity, limits: Limits, world: World, seconds: float) -> Motion:
-    """The motion a short time later. An obstacle stops it; it can turn there, and drive away."""
+    """Return the motion a short time later. An obstacle stops it; it can turn there, and drive away."""
     speed = _approach(
         motion.velocity.speed, _clamp(command.speed, limits.speed), limits.acceleration * seconds, BRAKING * seconds
     )
@@ -97,7 +97,7 @@ def is_blocked_ahead(world: World, motion: Motion, distance: float) -> bool:
 
 
 def wrap_angle(angle: float) -> float:
-    """An angle between -pi and pi."""
+    """Return an angle between -pi and pi."""
     return math.remainder(angle, math.tau)
 
 
@@ -106,7 +106,7 @@ def _clamp(value: float, limit: float) -> float:
 
 
 def _approach(current: float, wanted: float, gain: float, loss: float) -> float:
-    """A speed on its way to another: at most `gain` faster, or `loss` slower; through zero in two steps."""
+    """Return a speed on its way to another: at most `gain` faster, or `loss` slower; through zero in two steps."""
     if current * wanted < 0:
         wanted = 0.0
     limit = gain if abs(wanted) > abs(current) else loss
@@ -148,7 +148,7 @@ class Battery:
 
 
 def drain(battery: Battery, velocity: Velocity, lights: bool, docked: bool, seconds: float) -> Battery:
-    """The battery a while later, during which the rover moved so."""
+    """Return the battery a while later, during which the rover moved so."""
     share = _IDLE + _LIGHTS * lights + _METRE * abs(velocity.speed) + _RADIAN * abs(velocity.turn_rate)
     if docked:
         share = 0.0 if battery.level >= 1.0 else -_CHARGING

@@ -128,7 +128,7 @@ _TYPES: Mapping[type, ParameterType] = {
 
 
 def rover_graph(revision: int, types: Mapping[str, TypeRef], advertised: Mapping[str, AdvertisedTopic]) -> Graph:
-    """The graph: `types` holds the types of the rover's topics, services and action by the names of these."""
+    """Return the graph: `types` holds the types of the rover's topics, services and action by the names of these."""
     return Graph(
         revision,
         own_node=ROSLD,
@@ -180,7 +180,7 @@ def operations_on(name: str) -> frozenset[Operation]:
 
 
 def read(values: Mapping[str, Value], name: str) -> ParameterValue | None:
-    """The value of a name, a dict where it is the node's or `/`; None where there is nothing."""
+    """Return the value of a name, a dict where it is the node's or `/`; None where there is nothing."""
     if name == "/":
         return {NODE.strip("/"): {**values}}
     if name == NODE:
@@ -205,7 +205,7 @@ def with_values(values: Mapping[str, Value], given: Mapping[str, ParameterValue]
 
 
 def refuse_deletion(names: Sequence[str]) -> None:
-    """Raises Refused for a parameter that is there, which its node keeps, and NotFound for any other."""
+    """Raise Refused for a parameter that is there, which its node keeps, and NotFound for any other."""
     for name in names:
         if name not in GRAPH_PARAMETERS:
             raise NotFound(f"there is no parameter {name}")

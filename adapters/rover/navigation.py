@@ -68,7 +68,7 @@ class Declined(Exception):
 
 
 def heading_of(x: float, y: float, z: float, w: float) -> float:
-    """The heading of an orientation. Declined for a quaternion that is no rotation."""
+    """Return the heading of an orientation. Declined for a quaternion that is no rotation."""
     norm = math.sqrt(x * x + y * y + z * z + w * w)
     if not abs(norm - 1) <= _QUATERNION_TOLERANCE:  # NaN is close to nothing
         raise Declined(
@@ -78,7 +78,7 @@ def heading_of(x: float, y: float, z: float, w: float) -> float:
 
 
 def check_goal(frame: str, x: float, y: float, heading: float) -> Pose:
-    """The goal of these numbers. Declined for another frame, and for what is no number."""
+    """Return the goal of these numbers. Declined for another frame, and for what is no number."""
     if frame not in FRAMES:
         raise Declined(f"the frame {frame!r} is not known: a goal is told in 'map'")
     if not (math.isfinite(x) and math.isfinite(y)):
@@ -116,7 +116,7 @@ def drop_passed_corners(journey: Journey, motion: Motion) -> Journey:
 
 
 def velocity_towards(journey: Journey, motion: Motion, limits: Limits) -> Velocity:
-    """The velocity to command now: to the next corner, and at the end into the goal's heading."""
+    """Return the velocity to command now: to the next corner, and at the end into the goal's heading."""
     if not journey.corners:
         return Velocity(0.0, _turn(wrap_angle(journey.goal.heading - motion.heading), limits))
     (x, y), rest = journey.corners[0], remaining_length(journey, motion)

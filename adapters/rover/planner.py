@@ -41,12 +41,12 @@ class Grid:
         return int(self.clearances.shape[1])
 
     def cell(self, x: float, y: float) -> Cell:
-        """The row and the column of a point of the world, of which the grid holds the nearest."""
+        """Return the row and the column of a point of the world, of which the grid holds the nearest."""
         row, column = int((y - self.bottom) / RESOLUTION), int((x - self.left) / RESOLUTION)
         return min(max(row, 0), self.rows - 1), min(max(column, 0), self.columns - 1)
 
     def centre(self, cell: Cell) -> tuple[float, float]:
-        """The point in the middle of a cell."""
+        """Return the point in the middle of a cell."""
         return self.left + (cell[1] + 0.5) * RESOLUTION, self.bottom + (cell[0] + 0.5) * RESOLUTION
 
     def occupancy(self) -> NDArray[np.int8]:
@@ -57,7 +57,7 @@ class Grid:
 
 @cache
 def grid_of(world: World) -> Grid:
-    """The grid of a world."""
+    """Return the grid of a world."""
     rows, columns = round(world.height / RESOLUTION), round(world.width / RESOLUTION)
     xs = [world.left + (column + 0.5) * RESOLUTION for column in range(columns)]
     ys = [world.bottom + (row + 0.5) * RESOLUTION for row in range(rows)]
@@ -74,7 +74,7 @@ _STEPS = [(row, column) for row in (-1, 0, 1) for column in (-1, 0, 1) if row or
 
 
 def way(grid: Grid, start: Point, goal: Point) -> tuple[Point, ...]:
-    """The corners of a way from a point to another, the goal last; empty where no way leads there."""
+    """Return the corners of a way from a point to another, the goal last; empty where no way leads there."""
     first, last = _nearest_free(grid, grid.cell(*start)), _nearest_free(grid, grid.cell(*goal))
     if first is None or last is None:
         return ()
@@ -106,7 +106,7 @@ def _neighbours(grid: Grid, cell: Cell) -> Iterator[tuple[Cell, float]]:
 
 
 def _cells(grid: Grid, first: Cell, last: Cell) -> Sequence[Cell]:
-    """The cells of the shortest way, both ends included; none where there is no way."""
+    """Return the cells of the shortest way, both ends included; none where there is no way."""
     came: dict[Cell, Cell] = {}
     costs = {first: 0.0}
     waiting = [(math.dist(first, last), first)]

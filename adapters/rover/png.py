@@ -15,7 +15,7 @@ _QUICK = 1
 
 
 def encode(image: NDArray[np.uint8]) -> bytes:
-    """The file of an image of rows, columns and red, green and blue."""
+    """Return the file of an image of rows, columns and red, green and blue."""
     rows, columns, _ = image.shape
     lines = np.zeros((rows, 1 + 3 * columns), dtype=np.uint8)  # each begins with its filter: 0 is none
     lines[:, 1:] = image.reshape(rows, -1)

@@ -29,7 +29,7 @@ _BELOW = np.arange(HEIGHT)[:, None] + 0.5 - CENTRE[1]
 
 
 def image(world: World, motion: Motion, lights: bool) -> NDArray[np.uint8]:
-    """An image of `HEIGHT` rows, `WIDTH` columns and red, green and blue."""
+    """Return an image of `HEIGHT` rows, `WIDTH` columns and red, green and blue."""
     hits = world.cast(motion.x, motion.y, motion.heading + _BESIDE)
     depths = np.maximum(hits.distances * np.cos(_BESIDE), _NEAREST)
     top, bottom = FOCAL_LENGTH * (MOUNTED_AT - WALL_HEIGHT) / depths, FOCAL_LENGTH * MOUNTED_AT / depths
@@ -57,6 +57,6 @@ _ANGLES: NDArray[np.float64] = FIRST + INCREMENT * np.arange(BEAMS, dtype=np.flo
 
 
 def scan(world: World, motion: Motion) -> NDArray[np.float32]:
-    """The distance that each beam measures; inf for what is too far (REP 117)."""
+    """Return the distance that each beam measures; inf for what is too far (REP 117)."""
     distances = world.cast(motion.x, motion.y, motion.heading + _ANGLES).distances
     return np.where(distances <= FARTHEST, distances, np.inf).astype(np.float32)

@@ -65,7 +65,7 @@ class Settings:
 
 
 def settings_of(values: Mapping[str, Value]) -> Settings:
-    """The settings of these values, which are those of all parameters and have been checked."""
+    """Return the settings of these values, which are those of all parameters and have been checked."""
     acceleration = _ACCELERATIONS[str(values["drive_mode"])]
     return Settings(
         Limits(float(values["max_speed"]), float(values["max_turn_rate"]), acceleration),

@@ -91,7 +91,7 @@ class State:
 
 
 def step(state: State, settings: Settings, world: World) -> State:
-    """The state a step later."""
+    """Return the state a step later."""
     motion, command, journey, ended = state.motion, state.command, state.journey, state.ended
     if journey is not None:
         journey = drop_passed_corners(journey, motion)
@@ -235,7 +235,7 @@ class Simulation:
 
 
 def initial_state(start: Start, world: World) -> State:
-    """The state at the beginning. Raises ValueError where something stands in the place of the rover."""
+    """Return the state at the beginning. Raises ValueError where something stands in the place of the rover."""
     x, y = start.pose.x, start.pose.y
     if not world.contains(x, y) or world.clearance(x, y) < RADIUS:
         raise ValueError(f"the rover cannot start at ({x:g}, {y:g}): something stands within {RADIUS:g} m")

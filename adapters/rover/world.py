@@ -99,7 +99,7 @@ class World:
 def _to_boxes(
     boxes: tuple[Box, ...], x: float, y: float, dx: NDArray[np.float64], dy: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """The distance to each box (rows) along each ray (columns), by its slabs; inf where the ray misses it."""
+    """Return the distance to each box (rows) along each ray (columns), by its slabs; inf where the ray misses it."""
     left, bottom, right, top = np.array([box[:4] for box in boxes]).T[:, :, None]
     dx = np.where(np.abs(dx) < _PARALLEL, _PARALLEL, dx)
     dy = np.where(np.abs(dy) < _PARALLEL, _PARALLEL, dy)
@@ -113,7 +113,7 @@ def _to_boxes(
 def _to_discs(
     discs: tuple[Disc, ...], x: float, y: float, dx: NDArray[np.float64], dy: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """The distance to each disc (rows) along each ray (columns); inf where the ray misses it."""
+    """Return the distance to each disc (rows) along each ray (columns); inf where the ray misses it."""
     centre_x, centre_y, radius = np.array([disc[:3] for disc in discs]).T[:, :, None]
     towards = (centre_x - x) * dx + (centre_y - y) * dy
     within = radius**2 - ((centre_x - x) ** 2 + (centre_y - y) ** 2 - towards**2)

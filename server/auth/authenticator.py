@@ -164,7 +164,7 @@ class Authenticator:
             raise invalid_token(f"{error}.") from error
 
     def _agent_of(self, claims: Claims) -> Agent:
-        """The agent of a subject: the one that the file names, else one called by issuer and subject."""
+        """Return the agent of a subject: the one that the file names, else one called by issuer and subject."""
         name = self.config.subjects.get((claims.issuer, claims.subject))
         if name is not None:
             return self.config.policy.agents[name]

@@ -100,7 +100,7 @@ class _Table:
         return found
 
     def maybe(self, name: str) -> str | None:
-        """A text, None where it is not there."""
+        """Return a text, None where it is not there."""
         found = self._left.pop(name, None)
         if found is not None and (not isinstance(found, str) or not found):
             raise ValueError(f"{self._where}: {name} is a text, not {found!r}")
@@ -304,20 +304,20 @@ class _Graph:
             self._by_subject.setdefault(subject, []).append((predicate, object))
 
     def of(self, kind: NamedNode) -> list[_Node]:
-        """The subjects of a class."""
+        """Return the subjects of a class."""
         found = (node for node, said in self._by_subject.items() if (rdf.type, kind) in said)
         return [node for node in found if isinstance(node, NamedNode | BlankNode)]
 
     def all(self, node: _Node, predicate: NamedNode) -> list[object]:
-        """The objects of a subject."""
+        """Return the objects of a subject."""
         return [object for found, object in self._by_subject.get(node, ()) if found == predicate]
 
     def said(self, node: _Node) -> frozenset[NamedNode]:
-        """All predicates of a subject."""
+        """Return all predicates of a subject."""
         return frozenset(predicate for predicate, _ in self._by_subject.get(node, ()))
 
     def text(self, node: _Node, predicate: NamedNode) -> str:
-        """The one text of a subject."""
+        """Return the one text of a subject."""
         found = self.all(node, predicate)
         if len(found) != 1:
             raise ValueError(f"{node} has {len(found)} of {predicate}, and needs one")
@@ -346,7 +346,7 @@ _CLASSES: Mapping[object, str] = {foaf.Agent: ANONYMOUS.name, acl.AuthenticatedA
 
 
 def _authorization(graph: _Graph, node: _Node, base: str, called: Mapping[str, str]) -> Rule:
-    """A rule as an acl:Authorization (Web Access Control 4)."""
+    """Return a rule as an acl:Authorization (Web Access Control 4)."""
     if unknown := graph.said(node) - _AUTHORIZATION:
         raise ValueError(f"the authorization {node} has {next(iter(unknown))}, which is not known here")
     agents = {called.get(_iri_or_label(each), _iri_or_label(each)) for each in graph.all(node, acl.agent)}
@@ -376,7 +376,7 @@ def _iri_or_label(term: object) -> str:
 
 
 def _local(iri: str, base: str) -> str:
-    """The path of an IRI of this server, as a glob that is about nothing else."""
+    """Return the path of an IRI of this server, as a glob that is about nothing else."""
     if not iri.startswith(base):
         raise ValueError(f"{iri} is not of this server, which is {base}")
     path = iri[len(base) - 1 :].partition("#")[0]

@@ -41,7 +41,7 @@ class Protected(Protocol):
         ...
 
     def methods(self) -> frozenset[str]:
-        """The verbs it answers now."""
+        """Return the verbs it answers now."""
         ...
 
 

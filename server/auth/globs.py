@@ -92,7 +92,7 @@ class Glob:
         return frozenset(states)
 
     def _skip_any(self, states: set[int]) -> set[int]:
-        """These places, and those behind each `**`, which may stand for nothing."""
+        """Return these places, and those behind each `**`, which may stand for nothing."""
         found = set(states)
         for state in sorted(states):
             while state < len(self._parts) and self._parts[state] is None:

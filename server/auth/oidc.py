@@ -70,7 +70,7 @@ class TokenVerifier:
     _fetching: dict[Issuer, asyncio.Lock] = field(default_factory=dict)
 
     async def verify(self, token: str, issuer: Issuer) -> Claims:
-        """The claims of a token. Raises InvalidToken for one that is not accepted."""
+        """Return the claims of a token. Raises InvalidToken for one that is not accepted."""
         import jwt
 
         try:
@@ -96,7 +96,7 @@ class TokenVerifier:
         return Claims(issuer.url, str(said["sub"]), float(said["exp"]), webid if isinstance(webid, str) else None)
 
     async def _key(self, issuer: Issuer, key_id: object) -> object:
-        """The key of an id; the only one there is where a token names none."""
+        """Return the key of an id; the only one there is where a token names none."""
         lock = self._fetching.setdefault(issuer, asyncio.Lock())
         async with lock:
             known = self._keys.get(issuer)
@@ -122,7 +122,7 @@ def _find_key(keys: _Keys, key_id: object) -> object | None:
 
 
 def _fetch(issuer: Issuer) -> Mapping[str, object]:
-    """The keys of an issuer by their ids. Raises OSError and ValueError. Runs in a thread."""
+    """Return the keys of an issuer by their ids. Raises OSError and ValueError. Runs in a thread."""
     import jwt
 
     found: dict[str, object] = {}
@@ -158,7 +158,7 @@ class _NoRedirects(urllib.request.HTTPRedirectHandler):
 
 
 def _json(url: str) -> dict[str, object]:
-    """The JSON object at a URL; nothing else is followed."""
+    """Return the JSON object at a URL; nothing else is followed."""
     opener = urllib.request.build_opener(urllib.request.ProxyHandler({}), _NoRedirects())
     try:
         with opener.open(
@@ -177,7 +177,7 @@ def _json(url: str) -> dict[str, object]:
 
 
 def require_library() -> None:
-    """Raises ValueError where issuers are named and nothing can check their tokens."""
+    """Raise ValueError where issuers are named and nothing can check their tokens."""
     try:
         import jwt  # noqa: F401
     except ImportError:

@@ -189,5 +189,5 @@ class Rights:
 
 
 def allow_all_rules() -> tuple[Rule, ...]:
-    """The rules of a server without any: everybody may do everything."""
+    """Return the rules of a server without any: everybody may do everything."""
     return (Rule(frozenset({ANONYMOUS.name}), frozenset(Mode), (Glob("/**"),)),)

@@ -24,7 +24,7 @@ _MAX_FIELD = 16 * 1024
 
 
 def generate_token() -> str:
-    """A new token."""
+    """Return a new token."""
     return PREFIX + secrets.token_urlsafe(32)
 
 

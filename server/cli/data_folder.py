@@ -48,7 +48,7 @@ def _acquire(lock: FileLock) -> bool:
 
 
 def read_base(folder: Path) -> str | None:
-    """The base that a folder belongs to, None for one that belongs to none yet."""
+    """Return the base that a folder belongs to, None for one that belongs to none yet."""
     note = folder / NAME
     return note.read_text("utf-8").strip() if note.exists() else None
 

@@ -47,7 +47,7 @@ class Target:
 
 
 def target(path: Path) -> Target:
-    """The target that a file's name tells. Raises ValueError for an ending that says no syntax."""
+    """Return the target that a file's name tells. Raises ValueError for an ending that says no syntax."""
     compressed = path.suffix == ".gz"
     ending = (path.with_suffix("") if compressed else path).suffix
     if ending not in SYNTAXES:

@@ -45,7 +45,7 @@ def open_source(source: str, options: AdapterOptions) -> Iterator[Adapter]:
 
 
 def types_in_use(graph: Graph) -> set[TypeRef]:
-    """The types that topics, services and actions of the graph have."""
+    """Return the types that topics, services and actions of the graph have."""
     topics = {ref for topic in graph.topics.values() for ref in topic.types}
     services = {service.type for service in graph.services.values() if service.type is not None}
     return topics | services | {action.type for action in graph.actions.values() if action.type is not None}

@@ -64,7 +64,7 @@ def main() -> None:
 
 
 def _pairs(context: click.Context, parameter: click.Parameter, values: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
-    """The pairs in NAME=IP options."""
+    """Return the pairs in NAME=IP options."""
     pairs = tuple((name, address) for name, _, address in (value.partition("=") for value in values))
     for value, pair in zip(values, pairs, strict=True):
         if not all(pair):
@@ -75,7 +75,7 @@ def _pairs(context: click.Context, parameter: click.Parameter, values: tuple[str
 def _profiles(
     context: click.Context, parameter: click.Parameter, values: tuple[str, ...]
 ) -> tuple[tuple[str, Qos], ...]:
-    """The globs and profiles in GLOB=PROFILE options; a glob may hold an equals sign, a profile does not."""
+    """Return the globs and profiles in GLOB=PROFILE options; a glob may hold an equals sign, a profile does not."""
     profiles: list[tuple[str, Qos]] = []
     for value in values:
         glob, _, profile = value.rpartition("=")
@@ -95,7 +95,7 @@ _CALLBACKS: Mapping[str, Callable[[click.Context, click.Parameter, tuple[str, ..
 
 
 def _option(one: Declaration) -> Callable[[_F], _F]:
-    """The click option of a declared setting."""
+    """Return the click option of a declared setting."""
     assert one.option is not None
     if one.type == "bool":
         return click.option(one.option, one.name, is_flag=True, help=one.help)
@@ -114,7 +114,7 @@ def _option(one: Declaration) -> Callable[[_F], _F]:
 
 
 def _options(*names: str) -> Callable[[_F], _F]:
-    """The options of these settings, of all that have one where none is named."""
+    """Return the options of these settings, of all that have one where none is named."""
 
     def decorate(command: _F) -> _F:
         for one in reversed(declared.declarations()):
@@ -126,7 +126,7 @@ def _options(*names: str) -> Callable[[_F], _F]:
 
 
 def _output(help: str) -> Callable[[_F], _F]:
-    """The option that names the file to write."""
+    """Return the option that names the file to write."""
     path = click.Path(dir_okay=False, path_type=Path)
     return click.option("-o", "--output", required=True, type=path, metavar="FILE", help=help)
 

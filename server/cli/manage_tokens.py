@@ -61,7 +61,7 @@ def remove(file: Path, name: str) -> None:
 
 
 def _parts(text: str) -> Iterator[str]:
-    """The text table by table, each from its heading to the next one."""
+    """Return the text table by table, each from its heading to the next one."""
     starts = [0, *(match.start() for match in _TABLE.finditer(text)), len(text)]
     return (text[start:end] for start, end in itertools.pairwise(starts))
 

@@ -49,7 +49,7 @@ class Lifting:
         self._publishers: dict[str, str | None] = {"": None}
 
     def descriptions(self) -> Iterator[Document]:
-        """The recording with its topics, then each type that can be read."""
+        """Yield the recording with its topics, then each type that can be read."""
         yield bag_document(self.recording, self._space)
         refs = list(dict.fromkeys(topic.type for topic in self.recording.topics.values()))
         for ref in refs:
@@ -58,7 +58,7 @@ class Lifting:
                 yield type_document(reader.schema, self._space, [other for other in refs if other.name == ref.name])
 
     def messages(self) -> Iterator[DescribedMessage]:
-        """Every message in recorded order."""
+        """Yield every message in recorded order."""
         for recorded in self.recording.messages():
             told = self._describe(recorded)
             if told.unreadable is not None:
@@ -66,14 +66,14 @@ class Lifting:
             yield told
 
     def document(self, told: DescribedMessage) -> Document:
-        """The document of one message."""
+        """Return the document of one message."""
         found = bag_message_document(
             self.recording, told.recorded, self._space, told.lifted, unreadable=told.unreadable
         )
         return replace(found, simulated_time=True) if self._simulated_time else found
 
     def document_without_payload(self, told: DescribedMessage) -> Document:
-        """The document of one message without its triples: its URL, and how times are told."""
+        """Return the document of one message without its triples: its URL, and how times are told."""
         return Document(f"{self._messages}{told.recorded.index}", (), (), self._simulated_time)
 
     def _describe(self, recorded: RecordedMessage) -> DescribedMessage:
@@ -124,16 +124,16 @@ class Writer(Protocol):
     """Writes the parts of one file, each as bytes to append."""
 
     def document(self, document: Document) -> bytes:
-        """The bytes of a document. Raises CannotCarry as `serialize`."""
+        """Return the bytes of a document. Raises CannotCarry as `serialize`."""
         ...
 
     def message(self, told: DescribedMessage) -> bytes:
-        """The document of one recorded message."""
+        """Return the document of one recorded message."""
         ...
 
 
 def writer(syntax: Syntax, lifting: Lifting) -> Writer:
-    """The writer of a syntax."""
+    """Return the writer of a syntax."""
     return Paragraphs(syntax, lifting) if syntax in (Syntax.TURTLE, Syntax.TRIG) else Lines(syntax, lifting)
 
 
@@ -146,17 +146,17 @@ class Paragraphs:
         self._declared: dict[bytes, bytes] = {}
 
     def document(self, document: Document) -> bytes:
-        """The document, without the prefixes that the file has already declared."""
+        """Return the document, without the prefixes that the file has already declared."""
         text = serialize_named(document, self._syntax)
         header = _HEADER.match(text)
         return text if header is None else self._new(header[0]) + text[header.end() :]
 
     def message(self, told: DescribedMessage) -> bytes:
-        """The document of one recorded message."""
+        """Return the document of one recorded message."""
         return self.document(self._lifting.document(told))
 
     def _new(self, header: bytes) -> bytes:
-        """The lines of a header that say something new, of which the base is always one."""
+        """Return the lines of a header that say something new, of which the base is always one."""
         base, *prefixes = header.splitlines(keepends=True)
         declared = {line.split(b" ", 2)[1]: line for line in prefixes}
         fresh = [line for name, line in declared.items() if self._declared.get(name) != line]
@@ -176,7 +176,7 @@ class Template:
         self._holds = True
 
     def text(self, recorded: RecordedMessage) -> bytes:
-        """The description of a message."""
+        """Return the description of a message."""
         received = date_time(0, recorded.sample.received_ns)
         return self._text.replace(_INDEX, b"%d" % recorded.index).replace(_RECEIVED, received.encode())
 
@@ -205,7 +205,7 @@ class Lines:
         self._templates: dict[tuple[str, str, TypeRef], Template] = {}
 
     def document(self, document: Document) -> bytes:
-        """The document as lines, one a triple or quad."""
+        """Return the document as lines, one a triple or quad."""
         return serialize_named(document, self._syntax)
 
     def message(self, told: DescribedMessage) -> bytes:

@@ -150,7 +150,7 @@ def _key(kind: VertexKind, name: str) -> str:
 def _vertices(
     graph: Graph, space: Space, selection: Selection, traffic: Callable[[Topic], Traffic]
 ) -> Iterator[Vertex]:
-    """All vertices, in the order of their kinds and names."""
+    """Yield all vertices, in the order of their kinds and names."""
     for name, node in sorted(graph.nodes.items()):
         problem = f"does not answer: {node.unreachable}" if node.unreachable else ""
         yield Vertex(_key(VertexKind.NODE, name), VertexKind.NODE, name, space.node(name), problem=problem)
@@ -166,7 +166,7 @@ def _vertices(
 
 
 def _topic_vertex(topic: Topic, own_node: str, url: str, traffic: Traffic) -> Vertex:
-    """A topic. A subscriber without a publisher is wrong, a publisher without a subscriber is not."""
+    """Return a topic. A subscriber without a publisher is wrong, a publisher without a subscriber is not."""
     is_awaited = any(each.node != own_node for each in topic.subscribers)
     problem = ""
     if len(topic.types) > 1:
@@ -224,12 +224,12 @@ def namespaces_of(diagram: Diagram) -> tuple[str, ...]:
 
 
 def _prefix(name: str, depth: int) -> str:
-    """The first segments of a name: `/a/b` of `/a/b/c`."""
+    """Return the first segments of a name: `/a/b` of `/a/b/c`."""
     return "/" + "/".join(name.strip("/").split("/")[:depth])
 
 
 def common_prefix(found: Iterable[str]) -> str:
-    """The longest namespace that all these names lie in, `/` where they share none."""
+    """Return the longest namespace that all these names lie in, `/` where they share none."""
     parts = [name.strip("/").split("/")[:-1] for name in found]
     shared: list[str] = []
     for segments in zip(*parts, strict=False):

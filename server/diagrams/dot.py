@@ -16,7 +16,7 @@ _BAD, _UNHEARD = 'color="#93231c", fontcolor="#93231c"', 'color="#cfd3d3", fontc
 
 
 def write_dot(diagram: Diagram) -> str:
-    """The digraph: each vertex by its kind and name, with its URL; each edge with what is wrong as its label."""
+    """Return the digraph: each vertex by its kind and name, with its URL; each edge with what is wrong as its label."""
     lines = ["digraph robot {", "  rankdir=LR;", *map(_vertex, diagram.vertices), *map(_edge, diagram.edges), "}"]
     return "\n".join(lines) + "\n"
 
@@ -36,6 +36,6 @@ def _edge(edge: Edge) -> str:
 
 
 def _quote(text: str) -> str:
-    """A quoted string: what it holds is text, never an escape of DOT's own."""
+    """Return a quoted string: what it holds is text, never an escape of DOT's own."""
     safe = text.encode("utf-8", "replace").decode().replace("\0", "�")
     return '"' + safe.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n") + '"'

@@ -60,7 +60,7 @@ def _by_namespace(depth: int, *, nodes: bool) -> Grouping:
 
 
 def _namespace(vertex: Vertex) -> tuple[str, ...]:
-    """The segments before the last of a name; all of what is folded already, whose name ends in a slash."""
+    """Return the segments before the last of a name; all of what is folded already, whose name ends in a slash."""
     return tuple(filter(None, vertex.name.rpartition("/")[0].split("/")))
 
 

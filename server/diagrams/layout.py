@@ -103,7 +103,7 @@ def _lay_out_ranks(
     forward: set[tuple[str, str]],
     ranks: Mapping[str, int],
 ) -> tuple[Layout, _Layers]:
-    """The layout of boxes in these ranks, and their order."""
+    """Return the layout of boxes in these ranks, and their order."""
     layers, chains = _layers(connected, forward, ranks)
     _order(layers)
     centres, lefts, widths = _places(layers, sizes)
@@ -125,7 +125,7 @@ def _lay_out_ranks(
 
 
 def _acyclic(keys: Sequence[str], pairs: Sequence[tuple[str, str]]) -> set[tuple[str, str]]:
-    """The edges, those turned round that would close a cycle; each pair once."""
+    """Return the edges, those turned round that would close a cycle; each pair once."""
     after = defaultdict[str, list[str]](list)
     targets = {target for _, target in pairs}
     for source, target in pairs:
@@ -152,7 +152,7 @@ def _acyclic(keys: Sequence[str], pairs: Sequence[tuple[str, str]]) -> set[tuple
 
 
 def _rank(keys: Sequence[str], forward: set[tuple[str, str]]) -> dict[str, int]:
-    """The longest way to each; what nothing leads to stands just before what it leads to."""
+    """Return the longest way to each; what nothing leads to stands just before what it leads to."""
     before, after = defaultdict[str, set[str]](set), defaultdict[str, set[str]](set)
     for source, target in forward:
         before[target].add(source)
@@ -202,7 +202,7 @@ def _three_ranks(keys: Sequence[str], pairs: Iterable[tuple[str, str]]) -> dict[
 def _layers(
     keys: Sequence[str], forward: set[tuple[str, str]], ranks: Mapping[str, int]
 ) -> tuple[_Layers, dict[tuple[str, str], list[tuple[tuple[str, str], int]]]]:
-    """The ranks with bends where an edge passes one, and the bends of each edge."""
+    """Return the ranks with bends where an edge passes one, and the bends of each edge."""
     layers = _Layers([[] for _ in range(1 + max(ranks.values(), default=-1))])
     for key in keys:
         layers.ranks[ranks[key]].append(key)
@@ -243,7 +243,7 @@ def _order(layers: _Layers) -> None:
 
 
 def _places(layers: _Layers, sizes: Mapping[str, Size]) -> tuple[dict[Hashable, float], list[float], list[float]]:
-    """The y of each centre, the x at which each rank begins, and how wide it is."""
+    """Return the y of each centre, the x at which each rank begins, and how wide it is."""
     heights = {
         key: sizes[key].height + _GAP_Y if isinstance(key, str) else _BEND for rank in layers.ranks for key in rank
     }

@@ -34,7 +34,7 @@ a:hover rect { stroke: var(--accent); stroke-width: 2; }
 
 
 def write_svg(diagram: Diagram, href: Callable[[str], str | None], title: str, *, alone: bool) -> str:
-    """The drawing; `href` gives the reference of a URL. `alone`: it is a document of its own, with its style."""
+    """Return the drawing; `href` gives the reference of a URL. `alone`: it is a document of its own, with its style."""
     words = {each.key: _words(each) for each in diagram.vertices}
     sizes = {each.key: _size(each, words[each.key]) for each in diagram.vertices}
     layout = lay_out(sizes, ((each.source, each.target) for each in diagram.edges))
@@ -58,7 +58,7 @@ def label(vertex: Vertex) -> str:
 
 
 def _words(vertex: Vertex) -> str:
-    """The second line: what is wrong, in a word or two, and the rate."""
+    """Return the second line: what is wrong, in a word or two, and the rate."""
     rate = f"{vertex.rate:.3g} Hz" if vertex.rate else ""
     return ", ".join(filter(None, (vertex.problem.partition(":")[0][:_LONGEST], rate)))
 
@@ -86,7 +86,7 @@ def _vertex(vertex: Vertex, words: str, size: Size, layout: Layout, href: Callab
 
 
 def _edge(edge: Edge, route: Sequence[Point]) -> str:
-    """A curve through the points, thicker the more goes along it, and an arrow at its end."""
+    """Return a curve through the points, thicker the more goes along it, and an arrow at its end."""
     bad = " bad" if edge.problem else ""
     start, *rest = route
     path = [f"M{start.x:.1f} {start.y:.1f}"]

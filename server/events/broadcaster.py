@@ -192,7 +192,7 @@ class Broadcasters:
         return self._broadcasters.keys()
 
     def require_capacity(self, client: tuple[str, int] | Address | None = None) -> None:
-        """Raises a 503 Problem where there are as many readers as there may be, or the server is about to end.
+        """Raise a 503 Problem where there are as many readers as there may be, or the server is about to end.
 
         Raises a 429 Problem where as many as may be come from the address of this client, this machine's included.
         """

@@ -49,7 +49,7 @@ class ChannelRequest:
 
 
 def check_profile(content_type: str | None) -> None:
-    """Raises a 415 Problem for a profile of JSON-LD that is not the protocol's (2.2)."""
+    """Raise a 415 Problem for a profile of JSON-LD that is not the protocol's (2.2)."""
     if content_type is None:
         return
     try:
@@ -62,7 +62,7 @@ def check_profile(content_type: str | None) -> None:
 
 
 def read_subscription(data: bytes, media_type: str, service: str, channel_type: str, now: int) -> ChannelRequest:
-    """The channel that a request to `service`, which makes channels of one type, wishes; `now` in ns since 1970.
+    """Return the channel that a request to `service`, which makes channels of one type, wishes; `now` in ns since 1970.
 
     Raises BodyError for what cannot be read, Problems (422) for what cannot be had, each naming the value.
     """
@@ -207,7 +207,7 @@ def _interval(rate: str | None) -> float:
 
 
 def _date_time(text: str | None) -> int | None:
-    """The ns since 1970 of an xsd:dateTime; without a time zone it is UTC."""
+    """Return the ns since 1970 of an xsd:dateTime; without a time zone it is UTC."""
     if text is None:
         return None
     match = _DATE_TIME.fullmatch(text.strip())

@@ -165,7 +165,7 @@ _NOWHERE = _Nowhere()
 
 
 def _at(path: tuple[Step, ...], value: Value) -> Value | _Nowhere:
-    """The value of a field."""
+    """Return the value of a field."""
     try:
         return _require(path, value)
     except ConditionError:
@@ -217,7 +217,7 @@ def _is_number(value: object) -> bool:
 
 
 def _as_number(value: Value) -> Value:
-    """The number that a string stands for, where plain JSON has it so; anything else as it is."""
+    """Return the number that a string stands for, where plain JSON has it so; anything else as it is."""
     if not isinstance(value, str) or len(value) > _MAX_DIGITS or not _NUMBER.fullmatch(value):
         return value
     return int(value) if value.removeprefix("-").isdigit() else float(value)
@@ -249,7 +249,7 @@ def _in_order(comparator: str, left: str, right: str) -> bool:
 
 
 def _brief(value: Literal) -> str:
-    """A value in an error."""
+    """Return a value in an error."""
     return repr(value[:40]) if isinstance(value, str) else str(value).lower()
 
 

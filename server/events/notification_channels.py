@@ -116,7 +116,7 @@ class Channels:
         return channel
 
     def find(self, token: str) -> Channel:
-        """The channel with a token. A 404 Problem where there is none, or none any more."""
+        """Return the channel with a token. A 404 Problem where there is none, or none any more."""
         channel = self._kept.get(token)
         if channel is None or channel.is_over or not channel.auth.is_valid():
             self._kept.pop(token, None)
@@ -124,7 +124,7 @@ class Channels:
         return channel
 
     def topic_of(self, token: str) -> str | None:
-        """The URL that a channel notifies of, None where there is no such channel; any thread may ask."""
+        """Return the URL that a channel notifies of, None where there is no such channel; any thread may ask."""
         channel = self._kept.get(token)
         return None if channel is None else channel.terms.topic
 
@@ -155,7 +155,7 @@ class Channels:
                 channel.last_sent = replace(channel.last_sent, container=None)
 
     def state_name(self, state: State) -> str:
-        """The name of a state: the state part of the entity tags of its representations."""
+        """Return the name of a state: the state part of the entity tags of its representations."""
         return f"{state.scope or self._instance_id}-{state.tag}"
 
     def next_notification(self, channel: Channel, observation: Observation) -> tuple[Activity | None, ReceiverState]:
@@ -213,6 +213,6 @@ def _tells_members(resource: Resource, state: State) -> bool:
 
 @lru_cache(maxsize=8)
 def _members(state: State) -> frozenset[str]:
-    """The URLs that a state of a container contains: found once, however many are told."""
+    """Return the URLs that a state of a container contains: found once, however many are told."""
     found = [triple.object for triple in state.document.triples if triple.predicate == ldp.contains]
     return frozenset(one.value for one in found if isinstance(one, NamedNode))

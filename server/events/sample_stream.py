@@ -125,7 +125,7 @@ class TopicNumbers:
         }
 
     async def _decode(self, sample: Sample) -> tuple[MessageSchema, Message] | None:
-        """The message of a sample and its type; None where its bytes are none."""
+        """Return the message of a sample and its type; None where its bytes are none."""
         schema = self._schemas.get(sample.schema)
         if schema is None:
             schema = self._schemas[sample.schema] = await self._schema_of(sample.schema)
@@ -136,7 +136,7 @@ class TopicNumbers:
 
 
 def number_at(schema: MessageSchema, message: Message, path: str) -> Numbers:
-    """The number, or the first numbers of the array, at a path of a message; None where there is none."""
+    """Return the number, or the first numbers of the array, at a path of a message; None where there is none."""
     try:
         _, value = field_at(schema, message, path)
     except ValueError:

@@ -199,7 +199,7 @@ class _View:
         return told
 
     def _moved_frames(self, buffer: FrameBuffer, fixed: str) -> object:
-        """All frames, where one has moved since they were told; None where none has."""
+        """Return all frames, where one has moved since they were told; None where none has."""
         now = time.monotonic()
         if now - self._framed_at < _FRAMES_PERIOD:
             return None

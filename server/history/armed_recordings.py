@@ -234,7 +234,7 @@ def _to_note(one: ArmedRecording) -> dict[str, object]:
 
 
 def _from_note(name: str, members: Mapping[str, object]) -> ArmedRecording:
-    """Raises KeyError, TypeError, ValueError."""
+    """Raise KeyError, TypeError, ValueError."""
     order, agent, count = members["order"], members["agent"], members["count"]
     if not isinstance(order, dict) or not isinstance(agent, dict) or not isinstance(count, int):
         raise TypeError("its order, its agent or its count is none")

@@ -189,7 +189,7 @@ def write_rosbag2(recording: Recording, target: Path) -> None:
 
 
 def _latched(type_name: str) -> Qos:
-    """The profile of a player's one publisher of a topic, which keeps the messages of all that were recorded."""
+    """Return the profile of a player's one publisher of a topic, which keeps the messages of all that were recorded."""
     return Qos(
         QosHistory.KEEP_LAST,
         latched_depth(type_name),
@@ -204,7 +204,7 @@ def _latched(type_name: str) -> Qos:
 
 
 def _messages(recording: Recording, folder: Path) -> Iterator[tuple[str, Sample]]:
-    """All messages with their topics, as long as the disk of a folder has room for them."""
+    """Yield all messages with their topics, as long as the disk of a folder has room for them."""
     left = 0
     for message in recording.messages():
         if left <= 0:
@@ -216,7 +216,7 @@ def _messages(recording: Recording, folder: Path) -> Iterator[tuple[str, Sample]
 
 
 def _definition(recording: Recording, ref: TypeRef) -> str:
-    """The text of a type; empty where it is not known, for players do not read it."""
+    """Return the text of a type; empty where it is not known, for players do not read it."""
     try:
         return recording.schema(ref).definition
     except UnknownType:

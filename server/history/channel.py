@@ -44,17 +44,17 @@ class Channel(NamedTuple):
 
 
 def channel_of(topic: str, sample: Sample, *, is_opening: bool = False) -> Channel:
-    """The channel of a sample of a topic."""
+    """Return the channel of a sample of a topic."""
     return Channel(topic, sample.schema, sample.encoding, sample.publisher, sample.latched, is_opening)
 
 
 def channel_record(number: int, schema: int, one: Channel) -> bytes:
-    """The MCAP record of a channel, with what rosbag and rosbag2 say in theirs."""
+    """Return the MCAP record of a channel, with what rosbag and rosbag2 say in theirs."""
     return mcap.channel(number, schema, one.topic, one.encoding.value, _metadata(one))
 
 
 def schema_record(number: int, type: TypeRef, encoding: Encoding, definition: str) -> bytes:
-    """The MCAP record of a message type."""
+    """Return the MCAP record of a message type."""
     return mcap.schema(number, _recorded_name(type.name, encoding), _SYNTAXES[encoding], definition)
 
 

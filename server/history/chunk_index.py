@@ -134,7 +134,7 @@ class ChunkIndex:
             self._db.execute("DELETE FROM segment WHERE id = ?", (segment,))
 
     def segments(self) -> list[SegmentRow]:
-        """All segments, the oldest first."""
+        """Return all segments, the oldest first."""
         with self._lock:
             rows = self._db.execute(
                 "SELECT id, name, first, next, coalesce(start_ns, 0), coalesce(end_ns, 0), size, finished "
@@ -143,7 +143,7 @@ class ChunkIndex:
         return [SegmentRow._make((*row[:7], bool(row[7]))) for row in rows]
 
     def channels(self, segment: int) -> dict[int, Channel]:
-        """The channels of a segment by their numbers."""
+        """Return the channels of a segment by their numbers."""
         with self._lock:
             rows = self._db.execute(
                 "SELECT number, topic, type, hash, encoding, publisher, latched FROM channel WHERE segment = ?",
@@ -155,7 +155,7 @@ class ChunkIndex:
         }
 
     def find(self, number: int) -> ChunkRow | None:
-        """The chunk that holds message `number`."""
+        """Return the chunk that holds message `number`."""
         with self._lock:
             rows = self._db.execute(
                 "SELECT * FROM chunk WHERE last >= ? AND first <= ? AND segment = "
@@ -170,7 +170,7 @@ class ChunkIndex:
         return None
 
     def of_topic(self, topic: str, from_ns: int, until_ns: int) -> list[ChunkRow]:
-        """The chunks of a topic with messages from one time until another, both included, in order."""
+        """Return the chunks of a topic with messages from one time until another, both included, in order."""
         with self._lock:
             rows = self._db.execute(
                 "SELECT * FROM chunk WHERE topic = ? AND end_ns >= ? AND start_ns <= ? ORDER BY first",
@@ -181,7 +181,7 @@ class ChunkIndex:
     def of_numbers(
         self, segment: int, topic: str | None, start: int, from_ns: int, to_ns: int, after: int, limit: int
     ) -> list[ChunkRow]:
-        """The chunks of a segment with messages of number `start` or above, of a topic (None: all) within times.
+        """Return the chunks of a segment with messages of number `start` or above, of a topic (None: all) within times.
 
         At most `limit` of them in the order of their first messages, whose numbers are above `after`.
         """
@@ -207,7 +207,7 @@ class ChunkIndex:
         return None if row[0] is None else (int(row[0]), int(row[1]))
 
     def newest(self, topic: str, until_ns: int, limit: int) -> list[ChunkRow]:
-        """The chunks of a topic that begin at a time or before, the newest first."""
+        """Return the chunks of a topic that begin at a time or before, the newest first."""
         with self._lock:
             query = "SELECT * FROM chunk WHERE topic = ? AND start_ns <= ? ORDER BY end_ns DESC LIMIT ?"
             return list(map(ChunkRow._make, self._db.execute(query, (topic, until_ns, limit)).fetchall()))
@@ -246,7 +246,7 @@ class ChunkIndex:
             )
 
     def counts(self) -> dict[str, tuple[int, TypeRef]]:
-        """The number of messages of each topic, and a type of it."""
+        """Return the number of messages of each topic, and a type of it."""
         with self._lock:
             counts = self._db.execute("SELECT topic, sum(count) FROM chunk GROUP BY topic").fetchall()
             types = self._db.execute("SELECT DISTINCT topic, type, hash FROM channel").fetchall()
@@ -254,13 +254,13 @@ class ChunkIndex:
         return {topic: (count, typed[topic]) for topic, count in counts}
 
     def types_of(self, topic: str) -> frozenset[TypeRef]:
-        """The types of the messages of a topic."""
+        """Return the types of the messages of a topic."""
         with self._lock:
             rows = self._db.execute("SELECT DISTINCT type, hash FROM channel WHERE topic = ?", (topic,)).fetchall()
         return frozenset(TypeRef(type, hash) for type, hash in rows)
 
     def counts_of_segment(self, segment: int) -> dict[str, int]:
-        """The number of messages of each topic in one segment."""
+        """Return the number of messages of each topic in one segment."""
         with self._lock:
             query = "SELECT topic, sum(count) FROM chunk WHERE segment = ? GROUP BY topic"
             return dict(self._db.execute(query, (segment,)).fetchall())
@@ -274,7 +274,7 @@ class ChunkIndex:
             )
 
     def definition(self, ref: TypeRef) -> str | None:
-        """The text of a type, None where it is not known."""
+        """Return the text of a type, None where it is not known."""
         with self._lock:
             row = self._db.execute(
                 "SELECT text FROM definition WHERE type = ? AND (hash = ? OR ? IS NULL)",
@@ -295,7 +295,7 @@ def pack_numbers(numbers: array[int]) -> bytes:
 
 
 def unpack_numbers(row: ChunkRow) -> np.ndarray[tuple[int], np.dtype[np.uint64]]:
-    """The numbers of a chunk's messages, ascending."""
+    """Return the numbers of a chunk's messages, ascending."""
     steps = np.frombuffer(zlib.decompress(row.numbers), np.uint32)
     found = np.empty(len(steps) + 1, np.uint64)
     found[0] = row.first

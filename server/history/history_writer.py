@@ -119,7 +119,7 @@ class HistoryWriter:
         self._write(list(self._open.values()))
 
     def message(self, number: int) -> tuple[Channel, Sample] | None:
-        """The message of a number, None where there is none. Raises OSError, ValueError."""
+        """Return the message of a number, None where there is none. Raises OSError, ValueError."""
         for _ in range(2):  # a chunk may be written between the one look and the other
             found = self._unwritten(number) or self.segments.message(number)
             if found is not None:
@@ -127,7 +127,7 @@ class HistoryWriter:
         return None
 
     def topic_of(self, number: int) -> str | None:
-        """The topic of the message of a number, None where there is none; no message is read."""
+        """Return the topic of the message of a number, None where there is none; no message is read."""
         for _ in range(2):  # as for `message`
             with self._lock:
                 chunks = (*self._closing, *self._open.values())
@@ -296,7 +296,7 @@ class HistoryWriter:
         self.counts[chunk.topic] -= chunk.count
 
     def _definition(self, ref: TypeRef) -> str:
-        """The text of a type, which is kept in the index, too."""
+        """Return the text of a type, which is kept in the index, too."""
         text = self._definition_of(ref)
         if text:
             self.segments.index.define([(ref, text)])

@@ -56,36 +56,36 @@ class ChunkIndex(NamedTuple):
 
 
 def record(op: int, content: bytes) -> bytes:
-    """A record with this content."""
+    """Return a record with this content."""
     return RECORD_HEAD.pack(op, len(content)) + content
 
 
 def text(value: str) -> bytes:
-    """A string with its length."""
+    """Return a string with its length."""
     data = value.encode("utf-8", "surrogateescape")
     return struct.pack("<I", len(data)) + data
 
 
 def texts(values: Mapping[str, str]) -> bytes:
-    """A map of strings with its length."""
+    """Return a map of strings with its length."""
     data = b"".join(text(key) + text(value) for key, value in values.items())
     return struct.pack("<I", len(data)) + data
 
 
 def header(profile: str, library: str) -> bytes:
-    """The first record of a file."""
+    """Return the first record of a file."""
     return record(HEADER, text(profile) + text(library))
 
 
 def schema(number: int, name: str, encoding: str, definition: str) -> bytes:
-    """A schema; its encoding is empty where the definition is (MCAP: Schema)."""
+    """Return a schema; its encoding is empty where the definition is (MCAP: Schema)."""
     data = definition.encode("utf-8", "surrogateescape")
     named = text(name) + text(encoding if data else "")
     return record(SCHEMA, struct.pack("<H", number) + named + struct.pack("<I", len(data)) + data)
 
 
 def channel(number: int, schema: int, topic: str, encoding: str, metadata: Mapping[str, str]) -> bytes:
-    """A channel: one publisher's messages of one topic."""
+    """Return a channel: one publisher's messages of one topic."""
     return record(CHANNEL, struct.pack("<HH", number, schema) + text(topic) + text(encoding) + texts(metadata))
 
 
@@ -100,18 +100,18 @@ def metadata_index(at: int, length: int, name: str) -> bytes:
 
 
 def chunk(start_ns: int, end_ns: int, size: int, crc: int, compressed: bytes) -> bytes:
-    """A chunk of records, compressed by zstd."""
+    """Return a chunk of records, compressed by zstd."""
     head = _CHUNK_HEAD.pack(start_ns, end_ns, size, crc) + text(ZSTD)
     return record(CHUNK, head + struct.pack("<Q", len(compressed)) + compressed)
 
 
 def message_index(channel: int, entries: bytes) -> bytes:
-    """The index of a channel's messages in the chunk before it: pairs of time and offset, 8 bytes each."""
+    """Return the index of a channel's messages in the chunk before it: pairs of time and offset, 8 bytes each."""
     return record(MESSAGE_INDEX, struct.pack("<HI", channel, len(entries)) + entries)
 
 
 def chunk_index(one: ChunkIndex) -> bytes:
-    """The index of a chunk, of the summary."""
+    """Return the index of a chunk, of the summary."""
     offsets = b"".join(struct.pack("<HQ", channel, at) for channel, at in one.index_at.items())
     return record(
         CHUNK_INDEX,
@@ -125,7 +125,7 @@ def chunk_index(one: ChunkIndex) -> bytes:
 
 
 def statistics(counts: Mapping[int, int], schemas: int, metadata_count: int, chunks: Sequence[ChunkIndex]) -> bytes:
-    """The statistics of a file, by the numbers of messages of each channel."""
+    """Return the statistics of a file, by the numbers of messages of each channel."""
     by_channel = b"".join(struct.pack("<HQ", channel, count) for channel, count in counts.items())
     start = min((one.start_ns for one in chunks), default=0)
     end = max((one.end_ns for one in chunks), default=0)
@@ -136,7 +136,7 @@ def statistics(counts: Mapping[int, int], schemas: int, metadata_count: int, chu
 
 
 def records_in(data: bytes, at: int = 0) -> Iterator[Record]:
-    """The whole records from `at` on; what is cut off at the end is left out."""
+    """Yield the whole records from `at` on; what is cut off at the end is left out."""
     while at + RECORD_HEAD.size <= len(data):
         op, length = RECORD_HEAD.unpack_from(data, at)
         content = at + RECORD_HEAD.size
@@ -164,7 +164,7 @@ def compress(data: bytes) -> bytes:
 
 
 def decompress(data: bytes, size: int) -> bytes:
-    """The records of a chunk, of which there are `size` bytes. Raises ValueError."""
+    """Return the records of a chunk, of which there are `size` bytes. Raises ValueError."""
     try:
         found = zstd.decompress(data)
     except ZstdError as error:

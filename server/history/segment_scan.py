@@ -89,7 +89,7 @@ def recover(file: DiskFile) -> Scan:
 
 
 def opening_messages(file: SegmentFile) -> Iterator[tuple[Channel, Sample]]:
-    """The messages of the first chunks of a file as far as they open it, when they were received.
+    """Yield the messages of the first chunks of a file as far as they open it, when they were received.
 
     Raises OSError, and ValueError or KeyError where it is damaged.
     """
@@ -106,7 +106,7 @@ def opening_messages(file: SegmentFile) -> Iterator[tuple[Channel, Sample]]:
 
 
 def _opening(data: bytes, names: dict[int, str]) -> Iterator[tuple[Channel, Sample]]:
-    """The messages of a chunk that open its file; `names` are those of the types by number, as far as known."""
+    """Yield the messages of a chunk that open its file; `names` are those of the types by number, as far as known."""
     channels: dict[int, Channel] = {}
     for record in mcap.records_in(data):
         if record.op == mcap.SCHEMA:
@@ -153,7 +153,7 @@ def _accept(
 
 
 def _chunk(found: Scan, data: bytes, record: mcap.Record, names: dict[int, str]) -> tuple[ScannedChunk, Counter[int]]:
-    """A chunk with the number of messages of each channel. Raises ValueError, KeyError where it is damaged."""
+    """Return a chunk with the number of messages of each channel. Raises ValueError, KeyError where it is damaged."""
     head = mcap.chunk_head(data, record.at)
     inner = mcap.decompress(data[head.records_at : record.end], head.size)
     if zlib.crc32(inner) != head.crc:

@@ -118,7 +118,7 @@ class Segments:
         return segment, file
 
     def file(self, segment: int) -> SegmentFile:
-        """The file of a segment. Raises KeyError where it was removed."""
+        """Return the file of a segment. Raises KeyError where it was removed."""
         return self._files[segment]
 
     def refresh(self) -> None:
@@ -147,11 +147,11 @@ class Segments:
         self._files.pop(segment).remove()
 
     def records_of(self, row: ChunkRow) -> bytes:
-        """The records of a chunk. Raises OSError, ValueError; KeyError where it is gone."""
+        """Return the records of a chunk. Raises OSError, ValueError; KeyError where it is gone."""
         return read_records(self._files[row.segment], row.at, row.length)
 
     def channels_of(self, segment: int) -> Mapping[int, Channel]:
-        """The channels of a segment by their numbers: those that are in the index."""
+        """Return the channels of a segment by their numbers: those that are in the index."""
         known = self._channels.get(segment)
         is_finished = any(row.id == segment and row.finished for row in self._rows)
         if known is None or not is_finished:
@@ -161,7 +161,7 @@ class Segments:
         return known
 
     def message(self, number: int) -> tuple[Channel, Sample] | None:
-        """The message of a number, None where no chunk has it. Raises OSError, ValueError."""
+        """Return the message of a number, None where no chunk has it. Raises OSError, ValueError."""
         row = self.index.find(number)
         return None if row is None else next(self.messages_of(row, number), None)
 
@@ -203,7 +203,7 @@ class Segments:
 
 
 def sample_of(channel: Channel, message: ChunkMessage, number: int) -> Sample:
-    """A recorded message as a sample; its sequence is its number, counted from 1."""
+    """Return a recorded message as a sample; its sequence is its number, counted from 1."""
     return Sample(
         message.data,
         channel.encoding,
@@ -242,7 +242,7 @@ def _index_scan(index: ChunkIndex, segment: int, found: Scan, size: int) -> None
 
 
 def _open_index(path: Path) -> ChunkIndex:
-    """The index at `path`; one that cannot be read is made anew from the segments. Raises OSError."""
+    """Return the index at `path`; one that cannot be read is made anew from the segments. Raises OSError."""
     try:
         return ChunkIndex(path)
     except sqlite3.Error as error:

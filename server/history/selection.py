@@ -42,7 +42,7 @@ def _unwritten(writer: HistoryWriter, wanted: MessageFilter) -> dict[int, Record
 
 
 def _written(writer: HistoryWriter, wanted: MessageFilter, limit: int) -> dict[int, ChunkRow]:
-    """The chunks of the first `limit` messages in the index, by number."""
+    """Return the chunks of the first `limit` messages in the index, by number."""
     found: dict[int, ChunkRow] = {}
     for segment in writer.segments.rows:
         if segment.next <= wanted.start or segment.first >= wanted.end:
@@ -59,7 +59,7 @@ def _written(writer: HistoryWriter, wanted: MessageFilter, limit: int) -> dict[i
 def _of_segment(
     writer: HistoryWriter, segment: int, topic: str | None, wanted: MessageFilter, limit: int
 ) -> dict[int, ChunkRow]:
-    """The chunks of the first `limit` messages of a topic (None: of all) in a segment, by number."""
+    """Return the chunks of the first `limit` messages of a topic (None: of all) in a segment, by number."""
     found: dict[int, ChunkRow] = {}
     after = -1
     while True:
@@ -88,7 +88,7 @@ def _is_wanted(number: int, sample: Sample, wanted: MessageFilter) -> bool:
 
 
 def _messages(writer: HistoryWriter, row: ChunkRow) -> dict[int, RecordedMessage]:
-    """The messages of a chunk by number; none where it is damaged, or was removed meanwhile."""
+    """Return the messages of a chunk by number; none where it is damaged, or was removed meanwhile."""
     found: dict[int, RecordedMessage] = {}
     try:
         for channel, sample in writer.segments.messages_of(row):

@@ -50,7 +50,7 @@ class SeriesRange:
     points: int
 
     def interval(self, time_ns: int) -> int:
-        """The number of the interval that a time within lies in."""
+        """Return the number of the interval that a time within lies in."""
         return min((time_ns - self.from_ns) * self.points // max(self.to_ns - self.from_ns, 1), self.points - 1)
 
     def begin(self, interval: int) -> int:
@@ -83,7 +83,7 @@ class SeriesTooLong(ValueError):
 
 
 def read_series(writer: HistoryWriter, topic: str, field: str, wanted: SeriesRange, values: Values) -> Series:
-    """The series of a topic's field, whose numbers are `values`.
+    """Return the series of a topic's field, whose numbers are `values`.
 
     What a chunk comes to is kept in the index, and read from there the next time. Raises SeriesTooLong, OSError, and
     ValueError for a chunk that is damaged.
@@ -124,7 +124,7 @@ def read_series(writer: HistoryWriter, topic: str, field: str, wanted: SeriesRan
 
 
 def single(value: float) -> Statistic:
-    """The statistic of one number."""
+    """Return the statistic of one number."""
     return Statistic(value, value, value, 1)
 
 

@@ -231,5 +231,5 @@ class LiveFeed:
             self._recorder.put([each._replace(sinks=self._sinks_since(each)) for each in held])
 
     def _sinks_since(self, arrival: Arrival) -> tuple[Sink, ...]:
-        """The sinks of a message that had to wait, with those that came meanwhile: it may open these."""
+        """Return the sinks of a message that had to wait, with those that came meanwhile: it may open these."""
         return tuple(dict.fromkeys((*arrival.sinks, *self._sinks.get(arrival.topic, ()))))

@@ -54,7 +54,7 @@ def number_range(kind: Primitive, bounds: Bounds) -> tuple[str, str]:
 
 
 def number_step(kind: Primitive, bounds: Bounds) -> str:
-    """The step of an input, which a browser counts from its least number, as bounds do.
+    """Return the step of an input, which a browser counts from its least number, as bounds do.
 
     Without any where it would refuse the greatest.
     """
@@ -75,7 +75,7 @@ def _bound(literal: Literal | None) -> Decimal | None:
 
 
 def _next(literal: Literal | None, rounded: Decimal | None, step: int) -> Decimal | None:
-    """The whole number next to an exclusive bound."""
+    """Return the whole number next to an exclusive bound."""
     return rounded + step if rounded is not None and rounded == _bound(literal) else rounded
 
 
@@ -84,7 +84,7 @@ def _text(value: Decimal | None) -> str:
 
 
 def option_texts(kind: Primitive | None, bounds: Bounds) -> tuple[str, ...]:
-    """The texts of the choices, in their order; those of a whole number without a fraction."""
+    """Return the texts of the choices, in their order; those of a whole number without a fraction."""
     return tuple(dict.fromkeys(_option(kind, choice) for choice in bounds.choices))
 
 

@@ -72,7 +72,7 @@ assert _AXES.keys() == COMMANDS
 def drive_pad(
     topic: str, schema: MessageSchema, bounds: Mapping[str, Bounds], zero: Json, max_rate: float
 ) -> DrivePad | None:
-    """The pad for a topic of a type, within the bounds of fields by their paths; None for other types."""
+    """Return the pad for a topic of a type, within the bounds of fields by their paths; None for other types."""
     found = _AXES.get(schema.ref.name)
     if found is None:
         return None

@@ -26,7 +26,7 @@ _SPECIAL = {"nan": "NaN", "inf": "INF", "+inf": "INF", "-inf": "-INF", "infinity
 
 
 def split_hidden(pairs: Iterable[tuple[str, str]]) -> tuple[str | None, str | None, list[tuple[str, str]]]:
-    """The CSRF token, the method meant (either None where it is missing), and the form's own pairs."""
+    """Return the CSRF token, the method meant (either None where it is missing), and the form's own pairs."""
     hidden: dict[str, str] = {}
     rest: list[tuple[str, str]] = []
     for name, value in pairs:
@@ -112,7 +112,7 @@ def parse_choice(name: str, pairs: Iterable[tuple[str, str]]) -> JsonValue:
 
 
 def _parse_one(pairs: Iterable[tuple[str, str]], reader: _Reader, unsent: str | None) -> JsonValue:
-    """The one value of a form; `unsent` is what a browser means that has sent none."""
+    """Return the one value of a form; `unsent` is what a browser means that has sent none."""
     texts, violations = _by_name(pairs)
     text = texts.pop(VALUE_FIELD, unsent)
     violations += [Violation(name, "is no field of this form", value) for name, value in texts.items()]
@@ -129,7 +129,7 @@ def _parse_one(pairs: Iterable[tuple[str, str]], reader: _Reader, unsent: str | 
 
 
 def _read_choice(bounds: Bounds, text: str) -> JsonValue:
-    """A choice of a value without a type, as plain JSON by the choice's own datatype."""
+    """Return a choice of a value without a type, as plain JSON by the choice's own datatype."""
     chosen = next((each for each in bounds.choices if each.value == text), None)
     if chosen is None:
         raise ValueError(f"must be one of {', '.join(each.value for each in bounds.choices)}")
@@ -157,7 +157,7 @@ class _Reading:
         self.violations = violations
 
     def message(self, fields: Iterable[Field], prefix: str) -> JsonValue:
-        """The fields of a message."""
+        """Return the fields of a message."""
         return {each.name: self.field(each.type, f"{prefix}{each.name}") for each in fields}
 
     def field(self, kind: FieldType, path: str) -> JsonValue:

@@ -154,7 +154,7 @@ class HoldForm:
 
 
 def _query_number(name: str, label: str, value: float, most: float, unit: str, filling: InputValues) -> Input:
-    """The input for a number of the query, of at most so many."""
+    """Return the input for a number of the query, of at most so many."""
     text = filling.text(name, f"{value:g}")
     return Input(name, label, "number", escape_controls(text), min="0.1", max=f"{most:g}", step="0.1", unit=unit)
 
@@ -298,7 +298,7 @@ def _symbol(measure: Measure) -> str:
 
 
 def _open_controls(value: Json, pairs: Pairs | None, violations: Iterable[Violation]) -> tuple[Input, Input]:
-    """The type, and the value."""
+    """Return the type, and the value."""
     typed = None if pairs is None else dict(pairs)
     kind = parameter_type_of(value) if typed is None else typed.get(TYPE_FIELD, "string")
     text = _parameter_text(value) if typed is None else typed.get(VALUE_FIELD, "")

@@ -116,7 +116,7 @@ class InputValues:
 def controls(
     schema: MessageSchema, value: Json, filling: InputValues, only: Container[str] | None = None
 ) -> tuple[Control, ...]:
-    """The inputs for a message of `schema`; `value` is plain JSON, and defaults stand where it has nothing.
+    """Return the inputs for a message of `schema`; `value` is plain JSON, and defaults stand where it has nothing.
 
     `only` names the fields of the message itself that are asked for; None is all of them.
     """
@@ -165,7 +165,7 @@ def count_inputs(schema: MessageSchema, name: str) -> int:
 
 
 def scalar_input(kind: Primitive, label: str, path: str, value: Json, filling: InputValues, unit: str = "") -> Input:
-    """The input for one scalar, within its bounds; `value` is plain JSON."""
+    """Return the input for one scalar, within its bounds; `value` is plain JSON."""
     bounds = filling.bounds.get(path, UNBOUNDED)
     if bounds.choices:
         return choice_input(kind, label, path, _plain_text(kind, value), bounds, filling, unit)
@@ -250,7 +250,7 @@ def _number(
 
 
 def number_text(value: Json) -> str:
-    """A number of plain JSON as it stands in an input."""
+    """Return a number of plain JSON as it stands in an input."""
     if isinstance(value, bool):
         return str(int(value))
     return value if isinstance(value, str) else repr(value) if isinstance(value, int | float) else "0"
@@ -315,7 +315,7 @@ def _is_of_messages(kind: FieldType) -> bool:
 
 
 def default(schema: MessageSchema, field: Field) -> Json:
-    """The default of a field, as plain JSON; None where it would be too large to be typed anyway."""
+    """Return the default of a field, as plain JSON; None where it would be too large to be typed anyway."""
     try:
         return _Defaults(schema).of(field, 0)
     except OverflowError:
@@ -330,12 +330,12 @@ class _Defaults:
         self._left = MAX_TEXT // 2
 
     def of(self, field: Field, depth: int) -> Json:
-        """The default of a field; raises OverflowError where it is too large."""
+        """Return the default of a field; raises OverflowError where it is too large."""
         stated = stated_default(field)
         return self._unstated(field.type, depth) if stated is None else stated
 
     def _unstated(self, kind: FieldType, depth: int) -> Json:
-        """The default of a field of which its definition says nothing."""
+        """Return the default of a field of which its definition says nothing."""
         self._left -= 1
         if self._left < 0 or depth > _DEEPEST:
             raise OverflowError

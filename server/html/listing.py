@@ -76,7 +76,7 @@ def container_table(document: Document, site: Site, listing: MemberColumns | Non
 
 
 def parameters_below(document: Document) -> tuple[NamedNode, ...]:
-    """The parameters and trees of parameters that a document about such a tree tells of."""
+    """Return the parameters and trees of parameters that a document about such a tree tells of."""
     told = {each.subject for each in document.triples if each.predicate == rdf.type and each.object == ros.Parameter}
     own = NamedNode(document.url)
     is_tree = own in told and ldp.Container in objects_of(document, rdf.type)
@@ -84,7 +84,7 @@ def parameters_below(document: Document) -> tuple[NamedNode, ...]:
 
 
 def parameter_columns(document: Document, listing: MemberColumns | None) -> MemberColumns | None:
-    """The values of all parameters of a tree, for its table; None of what is no tree of parameters."""
+    """Return the values of all parameters of a tree, for its table; None of what is no tree of parameters."""
     below = set(parameters_below(document))
     if not below:
         return None
@@ -104,7 +104,7 @@ def _redact_cell(cell: Cell, site: Site) -> Cell:
 
 
 def _anchor(site: Site, url: str, container: str, name: str | None = None) -> Anchor:
-    """The link to a member under its name, by default that within the container."""
+    """Return the link to a member under its name, by default that within the container."""
     found = site.anchor(url) or Anchor("", escape_controls(url), url)
     if name:
         return Anchor(found.href, escape_controls(name), url, found.external)

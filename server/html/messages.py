@@ -69,7 +69,7 @@ def message_view(
     plots: str | None = None,
     has_heads: bool = True,
 ) -> TableView:
-    """The table of a message, or of some of its `fields`.
+    """Return the table of a message, or of some of its `fields`.
 
     `octets` is the reference of a field's bytes but for the field's path, `plots` that of a number's plot; None: there
     are none. `has_heads`: of arrays of bytes the first are shown; they say nothing beside the picture that they are.
@@ -136,14 +136,14 @@ def _value(each: Field, value: object, path: str, depth: int, drawing: _Drawing)
 
 
 def _with_plot_link(view: View, kind: Primitive, path: str, drawing: _Drawing) -> View:
-    """The view with a link to its plot, where it is a number that has one."""
+    """Return the view with a link to its plot, where it is a number that has one."""
     if drawing.plots is None or kind.name in STRINGS or not isinstance(view, TextView):
         return view
     return replace(view, plot=f"{drawing.plots}{quote(path, safe='')}")
 
 
 def level_view(level: int) -> View:
-    """A diagnostic level as its word, with its number beside; an unknown one as its number."""
+    """Return a diagnostic level as its word, with its number beside; an unknown one as its number."""
     if level not in _LEVELS:
         return TextView(str(level), tone="number")
     word, tone = _LEVELS[level]
@@ -192,7 +192,7 @@ def _octets(values: npt.NDArray[Any], path: str, drawing: _Drawing) -> View:
 
 
 def scalar_view(kind: Primitive, value: object) -> View:
-    """A primitive value; of floats six significant digits, beside them the fewest that read back the same."""
+    """Return a primitive value; of floats six significant digits, beside them the fewest that read back the same."""
     if isinstance(value, str):
         return text_view(value)
     return number_view(_number(kind, value))
@@ -213,7 +213,7 @@ def _float(text: str) -> str:
 
 
 def series_view(kind: Primitive, values: Sequence[object]) -> ArrayView:
-    """An array of scalars: the first few, and up to 2,000 of the rest on request."""
+    """Return an array of scalars: the first few, and up to 2,000 of the rest on request."""
     if len(values) <= _HEAD:
         return ArrayView(len(values), _join(kind, values))
     head = _join(kind, values[:_HEAD], shorten_number)
@@ -234,7 +234,7 @@ def element_text(value: object) -> str:
 
 
 def type_name(kind: Primitive | Nested | Array) -> str:
-    """A field's type as ROS writes it: `float64[36]`, `string<=10`, `geometry_msgs/msg/Point[<=4]`."""
+    """Return a field's type as ROS writes it: `float64[36]`, `string<=10`, `geometry_msgs/msg/Point[<=4]`."""
     if isinstance(kind, Primitive):
         return f"{kind.name}<={kind.bound}" if kind.bound else kind.name
     if isinstance(kind, Nested):

@@ -93,7 +93,7 @@ ORDER BY DESC(?rate)"""
 
 
 def render_page(page: Page) -> bytes:
-    """The page of a resource.
+    """Return the page of a resource.
 
     Notices, what is on offer or messages, contents, forms as far as allowed, and all that is said of it.
     """
@@ -212,7 +212,7 @@ def _call_notice(document: Document) -> tuple[Notice, ...]:
 
 
 def _curl(url: str, accept: str) -> str:
-    """A command line that fetches `url`, safe to paste into a shell whatever the robot's names are."""
+    """Return a command line that fetches `url`, safe to paste into a shell whatever the robot's names are."""
     return f"curl -H 'Accept: {accept}' '{_shell(url)}'"
 
 
@@ -221,7 +221,7 @@ def _shell(url: str) -> str:
 
 
 def render_entry(page: EntryPage) -> bytes:
-    """The entry page: what this robot is, how much there is of it, and how to go on."""
+    """Return the entry page: what this robot is, how much there is of it, and how to go on."""
     example = page.example or f"{page.site.base}topics/"
     tries = (
         ("The robot's topics, as Turtle", _curl(f"{page.site.base}topics/", "text/turtle")),
@@ -243,7 +243,7 @@ def render_entry(page: EntryPage) -> bytes:
 
 
 def render_sparql(page: SparqlPage) -> bytes:
-    """The page of the SPARQL endpoint: a box for a query, its results, and stored queries to start from."""
+    """Return the page of the SPARQL endpoint: a box for a query, its results, and stored queries to start from."""
     query = page.query or _FIRST_QUERY.format(vocabulary=page.site.vocabulary)
     return render_template(
         "sparql.html",
@@ -284,7 +284,7 @@ def _editor_config(page: SparqlPage) -> str:
 
 
 def render_query(page: QueryPage) -> bytes:
-    """The page of a stored query: its purpose, its parameters, its results, its text."""
+    """Return the page of a stored query: its purpose, its parameters, its results, its text."""
     return render_template(
         "query.html",
         page_frame(page.site, page.query.name, page.query.url, page.notices),
@@ -297,7 +297,7 @@ def render_query(page: QueryPage) -> bytes:
 
 
 def render_search(page: SearchPage) -> bytes:
-    """The page of the search: the box, and what was found in a table."""
+    """Return the page of the search: the box, and what was found in a table."""
     pictures = page.pictures
     found = (
         (result, page.site.anchor(result.member.url), [page.site.anchor(type) for type in _types(result, page.site)])
@@ -323,7 +323,7 @@ _GRAPH_FORMATS = (Alternate("SVG", "image/svg+xml", "svg"), Alternate("DOT", "te
 
 
 def render_graph(page: GraphPage) -> bytes:
-    """The page of the computation graph: its drawing, what is wrong in words, a choice of namespaces."""
+    """Return the page of the computation graph: its drawing, what is wrong in words, a choice of namespaces."""
     query = page.url.partition("?")[2]
     return render_template(
         "graph.html",
@@ -351,7 +351,7 @@ def _found_by(result: SearchResult) -> str:
 
 
 def render_plot(page: PlotPage) -> bytes:
-    """The page of a plot: what its script draws from, and the numbers in a table."""
+    """Return the page of a plot: what its script draws from, and the numbers in a table."""
     site = page.site
     rows = [
         PlotRow(
@@ -378,7 +378,7 @@ _MAX_FRAMES = 1000
 
 
 def render_frames(page: FramesPage) -> bytes:
-    """The page of the frames, as a table in which they are indented below their parents."""
+    """Return the page of the frames, as a table in which they are indented below their parents."""
     return render_template(
         "frames.html",
         page_frame(page.site, "Frames", page.url, page.notices, live=True),
@@ -391,7 +391,7 @@ def render_frames(page: FramesPage) -> bytes:
 
 
 def render_space(page: SpacePage) -> bytes:
-    """The page of a view of space: what its script draws from, and the same in words."""
+    """Return the page of a view of space: what its script draws from, and the same in words."""
     site = page.site
     rows = [
         SpaceRow(
@@ -426,7 +426,7 @@ _LEVEL_WORDS = {
 
 
 def render_diagnostics(page: DiagnosticsPage) -> bytes:
-    """The page of diagnostics: sections by level, the worst first, and what one part said before."""
+    """Return the page of diagnostics: sections by level, the worst first, and what one part said before."""
     site, base = page.site, page.url.partition("?")[0]
     groups = [
         (words, [each for each in page.states if each.level is level])
@@ -447,7 +447,7 @@ def render_diagnostics(page: DiagnosticsPage) -> bytes:
 
 
 def render_cockpit(page: CockpitPage) -> bytes:
-    """The page of a cockpit: its panels in a grid, and the forms that change and copy it."""
+    """Return the page of a cockpit: its panels in a grid, and the forms that change and copy it."""
     site = page.site
     panels = panel_views(page.panels, site, page.csrf)
     parts = {each.part for each in panels}
@@ -472,7 +472,7 @@ def render_cockpit(page: CockpitPage) -> bytes:
 
 
 def render_problem(page: ProblemPage) -> bytes:
-    """An error (RFC 9457) for people: what is wrong, in which field, and where to go from here."""
+    """Return an error (RFC 9457) for people: what is wrong, in which field, and where to go from here."""
     return render_template(
         "problem.html",
         page_frame(page.site, f"{page.status} {page.title}", page.url, ()),

@@ -23,7 +23,7 @@ from rosld.server.http.problem import AGENT_SAID, ROBOT_SAID, Problem
 
 
 def validation_report(url: str, violations: Sequence[Violation], *, node: str = "#message") -> Document:
-    """The report on a body sent to `url`: one result a violation.
+    """Return the report on a body sent to `url`: one result a violation.
 
     What a shape found tells that shape, its constraint, focus node, path and value; all else is about the node of the
     message. The path of a field is also given as text (`linear.x`), because it may lead through several nodes.

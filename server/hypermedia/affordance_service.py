@@ -102,7 +102,7 @@ class AffordanceService(Generic[T]):
         return None if self._kept is None else self._kept[3]
 
     async def tree(self) -> ResourceTree:
-        """The layout of now; the types of services that are new are learnt before."""
+        """Return the layout of now; the types of services that are new are learnt before."""
         found = self.cached_tree()
         if found is not None:
             return found
@@ -143,7 +143,7 @@ class AffordanceService(Generic[T]):
             await asyncio.wait_for(asyncio.gather(*map(find, unknown)), _TYPES_SECONDS)
 
     def _schema_at_hand(self, ref: TypeRef) -> Schema | None:
-        """The schema of a type, if it was learnt before; by its name alone where no hash is known of it."""
+        """Return the schema of a type, if it was learnt before; by its name alone where no hash is known of it."""
         schemas = self._session.schemas
         return schemas.find_cached(ref) or (schemas.find_cached_by_name(ref.name) if ref.hash is None else None)
 
@@ -220,7 +220,7 @@ class AffordanceService(Generic[T]):
     # What is seen
 
     def complex_view(self, plan: ComplexPlan, snapshot: Snapshot) -> ComplexView:
-        """A complex resource with all that it offers now. Raises a 404 Problem where it is not there."""
+        """Return a complex resource with all that it offers now. Raises a 404 Problem where it is not there."""
         results = snapshot.results
         self.require_exists(plan.exists_when, results, plan.path)
         space = self._session.space
@@ -254,7 +254,7 @@ class AffordanceService(Generic[T]):
         )  # fmt: skip
 
     def property_view(self, plan: PropertyPlan, snapshot: Snapshot) -> PropertyView:
-        """A property by itself. Raises a 404 Problem where it is not there."""
+        """Return a property by itself. Raises a 404 Problem where it is not there."""
         self.require_exists(plan.exists_when, snapshot.results, plan.source.name)
         own, space = plan.source, self._session.space
         affordance = self.member_affordance(plan.member, self._is_open and snapshot.results.hold(plan.write_conditions))
@@ -269,7 +269,7 @@ class AffordanceService(Generic[T]):
         )
 
     def action_view(self, plan: ActionPlan, snapshot: Snapshot) -> ActionView:
-        """An action by itself. Raises a 404 Problem where it is not on offer."""
+        """Return an action by itself. Raises a 404 Problem where it is not on offer."""
         self.require_exists((*plan.exists_when, *plan.conditions), snapshot.results, plan.name)
         space = self._session.space
         invokes = space.action(plan.service) if plan.sends_goals else space.service(plan.service)

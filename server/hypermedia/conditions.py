@@ -77,7 +77,7 @@ class ConditionResults:
 
 
 def url_of(name: str, space: Space) -> str:
-    """The URL of a property or action (a name) or of a complex resource (a path)."""
+    """Return the URL of a property or action (a name) or of a complex resource (a path)."""
     if name.endswith("/"):
         return space.container("resources", segments_of(name))
     return space.url("resources", tuple(name[1:].split("/")))

@@ -172,7 +172,7 @@ def _patterns(templates: tuple[str, ...]) -> tuple[tuple[re.Pattern[str], bool],
 
 
 def _propose_name(templates: tuple[str, ...], service: str) -> tuple[str, int] | None:
-    """The property that the first template to fit proposes for a service, and which template that is."""
+    """Return the property that the first template to fit proposes for a service, and which template that is."""
     for rank, (pattern, capital) in enumerate(_patterns(templates)):
         fit = pattern.fullmatch(service)
         if fit is None:
@@ -191,7 +191,7 @@ def _decapitalize(name: str) -> str:
 
 
 def needed_types(graph: Graph, conventions: Conventions = CONVENTIONS) -> tuple[TypeRef, ...]:
-    """The types whose schemas `catalogue` would know of this graph, each once."""
+    """Return the types whose schemas `catalogue` would know of this graph, each once."""
     topics = (ref for topic in _topics(graph) for ref in topic.types)
     services = (service.type for service in graph.services.values() if not conventions.excludes(service.name))
     actions = (action.type for action in graph.actions.values() if not conventions.excludes(action.name))
@@ -199,7 +199,7 @@ def needed_types(graph: Graph, conventions: Conventions = CONVENTIONS) -> tuple[
 
 
 def catalogue(graph: Graph, schema_of: SchemaOf, conventions: Conventions = CONVENTIONS) -> Catalogue:
-    """The properties and actions of a graph. `schema_of` gives the schema of a type, None while it is not known.
+    """Return the properties and actions of a graph. `schema_of` gives the schema of a type, None while it is not known.
 
     Of several services that would read one property the first that can is its getter, in the order of the templates;
     all others are actions; and so with setters.
@@ -270,7 +270,7 @@ def _parts(action: str, schema: ActionSchema | None) -> Iterator[Property]:
 def _schemas(
     things: Iterable[RosAction | Service], kind: type[_Kind], schema_of: SchemaOf, conventions: Conventions
 ) -> Mapping[str, _Kind | None]:
-    """The services, or the actions of ROS, that are in resources, with their schemas."""
+    """Return the services, or the actions of ROS, that are in resources, with their schemas."""
     found: dict[str, _Kind | None] = {}
     for thing in things:
         if not conventions.excludes(thing.name):

@@ -59,7 +59,7 @@ def value_schema(shape: ValueShape, lifting: LiftSettings = _SETTINGS, *, sent: 
 
 
 def message_schema(schema: MessageSchema, lifting: LiftSettings = _SETTINGS, *, sent: bool = False) -> DataSchema:
-    """The data schema of a message, the object of its fields; of one that is `sent`, these may be left out."""
+    """Return the data schema of a message, the object of its fields; of one that is `sent`, these may be left out."""
     return _Schemas(schema, {}, lifting, sent).fields(schema.type.fields)
 
 
@@ -75,7 +75,7 @@ class _Schemas:
         self._left = _MAX_NODES
 
     def fields(self, fields: Iterable[Field], path: tuple[str, ...] = ()) -> DataSchema:
-        """An object of fields."""
+        """Return an object of fields."""
         properties: dict[str, Json] = {}
         for field in fields:
             inner = (*path, field.name)
@@ -185,7 +185,7 @@ def _scalar(kind: Primitive | None, bounds: Bounds, *, is_finite: bool = False) 
 
 
 def _parameter_schema(shape: ScalarShape) -> DataSchema:
-    """The scalar of a parameter, whose numbers are JSON's."""
+    """Return the scalar of a parameter, whose numbers are JSON's."""
     name, limits, step = shape.kind.name, _limits(shape.bounds), _number(shape.bounds.step)
     if shape.bounds.choices or not (name in RANGES or name.startswith("float")):
         return _scalar(shape.kind, shape.bounds)
@@ -206,7 +206,7 @@ def _type(kind: Primitive | None) -> DataSchema:
 
 
 def _integer(kind: Primitive, limits: DataSchema) -> DataSchema:
-    """An integer of a primitive's range; beyond what a double holds it is its digits."""
+    """Return an integer of a primitive's range; beyond what a double holds it is its digits."""
     least, greatest = RANGES[kind.name]
     if not limits.keys() & {"minimum", "exclusiveMinimum"}:
         limits = {**limits, "minimum": max(least, -SAFE_INTEGER)}
@@ -218,7 +218,7 @@ def _integer(kind: Primitive, limits: DataSchema) -> DataSchema:
 
 
 def _limits(bounds: Bounds) -> DataSchema:
-    """The ends of a range of numbers."""
+    """Return the ends of a range of numbers."""
     return _without_none(
         minimum=_number(bounds.minimum),
         maximum=_number(bounds.maximum),
@@ -228,7 +228,7 @@ def _limits(bounds: Bounds) -> DataSchema:
 
 
 def _number(literal: Literal | None) -> int | float | None:
-    """A bound as JSON's number; None for what is no number, or none that JSON has."""
+    """Return a bound as JSON's number; None for what is no number, or none that JSON has."""
     if literal is None or literal.datatype not in NUMBERS:
         return None
     try:
@@ -241,7 +241,7 @@ def _number(literal: Literal | None) -> int | float | None:
 
 
 def _choices(choices: Iterable[Literal]) -> list[Json]:
-    """The values of an enumeration, as plain JSON has them, each once."""
+    """Return the values of an enumeration, as plain JSON has them, each once."""
     found = {(type(value), value): value for value in map(_choice, choices)}
     return list(found.values())
 
@@ -274,7 +274,7 @@ _OF_ECMA = re.compile(rf"(?:[^\\(\[\]{{]|{_ESCAPE}|\((?!\?[^:])|\{{(?!,)|\[(?:[^
 
 
 def _ecma(pattern: str) -> str | None:
-    """The pattern (XPath's) if it means the same in ECMAScript (ECMA-262 22.2), else None.
+    """Return the pattern (XPath's) if it means the same in ECMAScript (ECMA-262 22.2), else None.
 
     Subtraction, flags, and the escapes of names, blocks and common letters are not ECMAScript's.
     """

@@ -86,7 +86,7 @@ class ComplexResource:
     stops: tuple[MappedStop, ...] = ()
 
     def conditions(self) -> Iterator[Condition]:
-        """Every condition of it, of its properties, actions and links."""
+        """Yield every condition of it, of its properties, actions and links."""
         yield from self.exists_when
         for one in self.properties:
             yield from one.writable_when
@@ -110,7 +110,7 @@ class MappingSet:
     resources: Mapping[str, ComplexResource] = field(default_factory=dict)
 
     def stop_commands(self) -> Iterator[tuple[StopCommand, str]]:
-        """The steps that stop the robot, each with the IRI of the complex resource that asks for it."""
+        """Yield the steps that stop the robot, each with the IRI of the complex resource that asks for it."""
         for resource in self.resources.values():
             yield from ((each.command, resource.iri) for each in resource.stops)
 

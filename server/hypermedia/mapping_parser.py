@@ -99,7 +99,7 @@ def load_mapping(path: Path, space: Space, name: str | None = None, *, is_valid:
 
 
 def mapping_of(body: RdfBody, url: str, *, is_valid: bool = False) -> MappingDocument:
-    """The mapping that the triples of a body describe. Raises InvalidMapping.
+    """Return the mapping that the triples of a body describe. Raises InvalidMapping.
 
     Of one that `is_valid`, because it was read before, neither the shape of mappings nor its terms are looked at again:
     that takes its time, and rdflib.
@@ -160,7 +160,7 @@ class _Reader:
         self.refuse()
 
     def resources(self) -> tuple[ComplexResource, ...]:
-        """The complex resources by path. Raises InvalidMapping."""
+        """Return the complex resources by path. Raises InvalidMapping."""
         self.check_demands()
         self.refuse()
         self.check_conditions()
@@ -245,12 +245,12 @@ class _Reader:
         return MappedStop(command, self.when(node, mapping.atRestWhen))
 
     def when(self, node: Term, predicate: NamedNode) -> tuple[Condition, ...]:
-        """The conditions that a node names."""
+        """Return the conditions that a node names."""
         found = (self.conditions[each] for each in self.objects(node, predicate))
         return tuple(sorted(found, key=lambda condition: condition.iri))
 
     def title(self, node: Term) -> str | None:
-        """The rdfs:label, in English or no language where there are several."""
+        """Return the rdfs:label, in English or no language where there are several."""
         labels = [each for each in self.objects(node, rdfs.label) if isinstance(each, Literal)]
         rank = {None: 0, "en": 1}
         return min(
@@ -353,15 +353,15 @@ class _Reader:
     # What is said
 
     def objects(self, node: Term, predicate: NamedNode) -> Sequence[Term]:
-        """The objects of a predicate."""
+        """Return the objects of a predicate."""
         return self.said.get(node, {}).get(predicate, ())
 
     def text(self, node: Term, predicate: NamedNode) -> str:
-        """The one string, "" where there is none."""
+        """Return the one string, "" where there is none."""
         return next((each.value for each in self.objects(node, predicate) if isinstance(each, Literal)), "")
 
     def iri(self, node: Term, predicate: NamedNode) -> NamedNode | None:
-        """The one IRI, None where there is none."""
+        """Return the one IRI, None where there is none."""
         return next((each for each in self.objects(node, predicate) if isinstance(each, NamedNode)), None)
 
     def relation(self, node: Term, predicate: NamedNode) -> NamedNode:
@@ -383,7 +383,7 @@ class _Places:
                 self._above.setdefault(object, (subject, predicate))
 
     def of(self, node: Term | str, predicate: NamedNode | None = None) -> str:
-        """The place of a predicate of a node, or of the node itself."""
+        """Return the place of a predicate of a node, or of the node itself."""
         steps = [] if predicate is None else [prefixed_name(predicate.value)[0]]
         passed: set[Term] = set()
         while isinstance(node, BlankNode) and node in self._above and node not in passed:
@@ -414,7 +414,7 @@ def _order_of_stop(stop: MappedStop) -> tuple[bool, str, str, str]:
 
 
 def _full(name: str, path: str) -> str:
-    """A name as it stands, or from the path on."""
+    """Return a name as it stands, or from the path on."""
     return name if name.startswith("/") else path + name
 
 

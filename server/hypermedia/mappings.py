@@ -95,12 +95,12 @@ class _Index:
 
 
 def relations(mapping_set: MappingSet) -> frozenset[str]:
-    """The IRIs of all predicates that mappings give complex resources: the same object for one arrangement."""
+    """Return the IRIs of all predicates that mappings give complex resources: the same object for one arrangement."""
     return _index(mapping_set).relations
 
 
 def related(mapping_set: MappingSet, relation: str) -> frozenset[str]:
-    """The paths of the complex resources that mappings give this predicate, by its IRI."""
+    """Return the paths of the complex resources that mappings give this predicate, by its IRI."""
     return _index(mapping_set).related.get(relation, frozenset())
 
 
@@ -115,7 +115,7 @@ def actions_by_service(mapping_set: MappingSet) -> Mapping[str, list[tuple[Compl
 
 
 def members_of(resource: ComplexResource) -> frozenset[str]:
-    """The full names of the members whose values a complex resource shows."""
+    """Return the full names of the members whose values a complex resource shows."""
     return frozenset(one.member for one in resource.properties)
 
 
@@ -125,7 +125,7 @@ def dependents(mapping_set: MappingSet, about: str) -> frozenset[str]:
 
 
 def connected_paths(mapping_set: MappingSet, path: str) -> frozenset[str]:
-    """The paths that hang together with this one, itself among them.
+    """Return the paths that hang together with this one, itself among them.
 
     From a complex resource to what its conditions are about, any number of steps in either direction. A condition about
     a single property leads to the complex resources that show it, and to the one that it lies in.
@@ -134,7 +134,7 @@ def connected_paths(mapping_set: MappingSet, path: str) -> frozenset[str]:
 
 
 def mapped_above(mapping_set: MappingSet, path: str) -> tuple[ComplexResource, ...]:
-    """The mapped resources at and above a path or name, the outermost first."""
+    """Return the mapped resources at and above a path or name, the outermost first."""
     above = (path[: position + 1] for position, char in enumerate(path) if char == "/")
     return tuple(mapping_set.resources[each] for each in above if each in mapping_set.resources)
 
@@ -189,7 +189,7 @@ def _components(mapping_set: MappingSet, concerned: Mapping[str, Iterable[str]])
 
 
 def _home(name: str) -> str:
-    """The path of the complex resource that a name lies in."""
+    """Return the path of the complex resource that a name lies in."""
     return name.rpartition("/")[0] + "/"
 
 

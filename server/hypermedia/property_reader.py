@@ -171,7 +171,7 @@ class PropertyReader:
         return reading if reading is None or reading.fresh_until is None or not since else None
 
     async def _one(self, property: Property, attempt: _Attempt) -> Reading:
-        """A property read from its sources in turn, until one has a value."""
+        """Return a property read from its sources in turn, until one has a value."""
         view: TopicView | None = None
         part: object = None
         results: list[_Result] = []
@@ -202,7 +202,7 @@ class PropertyReader:
     def _keep(
         self, property: Property, view: TopicView | None, results: Sequence[_Result], part: object = None
     ) -> Reading:
-        """The reading that sources come to: the value of the last, or the failures of all."""
+        """Return the reading that sources come to: the value of the last, or the failures of all."""
         found = results[-1].found if results else NO_VALUE
         until = min((one.until for one in results), default=inf) if found.value is None else results[-1].until
         pairs = zip(property.readers, results, strict=False)  # the first that has a value is the last that is read
@@ -224,7 +224,7 @@ class PropertyReader:
     # The sources
 
     async def _look(self, topic: str, attempt: _Attempt) -> tuple[TopicView | None, _Result]:
-        """The latest message of a topic, and the view that it is in (None where there is no message)."""
+        """Return the latest message of a topic, and the view that it is in (None where there is no message)."""
         view = self._topics.find_view(topic)
         if view is None and topic in self._silent and self._topics.last_view(topic) is not None:
             return None, self._for_now(NO_VALUE)  # it was waited for once
@@ -270,7 +270,7 @@ class PropertyReader:
         return (await self._fetch(self._getters, {name: getter.name}, ask, room, attempt))[name]
 
     async def _get(self, sources: Mapping[str, str], attempt: _Attempt) -> Mapping[str, _Result]:
-        """The values of parameters (the names of properties lead to theirs)."""
+        """Return the values of parameters (the names of properties lead to theirs)."""
 
         async def ask(keys: Sequence[str]) -> Mapping[str, ReadResult]:
             found = await self._sources.read_parameters([sources[key] for key in keys])
@@ -286,7 +286,7 @@ class PropertyReader:
         room: Slot,
         attempt: _Attempt,
     ) -> Mapping[str, _Result]:
-        """The answers of sources (properties' names lead to their names), as far as they come in time."""
+        """Return the answers of sources (properties' names lead to their names), as far as they come in time."""
         found: dict[str, ReadResult] = {}
         unknown = [key for key in sources if answers.find(key, attempt.since) is None]
         for question in answers.fetch(unknown, ask, room, attempt.since):

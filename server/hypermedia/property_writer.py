@@ -171,7 +171,7 @@ def plan_write(session: Session, property: Property, content: object, *, default
 
 
 def _parameter_value(kind: ValueKind, content: object) -> ParameterValue:
-    """The value of a parameter. ROS declares no type for it, but what reads the property may have one."""
+    """Return the value of a parameter. ROS declares no type for it, but what reads the property may have one."""
     value = lower_term(content) if isinstance(content, Literal) else lower_json(content)
     match kind:
         case ScalarKind(primitive=primitive):
@@ -183,7 +183,7 @@ def _parameter_value(kind: ValueKind, content: object) -> ParameterValue:
 
 
 def _fit(kind: Primitive, content: object) -> object:
-    """A content as a primitive. Raises LoweringError where it does not fit."""
+    """Return a content as a primitive. Raises LoweringError where it does not fit."""
     try:
         return term_leaf(kind)(content) if isinstance(content, Literal) else json_leaf(kind)(content)
     except Misfit as misfit:
@@ -200,7 +200,7 @@ def _plan_message(
 
 
 def lower_content(schema: MessageSchema, content: object, lifting: LiftSettings, *, defaults: bool = False) -> Message:
-    """The message of `schema` that carries a content: in its one field if that is a scalar, else field by field.
+    """Return the message of `schema` that carries a content: in its one field if that is a scalar, else field by field.
 
     Fields that are missing have their `defaults`, or do not fit.
 

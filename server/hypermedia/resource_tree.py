@@ -152,22 +152,22 @@ class PropertyPlan:
 
 
 def path_of(namespace: tuple[str, ...]) -> str:
-    """The path of a namespace: `/aircraft/` of `("aircraft",)`, `/` of none."""
+    """Return the path of a namespace: `/aircraft/` of `("aircraft",)`, `/` of none."""
     return "/" + "".join(f"{segment}/" for segment in namespace)
 
 
 def segments_of(path: str) -> tuple[str, ...]:
-    """The segments of a path: the inverse of `path_of`."""
+    """Return the segments of a path: the inverse of `path_of`."""
     return tuple(path[1:-1].split("/")) if path != "/" else ()
 
 
 def parent_of(path: str) -> str | None:
-    """The path of the complex resource above; None above `/`."""
+    """Return the path of the complex resource above; None above `/`."""
     return None if path == "/" else path[:-1].rpartition("/")[0] + "/"
 
 
 def parent_of_name(name: str) -> str:
-    """The path of the complex resource that a name lies in: `/aircraft/` of `/aircraft/power`."""
+    """Return the path of the complex resource that a name lies in: `/aircraft/` of `/aircraft/power`."""
     return name.rpartition("/")[0] + "/"
 
 
@@ -215,19 +215,19 @@ class ResourceTree:
         return self._named.keys() | derived
 
     def complex(self, path: str) -> ComplexPlan | None:
-        """The complex resource at a path, None where there is none."""
+        """Return the complex resource at a path, None where there is none."""
         return _get_or_make(self._complexes, path, self._complex)
 
     def property(self, name: str) -> PropertyPlan | None:
-        """The property of a name, None where there is none."""
+        """Return the property of a name, None where there is none."""
         return _get_or_make(self._properties, name, self._property)
 
     def action(self, name: str) -> ActionPlan | None:
-        """The action of a name, None where there is none."""
+        """Return the action of a name, None where there is none."""
         return _get_or_make(self._actions, name, self._action)
 
     def replacement(self, service: str) -> str | None:
-        """The action that a mapping offers a service as, None where no mapping speaks of it."""
+        """Return the action that a mapping offers a service as, None where no mapping speaks of it."""
         found = self._claimed.get(service)
         return found[0][0].path + found[0][1].name if found else None
 
@@ -295,7 +295,7 @@ class ResourceTree:
             yield from mapped.conditions()
 
     def _affected_resources(self, name: str) -> frozenset[str]:
-        """The complex resources that a property or action belongs to, and those with conditions about it."""
+        """Return the complex resources that a property or action belongs to, and those with conditions about it."""
         mapping = {resource.path for resource in self.mapping_set.resources.values() if name in members_of(resource)}
         return frozenset({parent_of_name(name), *mapping, *dependents(self.mapping_set, name)})
 
@@ -382,13 +382,13 @@ class ResourceTree:
         return next((one for one in properties if one.member == name and one.field is None), None)
 
     def remapped_property(self, name: str) -> str | None:
-        """The property that a mapping calls so in the complex resource it lies in, taking it from elsewhere."""
+        """Return the property that a mapping calls so in the complex resource it lies in, taking it from elsewhere."""
         home = self.mapping_set.resources.get(parent_of_name(name))
         called = () if home is None else (one for one in home.properties if home.path + one.name == name)
         return next((one.member for one in called if one.member != name and one.member in self.properties), None)
 
     def names_of(self, name: str) -> Iterator[tuple[str, str | None]]:
-        """The names under which a property answers, each with the field that is shown there (None: all of it)."""
+        """Yield the names under which a property answers, each with the field that is shown there (None: all of it)."""
         yield name, None
         for at, mapped in self._picked.items():
             if mapped.member == name:
@@ -418,13 +418,13 @@ class ResourceTree:
         return tuple(one for one in found if one is not None and isinstance(one.readers[0], GoalSource))
 
     def _unclaimed(self, found: Property) -> Property:
-        """The property without those writers that a mapping offers as actions: they are guarded there."""
+        """Return the property without those writers that a mapping offers as actions: they are guarded there."""
         writers = tuple(one for one in found.writers if one.name not in self._claimed)
         return found if len(writers) == len(found.writers) else replace(found, writers=writers)
 
 
 def _children(namespaces: Iterable[tuple[str, ...]], mapping_set: MappingSet) -> dict[str, set[str]]:
-    """The paths directly below each path, derived and mapped; `/` is always there."""
+    """Return the paths directly below each path, derived and mapped; `/` is always there."""
     found: dict[str, set[str]] = {"/": set()}
     for path in (*map(path_of, namespaces), *mapping_set.resources):
         while path not in found:

@@ -40,7 +40,7 @@ class PendingFetch(Generic[K, V]):
         self.task: asyncio.Task[Mapping[K, V]]
 
     async def wait(self, deadline: float) -> Mapping[K, V] | None:
-        """The answers, None where there are none by `deadline` (loop time)."""
+        """Return the answers, None where there are none by `deadline` (loop time)."""
         if not self.task.done():
             left = deadline - asyncio.get_running_loop().time()
             await asyncio.wait({self.task}, timeout=max(0.0, left))

@@ -50,7 +50,7 @@ def timeout_message(name: str, seconds: float) -> str:
 
 
 def decode_value(topic: str, sample: Sample, schema: MessageSchema, origin: str) -> ReadResult:
-    """The value in a sample of a topic."""
+    """Return the value in a sample of a topic."""
     try:
         message = schema.codec.decode(sample.data, sample.encoding)
     except ValueError as error:
@@ -100,7 +100,7 @@ class SourceReader:
         self._patience = patience
 
     async def read_topic(self, topic: str) -> TopicLook:
-        """A look at a topic: waits a moment for its first message."""
+        """Return a look at a topic: waits a moment for its first message."""
         view = TopicView()
         try:
             view = await self._topics.read(topic)
@@ -110,7 +110,7 @@ class SourceReader:
             return TopicLook(view, None, self._failure(topic, error)[0])
 
     async def call_getter(self, getter: Getter, origin: str) -> ReadResult:
-        """The answer of a getter, within the patience."""
+        """Return the answer of a getter, within the patience."""
         response = getter.schema.response
         try:
             message = await self._answer(getter)
@@ -131,7 +131,7 @@ class SourceReader:
         return schema.response.codec.decode(await asyncio.wait_for(asked, self._patience), encoding)
 
     async def read_parameters(self, names: Sequence[str]) -> Mapping[str, ReadResult]:
-        """The values of parameters, within the patience, fetched together."""
+        """Return the values of parameters, within the patience, fetched together."""
         deadline = asyncio.get_running_loop().time() + self._patience
         try:
             asked = self._adapter.get_parameters(names, deadline=deadline)

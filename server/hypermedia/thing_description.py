@@ -96,7 +96,7 @@ def thing_description(
 
 @lru_cache(maxsize=4096)
 def _property(one: PropertyAffordance, lifting: LiftSettings) -> orjson.Fragment:
-    """A property (5.3.1.3): the data schema of its value, and a form for each operation."""
+    """Return a property (5.3.1.3): the data schema of its value, and a form for each operation."""
     observable = one.read and one.observe
     forms = [
         *([_form(one.url, "readproperty", "GET")] if one.read else ()),
@@ -122,7 +122,7 @@ def _property(one: PropertyAffordance, lifting: LiftSettings) -> orjson.Fragment
 
 @lru_cache(maxsize=4096)
 def _action(one: ActionAffordance, lifting: LiftSettings) -> orjson.Fragment:
-    """An action (5.3.1.4): what to send, unless that is nothing.
+    """Return an action (5.3.1.4): what to send, unless that is nothing.
 
     Its answer is the state of its complex resource, of one that sends goals the goal, which is queried and canceled:
     feedback and result are properties.
@@ -146,7 +146,7 @@ def _action(one: ActionAffordance, lifting: LiftSettings) -> orjson.Fragment:
 
 @lru_cache(maxsize=4096)
 def _hold(one: PropertyAffordance, lifting: LiftSettings) -> orjson.Fragment:
-    """The action that holds the topic behind a property, for as long as the hold that it makes is renewed."""
+    """Return the action that holds the topic behind a property, for as long as the hold that it makes is renewed."""
     assert one.hold is not None
     return _fragment(
         {
@@ -194,17 +194,17 @@ def _stop(url: str) -> orjson.Fragment:
 
 
 def _form(url: str, operation: str | Sequence[str], method: str, **more: str) -> Members:
-    """A form (5.3.4.2)."""
+    """Return a form (5.3.4.2)."""
     return {"href": url, "op": operation, "htv:methodName": method, "contentType": _JSON, **more}
 
 
 def _link(link: ThingLink) -> Members:
-    """A link (5.3.4.1)."""
+    """Return a link (5.3.4.1)."""
     return {"rel": link.relation, "href": link.target, **_without_none(type=link.media_type)}
 
 
 def _led_to(term: str, value: NamedNode | None) -> Members:
-    """A term of a vocabulary of the context, with an IRI; nothing where that is None."""
+    """Return a term of a vocabulary of the context, with an IRI; nothing where that is None."""
     return {} if value is None else {term: {"@id": value.value}}
 
 

@@ -147,7 +147,7 @@ _SCOPES: Mapping[str, _Scope] = {
 
 
 def thing_document(data: bytes, url: str) -> Document:
-    """A Thing Description, which is JSON, as the document at its URL."""
+    """Return a Thing Description, which is JSON, as the document at its URL."""
     thing: _Object = orjson.loads(data)
     return Document(url, tuple(dict.fromkeys(_Walk(url).object(NamedNode(str(thing["id"])), thing, "thing"))))
 
@@ -160,7 +160,7 @@ class _Walk:
         self._last = 0
 
     def object(self, subject: _Node, members: _Object, scope: str) -> Iterator[Triple]:
-        """The triples of an object."""
+        """Yield the triples of an object."""
         for name, value in members.items():
             for one in value if isinstance(value, list) else [value]:
                 yield from self._member(subject, name, one, scope)

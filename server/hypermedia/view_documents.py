@@ -63,7 +63,7 @@ def property_document(
 
 
 def property_json(view: PropertyView, lifting: LiftSettings) -> bytes:
-    """The value of a property as plain JSON; null where there is none."""
+    """Return the value of a property as plain JSON; null where there is none."""
     return _json(view.reading, view.field, lifting)
 
 
@@ -94,7 +94,7 @@ def _property(
 
 
 def action_document(view: ActionView, space: Space, lifting: LiftSettings) -> Document:
-    """An action: the service or action of ROS behind it, how to invoke it, and how to see what becomes of it."""
+    """Return an action: the service or action of ROS behind it, how to invoke it, and how to see what becomes of it."""
     subject = NamedNode(view.affordance.url)
     triples = triples_about(
         subject,
@@ -122,7 +122,7 @@ def _name(url: str, space: Space) -> str | None:
 def complex_document(
     view: ComplexView, space: Space, lifting: LiftSettings, *, simulated_time: bool = False
 ) -> Document:
-    """A complex resource: the values of its members, the links and actions on offer now, and how to use them.
+    """Return a complex resource: the values of its members, the links and actions on offer now, and how to use them.
 
     A member with a relation of its own is a property of the complex resource, any other speaks for itself: rdf:value.
     """
@@ -155,7 +155,7 @@ def complex_document(
 
 
 def complex_json(view: ComplexView, lifting: LiftSettings) -> bytes:
-    """The values of the members as a JSON object by name; null for what cannot be read."""
+    """Return the values of the members as a JSON object by name; null for what cannot be read."""
     pairs = [
         orjson.dumps(member.affordance.name) + b":" + _json(member.reading, member.field, lifting)
         for member in view.members
@@ -217,7 +217,7 @@ def _said(reading: Reading, field: str | None, document: str, node: str, lifting
 
 
 def _json(reading: Reading, field: str | None, lifting: LiftSettings) -> bytes:
-    """A reading, or one `field` of it, as plain JSON; null where it cannot be read."""
+    """Return a reading, or one `field` of it, as plain JSON; null where it cannot be read."""
     value = reading.value
     if value is None:
         return b"null"
@@ -274,7 +274,7 @@ def _hold_affordance(one: PropertyAffordance, space: Space) -> tuple[Triple, ...
 
 @lru_cache(maxsize=4096)
 def _action_affordance(one: ActionAffordance, document: NamedNode, node: str, space: Space) -> tuple[Triple, ...]:
-    """An action affordance of the thing that `document` describes; without a shape, nothing has to be sent.
+    """Return an action affordance of the thing that `document` describes; without a shape, nothing has to be sent.
 
     An action whose request is not known cannot be invoked. What cannot be invoked affords nothing, but that a goal can
     be canceled.
@@ -304,5 +304,5 @@ def _action_affordance(one: ActionAffordance, document: NamedNode, node: str, sp
 
 
 def _shape(schema: MessageSchema | None, space: Space) -> NamedNode | None:
-    """The shape of a message; None where its type is not known."""
+    """Return the shape of a message; None where its type is not known."""
     return None if schema is None else NamedNode(space.shape(schema.ref.name))

@@ -23,7 +23,7 @@ from rosld.server.patches.n3 import Formula, Node, RefusedSyntax, Statement, Var
 
 
 def read_n3(data: bytes, base: str) -> Formula:
-    """The document, its relative IRIs resolved against `base`.
+    """Return the document, its relative IRIs resolved against `base`.
 
     Raises BodyError for what is not UTF-8, nested too deep or no N3. The caller checks the size.
     """
@@ -172,7 +172,7 @@ class _Sink:
 
 
 def _node(term: object) -> Node:
-    """The node that the parser means: IRIs are plain text to it, and keywords pairs."""
+    """Return the node that the parser means: IRIs are plain text to it, and keywords pairs."""
     match term:
         case NamedNode() | BlankNode() | Literal() | Variable() | Formula():
             return term

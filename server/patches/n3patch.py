@@ -63,7 +63,7 @@ class N3Patch:
 
 
 def read_patch(data: bytes, base: str) -> N3Patch:
-    """The patch in a text/n3 body, its relative IRIs resolved against `base`, literals spelt as they are there.
+    """Return the patch in a text/n3 body, its relative IRIs resolved against `base`, literals spelt as they are there.
 
     Raises Problems: 413 for more than `MAX_BYTES`, 400 for what is no N3, 422 for N3 that is no patch as Solid
     Protocol 5.3.1 has it.
@@ -90,7 +90,7 @@ def read_patch(data: bytes, base: str) -> N3Patch:
 
 
 def _subject(document: Formula) -> Node:
-    """The one patch resource of a document."""
+    """Return the one patch resource of a document."""
     subjects = {
         one.subject: None
         for one in document.statements
@@ -121,7 +121,7 @@ def _formula(document: Formula, patch: Node, predicate: NamedNode) -> Sequence[S
 
 
 def _pattern(one: Statement, place: NamedNode, unnamed: dict[BlankNode, Variable] | None) -> Pattern:
-    """A statement as a pattern; blank nodes become variables kept in `unnamed`, or are refused without it."""
+    """Return a statement as a pattern; blank nodes become variables kept in `unnamed`, or are refused without it."""
     found: list[Term | Variable] = []
     for node in one:
         if isinstance(node, Formula):
@@ -167,7 +167,7 @@ def _node_text(node: Node | Term) -> str:
 
 
 def apply_patch(patch: N3Patch, before: Iterable[Triple]) -> list[Triple]:
-    """The triples after a patch: what it deletes is gone, what it inserts comes last, all else is untouched.
+    """Return the triples after a patch: what it deletes is gone, what it inserts comes last, all else is untouched.
 
     Terms match as they are spelt. Raises 409 Problems where solid:where does not match in exactly one way, where what
     is to be deleted is not there, and where what is to be inserted would be no triple; then nothing is changed.
@@ -205,7 +205,7 @@ def _triple(pattern: Pattern) -> Triple:
 
 
 def _match(patch: N3Patch, triples: Sequence[Triple]) -> Bindings:
-    """The one way in which solid:where matches; its unnamed variables may match in many."""
+    """Return the one way in which solid:where matches; its unnamed variables may match in many."""
     if not patch.where:
         return {}
     found: Bindings | None = None

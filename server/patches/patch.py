@@ -36,7 +36,7 @@ class TooManyTriples(Exception):
 def apply_update(
     data: bytes, before: Iterable[Triple], base: str, limit: int | None = None, *, by_value: bool = False
 ) -> RdfBody:
-    """The triples of one resource after a SPARQL Update, whose default graph is that resource's own.
+    """Return the triples of one resource after a SPARQL Update, whose default graph is that resource's own.
 
     `by_value`: literals of one value are one term, as in what a robot says: a message has values and no spelling, and
     some clients write what they read otherwise (rdflib.js `false` as "0"). The literals come out in the spelling of the
@@ -76,7 +76,7 @@ def ground_changes(data: bytes, base: str) -> TripleChanges | None:
 
 
 def updated_lines(data: bytes, before: bytes, base: str) -> tuple[bytes, bytes]:
-    """The lines of N-Triples that an update of one graph removes from those before, and adds to them.
+    """Return the lines of N-Triples that an update of one graph removes from those before, and adds to them.
 
     Raises Problems as `apply_update`.
     """

@@ -26,7 +26,7 @@ _PALETTE = _palette()
 
 
 def draw_depth(depth: npt.NDArray[np.generic], scale: float, shown: DepthRange) -> Image.Image:
-    """The colours of an array of distances, `scale` metres each; 0, NaN and infinities are unknown.
+    """Return the colours of an array of distances, `scale` metres each; 0, NaN and infinities are unknown.
 
     Raises CannotDraw where `shown` is no range.
     """

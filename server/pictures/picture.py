@@ -41,7 +41,7 @@ _FREE, _OCCUPIED = 246, 24
 
 
 def draw_grid(message: Message, width: int | None = None) -> Image.Image:
-    """The picture of a grid with its first row below (REP 103), in mode P. Raises CannotDraw.
+    """Return the picture of a grid with its first row below (REP 103), in mode P. Raises CannotDraw.
 
     At most `width` columns: of the cells that one pixel stands for, the one that is occupied most is drawn.
     """
@@ -61,7 +61,7 @@ def draw_grid(message: Message, width: int | None = None) -> Image.Image:
 
 
 def shrink_factor(columns: int, width: int | None) -> int:
-    """The cells of a side of the square that one pixel stands for."""
+    """Return the cells of a side of the square that one pixel stands for."""
     return 1 if width is None or columns <= width else -(-columns // width)
 
 
@@ -99,7 +99,7 @@ def is_depth(format: str) -> bool:
 
 
 def draw_compressed(format: str, data: bytes, shown: DepthRange, width: int | None = None) -> Image.Image:
-    """The picture of a CompressedImage; of a large JPEG that is to be at most `width` wide a part of the pixels.
+    """Return the picture of a CompressedImage; of a large JPEG that is to be at most `width` wide a part of the pixels.
 
     Raises CannotDraw.
     """
@@ -146,7 +146,7 @@ def _dequantize(values: npt.NDArray[np.generic], scale: float, offset: float) ->
 
 
 def _open(data: bytes) -> Image.Image:
-    """The picture of a file, of which only the head is read; one that would be too large is refused."""
+    """Return the picture of a file, of which only the head is read; one that would be too large is refused."""
     try:
         found = Image.open(io.BytesIO(data), formats=_FORMATS)
     except (OSError, ValueError, SyntaxError, struct.error, Image.DecompressionBombError) as error:
@@ -156,7 +156,7 @@ def _open(data: bytes) -> Image.Image:
 
 
 def _load_pixels(picture: Image.Image) -> Image.Image:
-    """The pixels in mode L, RGB, RGBA or one of those of 16 bits."""
+    """Return the pixels in mode L, RGB, RGBA or one of those of 16 bits."""
     try:
         picture.load()
     except (OSError, ValueError, SyntaxError, struct.error) as error:
@@ -174,7 +174,7 @@ _PNG_EFFORT = 1
 
 
 def draw_sample(schema: MessageSchema, sample: Sample, form: PictureForm) -> bytes:
-    """The file of a sample's picture. Raises CannotDraw, and ValueError for bytes that are no such message."""
+    """Return the file of a sample's picture. Raises CannotDraw, and ValueError for bytes that are no such message."""
     message = schema.codec.decode(sample.data, sample.encoding)
     if schema.ref.name == COMPRESSED_IMAGE:
         return _compressed(message, form)
@@ -204,7 +204,7 @@ def is_drawable(schema: MessageSchema, message: Message) -> bool:
 
 
 def write_picture(picture: Image.Image, form: PictureForm) -> bytes:
-    """The file of a picture. Raises UnknownPicture where it has more pixels a side than a JPEG may have."""
+    """Return the file of a picture. Raises UnknownPicture where it has more pixels a side than a JPEG may have."""
     small = _shrink(picture, form.width)
     target = io.BytesIO()
     if form.media_type == PNG:

@@ -34,11 +34,11 @@ class PictureCache:
         """How many were drawn since the start."""
 
     async def picture(self, topic: str, schema: MessageSchema, sample: Sample, form: PictureForm) -> bytes:
-        """The file of a sample's picture. Raises CannotDraw, ValueError and MemoryError."""
+        """Return the file of a sample's picture. Raises CannotDraw, ValueError and MemoryError."""
         return await self.file(topic, schema, sample, form, partial(_draw_picture, form=form))
 
     async def file(self, topic: str, schema: MessageSchema, sample: Sample, form: Hashable, draw: DrawSample) -> bytes:
-        """The file that `draw` makes of a sample on the thread; `form` tells it from others of the sample."""
+        """Return the file that `draw` makes of a sample on the thread; `form` tells it from others of the sample."""
         key = (topic, sample.publisher, sample.epoch, sample.sequence, sample.received_ns, form)
         found = self._kept.get(key)
         if found is not None:

@@ -103,7 +103,7 @@ class RawImage:
 
 
 def read_raw_image(message: Message) -> RawImage:
-    """The fields of a message. Raises CannotDraw where it has others: types of one name may differ."""
+    """Return the fields of a message. Raises CannotDraw where it has others: types of one name may differ."""
     try:
         width, height, step = (int(read_field(message, name)) for name in ("width", "height", "step"))
     except (TypeError, ValueError) as error:
@@ -113,7 +113,7 @@ def read_raw_image(message: Message) -> RawImage:
 
 
 def read_field(message: Message, name: str) -> Any:
-    """The value of a field. Raises CannotDraw where there is none."""
+    """Return the value of a field. Raises CannotDraw where there is none."""
     found = getattr(message, name, None)
     if found is None:
         raise CannotDraw(f"The message has no field {name}, as images have")
@@ -121,7 +121,7 @@ def read_field(message: Message, name: str) -> Any:
 
 
 def read_bytes(message: Message) -> npt.NDArray[np.uint8]:
-    """The field `data`. Raises CannotDraw where it is no array of bytes."""
+    """Return the field `data`. Raises CannotDraw where it is no array of bytes."""
     found = np.asarray(read_field(message, "data"))
     if found.dtype != np.uint8 or found.ndim != 1:
         raise CannotDraw("The field data of the message is no array of bytes")
@@ -132,7 +132,7 @@ Draw = Callable[[RawImage, DepthRange], Image.Image]
 
 
 def draw_raw(image: RawImage, shown: DepthRange = DEFAULT_RANGE) -> Image.Image:
-    """The picture of an image, in mode L, RGB or RGBA. Raises CannotDraw."""
+    """Return the picture of an image, in mode L, RGB or RGBA. Raises CannotDraw."""
     draw = _DRAWINGS.get(image.encoding)
     if draw is None:
         raise UnknownPicture(f"Its encoding is not drawn: there are {', '.join(_DRAWINGS)}", image.encoding)

@@ -77,7 +77,7 @@ def _violation(result: ValidationResult, url: str) -> Violation:
 
 
 def _short(iri: str) -> str:
-    """The name of a term as people write it."""
+    """Return the name of a term as people write it."""
     return f"ros:{iri.removeprefix(ros.iri)}" if iri.startswith(ros.iri) else iri.rpartition("#")[2].rpartition("/")[2]
 
 

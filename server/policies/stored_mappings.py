@@ -31,7 +31,7 @@ def stored_mapping(triples: bytes, url: str) -> MappingDocument:
 
 
 def initial_mappings(settings: Settings, adapter: Adapter, space: Space) -> Iterator[MappingDocument]:
-    """The mapping documents to begin with: the robot's own, and those of the settings. Raises ValueError.
+    """Yield the mapping documents to begin with: the robot's own, and those of the settings. Raises ValueError.
 
     What is shipped was validated when it was made.
     """
@@ -83,6 +83,6 @@ async def log_mapping_warnings(affordances: AffordanceService[State], mappings: 
 
 
 async def _warnings(affordances: AffordanceService[State], mappings: Mappings) -> list[tuple[str, str]]:
-    """The mapping documents' URLs, and what of each is not there now."""
+    """Return the mapping documents' URLs, and what of each is not there now."""
     urls = tuple(mappings.documents)
     return [(url, words) for url in urls for words in await affordances.mapping_warnings(url)]

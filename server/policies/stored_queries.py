@@ -61,7 +61,7 @@ class StoredQueries:
                     yield record
 
     def all(self, *, limit: int | None = None) -> Iterator[tuple[str, StoredQuery]]:
-        """The queries with their URLs, the shipped ones first, then at most so many of those that are kept."""
+        """Yield the queries with their URLs, the shipped ones first, then at most so many of those that are kept."""
         kept = {self._space.base + record.path: self.outline(record) for record in self.stored_records(limit=limit)}
         for name, query in self.shipped.items():
             if self._space.query(name) not in kept:
@@ -128,7 +128,7 @@ class StoredQueries:
 
 
 def query_triples(url: str, query: StoredQuery) -> list[Triple]:
-    """A stored query as RDF: its purpose, its parameters, its text."""
+    """Return a stored query as RDF: its purpose, its parameters, its text."""
     return triples_about(
         NamedNode(url),
         (rdf.type, ros.Query),

@@ -125,7 +125,7 @@ class Journal:
         return entry.id
 
     def find(self, id: str) -> JournalEntry:
-        """A write by the id of its receipt. Raises NoSuchReceipt."""
+        """Return a write by the id of its receipt. Raises NoSuchReceipt."""
         try:
             return self._entries[id]
         except KeyError as error:
@@ -135,12 +135,12 @@ class Journal:
         return len(self._entries)
 
     def newest_first(self) -> Iterator[JournalEntry]:
-        """All of them."""
+        """Return all of them."""
         done, refused = (reversed(entries) for entries in self._in_order.values())
         return heapq.merge(done, refused, key=lambda entry: -entry.number)
 
     def after(self, number: int) -> Sequence[JournalEntry]:
-        """Those that came after a number, the oldest first."""
+        """Return those that came after a number, the oldest first."""
         found: list[JournalEntry] = []
         for entry in self.newest_first():
             if entry.number <= number:

@@ -168,7 +168,7 @@ class ActionResource(CommandResource):
         return await self.send(exchange, schema, message)
 
     async def read_goal(self, exchange: Exchange, url: str) -> tuple[ActionSchema, Message]:
-        """The goal in a request to a URL, within the limits. Raises LoweringError, and Problems."""
+        """Return the goal in a request to a URL, within the limits. Raises LoweringError, and Problems."""
         schema = await self._schema()
         message = await read_message(
             exchange,
@@ -314,7 +314,7 @@ class GoalResource(Resource):
         return self.session.goals.watch(goal.action, wake, self.id)
 
     def state_of(self, goal: Goal) -> State:
-        """The state of this goal as it stood."""
+        """Return the state of this goal as it stood."""
         return self.states.get_or_make(
             self.url, (IdentityKey(goal), self._is_open(goal)), lambda: self._make_state(goal)
         )
@@ -329,7 +329,7 @@ class GoalResource(Resource):
         return EndedState(state.describe, state.plain, shapes=shapes, open_members=open_members)
 
     def document(self, goal: Goal) -> Document:
-        """The RDF of this goal as it stood."""
+        """Return the RDF of this goal as it stood."""
         return goal_document(
             _view(goal, cancelable=goal.is_cancelable and self._is_open(goal)), self.session.space, self.session.lifting
         )

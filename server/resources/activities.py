@@ -109,7 +109,7 @@ class ActivityContainer(Resource):
         return (self.space.document_shape("Container"),)
 
     async def select_variant(self, exchange: Exchange) -> Resource:
-        """The page that `?page=` asks for, the first of many pages (303); as a stream, the newest receipt."""
+        """Return the page that `?page=` asks for, the first of many pages (303); as a stream, the newest receipt."""
         if exchange.method not in ("GET", "HEAD"):
             return self
         if query_params.stream_is_preferred(exchange.accept, OFFERS):
@@ -141,7 +141,7 @@ class ActivityContainer(Resource):
         return container_document(self.url, (self.space.activity(entry.id) for entry in entries), TITLE)
 
     def _page(self, place: PagePosition) -> tuple[LdpPage, list[JournalEntry]]:
-        """A page, and what it tells of."""
+        """Return a page, and what it tells of."""
         entries = list(self.receipts.newest_first())
         keys = [_NEWEST - entry.number for entry in entries]
         after = place.after if isinstance(place.after, int) else 0
@@ -213,7 +213,7 @@ def _receipt_state(space: Space, entry: JournalEntry) -> State:
 
 
 def _json(receipt: Receipt) -> bytes:
-    """A receipt as plain JSON, without what it does not have."""
+    """Return a receipt as plain JSON, without what it does not have."""
     told = receipt._asdict()
     times = {"started": date_time(0, receipt.started_ns), "ended": date_time(0, receipt.ended_ns)}
     kept = {

@@ -103,17 +103,17 @@ class Notifications:
         """What every answer links to (2.1)."""
 
     def service(self, kind: str) -> ServiceDescription | None:
-        """The service that makes channels of a type."""
+        """Return the service that makes channels of a type."""
         return next((service for service in self.services if service.type == kind), None)
 
     def urls_of(self, kind: str, token: str) -> tuple[str, str]:
-        """The URLs of a channel, and of what is received from."""
+        """Return the URLs of a channel, and of what is received from."""
         url = self.space.url(ROUTE, (kind, token))
         source = f"{url}/{SOURCE}"
         return url, source.replace("http", "ws", 1) if kind == WEBSOCKET else source
 
     async def create_channel(self, exchange: Exchange, service: ServiceDescription) -> Channel:
-        """The channel that a request asks for. Raises Problems, and BodyError for what cannot be read."""
+        """Return the channel that a request asks for. Raises Problems, and BodyError for what cannot be read."""
         check_profile(exchange.header("content-type"))
         media_type = exchange.media_type
         data = exchange.to_utf8(await read_body(exchange.request, limit=MAX_BYTES))
@@ -426,7 +426,7 @@ def source_item() -> PathItem:
 
 
 def channel_of(notifications: Notifications, kind: str, token: str) -> Channel:
-    """The channel of a type with a token. Raises a 404 Problem."""
+    """Return the channel of a type with a token. Raises a 404 Problem."""
     channel = notifications.channels.find(token)
     if channel.terms.type != kind:
         raise Problem(404, f"There is no such channel of type {kind}.")
@@ -434,7 +434,7 @@ def channel_of(notifications: Notifications, kind: str, token: str) -> Channel:
 
 
 def fixed_resources(notifications: Notifications) -> Sequence[DescribedResource]:
-    """The resources of notifications that never change."""
+    """Return the resources of notifications that never change."""
     container = notifications.space.container(ROUTE)
     services = (SubscriptionService(notifications, service) for service in notifications.services)
     return (

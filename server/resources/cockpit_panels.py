@@ -82,7 +82,7 @@ class QueryTables:
         self._found: OrderedDict[tuple[str, str], tuple[float, PageResults]] = OrderedDict()
 
     def find(self, key: tuple[str, str]) -> PageResults | None:
-        """The results under a key, if they are new enough."""
+        """Return the results under a key, if they are new enough."""
         found = self._found.get(key)
         return None if found is None or time.monotonic() - found[0] > _TABLE_SECONDS else found[1]
 
@@ -185,7 +185,7 @@ class PanelReader:
     # Resources
 
     def _find(self, url: str) -> Resource:
-        """The resource at a URL of this robot. Raises Problems."""
+        """Return the resource at a URL of this robot. Raises Problems."""
         path = url.removeprefix(self._session.space.base).partition("#")[0].partition("?")[0]
         try:
             return self._sources.at(f"/{path}")
@@ -249,7 +249,7 @@ class PanelReader:
         return found
 
     def _space(self, urls: Sequence[str]) -> tuple[PanelContent, str]:
-        """The view at a URL, or that of topics."""
+        """Return the view at a URL, or that of topics."""
         base = self._session.space.base
         if isinstance(self._find(urls[0]), SpaceResource):
             reference = urls[0].removeprefix(base)
@@ -353,7 +353,7 @@ class PanelReader:
 
 
 def _with_action(form: Form, url: str, location: Location) -> Form:
-    """A form that posts to a URL wherever it stands, and tells what it does there."""
+    """Return a form that posts to a URL wherever it stands, and tells what it does there."""
     if form.action or isinstance(form, EditForm):
         return form
     if isinstance(form, MessageForm) and location.kind == "services":

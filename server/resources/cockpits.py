@@ -82,13 +82,13 @@ async def filled_state(cockpit: Cockpit, document: State, reader: PanelReader) -
 
 
 def cockpit_tabs(documents: Documents) -> tuple[tuple[str, str], ...]:
-    """The URLs of the default cockpit and the first of those that clients keep, with what they are called."""
+    """Return the URLs of the default cockpit and the first of those that clients keep, with what they are called."""
     space = documents.space
     return ((space.cockpit(DEFAULT), "Default"), *cockpit_titles(documents.records, space, _MAX_TABS))
 
 
 def copy_form(site: Site, source: str) -> CopyForm | None:
-    """The form that keeps a copy, None where the reader may keep none."""
+    """Return the form that keeps a copy, None where the reader may keep none."""
     return None if site.read_only or not site.may("POST", f"{site.base}{ROUTE}") else CopyForm(source)
 
 
@@ -113,7 +113,7 @@ class _ShownPage(Resource):
         return await filled_state(await self.cockpit(), await super().state(), self._reader)
 
     def redact(self, state: State, permissions: Permissions) -> State:
-        """The state: its panels were read for the agent."""
+        """Return the state: its panels were read for the agent."""
         return state
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:
@@ -341,7 +341,7 @@ class CockpitContainer(ContainerResource):
         return MemberColumns(("title",), {url: (name,) for url, name in cockpit_tabs(self.documents)})
 
     async def post(self, exchange: Exchange) -> Answer:
-        """A cockpit, or the copy of one that a form asks for."""
+        """Return a cockpit, or the copy of one that a form asks for."""
         return await (self._copy(exchange) if exchange.essence == JSON else super().post(exchange))
 
     async def _copy(self, exchange: Exchange) -> Answer:
@@ -368,7 +368,7 @@ class CockpitContainer(ContainerResource):
         return CreatedAnswer(made.url, made, state_of(documents, record))
 
     async def _source(self, url: str, permissions: Permissions) -> Cockpit:
-        """The cockpit at a URL, with the panels that the agent may know of. Raises a 404 Problem."""
+        """Return the cockpit at a URL, with the panels that the agent may know of. Raises a 404 Problem."""
         space = self.documents.space
         if url == space.cockpit(DEFAULT) and permissions.may_read(url):
             found = await DefaultCockpit(self._sources).cockpit()

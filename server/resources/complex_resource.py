@@ -269,7 +269,7 @@ class ComplexResource(CommandResource):
         return RobotWrite(f"write {', '.join(name for name, _ in writes) or 'nothing'} of {self.path}", carried_out_all)
 
     def affected_names(self, tree: ResourceTree) -> tuple[str, ...]:
-        """The names that a write through its graph concerns."""
+        """Return the names that a write through its graph concerns."""
         plan = tree.complex(self.path)
         return (self.path, *(member.source.name for member in plan.members)) if plan is not None else (self.path,)
 

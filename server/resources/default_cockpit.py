@@ -153,5 +153,5 @@ def _names(topic: Topic) -> frozenset[str]:
 
 
 def _some(topics: Iterable[Topic], fits: Callable[[str], bool], most: int) -> list[Topic]:
-    """The first topics of a type that fits."""
+    """Return the first topics of a type that fits."""
     return [each for each in topics if any(map(fits, _names(each)))][:most]

@@ -133,7 +133,7 @@ class DiagnosticsResource(Resource):
         )
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:
-        """Each of its topics tells of itself; what falls silent is looked for now and then."""
+        """Return each of its topics tells of itself; what falls silent is looked for now and then."""
         watches = [await self.session.topics.watch(topic, wake) for topic in self._topics(self.session.graph)]
         return combine_watches(*watches, call_every(_LOOK_SECONDS, wake))
 

@@ -93,7 +93,7 @@ class EntryResource(Resource):
         return render_entry(EntryPage(site, state.document, shown, self._example(whole, site), (*troubles, *notices)))
 
     def _example(self, graph: Graph, site: Site) -> str | None:
-        """The URL of a topic worth trying: a small one that somebody publishes."""
+        """Return the URL of a topic worth trying: a small one that somebody publishes."""
         topics = [topic for topic in graph.topics.values() if topic.publishers and topic.type is not None]
         topics = [topic for topic in topics if site.may("GET", self.session.space.topic(topic.name))]
         topics.sort(key=lambda topic: (topic.name in RESERVED, len(topic.name), topic.name))

@@ -177,7 +177,7 @@ class EventStreamResource(Resource):
         return StreamLink(url) if times is None else StreamLink(url, *times)
 
     async def _members(self, page: PageNumber) -> Sequence[Document]:
-        """All messages of a page: those of many bytes are read and lifted some at a time."""
+        """Return all messages of a page: those of many bytes are read and lifted some at a time."""
         found: list[Document] = []
         start: int | None = page.start
         describe = partial(self._member, simulated_time=self.session.graph.simulated_time)
@@ -202,7 +202,7 @@ class EventStreamResource(Resource):
 def event_stream_page(
     session: Session, states: VersionCache[State], history: History, recording: Recording, name: str
 ) -> EventStreamResource:
-    """The page of this name. Raises 404 and 410 Problems."""
+    """Return the page of this name. Raises 404 and 410 Problems."""
     identity, *numbers = name.split("-")
     if not _NAME.fullmatch(name):
         raise Problem(404, f"{name[:60]} is no page of the stream: {_url(session.space, recording)} links to them.")

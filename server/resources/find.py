@@ -135,7 +135,7 @@ class FindResource(Resource):
         return PathItem("The search", plain=_RESULTS, query=(_QUERY, _VALUES, FORMAT))
 
     async def select_variant(self, exchange: Exchange) -> Resource:
-        """The search for what `?q=` says, as the agent may see it. Raises a 400 Problem for too many words."""
+        """Return the search for what `?q=` says, as the agent may see it. Raises a 400 Problem for too many words."""
         query = " ".join(exchange.query.get("q", "").split())
         try:
             terms_of(query)
@@ -167,11 +167,11 @@ class FindResource(Resource):
         return State(describe, lambda: plain, digest(plain))
 
     def document(self) -> Document:
-        """The search itself, while nothing is searched for."""
+        """Return the search itself, while nothing is searched for."""
         return unasked_document(self.url, self.session.space)
 
     async def _results_of(self, hits: Sequence[Hit]) -> Sequence[SearchResult]:
-        """The results, each with its latest value where that is at hand."""
+        """Return the results, each with its latest value where that is at hand."""
         values = await self._values([hit.entry for hit in hits])
         small = {url: thumbnail(latest, url) for url, latest in values.items()}
         self._pictures = {url: picture for url, picture in small.items() if picture is not None}
@@ -221,7 +221,7 @@ class FindResource(Resource):
         await asyncio.gather(*map(self.session.topics.read, light), return_exceptions=True)
 
     def _plain(self) -> bytes:
-        """The results as plain JSON: as many as fit, with as many values as fit."""
+        """Return the results as plain JSON: as many as fit, with as many values as fit."""
         head = {"query": self._text, "total": self._total}
         if not self._text:
             return orjson.dumps({**head, "template": search_template(self.session.space), "results": []})

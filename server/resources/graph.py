@@ -115,7 +115,7 @@ class GraphResource(Resource):
         return (self.session.space.document_shape("Source"),)
 
     async def select_variant(self, exchange: Exchange) -> Resource:
-        """The part that the query asks for, as the agent may see it. Raises a 400 Problem."""
+        """Return the part that the query asks for, as the agent may see it. Raises a 400 Problem."""
         below = exchange.query.get("below", "")
         if below and (not below.startswith("/") or len(below) > _MAX_NAME):
             raise Problem(400, f"?below={below[:40]}: a name of the robot, such as /camera.")
@@ -144,7 +144,7 @@ class GraphResource(Resource):
         return edges_document(self.url, views, self.session.space, urls, problems)
 
     def _graph(self) -> Graph:
-        """The graph of now, as it is listed."""
+        """Return the graph of now, as it is listed."""
         return listed_graph(self.session.graph, self.session.adapter.capabilities)
 
     def _diagram(self, graph: Graph) -> Diagram:
@@ -172,7 +172,7 @@ class GraphResource(Resource):
         return f"fell silent: no message since {since}, {view.rate:.2g} a second before"
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
-        """The drawing as SVG, folded where it is large, or whole as DOT, where that is preferred."""
+        """Return the drawing as SVG, folded where it is large, or whole as DOT, where that is preferred."""
         wanted = exchange.query.get("format")
         media_type = (
             choose_offer(exchange.accept, (*OFFERS, *_DRAWINGS.values())) if wanted is None else _DRAWINGS.get(wanted)

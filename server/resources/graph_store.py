@@ -186,7 +186,7 @@ class GraphStore(Resource):
         )
 
     async def select_variant(self, exchange: Exchange) -> Resource:
-        """The graph that the query string names, as the resource at its own URL.
+        """Return the graph that the query string names, as the resource at its own URL.
 
         Raises a 400 Problem for a write that names none (SPARQL 1.1 Graph Store Protocol 4.2).
         """
@@ -325,7 +325,7 @@ class DatasetResource(_Whole):
         return READ if self._updates is None else READ | {"PUT", "POST"}
 
     async def put(self, exchange: Exchange) -> Answer:
-        """Each graph that the body names, and that clients keep, says what it says there; all others stay."""
+        """Return each graph that the body names, and that clients keep, says what it says there; all others stay."""
         return await self._take(exchange, replaces=True)
 
     async def post(self, exchange: Exchange) -> Answer:

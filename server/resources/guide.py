@@ -41,7 +41,7 @@ class GuideResource(Resource):
 
 
 def guide_text(name: str, space: Space, *, read_only: bool) -> str:
-    """The guide in Markdown: a title, a summary, what to know, links."""
+    """Return the guide in Markdown: a title, a summary, what to know, links."""
     base = space.base
     writing = "This server is read-only." if read_only else _WRITING
     return f"""# {" ".join(name.split()) or "rosld"}

@@ -98,7 +98,7 @@ _KEEP = QueryParameter("keep", "Whether the event stream that is asked for keeps
 
 
 def hold_parameters(longest: float, required: str = "") -> tuple[QueryParameter, ...]:
-    """The parameters of what begins a hold, or changes it; `longest` is the longest time that it may ask for."""
+    """Return the parameters of what begins a hold, or changes it; `longest` is the longest time that it may ask for."""
     most = {"rate": MAX_RATE, "lease": MAX_LEASE, "for": longest}
     return tuple(
         QueryParameter(
@@ -120,7 +120,7 @@ def hold_schema(schemas: MessageSchemas, schema: MessageSchema | None) -> DataSc
 def hold_form(
     session: Session, topic: str, schema: MessageSchema, latest: Json, bounds: Mapping[str, Bounds]
 ) -> HoldForm:
-    """The form that holds a topic, with a pad where that commands a velocity."""
+    """Return the form that holds a topic, with a pad where that commands a velocity."""
     lifted = lifter(schema, session.lifting).json(zero_message(schema, session.lifting), session.space.topic(topic))
     zero = cast(Json, parse_json(lifted))
     is_velocity = schema.ref.name in TWISTS
@@ -208,7 +208,7 @@ class HoldResource(Resource):
         return self.holds.changes.watch(wake, lambda about: about == self.id)
 
     def state_of(self, hold: Hold) -> State:
-        """The state of this hold as it stood."""
+        """Return the state of this hold as it stood."""
         shapes = self.session.space.shapes_of(hold.message.schema)
         return self.states.get_or_make(
             self.url,
@@ -217,7 +217,7 @@ class HoldResource(Resource):
         )
 
     def document(self, hold: Hold) -> Document:
-        """The RDF of this hold as it stood."""
+        """Return the RDF of this hold as it stood."""
         view = HoldView(
             hold.id,
             hold.topic,
@@ -314,7 +314,7 @@ class HoldResource(Resource):
         return Response(status_code=204)
 
     async def _changed_message(self, exchange: Exchange, publishing: Publisher, hold: Hold) -> HeldMessage:
-        """The command after the change that a body asks for."""
+        """Return the command after the change that a body asks for."""
         data = await exchange.body()
         if not data.strip():
             return hold.message
@@ -424,7 +424,7 @@ async def _then(
 async def _message_at(
     url: str, space: Space, lifting: LiftSettings, schema: MessageSchema, find: Find | None
 ) -> Message:
-    """The message that stands at a URL of this server now. Raises Problems (422), and LoweringError."""
+    """Return the message that stands at a URL of this server now. Raises Problems (422), and LoweringError."""
     base = space.base
     whole = urljoin(base, url)
     document, _, fragment = whole.partition("#")

@@ -182,5 +182,5 @@ def holds_listing(space: Space, states: VersionCache[State], holds: Holds) -> Li
 
 
 def time_cell(nanoseconds: int | None) -> Cell:
-    """A time in a table, nothing where there is none."""
+    """Return a time in a table, nothing where there is none."""
     return date_time_literal(nanoseconds) or ""

@@ -55,7 +55,7 @@ def _outline(
 
 
 def topic_cells(topic: Topic, latest: LatestValue | None, space: Space) -> tuple[Cell, ...]:
-    """The cells of a topic: its type, its latest value and rate as far as they are at hand, its endpoints."""
+    """Return the cells of a topic: its type, its latest value and rate as far as they are at hand, its endpoints."""
     kind = NamedNode(space.class_of(topic.type.name)) if topic.type else ", ".join(ref.name for ref in topic.types)
     value = "" if latest is None or latest.json is None else brief_text(latest.json)
     picture = None if latest is None else thumbnail(latest, space.topic(topic.name))
@@ -64,7 +64,7 @@ def topic_cells(topic: Topic, latest: LatestValue | None, space: Space) -> tuple
 
 
 def thumbnail(latest: LatestValue, url: str) -> Thumbnail | None:
-    """The small picture of the topic at a URL; None where its latest value is no picture that is drawn.
+    """Return the small picture of the topic at a URL; None where its latest value is no picture that is drawn.
 
     Its address is another one with each message, so that a page that is kept up to date fetches it again then only.
     """
@@ -76,12 +76,12 @@ def thumbnail(latest: LatestValue, url: str) -> Thumbnail | None:
 
 
 def service_cells(service: Service, space: Space) -> tuple[Cell, ...]:
-    """The cells of a service: its type and who provides it."""
+    """Return the cells of a service: its type and who provides it."""
     kind = NamedNode(space.class_of(service.type.name)) if service.type else ""
     return (kind, NamedNode(space.node(service.providers[0])) if service.providers else "")
 
 
 def action_cells(action: Action, space: Space) -> tuple[Cell, ...]:
-    """The cells of an action: its type and who serves it."""
+    """Return the cells of an action: its type and who serves it."""
     kind = NamedNode(space.class_of(action.type.name)) if action.type else ""
     return (kind, NamedNode(space.node(action.servers[0])) if action.servers else "")

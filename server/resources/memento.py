@@ -68,7 +68,7 @@ def memento_datetime(time_ns: int) -> str:
 
 
 def parse_accept_datetime(text: str) -> int:
-    """The end of the second that Accept-Datetime names, in ns. Raises a 400 Problem."""
+    """Return the end of the second that Accept-Datetime names, in ns. Raises a 400 Problem."""
     try:
         at = parsedate_to_datetime(text).astimezone(timezone.utc)
     except (ValueError, TypeError, OverflowError) as error:
@@ -145,7 +145,7 @@ class TimeMap(Resource):
         return time_map_response(self, exchange, self._original, times, after)
 
     async def _page(self) -> tuple[list[int], str | None]:
-        """The times of the mementos, and the URL of the TimeMap that goes on; None where it ends here."""
+        """Return the times of the mementos, and the URL of the TimeMap that goes on; None where it ends here."""
         if not self._topics:
             return [], None
         settled = time.time_ns() - SETTLED_NS

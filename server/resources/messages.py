@@ -26,7 +26,7 @@ class DecodedSample:
 
 
 async def decode(schemas: Schemas, sample: Sample) -> DecodedSample:
-    """A sample's message, or why it cannot be read."""
+    """Return a sample's message, or why it cannot be read."""
     try:
         schema = await schemas.message(sample.schema)
         return DecodedSample(sample, schema, schema.codec.decode(sample.data, sample.encoding))
@@ -35,7 +35,7 @@ async def decode(schemas: Schemas, sample: Sample) -> DecodedSample:
 
 
 def lift_sample(space: Space, lifting: LiftSettings, one: DecodedSample) -> LiftedMessage:
-    """A decoded sample as the `#message` of a document."""
+    """Return a decoded sample as the `#message` of a document."""
     assert one.schema is not None
     assert one.message is not None
     publisher = space.node(one.sample.publisher) if one.sample.publisher else None
@@ -44,7 +44,7 @@ def lift_sample(space: Space, lifting: LiftSettings, one: DecodedSample) -> Lift
 
 
 async def field_response(schemas: Schemas, sample: Sample, path: str) -> Response:
-    """The bytes of one field of a message; a 404 Problem where it has none of that path."""
+    """Return the bytes of one field of a message; a 404 Problem where it has none of that path."""
     decoded = await decode(schemas, sample)
     if decoded.schema is None or decoded.message is None:
         raise Problem(406, f"The message cannot be read: {decoded.reason}.")

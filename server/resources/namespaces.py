@@ -52,7 +52,7 @@ _namespaces: IdentityCache[Mapping[str, object], Namespaces] = IdentityCache(mem
 
 
 def things_of(graph: Graph, route: str) -> Mapping[str, object]:
-    """The things of one route by name."""
+    """Return the things of one route by name."""
     routes: Mapping[str, Mapping[str, object]] = {
         "nodes": graph.nodes,
         "topics": graph.topics,
@@ -64,7 +64,7 @@ def things_of(graph: Graph, route: str) -> Mapping[str, object]:
 
 
 def namespaces(graph: Graph, route: str) -> Namespaces:
-    """The namespaces of one route with their members."""
+    """Return the namespaces of one route with their members."""
     return _namespaces(things_of(graph, route))
 
 
@@ -79,7 +79,7 @@ def _kept_if(is_kept: Callable[[str, _V], bool], things: Mapping[str, _V]) -> Ma
 
 
 def _unhidden(graph: Graph) -> Graph:
-    """The graph without hidden names; parameters are hidden where their nodes are, whatever those call them."""
+    """Return the graph without hidden names; parameters are hidden where their nodes are, whatever those call them."""
 
     def shown(things: Mapping[str, _V]) -> Mapping[str, _V]:
         return _kept_if(lambda name, _: not names.is_hidden(name), things)
@@ -98,7 +98,7 @@ _listed: IdentityCache[Graph, Graph] = IdentityCache(_unhidden)
 
 
 def listed_graph(graph: Graph, capabilities: Capabilities) -> Graph:
-    """The graph as listings tell it: without hidden names, where the robot's kind of system has them."""
+    """Return the graph as listings tell it: without hidden names, where the robot's kind of system has them."""
     return _listed(graph) if capabilities.hidden_names else graph
 
 
@@ -107,12 +107,12 @@ LISTING_PARAMETERS = (FORMAT, _HIDDEN)
 
 
 def with_hidden(url: str) -> str:
-    """The URL at which a container tells its hidden members too."""
+    """Return the URL at which a container tells its hidden members too."""
     return f"{url}?{HIDDEN}"
 
 
 def listing_query(place: PagePosition | None, *, hidden: bool) -> str:
-    """The query of a listing's URL: of the page at `place`, or of all; with `hidden` members or without."""
+    """Return the query of a listing's URL: of the page at `place`, or of all; with `hidden` members or without."""
     parts = [HIDDEN] if hidden else []
     return "&".join(parts if place is None else [*parts, page_query(place.token)])
 
@@ -149,7 +149,7 @@ class ListedNamespace:
         return names.join(self.namespace) in things_of(self.graph, self.route)
 
     def document(self, space: Space, members: Members) -> Document:
-        """The namespace with these members, or these of them; where some are left out it links to all."""
+        """Return the namespace with these members, or these of them; where some are left out it links to all."""
         whole = with_hidden(space.container(self.route, self.namespace)) if self.leaves_out else None
         return namespace_document(self.route, self.namespace, members, space, is_name=self.is_name, whole=whole)
 
@@ -163,12 +163,12 @@ def count_members(members: Members) -> int:
 
 
 def member_keys(members: Members) -> list[str]:
-    """The members as they end their URLs, in the order of pages."""
+    """Return the members as they end their URLs, in the order of pages."""
     return sorted([*map(encode_segment, members.leaves), *(f"{encode_segment(one)}/" for one in members.namespaces)])
 
 
 def members_from_keys(ends: Sequence[str]) -> Members:
-    """The members whose URLs end so: the inverse of `member_keys`."""
+    """Return the members whose URLs end so: the inverse of `member_keys`."""
     leaves = tuple(sorted(decode_segment(end) for end in ends if not end.endswith("/")))
     return Members(leaves, tuple(sorted(decode_segment(end[:-1]) for end in ends if end.endswith("/"))))
 
@@ -225,7 +225,7 @@ class NamespaceContainer(Resource):
         return (self.session.space.document_shape("Container"),)
 
     async def select_variant(self, exchange: Exchange) -> Resource:
-        """The page that `?page=` asks for, the first of many pages (303)."""
+        """Return the page that `?page=` asks for, the first of many pages (303)."""
         if exchange.method not in ("GET", "HEAD"):
             return self
         hidden, token = exchange.query_flag("hidden"), exchange.query.get("page")
@@ -296,14 +296,14 @@ class NamespaceContainer(Resource):
         )
 
     def _members(self, now: ListedNamespace) -> Members:
-        """The members; a Problem where there is no such namespace."""
+        """Return the members; a Problem where there is no such namespace."""
         members = now.members
         if members is None:
             raise self._missing(now)
         return members
 
     def _page(self, place: PagePosition, members: Members) -> tuple[LdpPage, Members]:
-        """A page, and the members it tells of."""
+        """Return a page, and the members it tells of."""
         page, told = page_of_names(self._sequence, place, member_keys(members))
         return page, members_from_keys(told)
 

@@ -189,7 +189,7 @@ class NodeResource(CommandResource):
 
 
 async def _label_in(exchange: Exchange, url: str) -> str:
-    """The transition that a body asks for. Raises BodyError, LoweringError."""
+    """Return the transition that a body asks for. Raises BodyError, LoweringError."""
     data = await exchange.body()
     found: Sequence[object]
     if exchange.media_type == JSON:

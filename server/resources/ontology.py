@@ -38,12 +38,12 @@ class OntologyResource(Resource):
         return self.states.get_or_make(self.url, 0, lambda: State(self.document))
 
     def document(self) -> Document:
-        """The module; it says nothing of its URL here, so that it is the same ontology everywhere."""
+        """Return the module; it says nothing of its URL here, so that it is the same ontology everywhere."""
         return Document(self.url, served_triples(self.name))
 
 
 def ontology_route(space: Space, states: VersionCache[State], location: Location) -> Resource:
-    """The module of the vocabulary at `/ontology` or below. Raises a 404 Problem where there is none."""
+    """Return the module of the vocabulary at `/ontology` or below. Raises a 404 Problem where there is none."""
     if location.is_container:
         raise permanent_redirect(space.url("ontology", location.segments))
     version = location.segments[0] if location.segments[:1] == (VERSION,) else ""

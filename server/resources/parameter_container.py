@@ -75,7 +75,7 @@ class ParameterContainer(ParameterBase):
         return self.state_of(await self._value())
 
     def state_of(self, value: ParameterValue | None) -> State:
-        """The state with this value. Raises a 404 Problem where it is none of a tree."""
+        """Return the state with this value. Raises a 404 Problem where it is none of a tree."""
         if value is None and not self.namespace:
             value = {}
         if not isinstance(value, dict):
@@ -141,7 +141,7 @@ class ParameterContainer(ParameterBase):
     def _page(
         self, place: PagePosition, tree: Mapping[str, ParameterValue]
     ) -> tuple[LdpPage, dict[str, ParameterValue]]:
-        """A page, and what of the tree it tells."""
+        """Return a page, and what of the tree it tells."""
         keys = {encode_segment(key) + ("/" if isinstance(tree[key], dict) else ""): key for key in tree}
         page, told = page_of_names(self._sequence, place, sorted(keys))
         return page, {keys[end]: tree[keys[end]] for end in told}
@@ -163,7 +163,7 @@ class ParameterContainer(ParameterBase):
 
 
 def _outline(listed: ListedNamespace) -> Outline:
-    """The members of a namespace and of all below it, without values."""
+    """Return the members of a namespace and of all below it, without values."""
     members = listed.members
     if members is None:
         return {}

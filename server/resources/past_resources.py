@@ -266,7 +266,7 @@ class ComplexTimeGate(_TimeGate, ComplexResource):
 
 
 def asked_time(history: History, url: str, exchange: Exchange) -> tuple[int, str] | None:
-    """The time that `?at=` asks for, and its text; None where nothing does. Raises Problems: 302, 400, 404."""
+    """Return the time that `?at=` asks for, and its text; None where nothing does. Raises Problems: 302, 400, 404."""
     wanted = exchange.headers.get("accept-datetime")
     if exchange.method not in ("GET", "HEAD") or ("at" not in exchange.query and wanted is None):
         return None
@@ -291,7 +291,7 @@ def asks_for_time_map(history: History, exchange: Exchange) -> bool:
 
 
 def _recorded_topic(history: History, property: Property) -> str | None:
-    """The recorded topic that tells the past of a property; None where nothing does."""
+    """Return the recorded topic that tells the past of a property; None where nothing does."""
     topics = (each.name for each in property.readers if isinstance(each, TopicSource))
     return next((each for each in topics if is_recorded(history, each)), None)
 
@@ -302,7 +302,7 @@ def _recorded_topics(history: History, properties: Sequence[Property]) -> frozen
 
 
 def _settle(state: State, at_ns: int) -> State:
-    """A state with the headers of a memento, once nothing can change it any more."""
+    """Return a state with the headers of a memento, once nothing can change it any more."""
     is_settled = at_ns < time.time_ns() - SETTLED_NS
     headers = {"memento-datetime": memento_datetime(at_ns)} if is_settled else {}
     return replace(

@@ -374,7 +374,7 @@ class MemberResource(CommandResource):
         return RobotWrite(f"write {self.name}", carried_out)
 
     def affected_names(self, tree: ResourceTree) -> tuple[str, ...]:
-        """The names that a write through its graph concerns."""
+        """Return the names that a write through its graph concerns."""
         plan = tree.property(self.name)
         return (self.name,) if plan is None else (self.name, plan.source.name)
 
@@ -397,7 +397,7 @@ class MemberResource(CommandResource):
         return tree, plan
 
     def _whole(self, plan: PropertyPlan, snapshot: Snapshot, content: object) -> object:
-        """The content of the whole property, where what is written is one field of it."""
+        """Return the content of the whole property, where what is written is one field of it."""
         field = plan.member.field
         return (
             content

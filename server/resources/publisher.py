@@ -157,7 +157,7 @@ class Publisher:
                     raise Problem(409, f"The {predicate.value} of {self.name} is {value!r} and cannot become {term}.")
 
     async def _schema_for(self, topic: Topic | None, body: RdfBody) -> MessageSchema:
-        """The schema of the topic's type; of the type that the body states where it has none yet."""
+        """Return the schema of the topic's type; of the type that the body states where it has none yet."""
         has_type = topic is not None and bool(topic.types)
         return await (self._schema(topic) if has_type else self._stated_schema(body))
 
@@ -170,7 +170,7 @@ class Publisher:
             raise Problem(409, f"Nothing can be published on {self.name}: {error.sentence}.") from error
 
     async def _stated_schema(self, body: RdfBody) -> MessageSchema:
-        """The schema of the type that the body states: of `#message`, or the topic's `ros:hasMessageType`."""
+        """Return the schema of the type that the body states: of `#message`, or the topic's `ros:hasMessageType`."""
         base = self.session.space.types
         stated = [
             *body.objects(NamedNode(f"{self.url}#message"), rdf.type),

@@ -168,7 +168,7 @@ class QueryRunner:
         given: Mapping[str, str],
         asked: QueryRequest,
     ) -> Response:
-        """The page: with results where all parameters are there, with the reason where they are not."""
+        """Return the page: with results where all parameters are there, with the reason where they are not."""
         results: PageResults | None = None
         notices: tuple[Notice, ...] = ()
         status, also = 200, dict[str, str]()
@@ -383,11 +383,11 @@ class QueryContainer(ContainerResource):
         return _list(document, shipped, kept, titled=self._parts.minimal)
 
     def _shipped(self) -> dict[str, str]:
-        """The purposes of the queries that come with rosld, on the page that tells of them: the first."""
+        """Return the purposes of the queries that come with rosld, on the page that tells of them: the first."""
         return _shipped(self.documents, self.queries) if self._place is None or self._place.after == 0 else {}
 
     def _stored_queries(self) -> list[tuple[str, StoredQuery]]:
-        """The queries that this page tells of."""
+        """Return the queries that this page tells of."""
         if self._place is None:
             records = list(self.queries.stored_records())
         else:
@@ -405,7 +405,7 @@ def _shipped(documents: Documents, queries: StoredQueries) -> dict[str, str]:
 
 
 def _list(document: Document, shipped: Mapping[str, str], kept: Mapping[str, str], *, titled: bool) -> Document:
-    """The container with its queries' purposes. That they are queries they say themselves, and nobody else."""
+    """Return the container with its queries' purposes. That they are queries they say themselves, and nobody else."""
     container = NamedNode(document.url)
     more = triples_about(
         container,
@@ -438,7 +438,7 @@ def queries_document(documents: Documents, queries: StoredQueries) -> Callable[[
 
 
 def _describe(documents: Documents, queries: StoredQueries, record: Record) -> State:
-    """The description of a kept query: that of the file, and what its text says."""
+    """Return the description of a kept query: that of the file, and what its text says."""
     state = state_of(documents, record)
 
     def describe() -> Document:

@@ -63,7 +63,7 @@ class FollowedCondition:
     """What a recording waits for: the resource, and whether its condition holds as an agent may see it."""
 
     def __init__(self, resource: Resource, expression: str, permissions: Permissions) -> None:
-        """Raises a 400 Problem for what is no condition."""
+        """Raise a 400 Problem for what is no condition."""
         self.resource = resource
         self.permissions = permissions
         self.until = Until(expression, self._view)
@@ -215,12 +215,12 @@ def may_read_topic(space: Space, permissions: Permissions, topic: str) -> bool:
 
 
 def named_topics(order: RecordingOrder) -> Sequence[str]:
-    """The topics that an order names; a glob takes those that may be read."""
+    """Return the topics that an order names; a glob takes those that may be read."""
     return [topic for topic in order.topics if not set(topic) & set("*?[")]
 
 
 def urls_of(order: RecordingOrder, space: Space) -> Sequence[str]:
-    """The URLs of the topics that an order names, globs as if they were names, and of what it waits for."""
+    """Return the URLs of the topics that an order names, globs as if they were names, and of what it waits for."""
     trigger = () if order.trigger is None else (order.trigger.resource or order.trigger.condition,)
     topics = (space.topic(each if each.startswith("/") else f"/{each}") for each in order.topics)
     return (*topics, *(urljoin(space.base, each) for each in trigger))

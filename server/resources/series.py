@@ -73,7 +73,7 @@ class SeriesResource(Resource):
         )
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
-        """The columns as CSV (RFC 4180), where that is asked for."""
+        """Return the columns as CSV (RFC 4180), where that is asked for."""
         asked = exchange.query.get("format")
         wanted = choose_offer(exchange.accept, (*OFFERS, CSV)) if asked is None else asked
         if wanted not in (CSV, "csv"):
@@ -109,7 +109,7 @@ class FieldValues:
         """Types that have a number at the path."""
 
     def value_of(self, sample: Sample) -> float | None:
-        """The number of a sample; None where it has none, and `problem` says why. In any thread."""
+        """Return the number of a sample; None where it has none, and `problem` says why. In any thread."""
         schema = self._schema(sample.schema)
         if schema is None:
             return None
@@ -124,7 +124,7 @@ class FieldValues:
         return number if math.isfinite(number) else None
 
     def values_of(self, block: MessageBlock) -> Iterator[tuple[int, float | None]]:
-        """The numbers of many, each with when it was received: of all at once where they are laid out alike."""
+        """Yield the numbers of many, each with when it was received: of all at once where they are laid out alike."""
         if block.rows is not None and len(block.rows.times):
             schema = self._schema(block.channel.type)
             if schema is not None and schema.ref in self._numeric:
@@ -161,7 +161,7 @@ def _suggestion(schema: MessageSchema, path: str) -> str:
 
 
 def columns(series: Series) -> dict[str, list[float | str]]:
-    """A series as columns: time and value of each message, or what the intervals come to."""
+    """Return a series as columns: time and value of each message, or what the intervals come to."""
     points: Sequence[Point] = series.points
     times: list[float | str] = [_utc_text(each.time_ns) for each in points]
     if not series.is_reduced:
@@ -176,7 +176,7 @@ def columns(series: Series) -> dict[str, list[float | str]]:
 
 
 def series_of(space: Space, history: History, topic: str, exchange: Exchange) -> SeriesResource:
-    """The series that a request to a topic asks for. Raises Problems."""
+    """Return the series that a request to a topic asks for. Raises Problems."""
     require_history(history, topic)
     query, now = exchange.query, time.time_ns()
     field = query["series"]
@@ -206,7 +206,7 @@ def require_history(history: History, topic: str) -> None:
 
 
 def read_time(text: str, now_ns: int) -> int:
-    """A time in ns: an xsd:dateTime, or seconds before now with a minus. Raises a 400 Problem.
+    """Return a time in ns: an xsd:dateTime, or seconds before now with a minus. Raises a 400 Problem.
 
     What is earlier or later than any message can be is the first or the last time that a message can have.
     """

@@ -28,7 +28,7 @@ async def read_request(
     schema: ServiceSchema,
     url: str,
 ) -> Message:
-    """The request of a service in a body sent to `url`; raises as `read_message`."""
+    """Return the request of a service in a body sent to `url`; raises as `read_message`."""
     return await read_message(exchange, space, lifting, limit_checks, Kind.SERVICE, service, schema.request, url)
 
 
@@ -42,7 +42,7 @@ async def read_message(
     schema: MessageSchema,
     url: str,
 ) -> Message:
-    """The request or the goal in a body sent to `url`, for what is called `name`.
+    """Return the request or the goal in a body sent to `url`, for what is called `name`.
 
     No body is a message without fields: for one that has some, `{}` asks for its defaults, and a body that got lost
     does not move the robot. Raises BodyError, LoweringError, and Problems.
@@ -81,7 +81,7 @@ async def call_service(
 
 
 def call_problem(space: Space, outcome: CallOutcome) -> Problem | None:
-    """The Problem of a call that did not succeed, with the URL of the call; None where an answer came."""
+    """Return the Problem of a call that did not succeed, with the URL of the call; None where an answer came."""
     error = outcome.error
     if error is None:
         return None
@@ -98,7 +98,7 @@ def call_problem(space: Space, outcome: CallOutcome) -> Problem | None:
 
 
 def refusal_problem(space: Space, outcome: CallOutcome) -> Problem | None:
-    """The Problem of a call whose answer says `bool success` false: a refusal in the robot's words."""
+    """Return the Problem of a call whose answer says `bool success` false: a refusal in the robot's words."""
     call = outcome.call
     if call.response is None:
         return None

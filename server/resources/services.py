@@ -206,7 +206,7 @@ class CallResource(Resource):
         return self.session.calls.changes.watch(wake)
 
     def state_of(self, call: Call) -> State:
-        """The state of this call as it stood."""
+        """Return the state of this call as it stood."""
         return self._state(call, self._plain)
 
     def response_state_of(self, call: Call) -> State:
@@ -241,7 +241,7 @@ class CallResource(Resource):
         return orjson.dumps(described)[:-1] + rest
 
     def document(self, call: Call) -> Document:
-        """The RDF of this call as it stood."""
+        """Return the RDF of this call as it stood."""
         return call_document(_view(call), self.session.space, self.session.lifting)
 
     async def forms(self) -> Sequence[Form]:

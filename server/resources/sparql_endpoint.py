@@ -109,7 +109,7 @@ async def answer_query(
     disconnected: Disconnected | None = None,
     permissions: Permissions = ALLOW_ALL,
 ) -> Response:
-    """The response with the results of a query: where XML cannot carry them, in what else the client takes."""
+    """Return the response with the results of a query: where XML cannot carry them, in what else the client takes."""
     try:
         answer = await service.answer(request, accept, disconnected, permissions)
     except Problem as problem:
@@ -121,7 +121,7 @@ async def answer_query(
 
 
 def results_response(answer: QueryAnswer) -> Response:
-    """The response with the results of a query; streamed ones break off where they cannot be finished.
+    """Return the response with the results of a query; streamed ones break off where they cannot be finished.
 
     The field `Unread-Graphs` of a partial answer lists the documents that could not be read (RFC 9651 3.1).
     """
@@ -149,7 +149,7 @@ async def page_results(
     disconnected: Disconnected | None = None,
     permissions: Permissions = ALLOW_ALL,
 ) -> PageResults:
-    """The first rows of the answer to a query, for a page."""
+    """Return the first rows of the answer to a query, for a page."""
     table = await service.table(request, ROWS + 1, disconnected, permissions)
     left = "; ".join(f"{url}: {reason}" for url, reason in sorted(table.unread.items())[:_MAX_UNREAD])
     note = f"The answer is partial. Not read: {left}." if left else ""

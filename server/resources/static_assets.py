@@ -83,7 +83,7 @@ _FILES: Mapping[str, tuple[str, str]] = {
 
 
 def _file_resource(name: str, space: Space) -> FileResource:
-    """The file of a name in `FILES`."""
+    """Return the file of a name in `FILES`."""
     return FileResource(space, name, ASSETS["icon.svg" if name == "favicon.ico" else name], *_FILES[name])
 
 

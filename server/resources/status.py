@@ -69,7 +69,7 @@ class StatusResource(Resource):
 
 
 def status_document(space: Space, pauses: Pauses, graph: Graph, problems: ServerProblems) -> Document:
-    """The RDF of a server's status; times are in seconds."""
+    """Return the RDF of a server's status; times are in seconds."""
     longest, status = pauses.longest, NamedNode(space.base + ROUTE)
     return Document(
         status.value,

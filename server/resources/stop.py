@@ -102,7 +102,7 @@ class StopResource(Resource):
         return self.software_stop.changes.watch(wake)
 
     def document(self) -> Document:
-        """The RDF of the stop."""
+        """Return the RDF of the stop."""
         stops = self.software_stop
         stop_state = stops.stop_state
         return stop_document(
@@ -122,7 +122,7 @@ class StopResource(Resource):
         return self._plain_for(ALLOW_ALL)
 
     def _plain_for(self, permissions: Permissions) -> bytes:
-        """The stop as JSON, with the steps that the agent may know of."""
+        """Return the stop as JSON, with the steps that the agent may know of."""
         stops = self.software_stop
         stop_state = stops.stop_state
         since = None if stop_state is None else date_time_literal(stop_state.since_ns)

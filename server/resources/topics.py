@@ -199,7 +199,7 @@ class TopicResource(CommandResource):
         )
 
     async def state_of(self, view: TopicView) -> State:
-        """The state with these values; at once where the types of their messages are at hand."""
+        """Return the state with these values; at once where the types of their messages are at hand."""
         graph = self.session.graph
         topic = graph.topics.get(self.name) or Topic(self.name)
         hold = self.holds.find_by_topic(self.name)
@@ -304,7 +304,7 @@ class TopicResource(CommandResource):
         return (publish, hold) if hold.pad is None else (hold, publish)
 
     async def _latest_json(self) -> Json:
-        """The latest message as plain JSON, None where there is none that can be read."""
+        """Return the latest message as plain JSON, None where there is none that can be read."""
         view = self.session.topics.find_view(self.name)
         if view is None or view.newest is None:
             return None
@@ -314,7 +314,7 @@ class TopicResource(CommandResource):
         return cast(Json, parse_json(lifter(decoded.schema, self.session.lifting).json(decoded.message, self.url)))
 
     async def select_variant(self, exchange: Exchange) -> Resource:
-        """The resource out of the history that `?series=FIELD`, `?at=TIME` or `?timemap` asks for.
+        """Return the resource out of the history that `?series=FIELD`, `?at=TIME` or `?timemap` asks for.
 
         Raises the redirection to a memento that `Accept-Datetime` asks for (RFC 7089 4.1).
         """

@@ -216,7 +216,7 @@ class TypeContainer(Resource):
 
 
 async def schema_of(schemas: Schemas, ref: TypeRef) -> Schema:
-    """The schema of a type or of one of the messages of a service or an action; raises UnknownType."""
+    """Return the schema of a type or of one of the messages of a service or an action; raises UnknownType."""
     base, _, end = ref.name.rpartition("_")
     if any(part in ref.name and end in ends for part, ends in _HALVES.items()):
         whole = await schemas.get(TypeRef(base, ref.hash))
@@ -230,12 +230,12 @@ _HALVES = {"/srv/": ("Request", "Response"), "/action/": ("Goal", "Result", "Fee
 
 
 def known_types(adapter: AuditedAdapter) -> Sequence[TypeRef]:
-    """The types in use or met so far, each name and hash once."""
+    """Return the types in use or met so far, each name and hash once."""
     return list(dict.fromkeys([*adapter.known_types(), *used_types(adapter.graph)]))
 
 
 def child_names(listed: Sequence[str], route: str, namespace: tuple[str, ...]) -> tuple[str, ...]:
-    """The names that a container of types or shapes shows, of those `listed` by the robot."""
+    """Return the names that a container of types or shapes shows, of those `listed` by the robot."""
     depth = len(namespace)
     below = tuple(name for name in listed if tuple(name.split("/"))[:depth] == namespace)
     return (*below, *SHAPES_GRAPHS) if route == "shapes" and not namespace else below

@@ -63,7 +63,7 @@ class Exchange:
         return _remembered(raw) if len(raw) <= 4096 else _query(raw)
 
     def header(self, name: str) -> str | None:
-        """The value of a header field, None where it is missing; `name` is in lower case."""
+        """Return the value of a header field, None where it is missing; `name` is in lower case."""
         return self.headers.get(name)
 
     @property
@@ -144,7 +144,7 @@ class Exchange:
         return self._body
 
     async def body(self) -> bytes:
-        """The whole body in UTF-8, whatever charset it states; raises Problems as `raw_body`.
+        """Return the whole body in UTF-8, whatever charset it states; raises Problems as `raw_body`.
 
         Raises a 415 Problem for a charset that is not read here, and a 400 Problem for bytes that are none of it.
         """
@@ -197,7 +197,7 @@ def _query(raw: bytes) -> Mapping[str, str]:
 
 
 def query_pairs(raw: bytes) -> list[tuple[str, str]]:
-    """The names and values of a query string. Raises a 400 Problem."""
+    """Return the names and values of a query string. Raises a 400 Problem."""
     try:
         return parse_qsl(raw.decode("ascii"), keep_blank_values=True, errors="strict", max_num_fields=200)
     except (UnicodeDecodeError, ValueError) as error:

@@ -52,7 +52,7 @@ class LargeDocuments:
         self._making: dict[Hashable, asyncio.Future[tuple[Path, int]]] = {}
 
     async def file(self, name: Hashable, state: State, media_type: str) -> tuple[FileIO, int]:
-        """The representation of a state in a media type, opened, and its size; `name` tells it from all others.
+        """Return the representation of a state in a media type, opened, and its size; `name` tells it from all others.
 
         Raises CannotCarry, and the Problems of `WorkerPool.run`.
         """
@@ -95,7 +95,7 @@ class LargeDocuments:
             path.unlink(missing_ok=True)
 
     async def excerpt(self, state: State, limit: int = EXCERPT) -> Excerpt:
-        """The first triples of a large state's document; with those about the document's own subject first."""
+        """Return the first triples of a large state's document; with those about the document's own subject first."""
         url, ntriples, total = await self._run(state, partial(first_triples, state.describe, limit))
         triples = tuple(quad.triple for quad in parse(ntriples, RdfFormat.N_TRIPLES))
         return Excerpt(Document(url, triples), total)
@@ -114,7 +114,7 @@ class LargeDocuments:
 
 
 def excerpt_state(state: State, excerpt: Excerpt) -> State:
-    """A state that says the excerpt only."""
+    """Return a state that says the excerpt only."""
     return replace(state, describe=lambda: excerpt.document, weight=0, renderings={}, redactions={}, token=state.tag)
 
 
@@ -127,7 +127,7 @@ def write_document(describe: Callable[[], Document], media_type: str, path: Path
 
 
 def first_triples(describe: Callable[[], Document], limit: int) -> tuple[str, bytes, int]:
-    """The URL of a document, its first triples as N-Triples, and how many it has in all."""
+    """Return the URL of a document, its first triples as N-Triples, and how many it has in all."""
     document = describe()
     triples: list[Triple] = list(itertools.islice(document.triples, limit))
     return document.url, pyoxigraph_serialize(triples, format=RdfFormat.N_TRIPLES) or b"", len(document.triples)

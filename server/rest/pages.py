@@ -101,7 +101,7 @@ class PageRenderer:
         return (self._stops.warning or "") if self._stops.stop_state is not None and may_read else ""
 
     def _stop_token(self, permissions: Permissions) -> str:
-        """The token of the form that stops the robot, empty where it is not for this reader to stop."""
+        """Return the token of the form that stops the robot, empty where it is not for this reader to stop."""
         session = self._session
         usable = self._stops.is_usable and permissions.may("POST", session.space.stop)
         return self._keys.token(_of_agent(session.space.stop, permissions)) if usable else ""
@@ -126,7 +126,7 @@ class PageRenderer:
         notices: Sequence[Notice],
         permissions: Permissions,
     ) -> bytes:
-        """A page with these forms; of what is large it shows the beginning, and says so."""
+        """Return a page with these forms; of what is large it shows the beginning, and says so."""
         if state.is_large:
             excerpt = await self._large.excerpt(state)
             state = excerpt_state(state, excerpt)
@@ -144,7 +144,7 @@ class PageRenderer:
         return await asyncio.to_thread(render_page, page)
 
     def problem(self, exchange: Exchange, problem: Problem, url: str) -> Response | None:
-        """A problem with the resource at `url` as a page, for those who prefer one; None for all others."""
+        """Return a problem with the resource at `url` as a page, for those who prefer one; None for all others."""
         if choose_offer(exchange.accept, _PROBLEM_OFFERS) != "text/html":
             return None
         page = ProblemPage(
@@ -214,7 +214,7 @@ class PageRenderer:
         return Response(body, problem.status, headers, "text/html; charset=utf-8")
 
     async def with_notice(self, resource: Resource, sentence: str, permissions: Permissions = ALLOW_ALL) -> Response:
-        """The page with a notice, after a form that was carried out with a reservation (202)."""
+        """Return the page with a notice, after a form that was carried out with a reservation (202)."""
         state = await resource.state()
         state = state if permissions.is_unrestricted else resource.redact(state, permissions)
         body = await self.page(resource, state, [Notice(sentence, NoticeLevel.WARNING)], permissions)
@@ -233,7 +233,7 @@ class PageRenderer:
         return (receipt_notice(receipt, None if href is None else NoticeLink(href, "Receipt")),)
 
     def referring_url(self, exchange: Exchange) -> str | None:
-        """The URL of the page that a form stood on (RFC 9110 10.1.3), under the name of this site.
+        """Return the URL of the page that a form stood on (RFC 9110 10.1.3), under the name of this site.
 
         None where that is not told.
         """

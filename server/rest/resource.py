@@ -237,7 +237,7 @@ class Resource:
         return self.url.partition("?")[2]
 
     def listing(self) -> MemberColumns | None:
-        """The columns of members on the page."""
+        """Return the columns of members on the page."""
         return None
 
     def navigation_links(self) -> tuple[SequenceLink, ...]:

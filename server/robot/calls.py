@@ -90,7 +90,7 @@ class Calls:
         self.changes = Signal()
 
     def all(self) -> Sequence[Call]:
-        """The calls kept, oldest first."""
+        """Return the calls kept, oldest first."""
         self._forget_old()
         return list(self._calls.values())
 
@@ -102,7 +102,7 @@ class Calls:
         return self._calls[id]
 
     def service_of(self, id: str) -> str | None:
-        """The service of a call, empty for one that is gone, None for one that never was; any thread may ask."""
+        """Return the service of a call, empty for one that is gone, None for one that never was; any thread may ask."""
         call = self._calls.get(id)
         return call.service if call is not None else "" if id in self._gone else None
 

@@ -86,12 +86,12 @@ def state_at(state: DiagnosticState, now_ns: int, period: float) -> DiagnosticSt
 
 
 def worst_first(states: Iterable[DiagnosticState]) -> Sequence[DiagnosticState]:
-    """The worst before all others, of one level what came to it last."""
+    """Return the worst before all others, of one level what came to it last."""
     return sorted(states, key=lambda each: (-SEVERITY[each.level], -each.since_ns, each.name))
 
 
 def changes_of(said: Iterable[tuple[int, DiagnosticState]]) -> Sequence[LevelChange]:
-    """The changes in what one part said, the newest first; `said` is in order of time."""
+    """Return the changes in what one part said, the newest first; `said` is in order of time."""
     found: list[LevelChange] = []
     for time_ns, state in said:
         if not found or (found[-1].level, found[-1].message) != (state.said, state.message):
@@ -106,7 +106,7 @@ class LevelTimes:
         self._since: dict[tuple[str, str], tuple[Level, int]] = {}
 
     def note(self, state: DiagnosticState, now_ns: int) -> DiagnosticState:
-        """The state with its time: that at which it was heard first at this level."""
+        """Return the state with its time: that at which it was heard first at this level."""
         key = state.topic, state.name
         known = self._since.pop(key, None)
         if known is None or known[0] is not state.level:

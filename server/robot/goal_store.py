@@ -78,7 +78,7 @@ class GoalStore:
         self.changes = Signal()
 
     def all(self) -> Sequence[Goal]:
-        """The goals kept, oldest first."""
+        """Return the goals kept, oldest first."""
         self._forget_old()
         return list(self._goals.values())
 
@@ -99,12 +99,12 @@ class GoalStore:
         return self._goals.get(id)
 
     def action_of(self, id: str) -> str | None:
-        """The action of a goal, empty for one that is gone, None for one that never was; any thread may ask."""
+        """Return the action of a goal, empty for one that is gone, None for one that never was; any thread may ask."""
         goal = self._goals.get(id)
         return goal.action if goal is not None else "" if id in self._gone else None
 
     def of_key(self, key: GoalId) -> Goal | None:
-        """The goal that the robot calls so."""
+        """Return the goal that the robot calls so."""
         return self._goals.get(self._ids.get(key, ""))
 
     def is_dropped(self, key: GoalId) -> bool:

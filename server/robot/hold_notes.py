@@ -123,7 +123,7 @@ def _encode(note: HoldNote) -> bytes:
 
 
 def _decode(text: bytes) -> HoldNote:
-    """Raises ValueError, KeyError or TypeError for what is no note."""
+    """Raise ValueError, KeyError or TypeError for what is no note."""
     members = cast("dict[str, object]", orjson.loads(text))
     made = HoldNote(**members)  # type: ignore[arg-type]
     for name in ("id", "topic", "type", "node", "holder", "then"):

@@ -54,7 +54,7 @@ class HeldMessage:
     passes_stop: bool = False
 
     def encode_at(self, now_ns: int, encoding: Encoding) -> bytes:
-        """The bytes to publish at a time, in nanoseconds after the epoch."""
+        """Return the bytes to publish at a time, in nanoseconds after the epoch."""
         if not self.is_stamped:
             return self.data
         return self.schema.codec.encode(with_stamp(self.schema, self.message, now_ns), encoding)
@@ -63,7 +63,7 @@ class HeldMessage:
 def held_message(
     schema: MessageSchema, message: Message, encoding: Encoding, *, restamp: bool, clock: bool
 ) -> HeldMessage:
-    """The command of a message. Raises ValueError where it cannot be encoded.
+    """Return the command of a message. Raises ValueError where it cannot be encoded.
 
     Its header gets the time of each publish where it has none or `restamp`; never without a `clock`, because under
     simulated time the time of the wall means nothing.
@@ -123,11 +123,11 @@ class Holds:
         session.changes.watch(self.end_refused)
 
     def all(self) -> Sequence[Hold]:
-        """The holds, oldest first."""
+        """Return the holds, oldest first."""
         return [each.hold for each in self._running.values()]
 
     def find_by_topic(self, topic: str) -> Hold | None:
-        """The hold on a topic, None where nobody holds it."""
+        """Return the hold on a topic, None where nobody holds it."""
         return next((each.hold for each in self._running.values() if each.hold.topic == topic), None)
 
     def find(self, id: str) -> Hold:
@@ -137,7 +137,7 @@ class Holds:
         return self._running[id].hold
 
     def topic_of(self, id: str) -> str | None:
-        """The topic of a hold, empty for one that has ended, None for one that never was; any thread may ask."""
+        """Return the topic of a hold, empty for one that has ended, None for one that never was; any thread may ask."""
         running = self._running.get(id)
         return running.hold.topic if running is not None else "" if id in self._ended else None
 

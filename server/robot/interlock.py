@@ -95,12 +95,12 @@ class WriteInterlock:
         self.stop_state = None
 
     def require_open(self) -> None:
-        """Raises Stopped where the robot is stopped."""
+        """Raise Stopped where the robot is stopped."""
         if self.stop_state is not None:
             raise Stopped(self.stop_state)
 
     def require_free(self, topic: str) -> None:
-        """Raises TopicHeld where somebody holds the topic."""
+        """Raise TopicHeld where somebody holds the topic."""
         holder = self.held.get(topic)
         if holder is not None:
             raise TopicHeld(topic, holder)

@@ -113,16 +113,16 @@ class LiveTopics:
             self._close(topic)
 
     def subscribed(self) -> Sequence[str]:
-        """The topics subscribed to now."""
+        """Return the topics subscribed to now."""
         return list(self._looks)
 
     def looked_at(self) -> Sequence[str]:
-        """The topics subscribed to now, but for those that are recorded and that nobody has looked at lately."""
+        """Return the topics subscribed to now, but for those that are recorded and that nobody has looked at lately."""
         horizon = loop_time() - self._settings.idle
         return [topic for topic, look in self._looks.items() if look.eager or look.watches or look.looked_at >= horizon]
 
     def always_subscribed(self) -> Sequence[str]:
-        """The topics that stay subscribed to whether anybody looks or not, as far as they have a value."""
+        """Return the topics that stay subscribed to whether anybody looks or not, as far as they have a value."""
         there = self._adapter.graph.topics
         kept = ((topic, look) for topic, look in self._looks.items() if look.eager or look.watches)
         looks = [(topic, look) for topic, look in kept if topic in there]
@@ -143,11 +143,11 @@ class LiveTopics:
         return None if look is None or topic not in self._adapter.graph.topics else self._refresh(look)
 
     def current_view(self, topic: str) -> TopicView:
-        """The view as of now, without values where none has come, without waiting."""
+        """Return the view as of now, without values where none has come, without waiting."""
         return self.find_view(topic) or self.last_view(topic) or EMPTY_VIEW
 
     def last_view(self, topic: str) -> TopicView | None:
-        """The view as somebody saw it last; from any thread."""
+        """Return the view as somebody saw it last; from any thread."""
         look = self._looks.get(topic)
         return None if look is None or topic not in self._adapter.graph.topics else look.view
 
@@ -161,7 +161,7 @@ class LiveTopics:
         return not look.subscription.latest() and set(self._publishers(topic)) <= set(look.awaited)
 
     async def read(self, topic: str, *, wait_for_publisher: bool = False) -> TopicView:
-        """The view of a topic, subscribing if need be and then waiting a moment where somebody publishes it.
+        """Return the view of a topic, subscribing if need be and then waiting a moment where somebody publishes it.
 
         The same publishers are waited for once: a topic that is silent holds nobody up again. Who insists waits once
         also where nobody publishes yet. A topic that is not there is neither subscribed to nor waited for.

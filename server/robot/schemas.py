@@ -22,7 +22,7 @@ class Schemas:
         return len(self._known)
 
     def all(self) -> list[Schema]:
-        """The schemas at hand, each once."""
+        """Return the schemas at hand, each once."""
         return list({id(schema): schema for schema in self._known.values()}.values())
 
     def find_cached(self, ref: TypeRef) -> Schema | None:
@@ -30,7 +30,7 @@ class Schemas:
         return self._known.get(ref)
 
     def find_cached_by_name(self, name: str) -> Schema | None:
-        """A schema at hand of this name, whatever its hash."""
+        """Return a schema at hand of this name, whatever its hash."""
         return self._named.get(name)
 
     def definition_of(self, ref: TypeRef) -> str:
@@ -45,7 +45,7 @@ class Schemas:
         self._known.setdefault(ref, schema)
 
     async def get(self, ref: TypeRef) -> Schema:
-        """The schema of a type; raises UnknownType (and Unreachable, TimedOut of adapters that must ask)."""
+        """Return the schema of a type; raises UnknownType (and Unreachable, TimedOut of adapters that must ask)."""
         if (known := self._known.get(ref)) is not None:
             return known
         deadline = loop_time() + self._patience
@@ -56,21 +56,21 @@ class Schemas:
         return schema
 
     async def message(self, ref: TypeRef) -> MessageSchema:
-        """The schema of a message type; raises UnknownType also where the name is another kind's."""
+        """Return the schema of a message type; raises UnknownType also where the name is another kind's."""
         schema = await self.get(ref)
         if not isinstance(schema, MessageSchema):
             raise UnknownType(f"{ref.name} is no message type, which is needed here")
         return schema
 
     async def service(self, ref: TypeRef) -> ServiceSchema:
-        """The schema of a service type; raises UnknownType also where the name is another kind's."""
+        """Return the schema of a service type; raises UnknownType also where the name is another kind's."""
         schema = await self.get(ref)
         if not isinstance(schema, ServiceSchema):
             raise UnknownType(f"{ref.name} is no service type, which is needed here")
         return schema
 
     async def action(self, ref: TypeRef) -> ActionSchema:
-        """The schema of an action type; raises UnknownType also where the name is another kind's."""
+        """Return the schema of an action type; raises UnknownType also where the name is another kind's."""
         schema = await self.get(ref)
         if not isinstance(schema, ActionSchema):
             raise UnknownType(f"{ref.name} is no action type, which is needed here")

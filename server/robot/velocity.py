@@ -49,7 +49,7 @@ def subscribers_of(topic: Topic, graph: Graph) -> int:
 
 
 def zero_message(schema: MessageSchema, lifting: LiftSettings) -> Message:
-    """The zero message of a type."""
+    """Return the zero message of a type."""
     return with_zeros(schema, lowerer(schema, lifting).from_json({}, defaults=True))
 
 

@@ -68,7 +68,7 @@ class Dispatcher:
         self._near = near
 
     def answer(self, exchange: Exchange, resource: Resource) -> Awaitable[Response]:
-        """The response to a request on a resource; raises Problems. Either says what it is (LDP 4.2.1.4)."""
+        """Return the response to a request on a resource; raises Problems. Either says what it is (LDP 4.2.1.4)."""
         if exchange.request.scope["query_string"] and exchange.method in VERBS and exchange.query_flag(DRY_RUN.name):
             return answer_dry_run(exchange, resource, self._session, lambda: self._respond(exchange, resource))
         return self._respond(exchange, resource)
@@ -196,5 +196,5 @@ class Dispatcher:
 
 
 def options(resource: Resource, methods: frozenset[str] | None = None) -> dict[str, str]:
-    """The headers of an answer to OPTIONS; `methods` as in `resource_headers`."""
+    """Return the headers of an answer to OPTIONS; `methods` as in `resource_headers`."""
     return {**resource_headers(resource, methods), "vary": "Accept"}

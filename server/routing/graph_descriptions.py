@@ -82,7 +82,7 @@ class GraphDescriptions:
         )
 
     def entries(self) -> Mapping[str, GraphEntry]:
-        """Every graph without live values, by IRI."""
+        """Return every graph without live values, by IRI."""
         graph = self._session.graph
         revision = self._revision(graph)
         if self._described[0] != revision:
@@ -223,7 +223,7 @@ class GraphDescriptions:
 
 
 def parameter_description(parameter: Parameter, space: Space) -> Document:
-    """A parameter without its value, which is read when a query needs it."""
+    """Return a parameter without its value, which is read when a query needs it."""
     url, descriptor = space.parameter(parameter.name), parameter.descriptor
     triples = triples_about(NamedNode(url), (rdf.type, ros.Parameter), *RDF_SOURCE, (ros.name, text(parameter.name)))
     return Document(url, (*triples, *(declared_triples(descriptor, url, space) if descriptor is not None else ())))
@@ -246,5 +246,5 @@ def _described(iri: str, token: Hashable, describe: Callable[[], Document]) -> G
 
 
 def document_ntriples(document: Document) -> str:
-    """A document as N-Triples, which the query process reads."""
+    """Return a document as N-Triples, which the query process reads."""
     return serialize(document, Syntax.N_TRIPLES).decode()

@@ -39,7 +39,7 @@ class Representations:
         self._large = large
 
     def name(self, state: State) -> str:
-        """The state part of the ETags of a state's representations."""
+        """Return the state part of the ETags of a state's representations."""
         return f"{state.scope or self._instance_id}-{state.tag}"
 
     async def represent(
@@ -50,7 +50,7 @@ class Representations:
         permissions: Permissions = ALLOW_ALL,
         notices: Sequence[Notice] = (),
     ) -> Rendering:
-        """The representation in a media type, kept with the state or made now. Raises a 406 Problem.
+        """Return the representation in a media type, kept with the state or made now. Raises a 406 Problem.
 
         Bytes are shared by agents of the same rights; a page, which has forms, is one agent's, and with `notices` it is
         made for one reader.
@@ -68,7 +68,7 @@ class Representations:
         return found
 
     async def preferred(self, exchange: Exchange, resource: Resource, state: State) -> Rendering:
-        """The representation that the request prefers, kept with the state or made now. Raises a 406 Problem."""
+        """Return the representation that the request prefers, kept with the state or made now. Raises a 406 Problem."""
         return await self.represent(resource, state, negotiate(exchange), exchange.permissions)
 
     async def _render(
@@ -100,7 +100,7 @@ class Representations:
     async def read_large(
         self, exchange: Exchange, resource: Resource, state: State, media_type: str, *, unchanged: bool
     ) -> Response:
-        """The answer to GET and HEAD of a large state: from a file that a worker process makes; HEAD makes none.
+        """Return the answer to GET and HEAD of a large state: from a file that a worker process makes; HEAD makes none.
 
         Without a representation nothing tells its length, and HEAD may leave that out (RFC 9110 9.3.2). `unchanged`:
         the client has it already, and gets 304. Raises a 406 Problem where the media type cannot carry the state.
@@ -152,7 +152,7 @@ def redacted_state(resource: Resource, state: State, permissions: Permissions) -
 
 
 def negotiate(exchange: Exchange) -> str:
-    """The media type to answer with: `?format=` before Accept. Raises a 406 Problem naming what there is."""
+    """Return the media type to answer with: `?format=` before Accept. Raises a 406 Problem naming what there is."""
     if b"format=" in exchange.request.scope["query_string"] and (wanted := exchange.query.get("format")):
         if wanted not in FORMATS:
             raise Problem(406, f"?format={wanted} is unknown; there are {', '.join(FORMATS)}.")
@@ -164,7 +164,7 @@ def negotiate(exchange: Exchange) -> str:
 
 
 def event_media_type(exchange: Exchange) -> str:
-    """The media type of an event's data: plain JSON, or what `?format=` says. Raises a 406 Problem."""
+    """Return the media type of an event's data: plain JSON, or what `?format=` says. Raises a 406 Problem."""
     wanted = exchange.query.get("format", "json")
     if wanted not in FORMATS:
         raise Problem(406, f"?format={wanted} cannot be streamed; there are {', '.join(FORMATS)}.")
@@ -187,7 +187,7 @@ def encode_headers(headers: Mapping[str, str]) -> list[tuple[bytes, bytes]]:
 
 
 def _variant(media_type: str, permissions: Permissions) -> str:
-    """The variant part of the ETags of representations in a media type, for agents of these rights."""
+    """Return the variant part of the ETags of representations in a media type, for agents of these rights."""
     variant = (
         VARIANTS[media_type] if permissions.is_unrestricted else f"{VARIANTS[media_type]}-{permissions.rights_key}"
     )
@@ -195,7 +195,7 @@ def _variant(media_type: str, permissions: Permissions) -> str:
 
 
 def _headers(resource: Resource, state: State, media_type: str, etag: str) -> dict[str, str]:
-    """The headers of a representation, but for its length."""
+    """Return the headers of a representation, but for its length."""
     return {
         "content-type": f"{media_type}; charset=utf-8" if media_type.startswith("text/") else media_type,
         "etag": etag,

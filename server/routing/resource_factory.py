@@ -123,7 +123,7 @@ class ResourceFactory:
         return ParameterTree(self.session, self.limit_checks, self.states, path)
 
     def parameter_at(self, location: Location) -> Resource:
-        """A parameter, or a tree of them where the location ends in a slash."""
+        """Return a parameter, or a tree of them where the location ends in a slash."""
         name = location.name
         if "" in location.segments:
             raise Problem(404, f"No parameter is called {name}: none has a part that is empty.")
@@ -193,7 +193,7 @@ class ResourceFactory:
         return MemberResource(self.session, self.affordances, self.limit_checks, self._things, self.states, name)
 
     def resource_at(self, location: Location) -> Resource:
-        """A resource below `/resources/`, as the TimeGate of its mementos (RFC 7089)."""
+        """Return a resource below `/resources/`, as the TimeGate of its mementos (RFC 7089)."""
         if location.is_container:
             path = path_of(location.segments)
             return ComplexTimeGate(self.session, self.affordances, self.limit_checks, self._things, self.history, path)

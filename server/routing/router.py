@@ -26,7 +26,7 @@ _located = lru_cache(_MAX_CACHED)(locate)
 
 
 def _named_route(factory: ResourceFactory, kind: str, leaf: Callable[[str], Resource]) -> Route:
-    """A route of things with ROS names: leaves, and the containers of their namespaces."""
+    """Return a route of things with ROS names: leaves, and the containers of their namespaces."""
 
     def route(location: Location) -> Resource:
         if location.is_container:
@@ -54,7 +54,7 @@ def _flat(space: Space, what: str, container: Callable[[], Resource], leaf: Call
 
 
 def single_route(make: Callable[[], Resource]) -> Route:
-    """A route to one resource; a 404 Problem for everything below it."""
+    """Return a route to one resource; a 404 Problem for everything below it."""
 
     def route(location: Location) -> Resource:
         if location.segments or (location.is_container and location.kind):
@@ -143,7 +143,7 @@ class Router:
         return frozenset(self._routes)
 
     def resolve(self, scope: Scope) -> Resource:
-        """The resource at the path of a request; raises Problems: 400 malformed, 404 no such route, 308 moved.
+        """Return the resource at the path of a request; raises Problems: 400 malformed, 404 no such route, 308 moved.
 
         A resource is read at its own URL, so that it has one: who spells that in another way (`a:b` for `a%3Ab`) is
         told (308). What is written that way arrives all the same.

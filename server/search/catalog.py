@@ -31,7 +31,7 @@ STOP_TEXT = "Stop the whole robot: emergency stop, halt"
 def catalog_of(
     graph: Graph, find_schema: Callable[[TypeRef], Schema | None], tree: ResourceTree, space: Space
 ) -> Catalog:
-    """The catalog of a graph and its resources; fields are those of the types that are at hand."""
+    """Return the catalog of a graph and its resources; fields are those of the types that are at hand."""
     found = [*_graph_entries(graph, tree, space), *_resource_entries(graph, tree, space)]
     refs = {ref for topic in graph.topics.values() for ref in topic.types}
     refs |= {service.type for service in graph.services.values() if service.type is not None}
@@ -52,7 +52,7 @@ def field_paths(schema: Schema) -> tuple[str, ...]:
 
 
 def _paths(schema: MessageSchema, kind: FieldType, prefix: str, depth: int) -> Iterator[str]:
-    """The fields of a type before those of its fields, so that the shortest path of a name comes first."""
+    """Yield the fields of a type before those of its fields, so that the shortest path of a name comes first."""
     if isinstance(kind, Array):
         kind, prefix = kind.element, f"{prefix}[]"
     if isinstance(kind, Primitive) or depth > _MAX_DEPTH:

@@ -55,7 +55,7 @@ _RUN = re.compile(r"[^\W\d_]+|\d+")
 
 @lru_cache(maxsize=16384)
 def words_of(text: str) -> tuple[str, ...]:
-    """The words of a name or a sentence, in lower case, each once.
+    """Return the words of a name or a sentence, in lower case, each once.
 
     `image_raw`, `BatteryState`, `IMUData` and `scan2` have two each.
     """
@@ -63,7 +63,7 @@ def words_of(text: str) -> tuple[str, ...]:
 
 
 def _humps(run: str) -> Iterator[str]:
-    """The words of a run of letters: one begins with a capital after a small letter, or before one."""
+    """Yield the words of a run of letters: one begins with a capital after a small letter, or before one."""
     start = 0
     for index in range(1, len(run)):
         is_last_capital = run[index - 1].isupper() and run[index : index + 2].istitle() and len(run) > index + 1
@@ -153,7 +153,7 @@ _Fits: TypeAlias = dict[int, Match]
 
 
 def terms_of(query: str) -> tuple[str, ...]:
-    """The words that a query asks for. Raises ValueError where they are too many."""
+    """Return the words that a query asks for. Raises ValueError where they are too many."""
     if len(query) > MAX_CHARACTERS:
         raise ValueError(f"it has {len(query)} characters, and {MAX_CHARACTERS} are searched for at the most")
     terms = tuple(dict.fromkeys(query.casefold().split()))
@@ -231,7 +231,7 @@ class SearchIndex:
         return found
 
     def _beginning(self, term: str) -> Iterator[str]:
-        """The words that begin with a term, itself included."""
+        """Yield the words that begin with a term, itself included."""
         for index in range(bisect_left(self._ordered, term), len(self._ordered)):
             if not self._ordered[index].startswith(term):
                 return
@@ -273,7 +273,7 @@ def _tie(entry: Entry) -> tuple[int, int, int, str]:
 
 
 def _places(entry: Entry) -> Iterator[tuple[str, _Place]]:
-    """The words of an entry, each with where it is."""
+    """Yield the words of an entry, each with where it is."""
     segments = [segment for segment in entry.name.split("/") if segment]
     for segment in segments:
         yield segment.casefold(), _Place.LAST_SEGMENT if segment is segments[-1] else _Place.SEGMENT

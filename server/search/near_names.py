@@ -39,7 +39,7 @@ class NearNames:
         self._word_masks = [(word, _mask(word)) for word in self._by_word]
 
     def of(self, name: str, limit: int = MAX_NEAR) -> list[str]:
-        """The names nearest to `name`, the nearest first; `name` itself is none of them."""
+        """Return the names nearest to `name`, the nearest first; `name` itself is none of them."""
         wanted, home = _last(name), _home(name)
         mask, edits = _mask(wanted), max_edits(wanted)
         distances = self._with_words(words_of(_last_segment(name)))
@@ -125,7 +125,7 @@ def _home(name: str) -> str:
 
 
 def _mask(word: str) -> int:
-    """A bit for each character of a word: one edit changes two bits at the most."""
+    """Return a bit for each character of a word: one edit changes two bits at the most."""
     found = 0
     for char in word:
         found |= 1 << (ord(char) & 63)

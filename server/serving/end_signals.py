@@ -8,7 +8,7 @@ _END = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
 
 
 def end_signals() -> tuple[signal.Signals, ...]:
-    """The signals that end a command in order, as far as this system has them.
+    """Return the signals that end a command in order, as far as this system has them.
 
     SIGHUP is left out where it is ignored already: that is what `nohup` asks for.
     """

@@ -22,7 +22,7 @@ from rosld.server.sparql.process.evaluation import Aborted
 
 
 def require_certificate(certificate: Path, key: Path | None) -> None:
-    """Raises ValueError with a sentence where a certificate cannot be served with."""
+    """Raise ValueError with a sentence where a certificate cannot be served with."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     try:
         context.load_cert_chain(certificate, key, password=_no_password)

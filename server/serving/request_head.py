@@ -55,7 +55,7 @@ class RequestHead(NamedTuple):
         return b"".join((*lines, b"\r\n"))
 
     def check(self) -> None:
-        """Raises the Problem of a request that cannot be read to its end, or not as what it is meant."""
+        """Raise the Problem of a request that cannot be read to its end, or not as what it is meant."""
         if len(self.target) > LONGEST_TARGET:
             raise Problem(431, f"The request line is longer than {LONGEST_TARGET} bytes.")
         if self.version not in _VERSIONS:

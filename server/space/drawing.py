@@ -122,7 +122,7 @@ def drawing_json(drawing: Drawing) -> dict[str, object]:
 
 
 def pose_json(pose: Transform) -> list[float]:
-    """A pose as seven numbers: x, y, z, and the quaternion's x, y, z, w."""
+    """Return a pose as seven numbers: x, y, z, and the quaternion's x, y, z, w."""
     return [
         *(round(each, _DIGITS) for each in pose.translation),
         *(round(each, _DIGITS + 3) for each in pose.rotation),
@@ -230,7 +230,7 @@ def _points(found: list[Fields]) -> Points:
 
 
 def _ellipse(covariance: Fields) -> Ellipse | None:
-    """The ellipse of x and y of a covariance of six by six; None where it says nothing, or nothing possible."""
+    """Return the ellipse of x and y of a covariance of six by six; None where it says nothing, or nothing possible."""
     values = np.asarray(covariance, np.float64)
     if values.size != 36:
         return None

@@ -82,7 +82,7 @@ class _History:
             del self.stamps[:old], self.transforms[:old]
 
     def at(self, stamp_ns: int | None) -> tuple[str, Transform]:
-        """The parent and the transform at a time: between the two nearest, or the nearest beyond both ends."""
+        """Return the parent and the transform at a time: between the two nearest, or the nearest beyond both ends."""
         place = len(self.stamps) if stamp_ns is None else bisect_right(self.stamps, stamp_ns)
         if place == len(self.stamps) or place == 0 or stamp_ns is None:
             found = self.transforms[max(place - 1, 0)]
@@ -139,7 +139,7 @@ class FrameBuffer:
         return {child: history.newest for child, history in self._histories.items()}
 
     def newest_of(self, name: str) -> FrameTransform | None:
-        """The newest transform of a frame; None where it has no parent."""
+        """Return the newest transform of a frame; None where it has no parent."""
         history = self._histories.get(name)
         return None if history is None else history.newest
 
@@ -192,7 +192,7 @@ class FrameBuffer:
         raise NoTransform(f"There is no frame called {_said(name)}{why}")
 
     def _upwards(self, name: str, stamp_ns: int | None) -> Iterator[tuple[str, Transform]]:
-        """The frame itself and each above it, with the transform from the frame to that one; a loop ends it."""
+        """Yield the frame itself and each above it, with the transform from the frame to that one; a loop ends it."""
         transform, passed = IDENTITY, {name}
         yield name, transform
         while (history := self._histories.get(name)) is not None:
@@ -205,7 +205,7 @@ class FrameBuffer:
 
 
 def _read(each: Fields, parent: str, child: str, source: Sample, *, is_static: bool) -> FrameTransform:
-    """A geometry_msgs/TransformStamped. Raises ValueError with a sentence."""
+    """Return a geometry_msgs/TransformStamped. Raises ValueError with a sentence."""
     if not child or not parent:
         raise ValueError("A transform names no frame")
     if child == parent:
@@ -235,7 +235,7 @@ class FrameNode:
 
 
 def frame_tree(buffer: FrameBuffer, age_ns: Callable[[Sample], int]) -> list[FrameNode]:
-    """All frames, each before those below it, the largest tree first; last what was said and is no transform."""
+    """Return all frames, each before those below it, the largest tree first; last what was said and is no transform."""
     children: dict[str, list[str]] = {}
     for child, each in buffer.newest.items():
         children.setdefault(each.parent, []).append(child)

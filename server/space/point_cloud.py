@@ -66,7 +66,7 @@ class _Layout:
     fields: Mapping[str, _Field]
 
     def column(self, name: str, format: str = "") -> _Column:
-        """The numbers of a field, of all points in their order; `format` reads its bytes as something else."""
+        """Return the numbers of a field, of all points in their order; `format` reads its bytes as something else."""
         field = self.fields[name]
         kind = np.dtype(self.order + (format or field.format))
         if field.offset + kind.itemsize > self.point_step:
@@ -190,5 +190,5 @@ def cloud_ply(cloud: Cloud) -> bytes:
 
 
 def _one_line(text: str) -> str:
-    """A name as the header, which is ASCII by lines, can hold it."""
+    """Return a name as the header, which is ASCII by lines, can hold it."""
     return ascii(text)[1:-1]

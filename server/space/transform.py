@@ -42,7 +42,7 @@ def unit_quaternion(x: float, y: float, z: float, w: float) -> Quaternion:
 
 
 def multiply(one: Quaternion, other: Quaternion) -> Quaternion:
-    """The rotation by `other`, then by `one` (Hamilton's product)."""
+    """Return the rotation by `other`, then by `one` (Hamilton's product)."""
     ax, ay, az, aw = one
     bx, by, bz, bw = other
     return (
@@ -54,7 +54,7 @@ def multiply(one: Quaternion, other: Quaternion) -> Quaternion:
 
 
 def rotate(rotation: Quaternion, point: Vector) -> Vector:
-    """A point rotated about the origin."""
+    """Return a point rotated about the origin."""
     x, y, z, w = rotation
     px, py, pz = point
     # v + 2w(q x v) + 2q x (q x v)
@@ -67,7 +67,7 @@ def rotate(rotation: Quaternion, point: Vector) -> Vector:
 
 
 def apply(transform: Transform, point: Vector) -> Vector:
-    """The coordinates of a point of the child in the parent."""
+    """Return the coordinates of a point of the child in the parent."""
     x, y, z = rotate(transform.rotation, point)
     dx, dy, dz = transform.translation
     return x + dx, y + dy, z + dz
@@ -79,7 +79,7 @@ def compose(outer: Transform, inner: Transform) -> Transform:
 
 
 def invert(transform: Transform) -> Transform:
-    """The transform from the parent to the child."""
+    """Return the transform from the parent to the child."""
     x, y, z, w = transform.rotation
     back = (-x, -y, -z, w)
     dx, dy, dz = rotate(back, transform.translation)
@@ -87,14 +87,14 @@ def invert(transform: Transform) -> Transform:
 
 
 def interpolate(first: Transform, second: Transform, share: float) -> Transform:
-    """The transform between two, at a share of the way from 0 to 1: straight, and the short way round."""
+    """Return the transform between two, at a share of the way from 0 to 1: straight, and the short way round."""
     (ax, ay, az), (bx, by, bz) = first.translation, second.translation
     moved = (ax + (bx - ax) * share, ay + (by - ay) * share, az + (bz - az) * share)
     return Transform(moved, _slerp(first.rotation, second.rotation, share))
 
 
 def heading(transform: Transform) -> float:
-    """The angle about z, in radians: where the x axis points, seen from above."""
+    """Return the angle about z, in radians: where the x axis points, seen from above."""
     x, y, z, w = transform.rotation
     return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
@@ -117,7 +117,7 @@ MAX_COORDINATE = 1e9
 
 
 def frame_name(text: object) -> str:
-    """A frame without the slash that it begins with in the first tf. Raises ValueError for what is no name."""
+    """Return a frame without the slash that it begins with in the first tf. Raises ValueError for what is no name."""
     name = str(text).removeprefix("/")
     if len(name) > 300:
         raise ValueError(f"A name of {len(name):,} characters is none of a frame")
@@ -125,7 +125,7 @@ def frame_name(text: object) -> str:
 
 
 def read_stamp(header: Fields) -> int:
-    """The stamp of a std_msgs/Header in nanoseconds, 0 where there is none."""
+    """Return the stamp of a std_msgs/Header in nanoseconds, 0 where there is none."""
     stamp = getattr(header, "stamp", None)
     return int(getattr(stamp, "sec", 0)) * 1_000_000_000 + int(getattr(stamp, "nanosec", 0))
 
@@ -145,12 +145,12 @@ def require_place(*numbers: float) -> None:
 
 
 def read_pose(pose: Fields) -> Transform:
-    """A geometry_msgs/Pose. Raises ValueError: NoRotation for a quaternion that is none."""
+    """Return a geometry_msgs/Pose. Raises ValueError: NoRotation for a quaternion that is none."""
     return Transform(read_vector(pose.position), read_rotation(pose.orientation))
 
 
 def read_rotation(quaternion: Fields) -> Quaternion:
-    """A geometry_msgs/Quaternion. Raises NoRotation."""
+    """Return a geometry_msgs/Quaternion. Raises NoRotation."""
     return unit_quaternion(*(float(getattr(quaternion, axis)) for axis in "xyzw"))
 
 

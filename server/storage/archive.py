@@ -114,7 +114,7 @@ class ArchiveReader:
     """Reads an archive from its beginning: `base` is known at once, then `restore_into` restores the records."""
 
     def __init__(self, file: IO[bytes]) -> None:
-        """Raises ValueError for what is no archive of this format."""
+        """Raise ValueError for what is no archive of this format."""
         with _sound():
             self._file = gzip.GzipFile(fileobj=file, mode="rb")
             self._tar = tarfile.open(  # noqa: SIM115 - it is read as long as this lives
@@ -169,7 +169,7 @@ class ArchiveReader:
         return count, sizes, [_path(json.loads(line)) for line in self._member(_GONE)]
 
     def _member(self, name: str) -> IO[bytes]:
-        """The next member of the archive, which must be this one."""
+        """Return the next member of the archive, which must be this one."""
         member = self._tar.next()
         file = self._tar.extractfile(member) if member is not None and member.name == name and member.isreg() else None
         if file is None:
@@ -258,7 +258,7 @@ def _entry_json(entry: NumberedRecord) -> dict[str, object]:
 
 
 def _entry(line: bytes) -> NumberedRecord:
-    """The entry on a line. Raises what reading something else raises: ValueError, KeyError, TypeError."""
+    """Return the entry on a line. Raises what reading something else raises: ValueError, KeyError, TypeError."""
     told = json.loads(line)
     number, created, modified = told["number"], told["created"], told["modified"]
     if not all(type(value) is int and 0 < value < _MAX_NUMBER for value in (number, created, modified)):
@@ -302,7 +302,7 @@ def _membership(told: Mapping[str, object]) -> Membership:
 
 
 def _check(record: Record, sizes: dict[str, int]) -> None:
-    """Raises ValueError for a record that cannot be; notes the size of its blob."""
+    """Raise ValueError for a record that cannot be; notes the size of its blob."""
     check_write(Put(record.path, record.model, blob=record.blob, membership=record.membership))
     if not container_of(record.path) and record.model is not Model.BASIC_CONTAINER:
         raise ValueError(f"{record.path} is in no container")

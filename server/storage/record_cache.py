@@ -25,7 +25,7 @@ class RecordCache:
         self._weight = 0
 
     def get(self, path: str) -> Record | None:
-        """A cached record, or None."""
+        """Return a cached record, or None."""
         kept = self._kept
         found = kept.get(path)
         if found is not None:
@@ -89,7 +89,7 @@ class RecentWrites:
             self._steps.popitem(last=False)
 
     def since(self, record: Record, after: int) -> Sequence[RecordWrite] | None:
-        """The writes that led from a version to this record, or None if they are unknown."""
+        """Return the writes that led from a version to this record, or None if they are unknown."""
         steps = [each for each in self._steps.get(record.path, ()) if each.after.version > after]
         if not steps or steps[0].before.version > after or steps[-1].after.version != record.version:
             return None

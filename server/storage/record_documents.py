@@ -39,12 +39,12 @@ def pack_triples(ntriples: bytes) -> bytes:
 
 
 def unpack_triples(kept: bytes) -> bytes:
-    """The N-Triples in packed or plain form."""
+    """Return the N-Triples in packed or plain form."""
     return zlib.decompress(memoryview(kept)[_HEAD.size :], bufsize=unpacked_size(kept)) if is_packed(kept) else kept
 
 
 def unpack_prefix(kept: bytes, size: int) -> bytes:
-    """The first `size` bytes of the N-Triples, without unpacking the rest."""
+    """Return the first `size` bytes of the N-Triples, without unpacking the rest."""
     if not is_packed(kept):
         return kept[:size]
     return zlib.decompressobj().decompress(memoryview(kept)[_HEAD.size :], size)
@@ -56,7 +56,7 @@ def is_packed(kept: bytes) -> bool:
 
 
 def unpacked_size(kept: bytes) -> int:
-    """The size of N-Triples when unpacked."""
+    """Return the size of N-Triples when unpacked."""
     return int(_HEAD.unpack_from(kept)[1]) if is_packed(kept) else len(kept)
 
 
@@ -147,7 +147,7 @@ def _beside(times: ClientTimes, record: Record) -> bytes:
 
 
 def without_statements(record: Record, url: str) -> Record:
-    """A record without client statements except its times."""
+    """Return a record without client statements except its times."""
     return replace(record, triples=b"".join(client_times(record, url)))
 
 

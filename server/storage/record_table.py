@@ -82,7 +82,7 @@ class RecordTable:
         """What was seen and then was not kept, and has never been there since: the version at which it went."""
 
     def find(self, path: str) -> Record | None:
-        """The record at a path, None where there is none."""
+        """Return the record at a path, None where there is none."""
         try:
             row = self._execute(SELECT_RECORD, (path,)).fetchone()
         except sqlite3.Error as error:
@@ -90,14 +90,14 @@ class RecordTable:
         return None if row is None else record_of_row(path, row)
 
     def versions(self, path: str) -> list[FormerVersion]:
-        """The former versions of a document, without their triples."""
+        """Return the former versions of a document, without their triples."""
         try:
             return former_versions(self._connection, path)
         except sqlite3.Error as error:
             raise database_error(error) from error
 
     def version_at(self, path: str, time_ns: int) -> Record | None:
-        """The version that a document had at a time (ns after the epoch), None where it is not a former one."""
+        """Return the version that a document had at a time (ns after the epoch), None where it is not a former one."""
         try:
             return former_version_at(self._connection, path, time_ns)
         except sqlite3.Error as error:
@@ -127,7 +127,7 @@ class RecordTable:
         return [row[0] for row in rows]
 
     def changes_since(self, after: int, limit: int) -> list[RecordChange]:
-        """The first `limit` changes after a version, each path once, by version."""
+        """Return the first `limit` changes after a version, each path once, by version."""
         try:
             rows = self._execute(SELECT_CHANGES, (after, limit)).fetchall()
         except sqlite3.Error as error:
@@ -166,11 +166,11 @@ class RecordTable:
             self.rollback()
 
     def blob_ids(self) -> set[str]:
-        """The ids of all blobs that records refer to."""
+        """Return the ids of all blobs that records refer to."""
         return {row[0] for row in self._execute("SELECT blob FROM record WHERE blob IS NOT NULL")}
 
     def all_records(self) -> Iterator[NumberedRecord]:
-        """All records, containers before their members."""
+        """Return all records, containers before their members."""
         return (NumberedRecord(row[0], record_of_row(row[1], row[2:])) for row in self._execute(SELECT_ALL))
 
     def tombstones(self) -> Iterator[str]:
@@ -321,7 +321,7 @@ class RecordTable:
             self._replace(put, present, applied, now)
 
     def _rewritten(self, put: Put, now: int) -> Record | None:
-        """An RDF source that says something else now, and is as it was known otherwise; None where it is not."""
+        """Return an RDF source that says something else now, and is as it was known otherwise; None where it is not."""
         path, triples = put.path, put.triples
         known = self._known(path) if put.model is Model.RDF_SOURCE else None
         if known is None or known.model is not Model.RDF_SOURCE:
@@ -444,7 +444,7 @@ class RecordTable:
 
 
 def _expect(write: Write, present: CurrentRow) -> None:
-    """Raises Conflict where the record has not the version that the write expects."""
+    """Raise Conflict where the record has not the version that the write expects."""
     if write.expected is None or write.expected == present.version:
         return
     if write.expected == 0:

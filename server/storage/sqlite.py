@@ -65,7 +65,7 @@ def open_records(
 
 
 def connect(folder: Path | None) -> sqlite3.Connection:
-    """A connection to the database of a folder, created if missing. Raises ValueError if it is unusable."""
+    """Return a connection to the database of a folder, created if missing. Raises ValueError if it is unusable."""
     path = ":memory:" if folder is None else str(folder / DATABASE)
     connection = sqlite3.connect(path, timeout=_OPEN_SECONDS, isolation_level=None, check_same_thread=False)
     try:
@@ -181,7 +181,7 @@ class Records:
         return words if left < LOW_BYTES else None
 
     def get(self, path: str) -> Record | None:
-        """A record: the same object until it changes or is evicted."""
+        """Return a record: the same object until it changes or is evicted."""
         found = self._cache.get(path)
         if found is None:
             self._attach()
@@ -200,7 +200,7 @@ class Records:
         return self._table.versions(path)
 
     def version_at(self, path: str, time_ns: int) -> Record | None:
-        """The version of a document at a time, or None if it did not exist or was not kept."""
+        """Return the version of a document at a time, or None if it did not exist or was not kept."""
         return self._table.version_at(path, time_ns)
 
     def is_tombstone(self, path: str) -> bool:
@@ -212,7 +212,7 @@ class Records:
         return self._table.members(path, after, limit)
 
     def last_member_numbers(self, path: str, *, up_to: int | None = None, limit: int = 1000) -> Sequence[int]:
-        """The numbers of the last members of a container (up to a number), the newest first."""
+        """Return the numbers of the last members of a container (up to a number), the newest first."""
         return self._table.last_member_numbers(path, up_to, limit)
 
     def changes_since(self, after: int, *, limit: int = _CHANGES) -> Sequence[RecordChange]:
@@ -224,7 +224,7 @@ class Records:
         return self._table.changes_since(after, limit)
 
     def writes_since(self, record: Record, after: int) -> Sequence[RecordWrite] | None:
-        """The writes that led from a version to this record, or None if they are unknown."""
+        """Return the writes that led from a version to this record, or None if they are unknown."""
         return self._differences.since(record, after)
 
     async def write(self, *writes: Write) -> Sequence[Record | None]:
@@ -406,7 +406,7 @@ class Records:
         self._received.discard(blob.id)
 
     def file(self, blob: Blob) -> Path:
-        """The file of a blob. Raises FileNotFoundError if it was removed."""
+        """Return the file of a blob. Raises FileNotFoundError if it was removed."""
         path = self._received.folder().path(blob.id)
         path.stat()
         return path

@@ -142,7 +142,7 @@ def row_texts(
 
 
 def record_of_row(path: str, row: tuple[Any, ...]) -> Record:
-    """The record in a row of `SELECT_RECORD`. A change of its list modifies a container, too."""
+    """Return the record in a row of `SELECT_RECORD`. A change of its list modifies a container, too."""
     model, version, created, modified, triples, blob, size, media_type, membership, member, listed, lately, count = row
     return Record(
         path,

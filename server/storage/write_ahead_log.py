@@ -54,7 +54,7 @@ class WriteAheadLog:
         return LogExtent(*_INDEX.unpack(os.pread(self._index, _INDEX.size, 0)))
 
     def size(self) -> int:
-        """The size of the file in bytes."""
+        """Return the size of the file in bytes."""
         return os.fstat(self._log).st_size
 
     def close(self) -> None:
@@ -136,7 +136,7 @@ class SyncedLog:
         sync_file(self._log.fileno())
 
     def size(self) -> int:
-        """The size of the log in bytes."""
+        """Return the size of the log in bytes."""
         return self._log.size()
 
     def truncate(self) -> None:

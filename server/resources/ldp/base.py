@@ -146,7 +146,7 @@ class StoredResource(Resource):
         return self.documents.space.shape("data" if permissions is None else permissions.shape)
 
     def require_record(self) -> Record:
-        """The record; a 404 or 410 Problem where there is none."""
+        """Return the record; a 404 or 410 Problem where there is none."""
         found = self.documents.records.get(self.path)
         if found is None:
             raise missing_problem(self.documents, self.path)

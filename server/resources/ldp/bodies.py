@@ -39,7 +39,7 @@ from rosld.server.storage.record_documents import to_ntriples, unpack_triples, u
 
 
 def model_of_request(exchange: Exchange, url: str, *, container: bool) -> Model:
-    """The interaction model that a request to `url` asks for; raises as `requested_model`.
+    """Return the interaction model that a request to `url` asks for; raises as `requested_model`.
 
     `container`: the URL of what is made ends in a slash.
     """
@@ -63,7 +63,7 @@ def _links(exchange: Exchange) -> Sequence[Link]:
 
 
 async def read_statements(workers: WorkerPool, exchange: Exchange, url: str, subject: str) -> Statements:
-    """The triples of a body about `subject`, resolved against `url`. No body at all, of no type, states nothing.
+    """Return the triples of a body about `subject`, resolved against `url`. No body at all, of no type, states nothing.
 
     Raises BodyError, and a 422 Problem for triples about triples, which are not kept.
     """

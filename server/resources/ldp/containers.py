@@ -81,7 +81,7 @@ async def create_record(
 async def creation_writes(
     documents: Documents, path: str, model: Model, triples: Sequence[Triple], *, unused: bool = False
 ) -> list[Put]:
-    """The writes that make an RDF source or a container that says these triples, the last being its own.
+    """Return the writes that make an RDF source or a container that says these triples, the last being its own.
 
     With `unused` that one is done only where nothing was ever at its path.
     Raises 409 Problems for a name that is taken, and for containment that is stated; 422 for triples about triples.
@@ -234,7 +234,7 @@ class ContainerResource(RdfSourceResource):
 
 
 def resource_of(documents: Documents, path: str, model: Model) -> StoredResource:
-    """The resource of a model."""
+    """Return the resource of a model."""
     if model is Model.NON_RDF_SOURCE:
         return StoredFile(documents, path)
     return ContainerResource(documents, path) if model.is_container else RdfSourceResource(documents, path)
@@ -247,7 +247,7 @@ _NAMED_MEANWHILE = frozenset({ConflictCause.THERE, ConflictCause.NAME, ConflictC
 async def create_resource(
     documents: Documents, path: str, model: Model, exchange: Exchange, blob: Blob | None, *, unused: bool = False
 ) -> Answer:
-    """A new resource, and the answer that tells of it (LDP 4.2.3, 5.2.3). Raises Conflict as `create_record`."""
+    """Return a new resource, and the answer that tells of it (LDP 4.2.3, 5.2.3). Raises Conflict as `create_record`."""
     record = await create_record(resource_of(documents, path, model), model, exchange, blob, unused=unused)
     resource = resource_of(documents, path, model)  # as it is now that it is there
     if model is Model.NON_RDF_SOURCE:

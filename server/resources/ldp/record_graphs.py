@@ -226,7 +226,7 @@ class _Search:
             self._edit(container.path, self._lines(container, [(path, record.member)]))
 
     def _container(self, path: str, reached: int) -> Iterator[Changes]:
-        """A container, and then its members in pages. If it changes meanwhile, it comes up once more."""
+        """Yield a container, and then its members in pages. If it changes meanwhile, it comes up once more."""
         container = self._records.get(path)
         if container is None:
             return
@@ -265,7 +265,7 @@ def _is_indirect(membership: Membership | None) -> bool:
 
 
 def _membership(membership: Membership, member: str) -> str:
-    """The membership triple of a member, as N-Triples."""
+    """Return the membership triple of a member, as N-Triples."""
     constant, relation = membership.resource, membership.relation
     one, other = (member, constant) if membership.inverse else (constant, member)
     return f"<{one}> <{relation}> <{other}> .\n"

@@ -50,7 +50,7 @@ def member_derived_uris_of(base: str, members: Iterable[Member]) -> list[str]:
 
 
 def all_members(records: Records, record: Record) -> list[Member]:
-    """All members of a container."""
+    """Return all members of a container."""
     found: list[Member] = []
     if record.model.is_container:
         while page := records.members(record.path, after=found[-1].number if found else 0):
@@ -99,7 +99,7 @@ def page_state(documents: Documents, record: Record, parts: ContainerParts, plac
 
 
 def page_at(documents: Documents, record: Record, place: PagePosition) -> tuple[LdpPage, Sequence[Member]]:
-    """The page of a container at a place, and its members."""
+    """Return the page of a container at a place, and its members."""
     records, after, limit = documents.records, place.after, place.limit
     assert isinstance(after, int)
     found = records.members(record.path, after=after, limit=limit + 1)

@@ -219,7 +219,7 @@ def missing_description(records: Records, path: str) -> Problem:
 
 
 def stored_route(documents: Documents, location: Location) -> Resource:
-    """The resource at `/data/` or below, by its record; an `AbsentResource` where there is none.
+    """Return the resource at `/data/` or below, by its record; an `AbsentResource` where there is none.
 
     Raises a 308 Problem for `/data`, and 404 for the description of a file that is not there.
     """

@@ -160,7 +160,7 @@ CONTAINMENT = "What a container contains (ldp:contains) is changed by POST and D
 
 
 def triples_of(body: RdfBody) -> list[Triple]:
-    """The triples of a body."""
+    """Return the triples of a body."""
     return [
         Triple(subject, predicate, each)
         for subject, properties in body.subjects.items()
@@ -170,7 +170,7 @@ def triples_of(body: RdfBody) -> list[Triple]:
 
 
 def rename_blank_nodes(triples: Iterable[Triple]) -> list[Triple]:
-    """These triples with new blank nodes: graphs that are merged share none (RDF 1.1 Semantics 4.1)."""
+    """Return these triples with new blank nodes: graphs that are merged share none (RDF 1.1 Semantics 4.1)."""
     new: dict[BlankNode, BlankNode] = {}
     return [
         Triple(_anew(each.subject, new), each.predicate, _anew(each.object, new)) if _has_blank(each) else each
@@ -189,7 +189,7 @@ def _anew(term: _Term, new: dict[BlankNode, BlankNode]) -> _Term | BlankNode:
 def parse_patch(
     data: bytes, media_type: str, url: str, limit: int | None = None
 ) -> Callable[[Sequence[Triple]], list[Triple]]:
-    """The function that applies a patch to triples, which raises TooManyTriples beyond `limit`.
+    """Return the function that applies a patch to triples, which raises TooManyTriples beyond `limit`.
 
     Raises Problems for what is no patch.
     """
@@ -203,7 +203,7 @@ def parse_patch(
 
 
 def parse_statements(ntriples: bytes, subject: str) -> Statements:
-    """The statements of N-Triples, with those about the resource `subject` that the server manages."""
+    """Return the statements of N-Triples, with those about the resource `subject` that the server manages."""
     found, node = statements_of(ntriples), NamedNode(subject)
     may_be = found if may_be_managed(ntriples) else ()
     found.set_managed(
@@ -213,7 +213,7 @@ def parse_statements(ntriples: bytes, subject: str) -> Statements:
 
 
 def parse_body_statements(data: bytes, media_type: str, url: str, subject: str) -> Statements:
-    """The statements of a body about `subject`, resolved against `url`. Raises BodyError and Problems."""
+    """Return the statements of a body about `subject`, resolved against `url`. Raises BodyError and Problems."""
     return parse_statements(read_ntriples(data, media_type, url), subject)
 
 
@@ -227,7 +227,7 @@ def merge_statements(describe: Callable[[], Document], added: Statements, subjec
 def patch_statements(
     describe: Callable[[], Document], data: bytes, media_type: str, url: str, subject: str
 ) -> Statements:
-    """The statements of a document after a patch. Raises Problems."""
+    """Return the statements of a document after a patch. Raises Problems."""
     before = describe().triples
     after = parse_patch(data, media_type, url)(before)
     require_same_members(before, after, url)
@@ -271,7 +271,7 @@ class KeptChange(NamedTuple):
 
 
 def change_kept(kept: bytes, removed: bytes, added: bytes) -> KeptChange | None:
-    """The statements `kept` without the lines of `removed`, as far as they are there, and with those of `added`.
+    """Return the statements `kept` without the lines of `removed`, as far as they are there, and with those of `added`.
 
     None where blank nodes are removed that are not there: they may have other labels.
     """

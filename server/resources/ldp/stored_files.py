@@ -60,7 +60,7 @@ class StoredFile(StoredResource):
                     raise
 
     async def _file_response(self, exchange: Exchange, record: Record) -> Response:
-        """The answer with its bytes. Raises FileNotFoundError where they are no more."""
+        """Return the answer with its bytes. Raises FileNotFoundError where they are no more."""
         assert record.blob is not None
         etag = ETag(f"{self.documents.records.identity}-{record.version}", "bin")
         if_match, if_none_match = exchange.header("if-match"), exchange.header("if-none-match")
@@ -87,7 +87,7 @@ class StoredFile(StoredResource):
         return await self.replace(exchange, before, await receive_blob(self.documents, exchange))
 
     async def replace(self, exchange: Exchange, before: Record, blob: Blob) -> Answer:
-        """The answer to a PUT of these bytes; `before` is what the request was judged against."""
+        """Return the answer to a PUT of these bytes; `before` is what the request was judged against."""
 
         async def with_these(record: Record) -> Write:
             return with_blob(before if exchange.is_conditional else record, blob)
@@ -132,5 +132,5 @@ def merge_json_file(path: Path, patch: bytes, media_type: str) -> bytes:
 
 
 def with_blob(record: Record, blob: Blob) -> Put:
-    """The record of a file with other bytes."""
+    """Return the record of a file with other bytes."""
     return Put(record.path, record.model, record.triples, blob, expected=record.version)

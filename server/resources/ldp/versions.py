@@ -106,7 +106,7 @@ def memento_times(records: Records, path: str) -> list[int]:
 
 
 def version_at(records: Records, path: str, time_ns: int) -> Record | None:
-    """The version of a document at a time, the one of now included; None where there was none."""
+    """Return the version of a document at a time, the one of now included; None where there was none."""
     current = records.get(path)
     if current is not None and current.model is Model.RDF_SOURCE and current.modified_ns <= time_ns:
         return current

@@ -1,6 +1,6 @@
 """A mobile robot in a small world, embedded: `rosld serve rover`.
 
-What `simulation.py` and `topics.py` import needs nothing but numpy, so that a ROS node can run the same robot.
+Everything but `adapter.py` needs only numpy, so that a ROS node can run the same robot.
 """
 
 from __future__ import annotations

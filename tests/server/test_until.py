@@ -14,7 +14,7 @@ import httpx
 import pytest
 
 from rosld.adapters.base import Watch
-from rosld.adapters.local_topics import NoWatch
+from rosld.adapters.embedded import NoWatch
 from rosld.adapters.model import Action, GoalEvent, GoalId, GoalStatus, TypeRef
 from tests.server.conftest import Served
 from tests.server.robots.made_up import ROBOT, MadeUp, Serving, served

@@ -26,7 +26,7 @@ import pytest
 from mcap.reader import NonSeekingReader
 
 from rosld.adapters.base import Capabilities, Sink, Watch
-from rosld.adapters.local_topics import NoWatch
+from rosld.adapters.embedded import NoWatch
 from rosld.adapters.model import (
     Action,
     ActionSchema,

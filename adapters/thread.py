@@ -1,20 +1,25 @@
-"""The thread that speaks ROS: an event loop of its own, and the two ways onto it from the server's loop.
+"""Adapters of live systems: the thread that speaks ROS, and the base class of those that have one.
 
-Sockets are read here and nowhere else, so that a busy server never makes a robot's publisher wait.
+The thread has its own event loop. Sockets are read there and nowhere else, so that a busy server never makes a robot's
+publisher wait.
 """
 
 from __future__ import annotations
 
 import asyncio
 import threading
+import time
 from collections import deque
-from collections.abc import Callable, Coroutine
-from typing import Any, TypeVar
+from collections.abc import Callable, Coroutine, Mapping, Sequence
+from typing import Any, Generic, Protocol, TypeVar
 
-from rosld.adapters.model import Unreachable
+from rosld.adapters.base import Recording
+from rosld.adapters.model import Graph, Refused, RosError, Sample, Schema, TimedOut, TypeRef, Unreachable
+from rosld.adapters.model.library import TypeLibrary
 
 _T = TypeVar("_T")
 _MAX_AT_ONCE = 1000
+_CLOSE_SECONDS = 1.7
 
 
 class IoThread:
@@ -118,3 +123,116 @@ def _settle(answer: asyncio.Future[_T], task: asyncio.Task[_T]) -> None:
         answer.set_exception(error)
     else:
         answer.set_result(task.result())
+
+
+class LiveSystem(Protocol):
+    """A system that lives on the thread of its adapter."""
+
+    @property
+    def graph(self) -> Graph:
+        """The computation graph as last known; any thread may read it."""
+        ...
+
+    async def close(self) -> None:
+        """Leave the system."""
+        ...
+
+
+_S = TypeVar("_S", bound=LiveSystem)
+
+
+class ThreadAdapter(Generic[_S]):
+    """The part of an `Adapter` that is the same for all systems reached from a thread of their own."""
+
+    def __init__(self, library: TypeLibrary, own_node: str) -> None:
+        self._library = library
+        self._graph = Graph(0, own_node=own_node)
+        self._thread: IoThread | None = None
+        self._system: _S | None = None
+        self._closing: asyncio.Future[None] | None = None
+
+    @property
+    def graph(self) -> Graph:
+        """The computation graph as last known."""
+        return self._system.graph if self._system else self._graph
+
+    @property
+    def recordings(self) -> Mapping[str, Recording]:
+        """None: this is a live system."""
+        return {}
+
+    async def close(self) -> None:
+        """Leave the system within two seconds, even if it hangs. Idempotent."""
+        if self._closing is not None:
+            await asyncio.shield(self._closing)
+        elif self._thread is not None:
+            self._closing = asyncio.ensure_future(self._close(self._thread))
+            await asyncio.shield(self._closing)
+
+    def known_types(self) -> Sequence[TypeRef]:
+        """Return the types met so far, and those that the graph names."""
+        graph = self.graph
+        met = dict.fromkeys(self._library.known())
+        named = {ref.name for ref in met}
+        typed = [ref for topic in graph.topics.values() for ref in topic.types]
+        typed += [service.type for service in graph.services.values() if service.type is not None]
+        typed += [action.type for action in graph.actions.values() if action.type is not None]
+        met.update(dict.fromkeys(ref for ref in typed if ref.hash or ref.name not in named))
+        return list(met)
+
+    def age_ns(self, sample: Sample) -> int:
+        """Return the time since a sample was received, simulated time or not."""
+        return max(0, time.time_ns() - sample.received_ns)
+
+    def _running(self) -> tuple[IoThread, _S]:
+        if self._thread is None or self._system is None or self._closing is not None:
+            raise Unreachable("the adapter is not open")
+        return self._thread, self._system
+
+    async def _schema_in_time(self, name: str, looking: Coroutine[Any, Any, Schema], deadline: float) -> Schema:
+        """Return the schema that `looking` finds on the thread. Raises TimedOut, UnknownType."""
+        thread, _ = self._running()
+        try:
+            return await asyncio.wait_for(thread.run(looking), max(seconds_left(deadline), 0.0))
+        except asyncio.TimeoutError as error:
+            raise TimedOut(f"the definition of {name} was not found in time") from error
+
+    def _require_type(self, topic: str, type: TypeRef) -> None:
+        """Raise Refused if the topic exists with other types only."""
+        known = self.graph.topics.get(topic)
+        if known is not None and known.types and all(type.name != each.name for each in known.types):
+            names = " and ".join(each.name for each in known.types)
+            raise Refused(f"{topic} has the type {names}, not {type.name}")
+
+    async def _close(self, thread: IoThread) -> None:
+        began = time.monotonic()
+        if self._system is not None:
+            try:
+                await asyncio.wait_for(thread.run(self._system.close()), _CLOSE_SECONDS)
+            except (asyncio.TimeoutError, RosError):
+                pass
+        await thread.stop(max(0.2, _CLOSE_SECONDS - (time.monotonic() - began)))
+
+
+class GoalWatch:
+    """A watch of the goals of an action; `stop` runs on the thread."""
+
+    def __init__(self, thread: IoThread, stop: Callable[[], None]) -> None:
+        self._thread = thread
+        self._stop: Callable[[], None] | None = stop
+
+    def close(self) -> None:
+        """Stop following the goals. Idempotent."""
+        stop, self._stop = self._stop, None
+        if stop is not None:
+            self._thread.post(stop)
+
+
+def thread_time(deadline: float) -> float:
+    """Return a deadline of the running loop as a time of the thread's loop, whose clock is the monotonic one."""
+    return time.monotonic() + seconds_left(deadline)
+
+
+def seconds_left(deadline: float) -> float:
+    """Return the seconds until a deadline of the running loop."""
+    return deadline - asyncio.get_running_loop().time()

@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-import asyncio
 import itertools
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
-from rosld.adapters.base import AdapterOptions, Capabilities, Published, Recording, Sink, Watch
+from rosld.adapters.base import AdapterOptions, Capabilities, Published, Sink, Watch
 from rosld.adapters.model import (
     Encoding,
     GoalId,
-    Graph,
     Kind,
     Operation,
     Ref,
-    Refused,
     RosError,
     Sample,
     Schema,
-    TimedOut,
     TypeRef,
     Unreachable,
 )
@@ -35,9 +31,8 @@ from rosld.adapters.ros2.source import Source, read_source, require_rclpy
 from rosld.adapters.ros2.system import System, unique_name
 from rosld.adapters.ros2.types import definition_folders
 from rosld.adapters.ros2.values import operations_on
-from rosld.adapters.thread import IoThread
+from rosld.adapters.thread import GoalWatch, IoThread, ThreadAdapter, thread_time
 
-_CLOSE = 1.7
 _CAPABILITIES = Capabilities(
     "ROS 2", Encoding.CDR, writes=True, creates_topics=True, parameter_trees=False, qos=True, hidden_names=True
 )
@@ -63,50 +58,23 @@ class _Own:
     sequence: int = 0
 
 
-class _Following:
-    """A watch of the goals of an action."""
-
-    def __init__(self, thread: IoThread, stop: Callable[[], None]) -> None:
-        self._thread = thread
-        self._stop: Callable[[], None] | None = stop
-
-    def close(self) -> None:
-        """Follow no more. Idempotent."""
-        stop, self._stop = self._stop, None
-        if stop is not None:
-            self._thread.post(stop)
-
-
-class Ros2Adapter:
+class Ros2Adapter(ThreadAdapter[System]):
     """A ROS 2 system, reached through rclpy. Implements the contract's `Adapter`."""
 
     def __init__(self, source: Source, options: AdapterOptions) -> None:
+        library = TypeLibrary(ros_version=2, folders=definition_folders(options.types))
+        super().__init__(library, f"{source.namespace.rstrip('/')}/{unique_name()}")
         self._source = source
         self._options = options
-        self._library = TypeLibrary(ros_version=2, folders=definition_folders(options.types))
-        self._graph = Graph(0, own_node=f"{source.namespace.rstrip('/')}/{unique_name()}")
-        self._thread: IoThread | None = None
-        self._system: System | None = None
         self._feeds: dict[str, Feed] = {}
         self._epochs: dict[str, int] = {}
         self._own: dict[str, _Own] = {}
         self._own_epochs = itertools.count()
-        self._closing: asyncio.Future[None] | None = None
 
     @property
     def capabilities(self) -> Capabilities:
         """Everything ROS 2 has can be read and written."""
         return _CAPABILITIES
-
-    @property
-    def graph(self) -> Graph:
-        """The computation graph as last known."""
-        return self._system.graph if self._system else self._graph
-
-    @property
-    def recordings(self) -> Mapping[str, Recording]:
-        """None: this is a live system."""
-        return {}
 
     async def open(self, sink: Sink, *, deadline: float) -> None:
         """Join the domain and discover the system. Raises Unreachable where the middleware cannot be started."""
@@ -115,7 +83,7 @@ class Ros2Adapter:
         thread = IoThread("rosld-ros2")
         thread.start()
         self._thread = thread
-        until = _until(deadline)
+        until = thread_time(deadline)
 
         async def begin() -> System:
             try:
@@ -131,14 +99,6 @@ class Ros2Adapter:
             await thread.stop(1.0)
             self._thread = None
             raise
-
-    async def close(self) -> None:
-        """Leave the domain; idempotent, and over within two seconds."""
-        if self._closing is not None:
-            await asyncio.shield(self._closing)
-        elif self._thread is not None:
-            self._closing = asyncio.ensure_future(self._close(self._thread))
-            await asyncio.shield(self._closing)
 
     def allows(self, ref: Ref) -> frozenset[Operation]:
         """What ROS 2 can do with a thing: a topic whose types conflict or are not known here is not published to."""
@@ -169,23 +129,10 @@ class Ros2Adapter:
 
     async def schema(self, ref: TypeRef, *, deadline: float) -> Schema:
         """Return the schema of a type. Raises UnknownType."""
-        thread, system = self._running()
-        looking = system.types.schema(type_in_use(self.graph, ref), nodes_using(self.graph, ref), _until(deadline))
-        try:
-            return await asyncio.wait_for(thread.run(looking), max(_seconds_left(deadline), 0.0))
-        except asyncio.TimeoutError as error:
-            raise TimedOut(f"the definition of {ref.name} was not found in time") from error
-
-    def known_types(self) -> Sequence[TypeRef]:
-        """Return the types met so far, and those that the graph names."""
+        _, system = self._running()
         graph = self.graph
-        met = dict.fromkeys(self._library.known())
-        named = {ref.name for ref in met}
-        for topic in graph.topics.values():
-            met.update(dict.fromkeys(ref for ref in topic.types if ref.hash or ref.name not in named))
-        typed = [*(each.type for each in graph.services.values()), *(each.type for each in graph.actions.values())]
-        met.update(dict.fromkeys(ref for ref in typed if ref is not None and ref.name not in named))
-        return list(met)
+        looking = system.types.schema(type_in_use(graph, ref), nodes_using(graph, ref), thread_time(deadline))
+        return await self._schema_in_time(ref.name, looking, deadline)
 
     async def subscribe(self, topic: str, *, depth: int = 1) -> TopicSubscription:
         """Subscribe to a topic; no message is taken before one is read."""
@@ -204,10 +151,6 @@ class Ros2Adapter:
         self._set_depth(feed)
         return subscription
 
-    def age_ns(self, sample: Sample) -> int:
-        """How long ago a sample was received, simulated time or not."""
-        return max(0, time.time_ns() - sample.received_ns)
-
     async def publish(
         self, topic: str, type: TypeRef, data: bytes, *, latch: bool = False, deadline: float
     ) -> Published:
@@ -221,7 +164,7 @@ class Ros2Adapter:
         if publication is None or not publication.carries(type) or not system.publications.suits(publication, latch):
             publication = await self._advertise(topic, type, latch, deadline)
         elif not publication.matched:
-            await thread.run(publication.wait_matched(1, _until(deadline), 0.0))
+            await thread.run(publication.wait_matched(1, thread_time(deadline), 0.0))
         self._keep_own(publication, data)
         thread.post(partial(publication.send, data))
         return Published(publication.matched)
@@ -245,61 +188,53 @@ class Ros2Adapter:
     async def call(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
         """Call a service. Raises Refused, TimedOut, Unreachable, NotFound; ROS 2's nodes give no words of failure."""
         thread, system = self._running()
-        return await thread.run(system.call(service, type, request, _until(deadline)))
+        return await thread.run(system.call(service, type, request, thread_time(deadline)))
 
     async def send_goal(self, action: str, type: TypeRef, goal: bytes, *, deadline: float) -> GoalId:
         """Send a goal. Raises Refused where it is rejected, TimedOut, Unreachable, NotFound."""
         thread, system = self._running()
-        return await thread.run(system.send_goal(action, type, goal, _until(deadline)))
+        return await thread.run(system.send_goal(action, type, goal, thread_time(deadline)))
 
     async def cancel_goal(self, goal: GoalId, *, deadline: float) -> None:
         """Ask for a goal to be canceled. Raises Refused, TimedOut, Unreachable, NotFound."""
         thread, system = self._running()
-        await thread.run(system.cancel_goal(goal, _until(deadline)))
+        await thread.run(system.cancel_goal(goal, thread_time(deadline)))
 
     async def cancel_goals(self, action: str, *, deadline: float) -> None:
         """Ask for all goals of an action to be canceled. Raises Refused, TimedOut, Unreachable, NotFound."""
         thread, system = self._running()
-        await thread.run(system.cancel_goals(action, _until(deadline)))
+        await thread.run(system.cancel_goals(action, thread_time(deadline)))
 
     async def follow_goals(self, action: str, *, deadline: float) -> Watch:
         """Announce all goals of an action to the sink. Raises NotFound."""
         thread, system = self._running()
-        return _Following(thread, await thread.run(system.follow_goals(action, _until(deadline))))
+        return GoalWatch(thread, await thread.run(system.follow_goals(action, thread_time(deadline))))
 
     async def change_state(self, node: str, transition: str, *, deadline: float) -> None:
         """Have a managed node make a transition. Raises Refused, TimedOut, Unreachable, NotFound."""
         thread, system = self._running()
-        await thread.run(system.change_state(node, transition, _until(deadline)))
+        await thread.run(system.change_state(node, transition, thread_time(deadline)))
 
     async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
         """Return the values of those names that exist, asked of their nodes now."""
         thread, system = self._running()
-        return await thread.run(system.parameters.get(names, _until(deadline)))
+        return await thread.run(system.parameters.get(names, thread_time(deadline)))
 
     async def set_parameters(self, values: Mapping[str, ParameterValue], *, deadline: float) -> None:
         """Set them, those of one node all or none. Raises Refused naming the parameter, with the node's reason."""
         thread, system = self._running()
-        await thread.run(system.parameters.set(values, _until(deadline)))
+        await thread.run(system.parameters.set(values, thread_time(deadline)))
 
     async def delete_parameters(self, names: Sequence[str], *, deadline: float) -> None:
         """Delete them. Raises NotFound, and Refused by nodes that keep what they declared."""
         thread, system = self._running()
-        await thread.run(system.parameters.delete(names, _until(deadline)))
-
-    def _running(self) -> tuple[IoThread, System]:
-        if self._thread is None or self._system is None or self._closing is not None:
-            raise Unreachable("the adapter is not open")
-        return self._thread, self._system
+        await thread.run(system.parameters.delete(names, thread_time(deadline)))
 
     async def _advertise(self, topic: str, type: TypeRef, latch: bool, deadline: float) -> Publication:
         """Advertise a topic; when it returns the graph has it."""
         thread, system = self._running()
-        known = self.graph.topics.get(topic)
-        if known is not None and known.types and all(type.name != each.name for each in known.types):
-            names = " and ".join(each.name for each in known.types)
-            raise Refused(f"{topic} has the type {names}, not {type.name}")
-        return await thread.run(system.publications.advertise(topic, type, latch, _until(deadline)))
+        self._require_type(topic, type)
+        return await thread.run(system.publications.advertise(topic, type, latch, thread_time(deadline)))
 
     def _keep_own(self, publication: Publication, data: bytes) -> None:
         """What we publish is a sample of ours, there before `publish` returns."""
@@ -335,24 +270,6 @@ class Ros2Adapter:
         if depth > feed.depth and self._thread is not None and self._system is not None:
             feed.deepen(depth)
             self._thread.post(partial(self._system.deepen, feed))
-
-    async def _close(self, thread: IoThread) -> None:
-        began = time.monotonic()
-        if self._system is not None:
-            try:
-                await asyncio.wait_for(thread.run(self._system.close()), _CLOSE)
-            except (asyncio.TimeoutError, RosError):
-                pass  # it was promised to be quick
-        await thread.stop(max(0.2, _CLOSE - (time.monotonic() - began)))
-
-
-def _until(deadline: float) -> float:
-    """Return a deadline of the running loop as a time of the thread's loop, whose clock is the monotonic one."""
-    return time.monotonic() + _seconds_left(deadline)
-
-
-def _seconds_left(deadline: float) -> float:
-    return deadline - asyncio.get_running_loop().time()
 
 
 def _one_line(error: Exception) -> str:

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from pyoxigraph import RdfFormat, Triple, parse
 
@@ -53,76 +53,12 @@ class LiftSettings:
         return replace(self, inline_limit=1 << 62)
 
 
-class Lifter(Protocol):
-    """Writes messages of one schema. `document` is the absolute URL, `node` the fragment (`#message`).
+class Lifter:
+    """Writer of messages of one schema; each syntax is compiled on first use.
 
-    `source` is the URL where the bytes of elided fields are asked for, where that is not the document's.
+    `document` is the absolute URL, `node` the fragment (`#message`), `source` the URL of the bytes of elided fields if
+    it is not the document.
     """
-
-    schema: MessageSchema
-    prefixes: Mapping[str, str]
-    context: Mapping[str, object]
-
-    def ntriples(
-        self,
-        message: Message,
-        document: str,
-        node: str,
-        *,
-        end: str = " .\n",
-        envelope: Envelope | None = None,
-        simulated_time: bool = False,
-        source: str | None = None,
-    ) -> str:
-        """N-Triples lines; with `end=" <graph> .\\n"` N-Quads."""
-        ...
-
-    def turtle(
-        self,
-        message: Message,
-        document: str,
-        node: str,
-        *,
-        envelope: Envelope | None = None,
-        simulated_time: bool = False,
-        source: str | None = None,
-    ) -> str:
-        """Turtle statements for a document whose `@base` is its URL and whose prefixes include `prefixes`."""
-        ...
-
-    def jsonld(
-        self,
-        message: Message,
-        document: str,
-        node: str,
-        *,
-        envelope: Envelope | None = None,
-        simulated_time: bool = False,
-        source: str | None = None,
-    ) -> str:
-        """One JSON-LD node object (text) for a document whose context includes `context` and whose base is its URL."""
-        ...
-
-    def json(self, message: Message, document: str) -> bytes:
-        """ROS's own JSON of the message (`document` is for the URLs of what is elided)."""
-        ...
-
-    def triples(
-        self,
-        message: Message,
-        document: str,
-        node: str,
-        *,
-        envelope: Envelope | None = None,
-        simulated_time: bool = False,
-        source: str | None = None,
-    ) -> list[Triple]:
-        """The same as terms."""
-        ...
-
-
-class CompiledLifter:
-    """The `Lifter` of one schema; each syntax is compiled when it is first asked for."""
 
     def __init__(
         self,
@@ -148,6 +84,7 @@ class CompiledLifter:
         self, message: Message, document: str, node: str, *, end: str = " .\n",
         envelope: Envelope | None = None, simulated_time: bool = False, source: str | None = None,
     ) -> str:  # fmt: skip
+        """Return N-Triples lines; with `end=" <graph> .\\n"` N-Quads."""
         subject = document + node
         extra = "" if envelope is None else _ntriples_envelope(subject, envelope, end, self._only)
         return self._ntriples(message, subject, end, Site(source or document, len(subject) + 1, simulated_time), extra)
@@ -156,6 +93,7 @@ class CompiledLifter:
         self, message: Message, document: str, node: str, *,
         envelope: Envelope | None = None, simulated_time: bool = False, source: str | None = None,
     ) -> str:  # fmt: skip
+        """Return Turtle statements for a document whose `@base` is its URL and whose prefixes include `prefixes`."""
         extra = "" if envelope is None else _turtle_envelope(envelope)
         return self._turtle(message, node, "", Site(source or document, len(node) + 1, simulated_time), extra)
 
@@ -163,16 +101,19 @@ class CompiledLifter:
         self, message: Message, document: str, node: str, *,
         envelope: Envelope | None = None, simulated_time: bool = False, source: str | None = None,
     ) -> str:  # fmt: skip
+        """Return a JSON-LD node object for a document whose context includes `context` and whose base is its URL."""
         extra = "" if envelope is None else _jsonld_envelope(envelope)
         return self._jsonld(message, node, "", Site(source or document, len(node) + 1, simulated_time), extra)
 
     def json(self, message: Message, document: str) -> bytes:
+        """Return ROS's own JSON of the message (`document` is for the URLs of what is elided)."""
         return self._json(message, "", "", Site(document, 1, False), "").encode()
 
     def triples(
         self, message: Message, document: str, node: str, *,
         envelope: Envelope | None = None, simulated_time: bool = False, source: str | None = None,
     ) -> list[Triple]:  # fmt: skip
+        """Return the same as terms."""
         # Parsing N-Triples costs less than making the terms one by one from Python.
         text = self.ntriples(message, document, node, envelope=envelope, simulated_time=simulated_time, source=source)
         return [quad.triple for quad in parse(text, RdfFormat.N_TRIPLES)]
@@ -207,7 +148,7 @@ def lifter(schema: MessageSchema, settings: LiftSettings = LiftSettings()) -> Li
 
     Raises ValueError for a type that contains itself or whose name is none.
     """
-    return CompiledLifter(schema, settings)
+    return Lifter(schema, settings)
 
 
 @lru_cache(maxsize=256)
@@ -220,7 +161,7 @@ def partial_lifter(
     """
     if only is None:
         return lifter(schema, settings)
-    return CompiledLifter(schema, settings, only, is_linked=is_linked)
+    return Lifter(schema, settings, only, is_linked=is_linked)
 
 
 def _ntriples_envelope(subject: str, envelope: Envelope, end: str, only: frozenset[str] | None) -> str:

@@ -65,11 +65,11 @@ class Authenticator:
 
     @property
     def anonymous(self) -> AuthContext:
-        """Who has not said who they are."""
+        """The session of an agent without credentials."""
         return self._auth_context(ANONYMOUS, lambda: ANONYMOUS, None)
 
     async def authenticate(self, field: str | None) -> AuthContext:
-        """Who sends this Authorization field, None for none. Raises a 401 Problem for what proves nothing."""
+        """Return the agent of an Authorization field, None for none. Raises a 401 Problem for invalid credentials."""
         if field is None:
             return self.anonymous
         sent = parse_credentials(field)
@@ -87,7 +87,7 @@ class Authenticator:
         return self._auth_context(self._agent_of(claims), lambda: self._agent_of(claims), claims.expires)
 
     def permissions(self, agent: Agent) -> Permissions:
-        """What an agent may do now."""
+        """Return the current permissions of an agent."""
         found = self._judges.get(agent)
         if found is None:
             if len(self._judges) >= _MAX_AGENTS:
@@ -97,7 +97,7 @@ class Authenticator:
         return found
 
     def current_permissions(self, agent: Agent) -> Permissions | None:
-        """What an agent may do now who asked for something before; None where they could not ask any more."""
+        """Return the current permissions of an agent that was authenticated before, or None if it no longer is."""
         access = self.config
         name: str | None = agent.name
         if agent == ANONYMOUS:
@@ -154,7 +154,7 @@ class Authenticator:
         return None if name is None else self.config.policy.agents[name]
 
     async def _claims(self, token: str) -> Claims | None:
-        """What a token of an issuer says, None where it is of none that counts. Raises a 401 Problem."""
+        """Return the claims of an issuer's token, or None if it is from no known issuer. Raises a 401 Problem."""
         issuer = issuer_of(token, self.config.issuers)
         if issuer is None:
             return None
@@ -174,7 +174,7 @@ class Authenticator:
 
 
 def _stamp(path: Path) -> _Stamp:
-    """What is another whenever a file was written."""
+    """Return a stamp that changes whenever a file is written."""
     try:
         found = path.stat()
     except OSError:

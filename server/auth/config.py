@@ -67,7 +67,7 @@ class AuthConfig:
 
 
 def read_config(path: Path, base: str) -> AuthConfig:
-    """What a file says; `base` resolves the relative IRIs of one in Turtle. Raises ValueError with a sentence."""
+    """Return the configuration in a file; `base` resolves relative IRIs in Turtle. Raises ValueError."""
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -107,7 +107,7 @@ class _Table:
         return found
 
     def texts(self, name: str, default: Sequence[str] | None = None) -> tuple[str, ...]:
-        """Texts; one may stand without brackets."""
+        """Return a list of texts; a single one needs no brackets."""
         found = self._left.pop(name, default)
         found = [found] if isinstance(found, str) else found
         if not isinstance(found, Sequence) or not all(isinstance(each, str) and each for each in found):
@@ -136,7 +136,7 @@ class _Table:
             raise ValueError(f"{self._where}: {next(iter(self._left))!r} is not known here")
 
     def checked(self, make: Callable[[], _V]) -> _V:
-        """What `make` makes; what it raises says where."""
+        """Return the result of `make`; its ValueError names the place."""
         try:
             return make()
         except ValueError as error:
@@ -144,7 +144,7 @@ class _Table:
 
 
 def from_toml(data: bytes) -> AuthConfig:
-    """What TOML says. Raises ValueError naming the table and what is wrong in it."""
+    """Return the configuration in TOML. Raises ValueError naming the table and the error."""
     said = tomllib.loads(data.decode("utf-8"))
     kinds = ("agent", "token", "issuer", "rule")
     for kind, tables in said.items():
@@ -277,7 +277,7 @@ def _whole(
 
 
 def from_turtle(data: bytes, base: str) -> AuthConfig:
-    """What Turtle says; IRIs below `base` are paths of this server. Raises ValueError, SyntaxError."""
+    """Return the configuration in Turtle; IRIs below `base` are paths here. Raises ValueError, SyntaxError."""
     graph = _Graph((quad.subject, quad.predicate, quad.object) for quad in parse(data, RdfFormat.TURTLE, base_iri=base))
     agents: dict[str, Agent] = {}
     tokens: dict[str, str] = {}

@@ -28,7 +28,7 @@ _WORDS = {"PUT": "write this", "POST": "post to this", "PATCH": "change this", "
 
 
 class Protected(Protocol):
-    """What enforcement needs to know of a resource."""
+    """The properties of a resource that enforcement needs."""
 
     @property
     def changes_subtree(self) -> bool:
@@ -37,7 +37,7 @@ class Protected(Protocol):
 
     @property
     def also_changes(self) -> Sequence[str]:
-        """The URLs of what its writes change beside itself."""
+        """The URLs of other resources that writes change."""
         ...
 
     def methods(self) -> frozenset[str]:
@@ -46,7 +46,7 @@ class Protected(Protocol):
 
 
 def location_of(scope: Scope, space: Space) -> Location | None:
-    """Where a request goes, None where its path is malformed."""
+    """Return the location of a request, or None if its path is malformed."""
     try:
         path: str = scope["raw_path"].decode("ascii").removeprefix(space.path.rstrip("/"))
         return _located(path) if len(path) <= _SHORT else locate(path)
@@ -63,9 +63,9 @@ def require_path(permissions: Permissions, method: str, place: Location | None) 
 
 
 def authorize(permissions: Permissions, method: str, place: Location | None, resource: Protected) -> None:
-    """Refuse what may not be done with a resource that is there. Raises 401, 403, 404.
+    """Refuse a request that the agent may not make of an existing resource. Raises 401, 403, 404.
 
-    What the resource does not do whoever asks (405) is not judged here.
+    Methods that the resource does not have (405) are not judged here.
     """
     if place is None or not permissions.may_know(place):
         raise not_found()
@@ -85,7 +85,7 @@ def authorize(permissions: Permissions, method: str, place: Location | None, res
 
 
 def allowed_methods(permissions: Permissions, place: Location, resource: Protected) -> frozenset[str]:
-    """Those methods of a resource that the agent may use on it."""
+    """Return the methods of a resource that the agent may use."""
     methods = resource.methods()
     if permissions.is_unrestricted:
         return methods
@@ -100,7 +100,7 @@ def allowed_methods(permissions: Permissions, place: Location, resource: Protect
 
 
 def is_write(method: str, place: Location | None) -> bool:
-    """Whether a request would write what is kept, or command the robot, if it were let pass."""
+    """Whether a request would change stored data, or command the robot, if it were permitted."""
     return method in _WORDS and place is not None and mode_of(method, path_at(place)) is not Mode.READ
 
 

@@ -52,7 +52,7 @@ def gone() -> Problem:
 
 
 def withhold_reason(problem: Problem) -> Problem:
-    """The same refusal without its reason, which speaks of what the agent may not know of; it says what was done."""
+    """Remove the reason of a refusal if it mentions what the agent may not know."""
     extra = {name: problem.extra[name] for name in _DONE & problem.extra.keys()}
     if "members" in extra:
         found = cast("Sequence[Mapping[str, object]]", extra["members"])

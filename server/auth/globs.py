@@ -74,7 +74,7 @@ class Glob:
         return last >= 0 and self._parts[last] is None and last in self._states_after(path)
 
     def _states_after(self, path: Path) -> frozenset[int]:
-        """How many parts of the glob may be used up once the path is: where in the glob one may stand then."""
+        """Return the possible positions in the glob after the path."""
         states = self._skip_any({0})
         for segment in path:
             after = set()
@@ -92,7 +92,7 @@ class Glob:
         return frozenset(states)
 
     def _skip_any(self, states: set[int]) -> set[int]:
-        """Return these places, and those behind each `**`, which may stand for nothing."""
+        """Return these positions, and those after each `**`, which may match nothing."""
         found = set(states)
         for state in sorted(states):
             while state < len(self._parts) and self._parts[state] is None:
@@ -107,5 +107,5 @@ def _type_pattern(glob: str) -> re.Pattern[str]:
 
 
 def type_matches(glob: str, name: str) -> bool:
-    """Whether a glob over message types (`sensor_msgs/msg/*`) is about this type; `*` stands for any characters."""
+    """Whether a glob over message types (`sensor_msgs/msg/*`) matches a type; `*` matches any characters."""
     return _type_pattern(glob).fullmatch(name) is not None

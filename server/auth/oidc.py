@@ -28,7 +28,7 @@ _LONGEST_TOKEN = 16 * 1024
 
 
 class InvalidToken(Exception):
-    """A token that is not accepted; its message is for the sender, and tells nothing of keys."""
+    """A token is not accepted; the message is for the sender, and reveals nothing about keys."""
 
 
 class Claims(NamedTuple):
@@ -138,7 +138,7 @@ def _fetch(issuer: Issuer) -> Mapping[str, object]:
 
 
 def _keys_url(issuer: Issuer) -> str:
-    """Where an issuer says that its keys are (OpenID Connect Discovery 4). Raises OSError and ValueError."""
+    """Return the URL of an issuer's keys (OpenID Connect Discovery 4). Raises OSError and ValueError."""
     url = _json(f"{issuer.url.rstrip('/')}/.well-known/openid-configuration").get("jwks_uri")
     if not isinstance(url, str) or not _is_safe(url, issuer.url):
         raise ValueError("the issuer's configuration names no keys")

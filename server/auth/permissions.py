@@ -35,7 +35,7 @@ def _about_nothing_else(location: Location) -> Sequence[str]:
 
 
 def _about_unknown(location: Location) -> Sequence[str] | None:
-    """In a worker process, where it is not known what calls, receipts and recordings tell of."""
+    """Return None: worker processes do not know the subjects of calls, receipts and recordings."""
     return None if location.kind in TELLING_OF_OTHERS and location.segments else ()
 
 
@@ -73,7 +73,7 @@ class Permissions:
         return Permissions, (self.agent, Rights(self.rights.rules), self._space, _untyped, _about_unknown)
 
     def may_read(self, url: str) -> bool:
-        """Whether what is at a URL may be read, whatever its query and fragment."""
+        """Whether a URL may be read, regardless of its query and fragment."""
         return self.may("GET", url)
 
     def may(self, method: str, url: str) -> bool:
@@ -92,7 +92,7 @@ class Permissions:
         return found is None or self.may_read(container + found[1])
 
     def locate(self, url: str) -> Location | None:
-        """Where a URL points, None for one of another server."""
+        """Return the location of a URL, or None for another server."""
         return self._located(url)
 
     def may_at(self, method: str, location: Location) -> bool:
@@ -121,7 +121,7 @@ class Permissions:
         return self._space is None or self.may_read(self._space.topic(name if name.startswith("/") else f"/{name}"))
 
     def may_know(self, location: Location) -> bool:
-        """Whether the agent may know if anything is there: at what tells of others, if of any of these."""
+        """Whether the agent may know if anything exists at a location, or at one of its subjects."""
         if self.is_unrestricted:
             return True
         if not self.rights.may_know(path_at(location), self._types(location)):
@@ -140,16 +140,16 @@ class Permissions:
         return self.is_unrestricted or self.rights.may_know(path_at(location), None)
 
     def may_know_any_type(self, location: Location) -> bool:
-        """Whether the agent may know if anything is there, whatever it would be."""
+        """Whether the agent may know if anything of any type exists at a location."""
         return self.is_unrestricted or self.rights.may_know_any_type(path_at(location))
 
     def may_subtree(self, method: str, location: Location) -> bool:
-        """Whether a request may be made of a location and of everything below, whatever lies there."""
+        """Whether a request is permitted at a location and everywhere below, for any type."""
         path = path_at(location)
         return self.is_unrestricted or self.rights.may_subtree(mode_of(method, path), path)
 
     def may_template(self, method: str, url: str) -> bool:
-        """Whether a request may be made of a URL, or of one that a template of URLs (`/data/{name}`) stands for."""
+        """Whether a request is permitted at a URL, or at one that a template (`/data/{name}`) matches."""
         if "{" not in url:
             return self.may(method, url)
         place = self._located(url.partition("{")[0])
@@ -158,7 +158,7 @@ class Permissions:
         )
 
     def allowed_methods(self, methods: Iterable[str], url: str) -> frozenset[str]:
-        """Those methods that the agent may use there."""
+        """Return the methods that the agent may use at a location."""
         return (
             frozenset(methods) if self.is_unrestricted else frozenset(each for each in methods if self.may(each, url))
         )

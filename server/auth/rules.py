@@ -48,7 +48,7 @@ _ASKED = frozenset({"sparql", "channels"})
 
 
 def mode_of(method: str, path: Path) -> Mode:
-    """What a request with this method at this path does."""
+    """Return the access mode of a request with this method at this path."""
     route = path[0] if path else ""
     if route == ACL:
         return Mode.ADMINISTER
@@ -95,11 +95,11 @@ class Rule:
         )
 
     def may_cover(self, mode: Mode, path: Path) -> bool:
-        """Whether it may be about this path, of whatever type."""
+        """Whether the rule can apply to this path, for some type."""
         return mode in self.modes and any(glob.matches(path) for glob in self.globs)
 
     def covers_subtree(self, mode: Mode, path: Path) -> bool:
-        """Whether it is about this path and all that may lie below, of whatever type."""
+        """Whether the rule applies to this path and everything below, for all types."""
         return mode in self.modes and not self.types and any(glob.covers_subtree(path) for glob in self.globs)
 
     def overlaps_subtree(self, mode: Mode, path: Path) -> bool:
@@ -115,19 +115,19 @@ class Policy:
     agents: Mapping[str, Agent] = field(default_factory=dict)
 
     def rights_of(self, agent: Agent) -> Rights:
-        """What an agent may do."""
+        """Return the rights of an agent."""
         return Rights(tuple(rule for rule in self.rules if rule.applies_to(agent)))
 
 
 @dataclass(frozen=True)
 class Rights:
-    """What one agent may do, by the rules about it."""
+    """The rights of one agent, by its rules."""
 
     rules: tuple[Rule, ...]
     _known: dict[tuple[Mode, Path, Types | None], bool] = field(default_factory=dict, repr=False, compare=False)
 
     def may(self, mode: Mode, path: Path, types: Types | None = UNTYPED) -> bool:
-        """Whether this may be done at a path of these types; None: whether it may be, of whatever types it is."""
+        """Whether access is permitted at a path of these types; None: for some types."""
         key = (mode, path, types)
         found = self._known.get(key)
         if found is None:
@@ -137,7 +137,7 @@ class Rights:
         return found
 
     def may_subtree(self, mode: Mode, path: Path) -> bool:
-        """Whether this may be done at a path and at everything that may lie below it, whatever that is."""
+        """Whether access is permitted at a path and everywhere below, for all types."""
         allowed = any(rule.covers_subtree(mode, path) for rule in self.rules if not rule.deny)
         return allowed and not any(rule.overlaps_subtree(mode, path) for rule in self.rules if rule.deny)
 
@@ -147,7 +147,7 @@ class Rights:
         return allowed and not any(rule.covers_subtree(mode, path) for rule in self.rules if rule.deny)
 
     def may_know_any_type(self, path: Path) -> bool:
-        """Whether something may be done there whatever its types are, so that types hide nothing there."""
+        """Whether access is permitted for all types, so that types hide nothing."""
         return any(self._may_any(mode, path) for mode in Mode)
 
     def _may_any(self, mode: Mode, path: Path) -> bool:

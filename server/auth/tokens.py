@@ -29,7 +29,7 @@ def generate_token() -> str:
 
 
 def token_digest(token: str) -> str:
-    """What is kept of a token."""
+    """Return the stored digest of a token."""
     return "sha256:" + hashlib.sha256(token.encode("utf-8", "surrogatepass")).hexdigest()
 
 
@@ -59,9 +59,9 @@ class Credentials:
 
 
 def parse_credentials(field: str) -> Credentials | None:
-    """What an Authorization field holds (RFC 9110 11.6.2): Bearer, or Basic with the token as its password (RFC 7617).
+    """Return the token in an Authorization field (RFC 9110 11.6.2): Bearer, or the password of Basic (RFC 7617).
 
-    None where it holds neither.
+    None for any other.
     """
     scheme, _, rest = field.strip(" \t").partition(" ")
     rest = rest.strip(" \t")

@@ -36,6 +36,6 @@ def user_errors() -> Iterator[None]:
 
 
 def reason(error: OSError) -> str:
-    """What an OSError says, with the file's name first where there is one."""
+    """Return the message of an OSError, after the name of its file if it has one."""
     words = error.strerror or str(error) or type(error).__name__
     return f"{error.filename}: {words}" if error.filename else words

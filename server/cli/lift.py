@@ -39,7 +39,7 @@ _STRIDE = 500
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """Where to write, in which syntax, compressed or not."""
+    """The target of a lift: file, syntax, and compression."""
 
     path: Path
     syntax: Syntax
@@ -47,7 +47,7 @@ class Target:
 
 
 def target(path: Path) -> Target:
-    """Return the target that a file's name tells. Raises ValueError for an ending that says no syntax."""
+    """Return the target with a file's name. Raises ValueError for an unknown suffix."""
     compressed = path.suffix == ".gz"
     ending = (path.with_suffix("") if compressed else path).suffix
     if ending not in SYNTAXES:

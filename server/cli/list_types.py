@@ -30,9 +30,9 @@ async def open_at_once(adapter: Adapter, sink: Sink) -> None:
 
 @contextmanager
 def open_source(source: str, options: AdapterOptions) -> Iterator[Adapter]:
-    """The adapter of a source, open; it is closed at the end. Raises ValueError and the adapter's errors.
+    """Open the adapter of a source, and close it at the end. Raises ValueError and the adapter's errors.
 
-    Its loop stands still between the two, so that Ctrl-C ends what is done with it at once.
+    Its loop is stopped in between, so that Ctrl-C ends the work at once.
     """
     adapter = adapter_for(source, options)
     loop = asyncio.new_event_loop()

@@ -73,7 +73,7 @@ class Lifting:
         return replace(found, simulated_time=True) if self._simulated_time else found
 
     def document_without_payload(self, told: DescribedMessage) -> Document:
-        """Return the document of one message without its triples: its URL, and how times are told."""
+        """Return the document of one message without triples: its URL, and whether time is simulated."""
         return Document(f"{self._messages}{told.recorded.index}", (), (), self._simulated_time)
 
     def _describe(self, recorded: RecordedMessage) -> DescribedMessage:
@@ -89,7 +89,7 @@ class Lifting:
         return DescribedMessage(recorded, LiftedMessage("#message", reader.lifter, message, envelope))
 
     def _reader(self, ref: TypeRef) -> Reader | str:
-        """How messages of a type are read and written, or why they are not."""
+        """Return the schema and lifter of a type, or why its messages are unreadable."""
         found = self._readers.get(ref)
         if found is None:
             found = self._readers[ref] = self._new_reader(ref)
@@ -138,7 +138,7 @@ def writer(syntax: Syntax, lifting: Lifting) -> Writer:
 
 
 class Paragraphs:
-    """Turtle and TriG; a prefix is declared when it is new or stands for something else than before."""
+    """Turtle and TriG; a prefix is declared when it is new or changes its meaning."""
 
     def __init__(self, syntax: Syntax, lifting: Lifting) -> None:
         self._syntax = syntax
@@ -156,7 +156,7 @@ class Paragraphs:
         return self.document(self._lifting.document(told))
 
     def _new(self, header: bytes) -> bytes:
-        """Return the lines of a header that say something new, of which the base is always one."""
+        """Return the new lines of a header; the base is always one."""
         base, *prefixes = header.splitlines(keepends=True)
         declared = {line.split(b" ", 2)[1]: line for line in prefixes}
         fresh = [line for name, line in declared.items() if self._declared.get(name) != line]

@@ -57,7 +57,7 @@ def record(source: str, output: Path, topics: Sequence[str], duration: float | N
 
 
 def _mcap_file(output: Path) -> Path:
-    """Where messages are written first: another file where the output is converted from that at the end."""
+    """Return the file that is written first: that of the output, or a temporary one to convert at the end."""
     return output if output.suffix == SUFFIX else output.with_name(f"{output.name}{SUFFIX}")
 
 

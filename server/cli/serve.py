@@ -64,7 +64,7 @@ def opened(
 
 
 def _announce(url: str) -> None:
-    """Freeze what is loaded, and print the URL; the server goes on if nobody reads it."""
+    """Freeze loaded objects, and print the URL; the server continues if stdout is closed."""
     gc.collect()
     gc.freeze()  # what is loaded now stays: each collection that looks through it would hold up all requests
     with contextlib.suppress(OSError):
@@ -122,7 +122,7 @@ class Serving:
 
 
 def end_at_the_latest(seconds: float) -> None:
-    """End the process so many seconds from now, if it still runs: a stuck thread must not hold it."""
+    """End the process after some seconds, even if a thread is stuck."""
 
     def end() -> None:
         with contextlib.suppress(OSError):  # the terminal may have gone
@@ -148,7 +148,7 @@ def raise_file_limit() -> None:
 
 
 def max_open_files() -> int:
-    """How many files this process may have open, sockets among them."""
+    """Return the maximum number of open files of this process, including sockets."""
     if sys.platform == "win32":
         return 65536
     import resource

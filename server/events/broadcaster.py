@@ -66,7 +66,7 @@ class Waiter:
             woken.set_result(None)
 
     def sleep(self) -> asyncio.Future[None]:
-        """What to await in order to sleep."""
+        """The awaitable that ends with the next wake-up."""
         self._woken = self._loop.create_future()
         return self._woken
 
@@ -97,7 +97,7 @@ class Broadcaster:
         self._follows = self._general.watch(self._outdate)
 
     def stop(self) -> None:
-        """Follow it no more."""
+        """Stop observing."""
         for watch in (self._follows, self._watch):
             if watch is not None:
                 watch.close()
@@ -112,11 +112,11 @@ class Broadcaster:
                 self._waiters.pop(waiter, None)
 
     def current(self) -> Observation | None:
-        """What `observe` would return, if it need not read for it."""
+        """Return the result of `observe`, if that needs no read."""
         return self._moment if self._seen == self.version else None
 
     async def observe(self) -> Observation:
-        """What the resource is like now: the very same object while that does not change."""
+        """Return the current state: the same object until it changes."""
         async with self._turn:
             moment = self.current()
             if moment is None:
@@ -252,12 +252,12 @@ class Broadcasters:
         return done
 
     def wake_all(self) -> None:
-        """Have all readers read the state again: their rights may have changed."""
+        """Wake all readers to read the state again, because their rights may have changed."""
         for broadcaster in tuple(self._broadcasters.values()):
             broadcaster.wake_all()
 
     def close(self) -> None:
-        """End all streams and waits, and let no more begin."""
+        """End all streams and waits, and refuse new ones."""
         self._is_over = True
         for task in tuple(self._held):
             task.cancel()
@@ -268,6 +268,6 @@ def _address_of(client: tuple[str, int] | Address | None) -> str | None:
 
 
 async def _wait_for_disconnect(receive: Receive) -> None:
-    """Returns when the client has gone (ASGI http.disconnect)."""
+    """Wait until the client has disconnected (ASGI http.disconnect)."""
     while (await receive())["type"] != "http.disconnect":
         pass

@@ -53,7 +53,7 @@ _TYPED = frozenset({"@value", "@type"})
 
 
 class ConditionError(ValueError):
-    """What is wrong with a condition, or why it can never hold of a value."""
+    """A condition is malformed, or can never hold for a value."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +98,7 @@ class Comparison:
 
 @dataclass(frozen=True, slots=True)
 class Negation:
-    """That something does not hold."""
+    """Negation of a condition."""
 
     of: Condition
 
@@ -113,7 +113,7 @@ class Negation:
 
 @dataclass(frozen=True, slots=True)
 class Combination:
-    """That all of these hold, or any of them."""
+    """Conjunction or disjunction of conditions."""
 
     parts: tuple[Condition, ...]
     combine: Callable[[Iterator[bool]], bool]
@@ -158,7 +158,7 @@ def parse_condition(text: str) -> Condition:
 
 @dataclass(frozen=True)
 class _Nowhere:
-    """What stands for the value of a field that is not there."""
+    """Value of a missing field."""
 
 
 _NOWHERE = _Nowhere()
@@ -193,13 +193,13 @@ def _require(path: tuple[Step, ...], value: Value) -> Value | _Nowhere:
 
 
 def _parts(value: Value) -> str:
-    """What parts a value has, in an error."""
+    """Return the parts of a value in words, for an error."""
     names = _names(value)
     return f"there are {', '.join(names)}" if names else "it has no parts"
 
 
 def _names(value: Value) -> list[str]:
-    """How the parts of a value are called."""
+    """Return the names of the parts of a value."""
     if isinstance(value, dict):
         names = sorted(value)
     else:
@@ -217,7 +217,7 @@ def _is_number(value: object) -> bool:
 
 
 def _as_number(value: Value) -> Value:
-    """Return the number that a string stands for, where plain JSON has it so; anything else as it is."""
+    """Return the number in a string where plain JSON spells numbers so; else the value itself."""
     if not isinstance(value, str) or len(value) > _MAX_DIGITS or not _NUMBER.fullmatch(value):
         return value
     return int(value) if value.removeprefix("-").isdigit() else float(value)
@@ -227,7 +227,7 @@ _MAX_DIGITS = 30
 
 
 def _kind(value: object) -> str:
-    """What kind of value it is, in words."""
+    """Return the kind of a value in words."""
     match value:
         case None:
             return "null"

@@ -68,19 +68,19 @@ class Channel:
 
     @property
     def seconds_left(self) -> float | None:
-        """Seconds until it ends by itself, None where no end is set."""
+        """The seconds until the end of the channel; None without one."""
         end = self.terms.end_at
         return None if end is None else max(0.0, (end - time.time_ns()) / _SECOND)
 
     @property
     def seconds_to_start(self) -> float:
-        """Seconds until it begins to tell."""
+        """The seconds until the start of the channel."""
         start = self.terms.start_at
         return 0.0 if start is None else max(0.0, (start - time.time_ns()) / _SECOND)
 
 
 class Channels:
-    """The channels of one server. `instance_id` tells this run of the server from others in the names of states."""
+    """The channels of one server. `instance_id` identifies this run of the server in the names of states."""
 
     def __init__(self, instance_id: str, limit: int = MAX_CHANNELS) -> None:
         self._instance_id = instance_id
@@ -213,6 +213,6 @@ def _tells_members(resource: Resource, state: State) -> bool:
 
 @lru_cache(maxsize=8)
 def _members(state: State) -> frozenset[str]:
-    """Return the URLs that a state of a container contains: found once, however many are told."""
+    """Return the URLs of members in the state of a container, found once per state."""
     found = [triple.object for triple in state.document.triples if triple.predicate == ldp.contains]
     return frozenset(one.value for one in found if isinstance(one, NamedNode))

@@ -15,14 +15,14 @@ DEFAULT_TIMEOUT, MAX_TIMEOUT = 25.0, 60.0
 
 
 def stream_is_preferred(accept: str | None, offers: tuple[str, ...]) -> bool:
-    """Whether an event stream is asked for by name and liked better than all other offers."""
+    """Whether a request names event streams and prefers them to all other offers."""
     if accept is None or "event-stream" not in accept.lower():
         return False
     return choose_offer(accept, (*offers, EVENT_STREAM)) == EVENT_STREAM
 
 
 def parse_rate(query: Mapping[str, str], default: float = DEFAULT_RATE) -> float:
-    """`?rate=`: at most so many events a second, cut to what can be had. Raises a 400 Problem for what is no rate."""
+    """Return `?rate=`, the maximum events per second, within limits. Raises a 400 Problem."""
     wanted = _number(query, "rate", default)
     if wanted is None or wanted < MIN_RATE:
         raise Problem(
@@ -33,7 +33,7 @@ def parse_rate(query: Mapping[str, str], default: float = DEFAULT_RATE) -> float
 
 
 def parse_timeout(query: Mapping[str, str]) -> float:
-    """`?timeout=`: at most so many seconds to wait. A 400 Problem for what is no number."""
+    """Return `?timeout=`, the maximum seconds to wait. Raises a 400 Problem."""
     wanted = _number(query, "timeout", DEFAULT_TIMEOUT)
     if wanted is None:
         raise Problem(

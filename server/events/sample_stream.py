@@ -87,7 +87,7 @@ class TopicNumbers:
         self._feed: TopicFeed | None = None
 
     async def take(self, adapter: Adapter) -> dict[str, object] | None:
-        """What is new, None where nothing is, or the topic cannot be subscribed to just now."""
+        """Return the new values; None without any, or if the topic cannot be subscribed to now."""
         with contextlib.suppress(RosError):
             if self._feed is None:
                 subscription = await adapter.subscribe(self._followed.topic, depth=_DEPTH)
@@ -147,7 +147,7 @@ def number_at(schema: MessageSchema, message: Message, path: str) -> Numbers:
 
 
 def element_names(schema: MessageSchema, message: Message, path: str) -> list[str]:
-    """What a robot calls the numbers that are told of a path of a message; none where it does not say so of all."""
+    """Return the robot's names of the numbers at a path of a message; none unless all have one."""
     if path not in NAMED_ARRAYS.get(schema.ref.name, ()):
         return []
     names, values = list(getattr(message, "name", ())), getattr(message, path, ())
@@ -162,7 +162,7 @@ def _finite(value: object) -> float | None:
 
 
 def _thinned(samples: Sequence[Sample]) -> Sequence[Sample]:
-    """At most so many of them, evenly, with the newest."""
+    """Return a limited number of values, evenly spaced, including the newest."""
     if len(samples) <= _MOST:
         return samples
     step = -(-len(samples) // _MOST)

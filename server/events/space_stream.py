@@ -92,7 +92,7 @@ class SpaceStream(EndlessResponse):
 
 
 class _Pulse:
-    """An event that is remembered while nobody waits for it."""
+    """An event that stays set until the next wait."""
 
     def __init__(self) -> None:
         self._waiter = Waiter()
@@ -111,7 +111,7 @@ class _Pulse:
 
 
 class _View:
-    """What one reader was sent, and what is new to it."""
+    """State of one reader: the parts already sent."""
 
     def __init__(self, source: SpaceSource, fixed: str, wake: Callable[[], None], stack: contextlib.ExitStack) -> None:
         self._source = source
@@ -136,7 +136,7 @@ class _View:
             watch.close()
 
     async def take(self) -> dict[str, object]:
-        """What is new, as an event; empty where nothing is."""
+        """Return the new parts as an event; empty without any."""
         event: dict[str, object] = {}
         shown = self._source.shown()
         if shown != self._shown:
@@ -180,7 +180,7 @@ class _View:
     def _thing(
         self, place: int, shown: ShownTopic, found: DrawnSample, buffer: FrameBuffer, fixed: str
     ) -> dict[str, object]:
-        """What is new of a topic; empty where nothing is."""
+        """Return the new part of a topic; empty without any."""
         is_new = self._drawn.get(shown.name) is not found
         placed, problem = place_drawing(found, buffer, fixed)
         pose = None if placed is None else pose_json(placed)
@@ -199,7 +199,7 @@ class _View:
         return told
 
     def _moved_frames(self, buffer: FrameBuffer, fixed: str) -> object:
-        """Return all frames, where one has moved since they were told; None where none has."""
+        """Return all frames if one has moved since they were sent, else None."""
         now = time.monotonic()
         if now - self._framed_at < _FRAMES_PERIOD:
             return None
@@ -225,12 +225,12 @@ def frames_json(buffer: FrameBuffer, fixed: str) -> list[dict[str, object]]:
 
 
 def _first_frame(drawn: Sequence[DrawnSample | None]) -> str | None:
-    """A frame that something is drawn in, where no transforms tell of frames."""
+    """Return a frame of some drawing, for a robot without transforms."""
     return next((each.drawing.frame for each in drawn if each and each.drawing and each.drawing.frame), None)
 
 
 def place_drawing(found: DrawnSample, buffer: FrameBuffer, fixed: str) -> tuple[Transform | None, str]:
-    """Where the frame of a message is in another at its time, or why that cannot be said."""
+    """Return the pose of a message's frame in another at its time, or why it is unknown."""
     if found.drawing is None:
         return None, found.problem
     try:

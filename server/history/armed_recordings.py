@@ -52,7 +52,7 @@ class ArmedRecording:
 
     @property
     def trigger(self) -> Trigger:
-        """What it waits for."""
+        """The trigger of the recording."""
         assert self.order.trigger is not None, "what is armed has a trigger"
         return self.order.trigger
 
@@ -71,7 +71,7 @@ Occurrences: TypeAlias = Callable[[ArmedRecording], AsyncGenerator[MayRecord, No
 class ArmedRecordings:
     """The recordings that wait for triggers, by name. Belongs to one loop.
 
-    `begin` begins a recording, and raises RecordingRefused or OSError; `is_free` tells whether a name is nobody's.
+    `begin` starts a recording, and raises RecordingRefused or OSError; `is_free` returns whether a name is unused.
     """
 
     def __init__(
@@ -109,13 +109,13 @@ class ArmedRecordings:
             self.all[name] = one
 
     def resume(self, occurrences: Occurrences) -> None:
-        """Have those that were kept wait."""
+        """Wait for the triggers of stored orders."""
         for one in self.all.values():
             if one.task is None:
                 self._start(one, occurrences)
 
     async def arm(self, name: str, order: RecordingOrder, agent: Agent, occurrences: Occurrences) -> ArmedRecording:
-        """Have a recording wait, durably where there is a folder. Raises RecordingRefused, OSError."""
+        """Wait for a trigger; stored in the folder, if any. Raises RecordingRefused, OSError."""
         if len(self.all) >= MAX_ARMED:
             raise RecordingRefused(f"{MAX_ARMED} recordings wait for triggers already: delete one first", taken=True)
         record_step(f"have the recording {name} wait for its trigger")
@@ -143,7 +143,7 @@ class ArmedRecordings:
         return True
 
     async def stop(self) -> None:
-        """Wait for nothing any more. What is kept stays so."""
+        """Stop waiting; stored orders stay."""
         tasks = [one.task for one in self.all.values() if one.task is not None]
         self.all.clear()
         await end_tasks(tasks)
@@ -217,12 +217,12 @@ class ArmedRecordings:
         await self._in_thread(lambda: self._notes.remove(ARMED, name))
 
     async def _in_thread(self, work: Callable[[], None]) -> None:
-        """Do work after all that was asked for before, also where who waits for it is cancelled."""
+        """Run work in order on the thread, to the end even if the wait is cancelled."""
         await asyncio.shield(asyncio.get_running_loop().run_in_executor(self._writer, work))
 
 
 def _fail(one: ArmedRecording, problem: str, error: Exception | None = None) -> None:
-    """Have an order say what failed. What fails again and again is logged once."""
+    """Record a failure in its order; repeated failures are logged once."""
     if problem != one.problem:
         log.error("the recording %s, ordered by %s: %s", one.name, one.agent.name, problem, exc_info=error)
     one.problem = problem

@@ -77,7 +77,7 @@ def require_encoding(name: str, encoding: Encoding, wanted: ExportFormat) -> Non
 
 
 class BagExports:
-    """Makes exports for clients, one at a time, in a process that is killed where nobody waits for it any more."""
+    """Exports for clients, one at a time, in a process that is killed when nobody waits for it."""
 
     def __init__(self, settings: Settings) -> None:
         self._options = AdapterOptions(types=settings.types)
@@ -113,7 +113,7 @@ def _remove(target: Path) -> None:
 
 
 def _folder_of(target: Path) -> Path:
-    """Where a folder is made that is then packed."""
+    """Return the folder that is packed afterwards."""
     return target.with_name(f"{target.name}.folder")
 
 

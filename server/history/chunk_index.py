@@ -68,7 +68,7 @@ class ChunkRow(NamedTuple):
 
 
 class ChunkIndex:
-    """The tables. Any thread may ask; one writes. `identity` tells the numbering of its messages from all others."""
+    """The index of chunks. Thread-safe for reads; one thread writes. `identity` identifies its numbering."""
 
     def __init__(self, path: Path | None) -> None:
         """Open or make it; None: in memory. Raises sqlite3.Error."""
@@ -97,7 +97,7 @@ class ChunkIndex:
             return row.lastrowid
 
     def add_chunks(self, segment: int, chunks: Sequence[ChunkRow], channels: Mapping[Channel, int], size: int) -> None:
-        """Chunks that were written to a segment, which is now `size` bytes long, and channels that are new in it."""
+        """Add chunks written to a segment, which is now `size` bytes long, and its new channels."""
         if not chunks:
             return
         with self._lock, self._db:
@@ -227,7 +227,7 @@ class ChunkIndex:
     def statistics(
         self, topic: str, field: str, from_ns: int, until_ns: int
     ) -> dict[tuple[int, int], tuple[float, float, float, int]]:
-        """What is kept of a topic's chunks, by segment and place: minimum, maximum, sum and count of a field."""
+        """Return minimum, maximum, sum and count of a field in a topic's chunks, by segment and place."""
         with self._lock:
             rows = self._db.execute(
                 "SELECT s.segment, s.at, s.minimum, s.maximum, s.total, s.count FROM chunk c JOIN statistic s "
@@ -289,7 +289,7 @@ class ChunkIndex:
 
 
 def pack_numbers(numbers: array[int]) -> bytes:
-    """Numbers that ascend, in as few bytes as their steps take."""
+    """Encode ascending numbers compactly, as differences."""
     steps = np.diff(np.frombuffer(numbers, np.uint64)).astype(np.uint32)
     return zlib.compress(steps.tobytes(), 1)
 

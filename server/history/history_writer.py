@@ -34,9 +34,9 @@ _Failures = (OSError, sqlite3.Error)
 
 
 class HistoryWriter:
-    """The segments of the history and the chunks that are being filled. The recorder's thread writes; any thread reads.
+    """The segments of the history and unfinished chunks. The recorder's thread writes; any thread reads.
 
-    `dropped` counts by topic what came and could not be kept, `problem` says why nothing is kept now.
+    `dropped` counts lost messages by topic, `problem` is the reason why nothing is written now.
     """
 
     def __init__(self, segments: Segments, definition_of: Callable[[TypeRef], str]) -> None:
@@ -64,7 +64,7 @@ class HistoryWriter:
 
     @property
     def first(self) -> int:
-        """The number of the oldest message that is kept."""
+        """The number of the oldest message."""
         first = self.segments.first
         return self.next if first is None else first
 
@@ -296,7 +296,7 @@ class HistoryWriter:
         self.counts[chunk.topic] -= chunk.count
 
     def _definition(self, ref: TypeRef) -> str:
-        """Return the text of a type, which is kept in the index, too."""
+        """Return the text of a type, and store it in the index."""
         text = self._definition_of(ref)
         if text:
             self.segments.index.define([(ref, text)])
@@ -327,7 +327,7 @@ def _row(segment: int, chunk: TopicChunk, at: int, length: int) -> ChunkRow:
 
 
 def require_room(folder: Path | None) -> None:
-    """Raise OSError (ENOSPC) where the disk has no more than what is left to everything else."""
+    """Raise OSError (ENOSPC) if the disk has no space beyond the reserve for everything else."""
     if folder is None:
         return
     found = os.statvfs(folder)

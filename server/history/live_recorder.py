@@ -60,7 +60,7 @@ class LiveRecorder:
         return sorted({*idle, *(topic for topic in topics if topic not in recorded and wants(topic))})
 
     async def remove(self, sink: Sink) -> None:
-        """Record no more for a sink; it is closed when this returns."""
+        """Stop recording to a sink; it is closed on return."""
         if self._wanted.pop(sink, None) is None:
             return
         # In this order: what has come until now is still the sink's, what comes from now on is not.
@@ -79,7 +79,7 @@ class LiveRecorder:
         await done.wait()
 
     def dropped(self) -> Counter[str]:
-        """Messages that came and could not be taken to any sink, by topic."""
+        """The numbers of messages that no sink could take, by topic."""
         found: Counter[str] = Counter()
         for each in (self._recorder.dropped, self._feed.lost):
             found.update(dict(each))

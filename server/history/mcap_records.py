@@ -32,7 +32,7 @@ class Record(NamedTuple):
 
 
 class ChunkHead(NamedTuple):
-    """What a chunk record says before its records: times of its messages, size and checksum of what it inflates to."""
+    """Head of a chunk record: times of its messages, uncompressed size, and checksum."""
 
     start_ns: int
     end_ns: int
@@ -43,7 +43,7 @@ class ChunkHead(NamedTuple):
 
 
 class ChunkIndex(NamedTuple):
-    """Where a chunk lies in its file, and where the index of each of its channels does."""
+    """Place of a chunk in its file, and of the message index of each channel."""
 
     start_ns: int
     end_ns: int
@@ -95,7 +95,7 @@ def metadata(name: str, values: Mapping[str, str]) -> bytes:
 
 
 def metadata_index(at: int, length: int, name: str) -> bytes:
-    """Where the metadata of a name lies, for the summary."""
+    """Return the record with the place of metadata, for the summary."""
     return record(METADATA_INDEX, struct.pack("<QQ", at, length) + text(name))
 
 
@@ -147,7 +147,7 @@ def records_in(data: bytes, at: int = 0) -> Iterator[Record]:
 
 
 def chunk_head(data: bytes, at: int = 0) -> ChunkHead:
-    """What the content of a chunk record at `at` says of it. Raises ValueError where it is cut off."""
+    """Return the head of a chunk record at `at`. Raises ValueError if it is truncated."""
     try:
         start, end, size, crc = _CHUNK_HEAD.unpack_from(data, at)
         (length,) = struct.unpack_from("<I", data, at + _CHUNK_HEAD.size)
@@ -159,12 +159,12 @@ def chunk_head(data: bytes, at: int = 0) -> ChunkHead:
 
 
 def compress(data: bytes) -> bytes:
-    """Compress records; level 1 is faster than 3, and of sensors' messages as small (bench/history.py)."""
+    """Compress records; level 1 is faster than 3, and as small for sensors (bench/history.py)."""
     return zstd.compress(data, level=1)
 
 
 def decompress(data: bytes, size: int) -> bytes:
-    """Return the records of a chunk, of which there are `size` bytes. Raises ValueError."""
+    """Return the `size` bytes of records in a chunk. Raises ValueError."""
     try:
         found = zstd.decompress(data)
     except ZstdError as error:

@@ -52,7 +52,7 @@ class RecordingWriter:
 
     @property
     def size(self) -> int:
-        """Bytes that are written."""
+        """The number of bytes written."""
         writer = self._writer
         return 0 if writer is None else writer.file.size
 

@@ -125,7 +125,7 @@ class Recordings:
 
     @property
     def _folder(self) -> Path | None:
-        """Where they are; None as long as there is none."""
+        """The folder of recordings; None before there is one."""
         if self._settings.data is not None:
             return self._settings.data / FOLDER
         return None if self._temporary is None else Path(self._temporary.name)
@@ -143,7 +143,7 @@ class Recordings:
 
     @property
     def finished(self) -> Mapping[str, Recording]:
-        """Those that can be read, by name."""
+        """The finished recordings by name."""
         return {name: recording for name, (_, recording) in self._opened.items()}
 
     @property
@@ -163,17 +163,17 @@ class Recordings:
 
     @property
     def unreadable(self) -> Mapping[str, UnreadableFile]:
-        """Files that cannot be opened, by the name that they have taken."""
+        """The files that cannot be opened, by recording name."""
         return self._unreadable
 
     @property
     def running(self) -> Mapping[str, RunningRecording]:
-        """Those that are being made, by name."""
+        """The recordings in progress, by name."""
         return self._running
 
     @property
     def armed(self) -> Mapping[str, ArmedRecording]:
-        """Those that wait for their triggers, by name."""
+        """The recordings that wait for triggers, by name."""
         return self._armed.all
 
     def interruption(self, name: str) -> str | None:

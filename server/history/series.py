@@ -25,7 +25,7 @@ class Statistic(NamedTuple):
     numbers: int
 
     def join(self, other: Statistic) -> Statistic:
-        """Of both together."""
+        """Combine two statistics."""
         return Statistic(
             min(self.minimum, other.minimum),
             max(self.maximum, other.maximum),
@@ -70,11 +70,11 @@ class Values(Protocol):
     """Gives the number of a message, None where it has none."""
 
     def value_of(self, sample: Sample) -> float | None:
-        """Of one message."""
+        """Return the value in one message."""
         ...
 
     def values_of(self, block: MessageBlock) -> Iterable[tuple[int, float | None]]:
-        """Of many, each with when it was received, in ns."""
+        """Return the values in many messages, each with its time of receipt in ns."""
         ...
 
 
@@ -138,7 +138,7 @@ def _add_each(
 def _of_chunk(
     writer: HistoryWriter, row: ChunkRow, field: str, numbers: Iterable[tuple[int, float | None]]
 ) -> Statistic | None:
-    """What a chunk comes to, which is kept."""
+    """Return the statistics of a chunk, cached."""
     values = [value for _, value in numbers if value is not None and math.isfinite(value)]
     found = Statistic(min(values), max(values), math.fsum(values), len(values)) if values else None
     writer.segments.index.keep_statistic(row, field, found or (0.0, 0.0, 0.0, 0))

@@ -91,9 +91,9 @@ class TopicFeed:
 
 
 class LiveFeed:
-    """All topics that are recorded. `sinks_of` tells for which sinks a topic is recorded: none, and it is not.
+    """All recorded topics. `sinks_of` returns the sinks of a topic; without any, it is not recorded.
 
-    `learn` makes the type of a message known before the first message of it is recorded.
+    `learn` resolves the type of a message before the first message of it is recorded.
     """
 
     def __init__(
@@ -124,7 +124,7 @@ class LiveFeed:
         self._task = asyncio.get_running_loop().create_task(self._run())
 
     def assign(self) -> None:
-        """What is recorded has changed: what comes from now on goes where it belongs."""
+        """Assign topics to sinks after a change of recordings."""
         self._sinks = {topic: sinks for topic in self._feeds if (sinks := self._sinks_of(topic))}
         self._changed = True
 
@@ -205,7 +205,7 @@ class LiveFeed:
         return changes
 
     def _hold(self, arrival: Arrival) -> None:
-        """Have a message wait until its type is known."""
+        """Queue a message until its type is known."""
         type = arrival.sample.schema
         held = self._held.get(type)
         if held is None:

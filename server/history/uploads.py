@@ -73,7 +73,7 @@ def check_seconds(path: Path) -> float:
 
 
 def remove_drafts(folder: Path) -> None:
-    """Remove what was being received, or exported, when rosld was ended by force. Nobody else may have the folder."""
+    """Remove uploads and exports left by a killed rosld. No other process may use the folder."""
     for path in folder.glob(".*"):
         name = path.name[1:]
         for suffix in (DRAFT, _INFLATED, f"{DRAFT}.folder"):
@@ -90,7 +90,7 @@ def _write(write: Callable[[bytes], object], folder: Path, data: bytes) -> None:
 
 
 def _recognize(draft: Path, inflated: Path, limit: int) -> tuple[Path, str]:
-    """What a file is, by its first bytes; one that is compressed is inflated first."""
+    """Return the format of a file by its first bytes, after decompression."""
     if _head(draft)[: len(_ZSTD)] != _ZSTD:
         return draft, _suffix(draft)
 

@@ -148,7 +148,7 @@ class AffordanceService(Generic[T]):
         return schemas.find_cached(ref) or (schemas.find_cached_by_name(ref.name) if ref.hash is None else None)
 
     async def mapping_warnings(self, url: str) -> tuple[str, ...]:
-        """What the mapping document of a URL names that is not there, or cannot be offered; nothing if it is none."""
+        """Return sentences about the missing or unavailable parts of the mapping at a URL."""
         document = self._mappings.documents.get(url)
         if document is None:
             return ()
@@ -335,7 +335,7 @@ class AffordanceService(Generic[T]):
         return None
 
     def _declared_descriptor(self, own: Property) -> Descriptor | None:
-        """What its node declares of the parameter that a property is written by before anything else."""
+        """Return the declaration of the parameter that is the first writer of a property."""
         first = own.writers[0] if own.writers else None
         parameter = self._session.graph.parameters.get(first.name) if isinstance(first, ParameterSource) else None
         return None if parameter is None else parameter.descriptor
@@ -357,11 +357,11 @@ class AffordanceService(Generic[T]):
     # Writing
 
     def is_writable(self, own: Property) -> bool:
-        """Whether ROS and the settings let a property be written now, whatever conditions say."""
+        """Whether ROS and the settings permit writes of a property now, regardless of conditions."""
         return current_writer(self._session.adapter, self._session.settings, own) is not None
 
     def is_callable(self, plan: ActionPlan) -> bool:
-        """Whether ROS and the settings let an action be invoked now, whatever conditions say."""
+        """Whether ROS and the settings permit calls of an action now, regardless of conditions."""
         session = self._session
         if plan.schema is None or session.settings.read_only:
             return False
@@ -370,7 +370,7 @@ class AffordanceService(Generic[T]):
         return Operation.CALL in session.adapter.allows(Ref(Kind.SERVICE, plan.service))
 
     def can_cancel(self, plan: ActionPlan) -> bool:
-        """Whether goals of an action may be canceled: whatever conditions say, and while the robot is stopped."""
+        """Whether goals of an action can be canceled, also while the robot is stopped and regardless of conditions."""
         session = self._session
         return plan.sends_goals and session.adapter.capabilities.writes and not session.settings.read_only
 
@@ -425,5 +425,5 @@ def _unread(name: str) -> Reading:
 
 
 def _member_of(part: Property) -> MemberPlan:
-    """What is told of an action's goal as a member of the complex resource below the action's name."""
+    """Return an action's goal as a member of the complex resource below the action's name."""
     return MemberPlan(part.name.rpartition("/")[2], part, part.name, ())

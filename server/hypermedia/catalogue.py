@@ -27,7 +27,7 @@ class TopicSource:
 
 @dataclass(frozen=True, slots=True)
 class Getter:
-    """A service that is asked with nothing and answers with the value: in `fields` of its response, beside a status."""
+    """A service with an empty request that returns the value in `fields` of its response, besides a status."""
 
     name: str
     schema: ServiceSchema
@@ -50,7 +50,7 @@ class ParameterSource:
 
 
 class GoalPart(Enum):
-    """What is told of the goal that an action pursues, or pursued last: by these names below that of the action."""
+    """Part of the state of an action's current or last goal; the value is its name below that of the action."""
 
     STATUS = "status"
     GOAL = "goal"

@@ -43,7 +43,7 @@ class ConditionResults:
         return [*(url_of(each, self._space) for each in about), *(url for each in readings for url in each.about)]
 
     def violations_of(self, condition: Condition) -> tuple[Violation, ...]:
-        """What keeps a condition from holding: nothing where it holds. A state that cannot be read fulfils nothing."""
+        """Return the violations of a condition, none if it holds. An unreadable state fulfils nothing."""
         known = self._broken.get(condition.iri)
         if known is None:
             known = self._broken[condition.iri] = self._permissions(condition)

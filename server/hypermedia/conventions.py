@@ -162,7 +162,7 @@ def _any_of(globs: tuple[str, ...]) -> re.Pattern[str]:
 
 @lru_cache(maxsize=16)
 def _patterns(templates: tuple[str, ...]) -> tuple[tuple[re.Pattern[str], bool], ...]:
-    """What each template fits: the namespace and the name; and whether that has a capital."""
+    """Return the namespace and name in each template, and whether the name is capitalized."""
     found = []
     for template in templates:
         before, place, after = _PLACE.split(template)
@@ -289,7 +289,7 @@ def _by_property(
     templates: tuple[str, ...],
     made: Callable[[str, ServiceSchema], _S | None],
 ) -> Mapping[str, tuple[_S, ...]]:
-    """What could read (or write) each property, the first choice first. A service of unknown type is not judged."""
+    """Return the candidates for reading (or writing) each property, the first choice first."""
     found: dict[str, list[tuple[int, str, _S]]] = {}
     for service, schema in services.items():
         proposed = _propose_name(templates, service)

@@ -144,7 +144,7 @@ def _is_octets(kind: Array) -> bool:
 
 
 def _octets(kind: Array) -> DataSchema:
-    """Octets as base64, four characters for each three octets begun."""
+    """Return the length of octets in base64: four characters for each three octets begun."""
     count = kind.length if kind.length is not None else kind.bound
     return {
         "type": "string",

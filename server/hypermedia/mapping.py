@@ -66,7 +66,7 @@ class MappedLink:
 
 @dataclass(frozen=True, slots=True)
 class MappedStop:
-    """What stops the robot, and the conditions under which it is no failure that this is refused."""
+    """A command that stops the robot, and the conditions under which its refusal is no failure."""
 
     command: StopCommand
     at_rest_when: tuple[Condition, ...] = ()

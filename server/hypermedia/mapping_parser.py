@@ -69,7 +69,7 @@ class MappingDocument:
 
 
 class InvalidMapping(LoweringError):
-    """A document that is no mapping, or none that can be in force beside the others."""
+    """The document is no mapping, or conflicts with the others."""
 
 
 def read_mapping(data: bytes, media_type: str, url: str, *, is_valid: bool = False) -> MappingDocument:
@@ -126,7 +126,7 @@ def _triples(body: RdfBody) -> Iterator[Triple]:
 
 
 def _conditions_named(triples: Sequence[Triple], url: str) -> list[Triple]:
-    """The same with an IRI for every condition that stands in brackets, so that reports can name it."""
+    """Give every blank condition an IRI, so that reports can name it."""
     taken = {node for triple in triples for node in (triple.subject, triple.object)}
     free = (node for number in count(1) if (node := NamedNode(f"{url}#condition.{number}")) not in taken)
     blank = {triple.object: None for triple in triples if triple.predicate in _WHEN}
@@ -372,7 +372,7 @@ class _Reader:
 
 
 class _Places:
-    """Where something stands in a document, in words: `<#aircraft> map:action "start" map:service`."""
+    """Places in a document, in words: `<#aircraft> map:action "start" map:service`."""
 
     def __init__(self, url: str, triples: Iterable[Triple], said: Mapping[Term, Statements]) -> None:
         self._url = url
@@ -401,7 +401,7 @@ class _Places:
         return prefixed_name(node.value)[0]
 
     def _distinguishing_text(self, node: BlankNode) -> str:
-        """What tells a node in brackets from its neighbours, "" where nothing does."""
+        """Return the text that distinguishes a blank node from its siblings, or ""."""
         said = self._said.get(node, {})
         telling = (each for predicate in _TELLING for each in said.get(predicate, ()) if isinstance(each, Literal))
         first = next(telling, None)
@@ -414,12 +414,12 @@ def _order_of_stop(stop: MappedStop) -> tuple[bool, str, str, str]:
 
 
 def _full(name: str, path: str) -> str:
-    """Return a name as it stands, or from the path on."""
+    """Return an absolute name, or one relative to the path."""
     return name if name.startswith("/") else path + name
 
 
 def _twice(values: Collection[_T]) -> list[_T]:
-    """Those that are there more than once."""
+    """Return the duplicates."""
     return [value for value, number in Counter(values).items() if number > 1]
 
 
@@ -433,7 +433,7 @@ def _unknown(term: NamedNode) -> bool:
 
 
 def _no_term(term: NamedNode) -> str:
-    """What to say of a term that does not exist."""
+    """Return the sentence about an unknown term."""
     from rdflib.namespace import SH
 
     known = [each.value for each in _TERMS] if term.value.startswith(mapping.iri) else [str(each) for each in dir(SH)]

@@ -34,7 +34,7 @@ class Mappings:
 
     @property
     def mapping_set(self) -> MappingSet:
-        """What all of them arrange together."""
+        """The joint content of all documents."""
         return self._mapping_set
 
     def replace(self, document: MappingDocument) -> None:

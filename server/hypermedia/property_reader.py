@@ -65,7 +65,7 @@ class _Kept:
     reading: Reading
 
     def source(self) -> TopicSource | GoalSource | None:
-        """What tells by itself that there is another value."""
+        """The source that announces new values."""
         first = self.property.readers[0] if self.property.readers else None
         return first if isinstance(first, TopicSource | GoalSource) else None
 
@@ -154,7 +154,7 @@ class PropertyReader:
         return readings
 
     def invalidate(self, names: Iterable[str]) -> None:
-        """The freshness of these properties ends now: who reads them from now on gets what is asked from now on."""
+        """End the validity of readings of these properties: later reads fetch them again."""
         for name in names:
             self._kept.pop(name, None)
             self._getters.invalidate(name)
@@ -166,7 +166,7 @@ class PropertyReader:
             await answers.stop()
 
     def _valid_reading(self, property: Property, since: int) -> Reading | None:
-        """What is known, as far as it does for who wants nothing older than `since`: what comes by itself is new."""
+        """Return the known reading if it is valid since `since`; values that arrive by themselves always are."""
         reading = self.cached(property)
         return reading if reading is None or reading.fresh_until is None or not since else None
 
@@ -192,7 +192,7 @@ class PropertyReader:
         return self._keep(property, view, results, part)
 
     async def _read_parameters(self, properties: Sequence[Property], attempt: _Attempt) -> dict[str, Reading]:
-        """Properties that are nothing but parameters, fetched together."""
+        """Read the properties that are only parameters, in one request."""
         results = await self._get({one.name: one.readers[0].name for one in properties}, attempt)
         return {
             one.name: self._valid_reading(one, attempt.since) or self._keep(one, None, [results[one.name]])
@@ -247,7 +247,7 @@ class PropertyReader:
         return view, _Result(found, inf) if found.value is not None else self._for_now(found)
 
     async def _read_goal(self, name: str, source: GoalSource, attempt: _Attempt) -> tuple[object, _Result]:
-        """What is told of the goal of an action, and the part of the goal that it is."""
+        """Return the part of the state of an action's goal that the property is."""
         with suppress(asyncio.TimeoutError, TimeoutError):
             await asyncio.wait_for(self._goals.follow(source.name, deadline=attempt.deadline), attempt.seconds)
         goal = self._goals.current(source.name)
@@ -261,7 +261,7 @@ class PropertyReader:
         return {topic: await self._sources.read_topic(topic) for topic in topics}
 
     async def _call(self, name: str, getter: Getter, attempt: _Attempt) -> _Result:
-        """What the getter of a property answers."""
+        """Return the response of a property's getter."""
 
         async def ask(keys: Sequence[str]) -> Mapping[str, ReadResult]:
             return {name: await self._sources.call_getter(getter, self._space.url("resources", names.segments(name)))}

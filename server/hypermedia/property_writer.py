@@ -80,7 +80,7 @@ class WriteOutcome(Enum):
 
 
 def current_writer(adapter: AuditedAdapter, settings: Settings, property: Property) -> Writer | None:
-    """What writes the property now: the first of its writers that may; None where none may."""
+    """Return the first available writer of the property, or None."""
     return next((one for one in property.writers if _refusal(adapter, settings, one) is None), None)
 
 

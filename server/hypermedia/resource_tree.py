@@ -69,7 +69,7 @@ class ActionPlan:
 
     @property
     def request(self) -> MessageSchema | None:
-        """What is sent to it."""
+        """The schema of the request."""
         match self.schema:
             case ActionSchema(goal=goal):
                 return goal
@@ -232,7 +232,7 @@ class ResourceTree:
         return found[0][0].path + found[0][1].name if found else None
 
     def exists_when(self, path: str) -> tuple[Condition, ...]:
-        """What must hold for the resource at a path, and for all that lies in it, to be there."""
+        """Return the conditions for the existence of the resource at a path and everything below it."""
         return _once(each for resource in mapped_above(self.mapping_set, path) for each in resource.exists_when)
 
     def state_properties(self, about: str) -> tuple[Property, ...]:
@@ -288,7 +288,7 @@ class ResourceTree:
         return frozenset({own, *(one.name for each in (*paths, *judged) for one in self.state_properties(each))})
 
     def _conditions(self, path: str) -> Iterator[Condition]:
-        """What a complex resource, and what it offers, depends on."""
+        """Return the conditions of a complex resource and everything it offers."""
         yield from self.exists_when(path)
         mapped = self.mapping_set.resources.get(path)
         if mapped is not None:
@@ -376,7 +376,7 @@ class ResourceTree:
         )
 
     def _as_mapped(self, path: str, name: str) -> MappedProperty | None:
-        """How the mapping of a path has one of its own members."""
+        """Return the mapping of a path as a plan, with one of its own members."""
         resource = self.mapping_set.resources.get(path)
         properties = resource.properties if resource is not None else ()
         return next((one for one in properties if one.member == name and one.field is None), None)
@@ -456,7 +456,7 @@ def _once(conditions: Iterable[Condition]) -> tuple[Condition, ...]:
 
 
 def _get_or_make(kept: dict[str, _P | None], key: str, make: Callable[[str], _P | None]) -> _P | None:
-    """What is kept under a key, made when it is not; what is not there is not kept, for its names are endless."""
+    """Return a cached value, or make it; None is not cached, because missing names are unlimited."""
     found = kept.get(key)
     if found is None:
         found = make(key)

@@ -85,7 +85,7 @@ class SingleFlightCache(Generic[K, V]):
         return tuple(shared)
 
     def invalidate(self, key: K) -> None:
-        """End the validity of an answer, and of one whose fetch has begun: it is fetched again when it is asked for."""
+        """End the validity of a value, also of one being fetched: the next read fetches it again."""
         self._kept.pop(key, None)
         pending = self._under_way.get(key)
         if pending is not None and pending.started:

@@ -72,7 +72,7 @@ def part_of_goal(source: GoalSource, goal: Goal | None) -> object:
 
 
 def goal_value(source: GoalSource, goal: Goal | None, origin: str) -> ReadResult:
-    """What is told of a goal, or where there is none that there is none; no value where nothing was told yet."""
+    """Return the value of a goal's part; without a goal, its absence; None before the first message."""
     if source.part is GoalPart.STATUS:
         word, told_ns = (IDLE, None) if goal is None else (goal.status.value, goal.updated_ns)
         return ReadResult(StoredValue(word), None, told_ns)
@@ -123,7 +123,7 @@ class SourceReader:
         return ReadResult(MessageValue(response, message, getter.fields, origin), None, time.time_ns())
 
     async def _answer(self, getter: Getter) -> Message:
-        """What a getter answers. Raises RosError, TimeoutError, and ValueError for bytes that are no response."""
+        """Return the response of a getter. Raises RosError, TimeoutError, and ValueError for undecodable bytes."""
         encoding, schema = self._adapter.capabilities.encoding, getter.schema
         request = schema.request.codec.encode(schema.request.codec.build(schema.request.ref.name, {}), encoding)
         deadline = asyncio.get_running_loop().time() + self._patience

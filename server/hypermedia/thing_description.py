@@ -164,7 +164,7 @@ def _hold(one: PropertyAffordance, lifting: LiftSettings) -> orjson.Fragment:
 
 
 def _goal_forms(one: ActionAffordance) -> Iterator[Members]:
-    """How to see what becomes of a goal, and to cancel it."""
+    """Return the forms that query the state of a goal, and cancel it."""
     if one.goals is not None and one.goals.status is not None:
         yield _form(one.goals.status, "queryaction", "GET")
     if one.goals is not None and one.goals.can_cancel:

@@ -209,7 +209,7 @@ class _Walk:
 
 
 def _literal(value: Json) -> Literal:
-    """What JSON-LD makes of a value of JSON (JSON-LD 1.1 API, 8.2.2)."""
+    """Return the literal of a value of JSON as JSON-LD defines it (JSON-LD 1.1 API, 8.2.2)."""
     if isinstance(value, bool):
         return boolean(value)
     if isinstance(value, float) and not value.is_integer():
@@ -221,6 +221,6 @@ def _literal(value: Json) -> Literal:
 
 
 def _short(digits: str) -> str:
-    """Digits without zeros at their end, but for one behind the point."""
+    """Return digits without trailing zeros, except one after the point."""
     left = digits.rstrip("0")
     return left + "0" if left.endswith(".") else left

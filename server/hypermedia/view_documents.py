@@ -75,7 +75,7 @@ def _property(
     writes_to: tuple[str, ...],
     part_of: str,
 ) -> tuple[Triple, ...]:
-    """What does not change with the value."""
+    """Return the triples of a property that do not depend on its value."""
     return tuple(
         triples_about(
             NamedNode(affordance.url),
@@ -165,7 +165,7 @@ def complex_json(view: ComplexView, lifting: LiftSettings) -> bytes:
 
 @lru_cache(maxsize=1024)
 def _complex(url: str, path: str, title: str | None, arranged_by: str | None, parent: str | None) -> tuple[Triple, ...]:
-    """What a complex resource is, whatever its state."""
+    """Return the triples of a complex resource that do not depend on its state."""
     name = path.rstrip("/") or "/"
     return tuple(
         triples_about(
@@ -203,7 +203,7 @@ class _Said(NamedTuple):
 
 
 def _said(reading: Reading, field: str | None, document: str, node: str, lifting: LiftSettings) -> _Said:
-    """What is said of a reading, or of one `field` of it; a whole message is the fragment `node` of the document."""
+    """Return the triples of a reading, or of its `field`; a whole message is the fragment `node`."""
     value = reading.value
     if value is None:
         return _Said(failure=text(reading.failure), words=text(reading.words))
@@ -265,7 +265,7 @@ def _property_affordance(one: PropertyAffordance, document: NamedNode, node: str
 
 @lru_cache(maxsize=4096)
 def _hold_affordance(one: PropertyAffordance, space: Space) -> tuple[Triple, ...]:
-    """How the topic behind a property is held: the message is published while the hold is renewed."""
+    """Return the affordance of holding the topic of a property: publishing while the hold is renewed."""
     if one.hold is None:
         return ()
     shape = space.shape(one.shape.schema.ref.name) if isinstance(one.shape, MessageShape) else None

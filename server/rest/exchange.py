@@ -48,12 +48,12 @@ class Exchange:
 
     @property
     def agent(self) -> Agent:
-        """Who asks."""
+        """The agent that sent the request."""
         return self.auth.permissions.agent
 
     @property
     def permissions(self) -> Permissions:
-        """What who asks may do."""
+        """The permissions of the agent."""
         return self.auth.permissions
 
     @cached_property
@@ -73,7 +73,7 @@ class Exchange:
 
     @property
     def receive(self) -> Receive:
-        """Gives the body, message by message."""
+        """The ASGI callable that receives the body."""
         return self.request.receive
 
     @property
@@ -106,7 +106,7 @@ class Exchange:
 
     @property
     def essence(self) -> str | None:
-        """The media type of the body without parameters, whatever its charset; None where it states none."""
+        """The media type of the body without parameters; None without Content-Type."""
         found = self._content_type
         return None if found is None else found.essence
 
@@ -124,7 +124,7 @@ class Exchange:
         return "if-match" in self.headers or "if-none-match" in self.headers
 
     def override(self, method: str, media_type: str, body: bytes, query: Mapping[str, str] = _NOTHING) -> None:
-        """Turn into the request that a form meant; `query` is what it says there beside what is there."""
+        """Replace the request by the one that a form means; `query` is added to the present query."""
         if query:
             self.__dict__["query"] = MappingProxyType({**self.query, **query})
         self.method = method
@@ -137,7 +137,7 @@ class Exchange:
         self.__dict__.pop("query", None)
 
     async def raw_body(self) -> bytes:
-        """The whole body as it was sent; raises Problems for one too large (413), compressed (415) or cut off (400)."""
+        """Return the body as sent. Raises Problems: 413 too large, 415 compressed, 400 truncated."""
         if self._body is None:
             self._body = await read_body(self, limit=self._body_limit, timeout=self._body_seconds)
             PROCESS_MEMORY.require(len(self._body) * PER_BYTE, f"a body of {len(self._body)} bytes")
@@ -151,13 +151,13 @@ class Exchange:
         return self.to_utf8(await self.raw_body() if self._body is None else self._body)
 
     def to_utf8(self, data: bytes) -> bytes:
-        """What was read of the body in UTF-8. Raises a 415 and a 400 Problem as `body`."""
+        """Return a part of the body in UTF-8. Raises a 415 and a 400 Problem as `body`."""
         found = self._content_type
         return data if found is None else to_utf8(data, found)
 
     @property
     def consumed_body(self) -> bytes | None:
-        """The body as far as it was asked for and read whole: what a form meant, where it was one."""
+        """The body if it was read completely; for a form, its meaning."""
         return self._body
 
     async def chunks(self, *, limit: int) -> AsyncIterator[bytes]:
@@ -175,7 +175,7 @@ class Exchange:
         return list(dict.fromkeys(value.strip() for each, value in pairs if each == name and value.strip()))
 
     def query_flag(self, name: str) -> bool:
-        """Whether `?name=true` is asked for; raises a 400 Problem for anything but true and false."""
+        """Return the boolean `?name=`. Raises a 400 Problem for values other than true and false."""
         if not self.request.scope["query_string"]:
             return False
         value = self.query.get(name, "false").lower()

@@ -35,7 +35,7 @@ MAX_FILES = 16
 
 @dataclass(frozen=True, slots=True)
 class Excerpt:
-    """The first triples of a document of so many."""
+    """The first triples of a document, and the number of all."""
 
     document: Document
     total: int
@@ -101,7 +101,7 @@ class LargeDocuments:
         return Excerpt(Document(url, triples), total)
 
     async def _run(self, state: State, work: Work[_T]) -> _T:
-        """Work on a state's document: in a worker, or in a thread where it cannot be told to another process."""
+        """Process a state's document in a worker, or in a thread if it cannot be pickled."""
         require_memory(state)
         return await (self._workers.run(work) if isinstance(state.describe, partial) else asyncio.to_thread(work))
 

@@ -69,7 +69,7 @@ class PageRenderer:
 
     @property
     def site(self) -> Site:
-        """What every page says of this server."""
+        """Return the values of this server that every page shows."""
         return self.site_for(ALLOW_ALL)
 
     def site_for(self, permissions: Permissions) -> Site:
@@ -108,7 +108,7 @@ class PageRenderer:
 
     @property
     def version(self) -> Hashable:
-        """Changes whenever what every page says does: who keeps a page keeps it for one edition."""
+        """The version of the values that every page shows, for caches of pages."""
         stop_state = self._stops.stop_state
         return None if stop_state is None else (stop_state, self._stops.warning)
 
@@ -221,7 +221,7 @@ class PageRenderer:
         return Response(body, 202, {**self.headers, "Cache-Control": "no-store"}, "text/html; charset=utf-8")
 
     def receipt_notices(self, id: str, permissions: Permissions) -> Sequence[Notice]:
-        """What became of a write, by its receipt; nothing where there is none, or it is not for this reader."""
+        """Return notices about the outcome of a write by its receipt, if the reader may see it."""
         try:
             receipt = self._receipts.find(id).receipt
         except NoSuchReceipt:
@@ -253,17 +253,17 @@ class PageRenderer:
             raise Problem(400, f"The form cannot be read: {error}.") from error
 
     def _csrf(self, resource: Resource, permissions: Permissions) -> Csrf:
-        """Tokens for the forms of its page, each for the URL it posts to and for who reads the page."""
+        """Return the tokens for the forms of a page, each for a URL and the agent that reads the page."""
         return lambda action: self._keys.token(_of_agent(action or resource.url, permissions))
 
 
 def _of_agent(url: str, permissions: Permissions) -> str:
-    """What a form's token is for: a URL, and who may send it where that is known."""
+    """Return the subject of a form's token: a URL, and the agent if it is known."""
     return f"{url} {permissions.cache_key}" if permissions.cache_key else url
 
 
 class InvalidForm(Exception):
-    """What was typed into a form does not fit, or what it asks for was not done."""
+    """A form has invalid values, or its request was refused."""
 
     def __init__(self, form: Form, typed: Sequence[tuple[str, str]], problem: Problem) -> None:
         super().__init__(problem.detail)

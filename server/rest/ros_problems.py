@@ -24,7 +24,7 @@ _STATUS: tuple[tuple[type[RosError], int], ...] = (
 
 
 def problem_of(error: RosError) -> Problem:
-    """Return the Problem that tells of a ROS error: its sentence, the robot's words, whether it may have been done."""
+    """Return the Problem of a ROS error: its sentence, the robot's words, and whether the robot may have acted."""
     status = next((status for kind, status in _STATUS if isinstance(error, kind)), 502)
     extra: dict[str, object] = {"sent": error.sent.value}
     about = error.about

@@ -67,7 +67,7 @@ class State:
 
     @property
     def is_large(self) -> bool:
-        """Whether its document is not for the loop: what is asked of it is made in a worker process."""
+        """Whether the document is too large for the event loop, and is rendered by a worker process."""
         return self.weight >= LARGE_BYTES
 
     @cached_property

@@ -48,7 +48,7 @@ class Call:
 
 @dataclass(frozen=True, slots=True)
 class CallOutcome:
-    """A call as it stands when its caller is answered, and the error where it did not succeed."""
+    """The state of a call in the response to its caller, and the error if it failed."""
 
     call: Call
     error: RosError | None
@@ -72,9 +72,9 @@ LATE_SECONDS = 60.0
 
 
 class Calls:
-    """The calls made through rosld: each goes on when its caller stops waiting, and takes the answer when it comes.
+    """The calls made through rosld: each continues when its caller stops waiting, and takes a late response.
 
-    `settled` is told the service whenever a call has ended, before its caller is.
+    `settled` is called with the service when a call has ended, before its caller continues.
     """
 
     def __init__(self, adapter: Adapter, on_ended: Callable[[str], None], *, limit: int, age: float) -> None:

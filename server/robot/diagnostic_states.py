@@ -29,7 +29,7 @@ SEVERITY: Mapping[Level, int] = {Level.ERROR: 3, Level.STALE: 2, Level.WARN: 1, 
 
 
 class KeyValue(NamedTuple):
-    """A value that a part tells of itself."""
+    """A value that a part reports about itself."""
 
     key: str
     value: str
@@ -37,9 +37,9 @@ class KeyValue(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class DiagnosticState:
-    """What a part said last: on which topic, under which name, for which hardware, and since when at this level.
+    """The latest state of a part: its topic, name, hardware, and the time since it has this level.
 
-    `said` is the level that it gave, `level` the one that counts: what is not heard any more is stale.
+    `said` is the reported level, `level` the effective one: a part that is silent becomes stale.
     """
 
     topic: str

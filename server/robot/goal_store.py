@@ -34,8 +34,8 @@ class Feedback:
 class Goal:
     """One goal: immutable, replaced by its next state, compared by identity.
 
-    `key` is None for a goal that was rejected when it was sent. Times are wall-clock nanoseconds. What cannot be read
-    of what is told is left out, and `unreadable` says why.
+    `key` is None for a goal that was rejected when sent. Times are wall-clock nanoseconds. Undecodable messages are
+    left out, with the reason in `unreadable`.
     """
 
     id: str
@@ -95,7 +95,7 @@ class GoalStore:
         return next((goal for goal in newest if not goal.status.is_final), newest[0] if newest else None)
 
     def get(self, id: str) -> Goal | None:
-        """A goal that is kept, whatever its age."""
+        """Return a stored goal, whatever its age."""
         return self._goals.get(id)
 
     def action_of(self, id: str) -> str | None:
@@ -149,7 +149,7 @@ class GoalStore:
         self.changes.emit(goal.id)
 
     def new_id(self, key: GoalId) -> str:
-        """What a goal is called in URLs: its own id where that is safe and nobody else's, else made of it."""
+        """Return the id of a goal in URLs: its own if that is safe and unused, else one derived from it."""
         if _PLAIN.fullmatch(key.id) and key.id not in self._goals and key.id not in self._gone:
             return key.id
         whole = f"{key.action}\0{key.id}".encode("utf-8", "surrogatepass")

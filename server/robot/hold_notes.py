@@ -47,7 +47,7 @@ class HoldNote:
 
 
 class HoldNotes:
-    """The notes in a folder; without one none is kept."""
+    """The notes in a folder; without a folder, notes are not kept."""
 
     def __init__(self, data: Path | None) -> None:
         """`data` is the folder of `--data`."""

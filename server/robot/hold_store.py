@@ -127,7 +127,7 @@ class Holds:
         return [each.hold for each in self._running.values()]
 
     def find_by_topic(self, topic: str) -> Hold | None:
-        """Return the hold on a topic, None where nobody holds it."""
+        """Return the hold on a topic, or None."""
         return next((each.hold for each in self._running.values() if each.hold.topic == topic), None)
 
     def find(self, id: str) -> Hold:
@@ -176,7 +176,7 @@ class Holds:
         return running.hold
 
     def _require_passage(self, message: HeldMessage) -> None:
-        """Raise Stopped where the robot is stopped, and the message does not have it stand still."""
+        """Raise Stopped while the robot is stopped, except for a message that stops it."""
         if not message.passes_stop:
             self._session.interlock.require_open()
 
@@ -233,7 +233,7 @@ class Holds:
         self.end_all(why)
 
     async def wait_closed(self) -> None:
-        """Returns when all that `close` ended has ended."""
+        """Wait until everything that `close` ended has ended."""
         await asyncio.gather(*(task for _, task in self.end_all("rosld ended")), return_exceptions=True)
         await self.notes.close()
 

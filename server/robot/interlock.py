@@ -17,9 +17,9 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True, slots=True)
 class StopState:
-    """That the robot is stopped: who stopped it, when (wall-clock nanoseconds), and why if they said so.
+    """The stop of the robot: who stopped it, when (wall-clock nanoseconds), and the reason, if given.
 
-    `url` is where that may be read, `id` what a person confirms a release with who has said no name.
+    `url` is its resource, `id` confirms a release by a person without a name.
     """
 
     stopped_by: str
@@ -45,7 +45,7 @@ class StopState:
 
 
 class Stopped(RosError):
-    """The robot is stopped, so it is told nothing (`sent` is NO), or was cut off while it was told (MAYBE)."""
+    """The robot is stopped: nothing was sent (`sent` is NO), or sending was interrupted (MAYBE)."""
 
     def __init__(self, stop_state: StopState, *, sent: Sent = Sent.NO) -> None:
         what = "This write was refused" if sent is Sent.NO else "This write was cut off, and may have been carried out"
@@ -55,7 +55,7 @@ class Stopped(RosError):
 
 @dataclass(frozen=True, slots=True)
 class Holder:
-    """Who holds a topic: their name, and the URL of the hold."""
+    """Holder of a topic: their name, and the URL of the hold."""
 
     name: str
     hold: str
@@ -142,7 +142,7 @@ class _UnderWay:
         self.is_cut = False
 
     def cut(self) -> None:
-        """Have it end where it waits."""
+        """Interrupt the operation where it waits."""
         if not self.is_cut:
             self.is_cut = True
             self._task.cancel()

@@ -172,7 +172,7 @@ def _is_rosld(node: str) -> bool:
 
 
 async def _publish(session: Session, topic: Topic, note: HoldNote, data: bytes) -> Outcome:
-    """Publish it; nobody else can meanwhile, by this rosld."""
+    """Publish the message; no other client of this rosld can publish meanwhile."""
     interlock, encoding = session.interlock, session.adapter.capabilities.encoding
     interlock.held[topic.name] = Holder(_SELF.name, session.space.hold(note.id))
     try:

@@ -31,10 +31,10 @@ _MEASURE = 2.5
 
 @dataclass(frozen=True, slots=True)
 class LiveSettings:
-    """`first_value`: seconds to wait for the first message of a topic that somebody publishes.
+    """Settings of subscriptions.
 
-    `idle`: seconds a subscription is kept after the last look; `budget`: how many there may be; `eager`: globs of
-    topics always kept.
+    `first_value`: seconds to wait for the first message of a published topic. `idle`: seconds a subscription is kept
+    after the last read; `budget`: maximum number of subscriptions; `eager`: globs of topics always subscribed to.
     """
 
     first_value: float = 1.0
@@ -45,9 +45,10 @@ class LiveSettings:
 
 @dataclass(slots=True)
 class _Look:
-    """One subscription, and the view that was made of it last.
+    """One subscription, and its latest view.
 
-    `awaited` are the publishers that were waited for in vain; `insisted`: a message was waited for whoever publishes.
+    `awaited` are the publishers that were waited for in vain; `insisted`: a message was waited for regardless of
+    publishers.
     """
 
     subscription: Subscription
@@ -64,7 +65,7 @@ class _Look:
 
     @property
     def is_kept(self) -> bool:
-        """Whether it stays although nobody looks."""
+        """Whether the subscription is permanent."""
         return self.eager or self.recorded or self.watches > 0
 
 
@@ -86,9 +87,9 @@ class _TopicWatch:
 
 
 class LiveTopics:
-    """The values of topics. Reading costs nothing while no message has come: it returns the same `TopicView`.
+    """The values of topics. Reading is free until a message arrives: it returns the same `TopicView`.
 
-    A topic that is not in the graph has no values, whatever was received of it before.
+    A topic that is not in the graph has no values, even if messages were received before.
     """
 
     def __init__(self, adapter: Adapter, schemas: Schemas, settings: LiveSettings) -> None:
@@ -117,7 +118,7 @@ class LiveTopics:
         return list(self._looks)
 
     def looked_at(self) -> Sequence[str]:
-        """Return the topics subscribed to now, but for those that are recorded and that nobody has looked at lately."""
+        """Return the topics subscribed to, except recorded ones that were not read lately."""
         horizon = loop_time() - self._settings.idle
         return [topic for topic, look in self._looks.items() if look.eager or look.watches or look.looked_at >= horizon]
 
@@ -129,7 +130,7 @@ class LiveTopics:
         return [topic for topic, look in looks if look.subscription.latest()]
 
     def find_view(self, topic: str) -> TopicView | None:
-        """The view of a topic if it is there, subscribed to and has a value, without waiting."""
+        """Return the view of a subscribed topic, without prolonging the subscription."""
         look = self._looks.get(topic)
         if look is None or topic not in self._adapter.graph.topics:
             return None
@@ -152,7 +153,7 @@ class LiveTopics:
         return None if look is None or topic not in self._adapter.graph.topics else look.view
 
     def is_settled(self, topic: str) -> bool:
-        """Whether `read` would find no more than `find_view` does: it would neither subscribe nor wait."""
+        """Whether `read` would return the same as `find_view`, without subscribing or waiting."""
         look = self._looks.get(topic)
         if topic not in self._adapter.graph.topics:
             return True
@@ -197,7 +198,7 @@ class LiveTopics:
                 (await self._open(topic)).eager = True
 
     def _publishers(self, topic: str) -> tuple[Endpoint, ...]:
-        """Those from which a message can come."""
+        """Return the publishers that a message can come from."""
         entry = self._adapter.graph.topics.get(topic)
         return () if entry is None else tuple(one for one in entry.publishers if one.unreachable is None)
 
@@ -306,7 +307,7 @@ class LiveTopics:
                     self._refresh(look)
 
     async def _follow_recorded(self) -> None:
-        """Have a look at each topic that is recorded, for as long as it is."""
+        """Keep recorded topics subscribed to."""
         recorded = self.recorded()
         for topic in recorded:
             if topic in self._adapter.graph.topics and (look := self._looks.get(topic)) is None:

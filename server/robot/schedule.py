@@ -50,7 +50,7 @@ class Schedule:
         return self.origin + beat * self.period
 
     def step(self, now: float) -> Step:
-        """What is to be done now. A lease that is over comes before all else."""
+        """Return the next action. The end of a lease takes precedence."""
         if now >= self.expires:
             return LeaseExpired()
         if now < self.due:

@@ -8,7 +8,7 @@ from rosld.server.runtime.tasks import loop_time
 
 
 class Schemas:
-    """The schemas of one adapter, kept by name and hash. A reference without a hash is asked for anew each time."""
+    """The schemas of one adapter, cached by name and hash; a reference without a hash is always resolved again."""
 
     def __init__(self, adapter: Adapter, timeout: float = 5.0) -> None:
         self._adapter = adapter
@@ -18,7 +18,7 @@ class Schemas:
 
     @property
     def count(self) -> int:
-        """How many schemas are at hand: rises whenever one is learnt."""
+        """The number of cached schemas, which rises with each new one."""
         return len(self._known)
 
     def all(self) -> list[Schema]:
@@ -26,11 +26,11 @@ class Schemas:
         return list({id(schema): schema for schema in self._known.values()}.values())
 
     def find_cached(self, ref: TypeRef) -> Schema | None:
-        """The schema if it was asked for before, without asking."""
+        """Return the cached schema, or None."""
         return self._known.get(ref)
 
     def find_cached_by_name(self, name: str) -> Schema | None:
-        """Return a schema at hand of this name, whatever its hash."""
+        """Return a cached schema of this name with any hash."""
         return self._named.get(name)
 
     def definition_of(self, ref: TypeRef) -> str:
@@ -39,7 +39,7 @@ class Schemas:
         return found.definition if isinstance(found, MessageSchema) else ""
 
     def add(self, ref: TypeRef, schema: Schema) -> None:
-        """Have a schema at hand that was found elsewhere, such as in a recording."""
+        """Add a schema from another source, such as a recording."""
         self._known.setdefault(schema.ref, schema)
         self._named.setdefault(schema.ref.name, schema)
         self._known.setdefault(ref, schema)

@@ -46,10 +46,10 @@ class StepStatus(Enum):
 
 @dataclass(frozen=True, slots=True)
 class StopStep:
-    """One thing that stops the robot: what it does in words, the URLs of what it is about, what became of it, why.
+    """A step of the stop: a description, the URLs of its subjects, the outcome, and the reason.
 
-    `subscribers` is how many a message went to, None where none is published or it is not known yet. `tells` is False
-    where the robot itself is told nothing by it.
+    `subscribers` is the number of receivers of a message, None without a message or before it is known. `tells` is
+    False if the step sends the robot nothing.
     """
 
     description: str
@@ -62,9 +62,9 @@ class StopStep:
 
 @dataclass(frozen=True, slots=True)
 class StopCommand:
-    """What stops the robot: a `service` to call, or a `topic` to publish on, and the JSON of what it is told.
+    """Command that stops the robot: a `service` to call, or a `topic` to publish on, and the JSON of the message.
 
-    What the JSON leaves out is ROS's default.
+    Missing members have ROS's defaults.
     """
 
     service: str | None = None
@@ -101,7 +101,7 @@ class SoftwareStop:
 
     @property
     def stop_state(self) -> StopState | None:
-        """Who stopped the robot, when and why; None while it is not stopped."""
+        """Who stopped the robot, when and why; None unless it is stopped."""
         return self._session.interlock.stop_state
 
     @property
@@ -123,7 +123,7 @@ class SoftwareStop:
 
     @property
     def steps(self) -> tuple[StopStep, ...]:
-        """What the stop did, or would do now."""
+        """The steps of the current stop, or those of a stop now."""
         if self.stop_state is not None:
             return tuple(self._steps.values())
         graph, space = self._session.graph, self._session.space
@@ -240,7 +240,7 @@ class SoftwareStop:
         return commanded_topics(graph, self._session.settings.stop_zero)
 
     def _ended_actions(self, graph: Graph) -> Sequence[Action]:
-        """The actions of which all goals are canceled, whoever sent them."""
+        """Return the actions whose goals are all canceled, regardless of their senders."""
         if self._session.settings.stop_cancels != "others":
             return ()
         return [action for action in graph.actions.values() if action.servers]
@@ -299,7 +299,7 @@ class SoftwareStop:
             raise
 
     async def _note_late(self, topic: str, begun: float) -> None:
-        """Have the step of a topic succeed after all, where zero reaches a subscriber once the step has failed."""
+        """Mark the step of a topic as successful if zero reaches a subscriber later."""
         reached = await self._zero.wait_received_late(topic)
         step = self._steps.get(_zero_on(topic))
         if reached is None or step is None or step.status is not StepStatus.FAILED:

@@ -23,9 +23,9 @@ OCCASIONAL_TYPES = COMMANDS | {
 
 
 def is_velocity_topic(topic: Topic, graph: Graph, globs: Sequence[str]) -> bool:
-    """Whether zero on a topic stops the robot: by the topic's type, or by the globs of --stop-zero.
+    """Whether zero on a topic stops the robot, by the topic's type or the globs of --stop-zero.
 
-    Topics that belong to ROS itself never do, whatever a glob says.
+    Topics that belong to ROS itself never do, even if a glob matches.
     """
     if any(fnmatchcase(topic.name, glob[1:]) for glob in globs if glob.startswith(LEFT_OUT)):
         return False
@@ -44,7 +44,7 @@ def commanded_topics(graph: Graph, globs: Sequence[str]) -> Sequence[Topic]:
 
 
 def subscribers_of(topic: Topic, graph: Graph) -> int:
-    """How many subscribers a topic has beside rosld's own."""
+    """Return the number of a topic's subscribers except rosld's own."""
     return sum(endpoint.node != graph.own_node for endpoint in topic.subscribers)
 
 

@@ -31,7 +31,7 @@ CONTENT_FIELDS = (b"content-type", b"content-length")
 
 
 class Representations:
-    """Makes the representations of states. `instance_id` tells this run of the server from others in ETags."""
+    """Maker of the representations of states. `instance_id` identifies this run of the server in ETags."""
 
     def __init__(self, instance_id: str, pages: PageRenderer, large: LargeDocuments) -> None:
         self._instance_id = instance_id
@@ -133,7 +133,7 @@ class Representations:
         return RawResponse(204, b"", encode_headers({**headers, "content-location": to_uri(resource.url)}))
 
     def receipt_notices(self, exchange: Exchange, media_type: str) -> Sequence[Notice]:
-        """What a page says of the write that led to it (`?receipt=`)."""
+        """Return the notices of a page about the write that led to it (`?receipt=`)."""
         if media_type != HTML or b"receipt=" not in exchange.request.scope["query_string"]:
             return ()
         return self._pages.receipt_notices(exchange.query.get("receipt", ""), exchange.permissions)

@@ -293,6 +293,6 @@ class ResourceFactory:
 
 
 def _examples(services: Services) -> list[StoredQueryLink]:
-    """Questions to start from: all that come with rosld, and some of those that clients keep."""
+    """Return example queries: all that come with rosld, and some of the stored ones."""
     found = services.queries.all(limit=_EXAMPLES)
     return [StoredQueryLink(url, query.name, query.purpose, query.text) for url, query in found]

@@ -65,7 +65,7 @@ def single_route(make: Callable[[], Resource]) -> Route:
 
 
 def robot_routes(factory: ResourceFactory) -> Mapping[str, Route]:
-    """The routes of what the robot is and what is kept beside it, by the first segments of their paths."""
+    """Return the routes of the robot and related resources by the first segments of their paths."""
     space = factory.session.space
     return {
         "": single_route(factory.entry),

@@ -90,7 +90,7 @@ class Services:
         self.pictures = PictureCache(self.instance_id)
 
     def _validators(self, records: Records) -> Mapping[str, Validator]:
-        """What judges the documents of each route, and puts them into force."""
+        """Return the validators of documents by route, which also put documents into force."""
         space, announce = self.session.space, self.session.changes.emit
         return {
             ROUTE: MappingValidator(self.mappings, space, announce),
@@ -118,7 +118,7 @@ class Services:
         return ServerProblems(storage, tuple(map(self.session.space.hold, self.holds.interrupted)))
 
     async def start(self) -> None:
-        """Open the session, and put into force what is kept. Raises what `Adapter.open` raises."""
+        """Open the session, and put stored documents into force. Raises exceptions of `Adapter.open`."""
         await self.session.open()
         self.documents.records.watch(self._on_record_changes)
         self.receipts.start()

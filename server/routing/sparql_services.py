@@ -57,7 +57,7 @@ class SparqlServices:
         )
 
     def updates(self, at: Callable[[str], Resource], keyed_lock: KeyedLock) -> UpdateService:
-        """What carries updates out on the resources that `at` finds by their paths below the base."""
+        """Return the runner of updates on the resources that `at` finds by path below the base."""
         services = self._services
         return UpdateService(
             services.session,

@@ -56,7 +56,7 @@ class Capabilities:
 
 @dataclass(frozen=True, slots=True)
 class Published:
-    """What became of a publish: how many subscribers were connected when the message was handed over."""
+    """Result of a publish: the number of subscribers connected when the message was handed over."""
 
     matched: int
 
@@ -177,12 +177,12 @@ class Recording(Protocol):
 
     @property
     def name(self) -> str:
-        """Its name in URLs."""
+        """The name in URLs."""
         ...
 
     @property
     def path(self) -> Path:
-        """Where it lies."""
+        """The path of the file or folder."""
         ...
 
     @property
@@ -197,7 +197,7 @@ class Recording(Protocol):
 
     @property
     def count(self) -> int:
-        """How many messages it holds from the first on."""
+        """The number of messages from the first on."""
         ...
 
     @property
@@ -212,12 +212,12 @@ class Recording(Protocol):
 
     @property
     def topics(self) -> Mapping[str, RecordedTopic]:
-        """Its topics by name."""
+        """The topics by name."""
         ...
 
     @property
     def silent(self) -> Sequence[str]:
-        """Names and globs of the chosen topics without a message in this recording."""
+        """The names and globs of chosen topics without a message in this recording."""
         ...
 
     def message(self, index: int) -> RecordedMessage:
@@ -254,7 +254,7 @@ class Recording(Protocol):
         ...
 
     def select(self, wanted: MessageFilter, limit: int) -> MessagePage:
-        """At most `limit` messages, of about `PAGE_BYTES`; no more is read than these take."""
+        """Return at most `limit` messages, of about `PAGE_BYTES`; no more is read than these take."""
         ...
 
     def schema(self, ref: TypeRef) -> Schema:
@@ -267,7 +267,7 @@ class Adapter(Protocol):
 
     @property
     def capabilities(self) -> Capabilities:
-        """What this kind of system can do; constant."""
+        """The capabilities of this kind of system; constant."""
         ...
 
     @property
@@ -352,7 +352,7 @@ class Adapter(Protocol):
         ...
 
     async def cancel_goal(self, goal: GoalId, *, deadline: float) -> None:
-        """Ask for a goal to be canceled, whoever sent it; that it is comes by the sink. Raises Refused, NotFound."""
+        """Request the cancellation of a goal of any sender; the sink reports the outcome. Raises Refused, NotFound."""
         ...
 
     async def cancel_goals(self, action: str, *, deadline: float) -> None:

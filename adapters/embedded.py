@@ -74,7 +74,7 @@ class EmbeddedRobot(ABC):
 
     @property
     def capabilities(self) -> Capabilities:
-        """Those of the ROS that the robot resembles, without a master or a middleware."""
+        """The capabilities of the ROS that the robot resembles, without a master or a middleware."""
         return self._capabilities
 
     @property

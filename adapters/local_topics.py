@@ -15,7 +15,7 @@ _MAX_ADVERTISED = 10_000
 
 @dataclass(slots=True)
 class AdvertisedTopic:
-    """A topic that rosld advertises; `epoch` tells one advertising from the next, `sequence` counts its messages."""
+    """A topic that rosld advertises; `epoch` counts its advertisings, `sequence` its messages."""
 
     type: TypeRef
     latched: bool

@@ -15,7 +15,7 @@ from rosld.adapters.model import Sample
 
 
 class Watches:
-    """Those to be woken on the running loop when something new arrives, each at most once a turn of the loop."""
+    """Watches to wake on the running loop when something new arrives, at most once per iteration each."""
 
     def __init__(self) -> None:
         self._watches: dict[LoopWatch, None] = {}
@@ -129,7 +129,7 @@ def _received_ns(sample: Sample) -> int:
 
 
 class SlotSubscription:
-    """A counted interest in one slot. Closed, it shows nothing and wakes nobody."""
+    """Subscription to one slot. After `close` it is empty and wakes nothing."""
 
     def __init__(self, slot: Slot, depth: int) -> None:
         self._slot: Slot | None = slot

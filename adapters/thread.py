@@ -60,7 +60,7 @@ class IoThread:
         return await answer
 
     def post(self, action: Callable[[], None]) -> None:
-        """Have the thread do this soon, in the order posted; many posts cost one wake-up."""
+        """Run an action on the thread soon, in the order of posts; many posts cost one wake-up."""
         self._posted.append(action)
         if not self._woken:
             self._woken = True
@@ -105,7 +105,7 @@ class IoThread:
 
 
 def _call_soon(loop: asyncio.AbstractEventLoop, action: Callable[[], object]) -> bool:
-    """Have another thread's loop do this; False where it is closed."""
+    """Schedule a call on another thread's loop; return False if it is closed."""
     try:
         loop.call_soon_threadsafe(action)
     except RuntimeError:

@@ -81,7 +81,7 @@ def read_default(kind: FieldType, text: str) -> Default:
 
 
 def _elements(text: str, element: Primitive) -> Sequence[str]:
-    """Return the texts between the commas of an array; strings may stand in quotes, which are taken off."""
+    """Return the texts between the commas of an array, without quotes."""
     if not text.strip():
         return ()
     if element.name not in _STRINGS:

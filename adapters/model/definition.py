@@ -296,7 +296,7 @@ def derived_from(name: str) -> tuple[str, str] | None:
 
 
 def written_form(name: str) -> WrittenType:
-    """How the definition of a type is written: that of an action's service is a service's."""
+    """Return the form of a type's definition: that of an action's service is a service's."""
     kind = _folder(name)
     if kind == "action" and derived_from(name) is None:
         return "action"

@@ -16,7 +16,7 @@ from enum import Enum
 
 
 class Sent(Enum):
-    """Whether the robot may have received the request. Only `NO` may be retried or told as "nothing happened"."""
+    """Whether the robot may have received the request. Only `NO` may be retried or reported as "nothing happened"."""
 
     NO = "no"
     MAYBE = "maybe"
@@ -51,7 +51,7 @@ class Unreachable(RosError):
 
 
 class TimedOut(RosError):
-    """No answer before the deadline; `sent` tells whether the robot may act on it all the same."""
+    """No response before the deadline; `sent` is whether the robot may still act on the request."""
 
 
 class UnknownType(RosError):

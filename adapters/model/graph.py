@@ -121,7 +121,7 @@ class Lifecycle:
 
 
 def without_lifecycle(nodes: Container[str], node: str) -> NotFound | Refused:
-    """What `Adapter.change_state` raises for a node that is not managed, or not there."""
+    """Return the error of `Adapter.change_state` for a node that is unmanaged or missing."""
     if node not in nodes:
         return NotFound(f"there is no node {node}")
     return Refused(f"{node} is no managed node: it has no lifecycle")
@@ -145,7 +145,7 @@ class Kind(Enum):
 
 
 class Operation(Enum):
-    """What ROS itself can do with a thing; `Adapter.allows` answers with these."""
+    """Operation that ROS permits on a thing; the result of `Adapter.allows`."""
 
     SUBSCRIBE = "subscribe"
     PUBLISH = "publish"
@@ -228,7 +228,7 @@ class Topic:
 
     @property
     def type(self) -> TypeRef | None:
-        """Its one type, or None where there is no type or a conflict."""
+        """The only type; None without a type, or if types conflict."""
         return self.types[0] if len(self.types) == 1 else None
 
 

@@ -23,7 +23,7 @@ class Fields:
         self._at = 0
 
     def uint(self, size: int) -> int:
-        """Return an unsigned integer of so many bytes."""
+        """Return an unsigned integer of this size."""
         return int.from_bytes(self._take(size), "little")
 
     def text(self) -> str:
@@ -31,7 +31,7 @@ class Fields:
         return self._take(self.uint(4)).decode("utf-8", self.errors)
 
     def octets(self) -> bytes:
-        """Bytes with their length before them."""
+        """Return bytes after their length."""
         return self._take(self.uint(4))
 
     def texts(self) -> dict[str, str]:

@@ -131,5 +131,5 @@ def _double(value: int | float) -> float | None:
 
 
 def _octets(value: ParameterValue) -> bytes | None:
-    """Octets; an empty list is of any array's type."""
+    """Return octets; an empty list is one of any type."""
     return value if isinstance(value, bytes) else b"" if value == [] else None

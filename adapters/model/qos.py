@@ -111,7 +111,7 @@ def mismatches(
 
 
 def mismatch_count(publishers: Sequence[Endpoint], subscribers: Sequence[Endpoint]) -> int:
-    """How many pairs of endpoints of one topic do not fit."""
+    """Return the number of incompatible pairs of endpoints of a topic."""
     pairs = _unfit_profiles(publishers, subscribers)
     return sum(len(offering) * len(requesting) for offering, requesting, _ in pairs)
 

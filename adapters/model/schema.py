@@ -14,7 +14,7 @@ from typing import NamedTuple, Protocol, TypeAlias
 
 
 class Encoding(Enum):
-    """How the bytes of a message are laid out."""
+    """Encoding of messages."""
 
     ROS1 = "ros1"
     CDR = "cdr"
@@ -51,7 +51,7 @@ class Sample(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class TypeRef:
-    """A type by name and hash (ROS 1: MD5 in hex; ROS 2: `RIHS01_...`); without a hash, whatever is known."""
+    """A type by name and hash (ROS 1: MD5 in hex; ROS 2: `RIHS01_...`); without a hash, any known variant."""
 
     name: str
     hash: str | None = None

@@ -117,7 +117,7 @@ class Writer:
         self._types = types
 
     def octets(self) -> bytes:
-        """What was written, with CDR's head where it belongs."""
+        """Return the written bytes, with CDR's header if needed."""
         return (b"\x00\x01\x00\x00" if self._cdr else b"") + bytes(self._parts)
 
     def message(self, name: str, message: object) -> None:

@@ -63,7 +63,7 @@ def actions_of(
 
 
 class Status(NamedTuple):
-    """How a goal stands, in actionlib's own number, and the server's words."""
+    """State of a goal as actionlib's number, and the server's words."""
 
     id: str
     number: int
@@ -79,7 +79,7 @@ class _Reader(WireReader):
     """Reads the parts that actionlib's messages have in common."""
 
     def header(self) -> None:
-        """A std_msgs/Header, of which nothing is needed."""
+        """Skip a std_msgs/Header."""
         self.skip(4 + _TIME.size)
         self.text()
 
@@ -101,7 +101,7 @@ def read_statuses(data: bytes) -> list[Status]:
 
 
 def read_feedback_or_result(data: bytes) -> tuple[Status, bytes]:
-    """What an XActionFeedback or an XActionResult tells: of which goal, and the message within. Raises ValueError."""
+    """Return the goal and the message in an XActionFeedback or XActionResult. Raises ValueError."""
     reader = _Reader(data)
     reader.header()
     return reader.status(), reader.rest()

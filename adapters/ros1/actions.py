@@ -74,7 +74,7 @@ class _Sending:
 
 @dataclass(slots=True)
 class _Known:
-    """A goal that was told of, as it was told last. `listed_at` is when its server was known to know it."""
+    """A known goal with its latest event. `listed_at` is when its server last listed it."""
 
     listed_at: float
     told: Status | None = None
@@ -102,7 +102,7 @@ class _Known:
 
 @dataclass(slots=True)
 class _Followed:
-    """An action that is followed: by its readers, and for so many who look."""
+    """An action that is followed, with its readers and number of followers."""
 
     readers: dict[str, TopicReader] = field(default_factory=dict)
     looks: int = 0
@@ -112,7 +112,7 @@ class _Followed:
 
     @property
     def is_ready(self) -> bool:
-        """Whether what the server tells comes here now."""
+        """Whether events of the server arrive here now."""
         return all(self.readers[part].is_connected for part in ("status", "result", "feedback"))
 
 
@@ -151,7 +151,7 @@ class Actions:
             self._stop(action)
 
     async def start_following(self, action: str, until: float) -> None:
-        """Tell of all goals of an action until `stop_following`; returns once its server was heard. Raises NotFound."""
+        """Announce all goals of an action until `stop_following`; waits for its server. Raises NotFound."""
         self._require(action)
         followed = self._begin(action)
         followed.looks += 1
@@ -226,7 +226,7 @@ class Actions:
         return publication
 
     def _ask_to_cancel(self, goal: GoalId, publication: Publication, times: int) -> None:
-        """Ask, and ask again: a server that connects to its publishers anew just then loses what it is told."""
+        """Request cancellation repeatedly: a server that reconnects to its publishers loses messages."""
         if times and publication.matched:
             publication.send(cancel_message(goal.id), False)
             asyncio.get_running_loop().call_later(_ASKED_AGAIN, self._ask_again, goal, publication, times - 1)
@@ -345,7 +345,7 @@ class Actions:
                 self._tell(action, id, known, GoalEvent(time.time_ns(), goal=goal))
 
     def _note(self, action: str, status: Status, now: float, *, waits_for_result: bool = False) -> _Known | None:
-        """Take note of how a goal stands, and tell of what is new. None for what is no goal's."""
+        """Record the state of a goal, and announce changes; None for unknown states."""
         if not status.id or status.status is None:
             return None
         known = self._goals(action).get(status.id)
@@ -369,7 +369,7 @@ class Actions:
         return known
 
     def _end(self, action: str, id: str, known: _Known) -> None:
-        """Tell that a goal ended, unless it was told with its result."""
+        """Announce the end of a goal, unless its result did."""
         if known.ending is not None:
             event, known.ending = known.ending, None
             self._tell(action, id, known, event)
@@ -385,7 +385,7 @@ class Actions:
             known.decided.set_result(status)
 
     def _tell(self, action: str, id: str, known: _Known, event: GoalEvent) -> None:
-        """Tell of a goal; of one that may still be rejected once it is not, for who sent it is told that."""
+        """Announce a goal event, but only after acceptance: the sender receives a rejection as the response."""
         if known.is_refused:
             return
         if known.is_undecided:
@@ -395,13 +395,13 @@ class Actions:
         self._sink.goal_changed(GoalId(action, id), replace(event, own=known.is_own))
 
     def _flush(self, action: str, id: str, known: _Known) -> None:
-        """Tell what was held back."""
+        """Announce pending events."""
         held, known.held = known.held, []
         for event in held:
             self._tell(action, id, known, event)
 
     def _tick(self) -> None:
-        """Look for goals that were lost, and stop following what nobody looks at."""
+        """Detect lost goals, and stop following actions without followers."""
         self._ticking = None
         now = asyncio.get_running_loop().time()
         for action, followed in list(self._followed.items()):
@@ -449,7 +449,7 @@ class Actions:
         self._tell(action, id, known, GoalEvent(time.time_ns(), GoalStatus.LOST, words))
 
     def _bound(self, action: str) -> None:
-        """Keep no more goals of others in mind than so many."""
+        """Forget goals of others above the limit."""
         goals = self._goals(action)
         while len(goals) > _MAX_KNOWN:
             oldest = next((id for id, known in goals.items() if not known.is_own or _is_over(known)), None)

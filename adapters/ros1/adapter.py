@@ -95,7 +95,7 @@ class Ros1Adapter(ThreadAdapter[Client]):
         self._system = await thread.run(begin())
 
     def allows(self, ref: Ref) -> frozenset[Operation]:
-        """What ROS 1 can do with a thing: a topic whose types conflict or cannot be read is not published to."""
+        """Return the operations of ROS 1 on a thing: topics with conflicting or unreadable types are not writable."""
         graph = self.graph
         if ref.kind is Kind.TOPIC:
             topic = graph.topics.get(ref.name)
@@ -114,7 +114,7 @@ class Ros1Adapter(ThreadAdapter[Client]):
         return frozenset()
 
     def _parameter_operations(self, name: str) -> frozenset[Operation]:
-        """What can be done with a parameter: one that a node declares cannot be deleted, for the node keeps it."""
+        """Return the operations on a parameter: one that a node declares cannot be deleted."""
         operations = self._system.parameters.operations(name) if self._system else frozenset()
         parameter = self.graph.parameters.get(name)
         is_declared = parameter is not None and parameter.descriptor is not None
@@ -205,7 +205,7 @@ class Ros1Adapter(ThreadAdapter[Client]):
         raise without_lifecycle(self.graph.nodes, node)
 
     async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
-        """Return the values of those names that exist, asked of the master now."""
+        """Return the current values of those names that exist, from the master."""
         thread, client = self._running()
         return await thread.run(client.parameters.get(names, thread_time(deadline)))
 
@@ -243,7 +243,7 @@ class Ros1Adapter(ThreadAdapter[Client]):
         return await thread.run(advertise())
 
     def _keep_own(self, publication: Publication, data: bytes, latch: bool) -> None:
-        """What we publish is a sample of ours, there before `publish` returns."""
+        """Make the published message a sample of rosld before `publish` returns."""
         topic = publication.topic
         slot = self._own.get(topic)
         if slot is None or slot.schema != publication.ref:

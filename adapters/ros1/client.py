@@ -228,7 +228,7 @@ class Client:
         self.services.forget()
 
     def _follow(self, asked_at: float) -> None:
-        """Have everything follow the state just seen, which the master was asked for then."""
+        """Update everything after a new state of the master."""
         system = self._system
         for topic, reader in self._readers.items():
             reader.follow(system.publishers.get(topic, ()))
@@ -263,7 +263,7 @@ class Client:
             self._begin(self._look_up(chosen))
 
     def _begin(self, work: Coroutine[None, None, None]) -> asyncio.Task[None]:
-        """Do this beside; it ends with the client."""
+        """Run in the background until the client closes."""
         task = asyncio.get_running_loop().create_task(work)
         self._tasks = [each for each in self._tasks if not each.done()] + [task]
         return task

@@ -17,7 +17,7 @@ _NOT_ASKED = ServiceFacts(None, "its type is not known yet: its node is being as
 
 @dataclass(frozen=True)
 class SystemState:
-    """What a master's getSystemState and getTopicTypes say: names to the nodes' names, topics to types' names."""
+    """Content of getSystemState and getTopicTypes: nodes by name, types by topic."""
 
     publishers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     subscribers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)

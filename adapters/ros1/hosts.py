@@ -18,7 +18,7 @@ CONNECT = 3.0
 
 
 class Address(NamedTuple):
-    """Where to connect for a host name; `guessed` says in words that the name itself did not resolve."""
+    """Address to connect to for a host name; `guessed` is a sentence if the name did not resolve."""
 
     ip: str
     guessed: str | None = None

@@ -34,7 +34,7 @@ class Leaf(NamedTuple):
 
     @property
     def odd(self) -> bool:
-        """Whether the master cannot be asked for it by name."""
+        """Whether the master cannot return it by name."""
         return any(not key or "/" in key for key in self.path)
 
 
@@ -51,7 +51,7 @@ def leaves(tree: Mapping[str, ParameterValue], above: tuple[str, ...] = ()) -> I
 
 
 def by_name(found: Iterator[Leaf]) -> dict[str, Leaf]:
-    """Leaves by name; of two with one name the first."""
+    """Return leaves by name; the first of several with one name."""
     named: dict[str, Leaf] = {}
     for leaf in found:
         named.setdefault("/" + "/".join(leaf.path), leaf)
@@ -96,7 +96,7 @@ def without(named: Mapping[str, Leaf], name: str) -> dict[str, Leaf]:
 
 
 def parts_of(values: Mapping[str, ParameterValue]) -> dict[str, ParameterValue]:
-    """Values that are to be set, and all that lies in those that are trees, by their names."""
+    """Return values to set, and all values in trees among them, by name."""
     found: dict[str, ParameterValue] = {}
     for name, value in values.items():
         found[name] = value
@@ -187,7 +187,7 @@ class Parameters:
         return leaf.value if leaf else None
 
     def operations(self, name: str) -> frozenset[Operation]:
-        """What can be done with a parameter or a tree; from any thread."""
+        """Return the operations on a parameter or a tree (thread-safe)."""
         leaf = self.leaves.get(name)
         if leaf is None and name not in self.trees:
             return frozenset({Operation.SET_PARAMETER})
@@ -196,7 +196,7 @@ class Parameters:
         return _ROOT if name == "/" else _ALL
 
     async def look(self) -> None:
-        """Read the tree and tell what changed. Raises Unreachable, TimedOut."""
+        """Read the tree and announce changes. Raises Unreachable, TimedOut."""
         writes, started = self._writes, time.monotonic()
         document = await self._master.parameters_document()
         if writes == self._writes and document != self._document:  # else the tree may be older than our own write
@@ -228,7 +228,7 @@ class Parameters:
             check(name, value)
 
     def note_set(self, values: Mapping[str, ParameterValue]) -> None:
-        """Nodes have just set these at the master."""
+        """Record values that nodes have just set at the master."""
         for name, value in values.items():
             with _Writing(self):
                 self._see(assign(self.leaves, name, value))

@@ -18,7 +18,7 @@ _MAX_PENDING = 64 * 1024 * 1024
 
 
 class Outbox:
-    """Frames that wait to be written: at most so many bytes, the oldest giving way, but always the newest."""
+    """Frames waiting to be written, up to a number of bytes: the oldest are dropped, the newest is kept always."""
 
     def __init__(self, max_bytes: int) -> None:
         self._limit = max_bytes
@@ -236,7 +236,7 @@ class SubscriberConnection(asyncio.Protocol):
         self._write()
 
     def end(self) -> None:
-        """Tell the subscriber that nothing follows, upon which it hangs up."""
+        """Signal the end of the stream, so that the subscriber disconnects."""
         self._ended = True
         if not self._transport.is_closing():
             self._transport.write_eof()

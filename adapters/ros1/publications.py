@@ -35,7 +35,7 @@ class Servers(NamedTuple):
 
 
 def addresses(ros_ip: str | None, local: str | None, environment: Mapping[str, str] = os.environ) -> Sequence[str]:
-    """What we might advertise, best first: what the user said, what ROS's own variables say, the way to the master."""
+    """Return candidates to advertise, best first: the user's, those of ROS's variables, the route to the master."""
     if ros_ip:
         return [ros_ip]
     named = [environment.get("ROS_HOSTNAME"), environment.get("ROS_IP"), local]
@@ -157,7 +157,7 @@ class Publications:
             self._changed()
 
     async def _remind(self, publication: Publication, subscribers: int) -> None:
-        """Register a topic again, less and less often, while fewer than so many subscribers are connected to it."""
+        """Register a topic again, with growing intervals, while fewer subscribers than expected are connected."""
         for pause in _REMINDERS:
             await asyncio.sleep(pause)
             if publication.matched >= subscribers:
@@ -191,7 +191,7 @@ class Publications:
             )
 
     async def _try(self, address: str) -> Servers | None:
-        """Servers that were proved to answer at an address; None where they do not."""
+        """Return servers that were verified to answer at an address, or None."""
         slave = XmlRpcServer(SlaveApi(self._master.uri, address, self, self._asked_to_leave).answer)
         try:
             bind, port = await _bind(slave, address)
@@ -235,7 +235,7 @@ async def _bind(slave: XmlRpcServer, address: str) -> tuple[str, int]:
 
 
 async def _answers(address: str, port: int, uri: str) -> bool:
-    """Whether it is us who answer there: asked as ROS would, by XML-RPC."""
+    """Whether this process answers at an address, asked by XML-RPC as ROS would."""
     hosts = Hosts({}, address)
     client = XmlRpcClient(uri, "/", lambda: hosts.streams(address, port), keep_alive=False)
     try:

@@ -45,7 +45,7 @@ class Nodes:
         return uri
 
     async def request_topic(self, uri: str, topic: str) -> tuple[str, int]:
-        """Where a publisher offers a topic over TCPROS. Raises Refused, Unreachable."""
+        """Return the TCPROS address of a topic from its publisher. Raises Refused, Unreachable."""
         host, port = host_and_port(uri, "http")
         client = XmlRpcClient(uri, "/RPC2", lambda: self.hosts.streams(host, port), keep_alive=False)
         answer = await client.call("requestTopic", self.caller, topic, [["TCPROS"]], timeout=_TIMEOUT)
@@ -79,7 +79,7 @@ class PublisherReader:
             self._receiver.depth = depth
 
     def fit_buffer(self) -> None:
-        """Have the kernel's buffer fit what comes in."""
+        """Fit the kernel's buffer to the incoming rate."""
         if self._receiver is not None:
             self._receiver.fit_buffer()
 
@@ -201,7 +201,7 @@ class TopicReader:
             source.deepen(self.feed.depth)
 
     def fit_buffers(self) -> None:
-        """Have the kernel's buffers fit what comes in; called about once a second."""
+        """Fit the kernel's buffers to the incoming rates; called about once a second."""
         for source, _ in self._sources.values():
             source.fit_buffer()
 

@@ -25,7 +25,7 @@ _PATIENCE = 2.0
 
 
 def host_label() -> str:
-    """This machine's name as it stands in the names of our nodes."""
+    """Return this machine's name as in the names of rosld's nodes."""
     return re.sub(r"\W", "_", socket.gethostname(), flags=re.ASCII)
 
 
@@ -79,7 +79,7 @@ class StaleRegistrations:
         return True
 
     async def _is_dead(self, node: str, uri: str) -> bool:
-        """Whether it is certain that a node's address is nobody's any more, or another's. Raises Unreachable."""
+        """Whether a node's address is certainly unused, or used by another. Raises Unreachable."""
         host, port = host_and_port(uri, "http")
         address = await self._hosts.resolve(host)
         is_ours = _is_local(address.ip) or node.startswith(f"/rosld_{host_label()}_")

@@ -16,7 +16,7 @@ from rosld.adapters.ros1.tcpros import Frame
 
 
 class Value:
-    """A received frame, and its sample once somebody asked for it."""
+    """A received frame, and its sample once it was read."""
 
     __slots__ = ("_sample", "data", "epoch", "latched", "publisher", "received_ns", "schema", "sequence")
 
@@ -116,7 +116,7 @@ class Feed:
                 pass
 
     def arrived_here(self) -> None:
-        """Tell the watches of a sample of our own; called on the server's loop."""
+        """Wake the watches for a sample of rosld; called on the server's loop."""
         if self._watches and not self._woken:
             self._woken = True
             self._server.call_soon(self._wake)
@@ -126,7 +126,7 @@ class Feed:
         self._watches = (*self._watches, watch)
 
     def unwatch(self, watch: WakingWatch) -> None:
-        """Wake it no more."""
+        """Remove a watch."""
         self._watches = tuple(each for each in self._watches if each is not watch)
 
     def _wake(self) -> None:

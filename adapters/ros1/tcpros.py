@@ -29,7 +29,7 @@ _FORCE = 33 if sys.platform == "linux" else None
 
 
 def wanted_bytes(highest_rate: float) -> int:
-    """Return the bytes that a buffer should hold for a topic of so many bytes a second."""
+    """Return the buffer size for a topic of this many bytes a second."""
     return min(max(int(SECONDS * highest_rate), MIN_BYTES), MAX_BYTES)
 
 
@@ -150,11 +150,11 @@ class LargeFrame:
         self._next_piece(max(FIRST_PIECE, trusted))
 
     def writable_view(self) -> memoryview:
-        """Where the next bytes belong."""
+        """Return the memory for the next bytes."""
         return memoryview(self._pieces[-1])[self._filled :]
 
     def put(self, data: memoryview) -> None:
-        """Take bytes that were received elsewhere; no more than there is room for."""
+        """Add bytes that were received elsewhere, at most up to the room left."""
         self.writable_view()[: len(data)] = data
         self.advance(len(data))
 
@@ -206,7 +206,7 @@ def newest_frames(buffer: bytearray, end: int, depth: int) -> tuple[list[tuple[i
 
 
 class FrameBuffer:
-    """What came of frames that are not whole yet: `data` up to `end`, at most MAX_BUFFER bytes unless asked for."""
+    """Bytes of incomplete frames: `data` up to `end`, at most MAX_BUFFER bytes unless requested."""
 
     def __init__(self) -> None:
         self.data = bytearray(FIRST_BUFFER)
@@ -214,11 +214,11 @@ class FrameBuffer:
         self.end = 0
 
     def writable_view(self) -> memoryview:
-        """Where the kernel may write."""
+        """Return the memory for the kernel to write to."""
         return self.view[self.end :]
 
     def grow(self, size: int) -> None:
-        """Have room for `size` bytes."""
+        """Make room for `size` bytes."""
         if size > len(self.data):
             data = bytearray(size)
             data[: self.end] = self.data[: self.end]
@@ -277,12 +277,12 @@ class FrameReceiver(asyncio.BufferedProtocol):
             self._transport.abort()
 
     def fit_buffer(self) -> None:
-        """Have the kernel's buffer fit what comes in; called about once a second."""
+        """Fit the kernel's buffer to the incoming rate; called about once a second."""
         if self._kernel is not None and not self.closed.done():
             self._kernel.fit(self.received, time.monotonic())
 
     def get_buffer(self, sizehint: int) -> memoryview:
-        """Where the kernel may write: the rest of the buffer, or of the large frame being received."""
+        """Return the memory for the kernel: the rest of the buffer, or of the large frame being received."""
         if self._large is not None:
             return self._large.writable_view()
         return self._buffer.writable_view()

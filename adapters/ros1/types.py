@@ -95,7 +95,7 @@ class Types:
 
 
 class EndpointFacts(NamedTuple):
-    """What a publisher said when it was connected to, or why it was not."""
+    """Header of a publisher from its connection, or the reason of its failure."""
 
     type: TypeRef | None = None
     latched: bool = False
@@ -103,7 +103,7 @@ class EndpointFacts(NamedTuple):
 
 
 class ServiceFacts(NamedTuple):
-    """What a service's node said when it was asked for the type, or why it cannot be called."""
+    """Type of a service from its node, or why it cannot be called."""
 
     type: TypeRef | None = None
     uncallable: str | None = None

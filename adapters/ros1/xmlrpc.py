@@ -28,7 +28,7 @@ class Malformed(ValueError):
 
 
 class Answer(NamedTuple):
-    """What a ROS API answers: 1 success, 0 failure, -1 the caller's error; words; the value."""
+    """Response of a ROS API: 1 success, 0 failure, -1 the caller's error; words; the value."""
 
     code: int
     words: str
@@ -111,7 +111,7 @@ def _parser(target: xmlrpc.client.Unmarshaller) -> expat.XMLParserType:
 
 
 def _value(found: object) -> ParameterValue:
-    """What was unmarshalled, with its types made sure of."""
+    """Return the unmarshalled value after checking its types."""
     if isinstance(found, (bool, int, float, str, bytes, datetime)):
         return found
     if isinstance(found, (list, tuple)):

@@ -77,7 +77,7 @@ class _Line:
 
 
 class Actions:
-    """The actions of a system; `tell` is given what becomes known of their goals."""
+    """The actions of a system; `tell` is called with events of their goals."""
 
     def __init__(
         self, participant: Participant, calls: Calls, waiter: Waiter, tell: Callable[[GoalId, GoalEvent], None]
@@ -148,13 +148,13 @@ class Actions:
             raise Refused(f"the goals of {action} are not canceled: {words}", sent=Sent.YES)
 
     async def _ask_to_cancel(self, action: str, id: bytes, until: float) -> Any:
-        """The answer of an action server that is asked to cancel."""
+        """Return the response of an action server to a cancel request."""
         info = make_message("action_msgs/msg/GoalInfo", {"goal_id": _uuid(id)})
         request = make_message(_CANCEL, {"goal_info": info}, "Request")
         return await self._calls.call(f"{action}/_action/cancel_goal", _CANCEL, request, until)
 
     async def follow(self, action: Action, until: float) -> Callable[[], None]:
-        """Tell of all goals of an action until what is returned is called. Waits for what is known of them now."""
+        """Announce all goals of an action until the result is called. Waits for their current states."""
         line = self._listen(action.name, _type_of(action))
         line.followers += 1
         await self._wait_for_server(line, until)
@@ -183,7 +183,7 @@ class Actions:
                 line.heard = False
 
     def close(self) -> None:
-        """Listen no more."""
+        """Stop listening."""
         for task in self._tasks:
             task.cancel()
         for line in list(self._lines.values()):
@@ -268,7 +268,7 @@ class Actions:
                 self._event(line, id, GoalEvent(taken.received_ns, feedback=feedback, own=goal.own))
 
     async def _end(self, line: _Line, id: str, goal: _Goal, until: float, known: GoalStatus | None = None) -> None:
-        """Tell how a goal ended, with its result where the server gives it; `known` is the end where it is known."""
+        """Announce the end of a goal, with its result if the server returns it."""
         goal.ending = known is not None
         words = result = None
         status = known or GoalStatus.LOST

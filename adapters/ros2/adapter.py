@@ -50,7 +50,7 @@ def adapter(source: str, options: AdapterOptions) -> Ros2Adapter:
 
 @dataclass
 class _Own:
-    """What we published on a topic: the newest few, and how they are counted."""
+    """Messages that rosld published on a topic: the newest few, and their count."""
 
     ref: TypeRef
     epoch: int
@@ -101,7 +101,7 @@ class Ros2Adapter(ThreadAdapter[System]):
             raise
 
     def allows(self, ref: Ref) -> frozenset[Operation]:
-        """What ROS 2 can do with a thing: a topic whose types conflict or are not known here is not published to."""
+        """Return the operations of ROS 2 on a thing: topics with conflicting or unknown types are not writable."""
         graph = self.graph
         if ref.kind is Kind.TOPIC:
             topic = graph.topics.get(ref.name)
@@ -211,12 +211,12 @@ class Ros2Adapter(ThreadAdapter[System]):
         return GoalWatch(thread, await thread.run(system.follow_goals(action, thread_time(deadline))))
 
     async def change_state(self, node: str, transition: str, *, deadline: float) -> None:
-        """Have a managed node make a transition. Raises Refused, TimedOut, Unreachable, NotFound."""
+        """Request a transition of a managed node. Raises Refused, TimedOut, Unreachable, NotFound."""
         thread, system = self._running()
         await thread.run(system.change_state(node, transition, thread_time(deadline)))
 
     async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
-        """Return the values of those names that exist, asked of their nodes now."""
+        """Return the current values of those names that exist, from their nodes."""
         thread, system = self._running()
         return await thread.run(system.parameters.get(names, thread_time(deadline)))
 
@@ -237,7 +237,7 @@ class Ros2Adapter(ThreadAdapter[System]):
         return await thread.run(system.publications.advertise(topic, type, latch, thread_time(deadline)))
 
     def _keep_own(self, publication: Publication, data: bytes) -> None:
-        """What we publish is a sample of ours, there before `publish` returns."""
+        """Make the published message a sample of rosld before `publish` returns."""
         topic = publication.topic
         own = self._own.get(topic)
         if own is None or own.ref != publication.ref:

@@ -57,7 +57,7 @@ class Calls:
             line.used = self._loop.time()
 
     def drop_gone_servers(self) -> None:
-        """Give up on servers that have gone, and on clients that nobody uses any more."""
+        """Fail calls to servers that have gone, and drop unused clients."""
         now = self._loop.time()
         for key, line in list(self._lines.items()):
             if line.pending and not line.client.ready():

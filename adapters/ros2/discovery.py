@@ -17,7 +17,7 @@ _LEAVING = 5.0
 
 
 class LiveGraph:
-    """Keeps the graph, and tells the sink where it changed. `current` may be read in any thread."""
+    """The current graph, with changes announced to the sink. `current` is thread-safe."""
 
     def __init__(self, graph: Graph, sink: Sink) -> None:
         self.current = graph

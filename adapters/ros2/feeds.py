@@ -153,7 +153,7 @@ class _Streams:
 
 
 class _Echoes:
-    """What we published of late, by which the middleware's echo of it is known."""
+    """Recently published messages of rosld, for recognizing the middleware's echo of them."""
 
     def __init__(self) -> None:
         self._published: deque[tuple[int, bytes]] = deque(maxlen=_ECHOES)
@@ -173,7 +173,7 @@ class _Echoes:
 
 
 class Feed:
-    """What comes in on one topic, for all its subscriptions; `own` is the node under which we publish."""
+    """Incoming messages of one topic, for all its subscriptions; `own` is the node of rosld's own messages."""
 
     def __init__(self, topic: str, own: str, epoch: int, waiter: Waiter) -> None:
         self.topic = topic
@@ -190,7 +190,7 @@ class Feed:
 
     @property
     def depth(self) -> int:
-        """How many of each publisher's newest samples are kept."""
+        """The number of newest samples kept of each publisher."""
         return self._streams.depth
 
     @property
@@ -209,7 +209,7 @@ class Feed:
 
     @property
     def reader(self) -> Reader | None:
-        """What it is read with, None while it is not read."""
+        """The reader of the topic; None while it is not read."""
         return self._reader
 
     def read_with(self, reader: Reader | None) -> Reader | None:
@@ -275,13 +275,13 @@ class Feed:
         return self._streams.put(taken, name, publishers, latched)
 
     def _who(self, taken: TakenMessage, publishers: Publishers) -> str:
-        """Who sent it: told by its gid where the middleware tells that, else known where only one node publishes."""
+        """Return the sender: by its gid if the middleware has it, else the only publishing node."""
         if taken.gid is not None and (found := publishers.gids.get(taken.gid)) is not None:
             return found
         return next(iter(publishers.nodes)) if len(publishers.nodes) == 1 else ""
 
     def _rearm(self) -> None:
-        """Be told of the next message, if somebody watches."""
+        """Request notification of the next message, if there are watches."""
         reader = self._reader
         if reader is not None and len(self.watches):
             self._waiter.arm(reader.handle, "reader", self._ready)

@@ -207,7 +207,7 @@ def type_in_use(graph: Graph, ref: TypeRef) -> TypeRef:
 
 
 def nodes_using(graph: Graph, ref: TypeRef) -> list[str]:
-    """Return the nodes that use a type and tell of their types."""
+    """Return the nodes that use a type and describe their types."""
     nodes: dict[str, None] = {}
     for topic in graph.topics.values():
         for each in (*topic.publishers, *topic.subscribers):

@@ -76,7 +76,7 @@ class Lifecycles:
     _loop: asyncio.AbstractEventLoop = field(default_factory=asyncio.get_running_loop)
 
     def follow(self, providers: Mapping[str, Names], ours: Iterable[str]) -> None:
-        """These nodes (with their services) are there now: ask those that are new, or silent, or asked long ago."""
+        """Set the present nodes (with their services); ask the new, silent and long unasked ones."""
         there = {node for node, services in providers.items() if _is_managed(node, services)} - set(ours)
         for gone in self._managed.keys() - there:
             self._leave(self._managed.pop(gone))
@@ -90,7 +90,7 @@ class Lifecycles:
         self._list_anew()
 
     async def wait_settled(self, seconds: float) -> None:
-        """Wait until those being asked have answered, at most so long."""
+        """Wait until the nodes being asked have answered, up to a timeout."""
         if self._tasks:
             await asyncio.wait(tuple(self._tasks), timeout=seconds)
 
@@ -120,7 +120,7 @@ class Lifecycles:
             raise Refused(f"{node} did not make the transition {label!r}", sent=Sent.YES)
 
     async def _make_sure(self, node: str, one: _Managed, until: float) -> None:
-        """Ask a node how it stands; one that makes a transition may well not answer, and is not waited for."""
+        """Ask a node for its state; one in transition may not answer, and is not waited for."""
         if not one.is_underway:
             await self._learn(node, one, until)
             return
@@ -163,7 +163,7 @@ class Lifecycles:
             pass  # the thread's loop has ended
 
     def _take(self, node: str, one: _Managed) -> None:
-        """Hear of transitions: one that is being made is told at once, for the node may answer nothing meanwhile."""
+        """Process transition events: an ongoing one is announced at once, because the node may not answer meanwhile."""
         if _take_events(one):
             if one.is_underway:
                 self._list_anew()
@@ -200,7 +200,7 @@ class Lifecycles:
         self._list_anew()
 
     def _silent(self, one: _Managed, error: Exception) -> None:
-        """A node does not answer: as long as it makes a transition, that is all there is to be told."""
+        """Record that a node does not answer; during a transition, only that is reported."""
         if not one.is_underway:
             why = error.sentence if isinstance(error, RosError) else error
             words = f"it does not tell the state of its lifecycle: {why}"
@@ -244,7 +244,7 @@ def _is_managed(node: str, services: Names) -> bool:
 
 
 def _take_events(one: _Managed) -> bool:
-    """Take what a node told of its transitions; whether it told of any."""
+    """Process transition events of a node; return whether there were any."""
     heard = False
     while one.reader is not None and (taken := one.reader.take()) is not None:
         try:

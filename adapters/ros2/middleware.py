@@ -60,7 +60,7 @@ class TakenMessage(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ParameterChange:
-    """A node told that these parameters of its came or changed, and that those are gone; `new` are those that came."""
+    """Event of a node: parameters that were added (`new`) or changed, and those deleted."""
 
     node: str
     set: tuple[str, ...]
@@ -69,7 +69,7 @@ class ParameterChange:
 
 
 class Reader:
-    """A subscription whose messages are taken as bytes by whoever looks. `take` may be called on any thread."""
+    """A subscription whose messages are taken as bytes. `take` is thread-safe."""
 
     def __init__(self, node: Any, subscription: Any, qos: Qos) -> None:
         self.handle: Handle = subscription.handle
@@ -284,7 +284,7 @@ class Participant:
         return self._of(self._hidden.get_client_names_and_types_by_node, node)
 
     def counts(self, topic: str) -> tuple[int, int]:
-        """How many publishers and subscribers a topic has; none where its name is one that ROS 2 does not allow."""
+        """Return the numbers of publishers and subscribers of a topic; none for a name that ROS 2 does not allow."""
         try:
             return self._hidden.count_publishers(topic), self._hidden.count_subscribers(topic)
         except Exception:  # each ROS has an error of its own for a name that another's middleware let through
@@ -299,7 +299,7 @@ class Participant:
         return _endpoints(self._hidden.get_subscriptions_info_by_topic, topic)
 
     def show(self, name: str) -> None:
-        """Have a node of this name in the system, to publish from."""
+        """Create a node of this name, to publish from."""
         if self._shown is None:
             self._shown = _node(name, self.namespace, self.context)
             self.shown_name = _full_name(name, self.namespace)

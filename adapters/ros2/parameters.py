@@ -63,7 +63,7 @@ class _Owner:
     generation: int = 0
 
     def learn(self, names: Set[str], descriptors: Mapping[str, Descriptor]) -> None:
-        """Of these names just this is declared."""
+        """Set the complete declarations of these names."""
         known = {name: each for name, each in self.descriptors.items() if name not in names}
         self.descriptors = {name: each for name, each in {**known, **descriptors}.items() if name in self.names}
 
@@ -91,7 +91,7 @@ class Parameters:
         return any(owner.uses_simulated_time for owner in self.owners.values())
 
     def follow(self, providers: Mapping[str, Names], ours: Iterable[str]) -> None:
-        """These nodes (with their services) are there now: ask those that are new, or silent, or asked long ago."""
+        """Set the present nodes (with their services); ask the new, silent and long unasked ones."""
         there = {node for node in providers if _provides(providers, node, "list_parameters")} - set(ours)
         for gone in self.owners.keys() - there:
             del self.owners[gone]
@@ -107,12 +107,12 @@ class Parameters:
         self._list_anew()
 
     async def wait_settled(self, seconds: float) -> None:
-        """Wait until those being asked have answered, at most so long."""
+        """Wait until the nodes being asked have answered, up to a timeout."""
         if self._tasks:
             await asyncio.wait(tuple(self._tasks), timeout=seconds)
 
     def event(self, change: ParameterChange) -> None:
-        """A node told what became of its parameters."""
+        """Process an event of a node about its parameters."""
         owner = self.owners.get(change.node)
         if owner is not None:
             self._became(change.node, owner, change.set, change.deleted, change.new)
@@ -257,7 +257,7 @@ class Parameters:
     def _became(
         self, node: str, owner: _Owner, set: Sequence[str], deleted: Sequence[str], new: Sequence[str] = ()
     ) -> None:
-        """These parameters are there, those are gone; what is new is soon asked for what is declared of it."""
+        """Process added and deleted parameters; declarations of new ones are requested soon."""
         owner.generation += 1
         room = max(0, _MAX_PARAMETERS - len(owner.names))
         came = [name for name in dict.fromkeys(set) if name not in owner.names][:room]
@@ -313,7 +313,7 @@ class Parameters:
         owner.wait = min(2 * owner.wait, _LONGEST_RETRY)
 
     async def _describe(self, node: str, owner: _Owner, names: Iterable[str]) -> dict[str, Descriptor] | None:
-        """What a node declares of parameters; None where it does not answer in time."""
+        """Return the declarations of parameters by a node; None if it does not answer in time."""
         found: dict[str, Descriptor] = {}
         waiting = [sorted(names)] if owner.describes else []
         until = asyncio.get_running_loop().time() + _PATIENCE
@@ -395,7 +395,7 @@ async def _all_done(*writes: Any) -> None:
 
 
 def _tree(name: str, values: Mapping[str, ParameterValue]) -> ParameterValue:
-    """What lies below a name, as dicts in dicts; of two that want one place the leaf gives way."""
+    """Return the values below a name as nested dicts; a leaf yields to a tree of the same name."""
     root: dict[str, ParameterValue] = {}
     start = len(segments(name))
     for each in sorted(values):

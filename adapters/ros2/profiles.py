@@ -15,7 +15,7 @@ _LATCHED_DEPTH = 16
 
 
 def override_for(topic: str, overrides: Sequence[tuple[str, Qos]]) -> Qos:
-    """What the user said of a topic: the first profile whose glob fits, an empty one where none does."""
+    """Return the user's profile for a topic: the first whose glob matches, or an empty one."""
     return next((qos for glob, qos in overrides if fnmatchcase(topic, glob)), Qos())
 
 
@@ -77,7 +77,7 @@ _POLICIES = {
 
 
 def qos_of_profile(profile: Any) -> Qos:
-    """What rclpy's profile says of an endpoint; None for policies that are the system's default or not known."""
+    """Return the Qos of an endpoint from rclpy's profile; None for defaults and unknown policies."""
     words = {policy: table.get(getattr(profile, policy).name) for policy, table in _POLICIES.items()}
     return Qos(
         **words,
@@ -89,7 +89,7 @@ def qos_of_profile(profile: Any) -> Qos:
 
 
 def _nanoseconds(duration: Any) -> int | None:
-    """Return a time, None for ever: which is "infinite" or, where nobody said anything, zero."""
+    """Return a time; None for "infinite" and for an unspecified time (zero)."""
     found = int(duration.nanoseconds)
     return found if 0 < found < _FOR_EVER // 2 else None
 

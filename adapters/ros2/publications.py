@@ -25,7 +25,7 @@ _SETTLING = 0.1
 
 
 class Publication:
-    """A topic that rosld publishes; `ours` gives our own reader of it, which counts as nobody."""
+    """A topic that rosld publishes; `ours` returns rosld's own reader of it, which does not count."""
 
     def __init__(self, topic: str, ref: TypeRef, writer: Writer, ours: Callable[[], Reader | None]) -> None:
         self.topic = topic
@@ -40,12 +40,12 @@ class Publication:
 
     @property
     def latched(self) -> bool:
-        """Whether later subscribers are told the last message."""
+        """Whether later subscribers receive the last message."""
         return self.qos.durability == "transient_local"
 
     @property
     def matched(self) -> int:
-        """How many subscribers are connected."""
+        """The number of connected subscribers."""
         reader = self._ours()
         own = reader is not None and is_compatible(reader.qos, self.qos)
         return max(0, self.writer.subscribers() - own)
@@ -104,7 +104,7 @@ class Publications:
 
     @property
     def by_topic(self) -> Mapping[str, Publication]:
-        """What is published now."""
+        """The current publications."""
         return self._by_topic
 
     async def advertise(self, topic: str, type: TypeRef, latch: bool, until: float) -> Publication:

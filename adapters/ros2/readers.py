@@ -34,7 +34,7 @@ class Readers:
         self._proofs: set[asyncio.Task[None] | None] = set()
 
     def reader_of(self, topic: str) -> Reader | None:
-        """What a topic is read with, None where it is not read."""
+        """Return the reader of a topic, or None."""
         feed = self._feeds.get(topic)
         return feed.reader if feed is not None else None
 
@@ -56,7 +56,7 @@ class Readers:
                 reader.close()
 
     def follow_all(self, graph: Graph, seen: Callable[[str], Sequence[SeenEndpoint]]) -> None:
-        """Read all topics with the profiles that fit their publishers now, which `seen` tells of each topic."""
+        """Read all topics with profiles that match their current publishers, returned by `seen`."""
         for feed in list(self._feeds.values()):
             self.follow(feed, graph, seen(feed.topic))
 

@@ -165,7 +165,7 @@ class System:
     # Lifecycles
 
     async def change_state(self, node: str, transition: str, until: float) -> None:
-        """Have a managed node make a transition. Raises Refused, TimedOut, Unreachable, NotFound."""
+        """Request a transition of a managed node. Raises Refused, TimedOut, Unreachable, NotFound."""
         if node not in self.graph.nodes:
             raise NotFound(f"there is no node {node}")
         try:
@@ -221,7 +221,7 @@ class System:
         )
 
     def _ours(self) -> tuple[str, ...]:
-        """Our nodes, which are never asked for anything."""
+        """Return the nodes of rosld, which are never asked."""
         shown = self._participant.shown_name
         return (self._participant.hidden_name,) if shown is None else (self._participant.hidden_name, shown)
 

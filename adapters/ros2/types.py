@@ -86,7 +86,7 @@ class Types:
         self._problems[name] = words
 
     def with_hash(self, ref: TypeRef) -> TypeRef:
-        """Return the type with the hash of its definition here, where the middleware does not tell it (Humble)."""
+        """Return the type with the hash of the local definition, if the middleware has none (Humble)."""
         if ref.hash is not None:
             return ref
         if ref.name not in self._hashes:
@@ -111,7 +111,7 @@ class Types:
             raise unknown
 
     async def _ask(self, node: str, ref: TypeRef, until: float) -> Schema | None:
-        """What a node says of a type, which it knows by its hash; None where it says nothing useful."""
+        """Return a node's description of a type with a known hash, or None."""
         if ref.hash is None:
             return None
         fields: dict[str, object] = {

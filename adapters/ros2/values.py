@@ -134,7 +134,7 @@ _TYPES: Mapping[int, ParameterType] = {
 
 
 def operations_on(descriptor: Descriptor | None) -> frozenset[Operation]:
-    """What may be done with a parameter: a node keeps what it declared with a type, and what it declared read-only."""
+    """Return the operations on a parameter: nodes keep typed and read-only ones."""
     if descriptor is not None and descriptor.read_only:
         return _READ
     return _WRITE if descriptor is not None and descriptor.type is not None else _WRITE | {Operation.DELETE_PARAMETER}
@@ -161,7 +161,7 @@ class DescriptorMessage(Protocol):
 
 
 def descriptor_of(message: DescriptorMessage) -> Descriptor | None:
-    """What a message declares; None where that is nothing, as of a parameter that a node never declared."""
+    """Return the declaration in a message; None for an undeclared parameter."""
     dynamic = bool(message.dynamic_typing)
     type = None if dynamic else _TYPES.get(message.type)
     found = Descriptor(

@@ -38,7 +38,7 @@ class Waiter:
         self._wakeup.trigger()
 
     def disarm(self, handle: Handle) -> None:
-        """Tell no more of this handle."""
+        """Stop notifications about a handle."""
         with self._lock:
             gone = self._armed.pop(id(handle), None)
         if gone is not None:

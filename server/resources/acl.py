@@ -44,7 +44,7 @@ class AclResource(Resource):
 
 
 def policy_document(policy: Policy, url: str) -> Iterable[Triple]:
-    """Agents and rules, without what agents prove themselves with."""
+    """Yield the triples of agents and rules, without credentials."""
     nodes = {agent.name: _node(agent, number, url) for number, agent in enumerate(policy.agents.values(), 1)}
     by_webid = {agent.webid: nodes[agent.name] for agent in policy.agents.values() if agent.webid}
     for agent in policy.agents.values():

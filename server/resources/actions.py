@@ -210,7 +210,7 @@ class ActionResource(CommandResource):
         return answer
 
     async def _submit(self, exchange: Exchange, schema: ActionSchema, message: Message) -> GoalSubmission:
-        """What became of a goal that was sent, once only for each Idempotency-Key."""
+        """Send a goal, once for each Idempotency-Key, and return its outcome."""
         goals, deadline = self.session.goals, loop_time() + self.session.settings.call_deadline
         key, sender = exchange.header("idempotency-key"), sender_of(exchange)
         if key is None:
@@ -406,7 +406,7 @@ async def follow_action(session: Session, action: str) -> None:
 
 
 def _goal_schema(schemas: MessageSchemas, schema: ActionSchema | None) -> DataSchema:
-    """How a goal of this type stands, as plain JSON."""
+    """Return the JSON schema of a goal's state."""
     parts = {} if schema is None else {"goal": schema.goal, "feedback": schema.feedback, "result": schema.result}
     told = {name: nullable(schemas.read(part)) for name, part in parts.items()}
     status: DataSchema = {"type": "string", "enum": [status.value for status in GoalStatus]}

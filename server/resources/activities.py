@@ -141,7 +141,7 @@ class ActivityContainer(Resource):
         return container_document(self.url, (self.space.activity(entry.id) for entry in entries), TITLE)
 
     def _page(self, place: PagePosition) -> tuple[LdpPage, list[JournalEntry]]:
-        """Return a page, and what it tells of."""
+        """Return a page, and its receipts."""
         entries = list(self.receipts.newest_first())
         keys = [_NEWEST - entry.number for entry in entries]
         after = place.after if isinstance(place.after, int) else 0
@@ -160,7 +160,7 @@ class ActivityContainer(Resource):
         return () if self._place is None else self._page(self._place)[0].neighbours()
 
     def listing(self) -> MemberColumns:
-        """What, when, who and what came of it."""
+        """Return the columns: action, time, agent and outcome."""
         space = self.space
         receipts = self.receipts
         entries = islice(receipts.newest_first(), 1000) if self._place is None else self._page(self._place)[1]

@@ -224,7 +224,7 @@ class UnreadableBag(Resource):
 
 
 def _file_status(path: Path) -> os.stat_result | None:
-    """What the system tells of a file; None where there is none at the path."""
+    """Return the status of a file, or None if there is none at the path."""
     try:
         return path.stat() if path.is_file() else None
     except OSError:

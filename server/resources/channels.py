@@ -123,7 +123,7 @@ class Notifications:
         return self.channels.open(wish, service.type, resource, state, place, exchange.auth)
 
     def websocket_receiver(self, scope: Scope) -> WebSocketReceiver:
-        """Who receives over the WebSocket that is to be opened. Raises Problems: 404 for every other path, 503."""
+        """Return the receiver over a new WebSocket. Raises Problems: 404 for every other path, 503."""
         try:
             path = scope["raw_path"].decode("ascii").removeprefix(self.space.path.rstrip("/"))
             location = locate(path)
@@ -192,7 +192,7 @@ async def _narrow(resource: Resource, exchange: Exchange) -> Resource:
 
 
 def prefers_json(exchange: Exchange, offers: tuple[str, ...] = OFFERS) -> bool:
-    """Whether JSON(-LD) is asked for: it is written for clients without RDF, then."""
+    """Whether JSON(-LD) is preferred: then it is written for clients without RDF."""
     if exchange.request.scope["query_string"] and (wanted := exchange.query.get("format")):
         return wanted in ("jsonld", "json")
     return choose_offer(exchange.accept, offers) in (JSON_LD, JSON)
@@ -413,13 +413,13 @@ def channel_route(location: Location, *, notifications: Notifications) -> Resour
 
 
 def channel_item() -> PathItem:
-    """What the URL of a channel answers."""
+    """Return the path item of a channel."""
     summary = "A channel; without it nothing is told any more"
     return PathItem(summary, plain=OBJECT, methods=READ | {"DELETE"})
 
 
 def source_item() -> PathItem:
-    """What the URL answers that a channel receives from."""
+    """Return the path item of the URL that a channel receives from."""
     summary = "Where notifications are received from: by WebSocket, or a response that goes on"
     reads = (LINES, "text/turtle", "application/n-triples")
     return PathItem(summary, reads, query=(), streams=False, methods=READ)

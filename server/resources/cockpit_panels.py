@@ -97,7 +97,7 @@ class QueryTables:
 
 @dataclass(frozen=True, slots=True)
 class CockpitSources:
-    """What cockpits are made from. `at` finds the resource at a path."""
+    """Sources of the panels of cockpits. `at` finds the resource at a path."""
 
     session: Session
     affordances: AffordanceService[State]
@@ -151,7 +151,7 @@ class PanelReader:
         return FilledPanel(panel, content, version)
 
     async def _content(self, panel: Panel) -> tuple[PanelContent, str]:
-        """What a panel shows, and the version of that."""
+        """Return the content of a panel, and its version."""
         base = self._session.space.base
         foreign = next((each for each in panel.shows if not each.startswith(base)), None)
         words = ""
@@ -302,7 +302,7 @@ class PanelReader:
         return FormsContent(tuple(may)), repr(versions)
 
     async def _forms_at(self, url: str) -> tuple[Sequence[Form], str]:
-        """What can be sent to a resource now, each with the URL that it is sent to, and the version of that."""
+        """Return the forms of a resource, each with its URL, and their version."""
         location = self._session.space.location(url)
         if location is None or location.kind not in _COMMANDED:
             raise Problem(422, "From a cockpit something is sent to the robot only: to a service, an action, a value.")
@@ -353,7 +353,7 @@ class PanelReader:
 
 
 def _with_action(form: Form, url: str, location: Location) -> Form:
-    """Return a form that posts to a URL wherever it stands, and tells what it does there."""
+    """Return a form that posts to a URL from any page, with a description."""
     if form.action or isinstance(form, EditForm):
         return form
     if isinstance(form, MessageForm) and location.kind == "services":

@@ -55,7 +55,7 @@ _MAX_SUGGESTIONS = 200
 
 @dataclass(eq=False)
 class CockpitState(State):
-    """The state of the page of a cockpit: beside the document its panels as they are now."""
+    """The state of a cockpit's page: the document, and the current content of its panels."""
 
     cockpit: Cockpit = NOTHING
     panels: tuple[FilledPanel, ...] = ()
@@ -204,7 +204,7 @@ class ShownCockpit(_ShownPage, CockpitResource):
 
 
 def _triples(url: str, cockpit: Cockpit) -> list[Triple]:
-    """What a cockpit says. Raises a 422 Problem for what is no IRI."""
+    """Return the triples of a cockpit. Raises a 422 Problem for an invalid IRI."""
     try:
         return cockpit_triples(url, cockpit)
     except ValueError as error:
@@ -212,7 +212,7 @@ def _triples(url: str, cockpit: Cockpit) -> list[Triple]:
 
 
 def _suggestions(sources: CockpitSources, site: Site) -> tuple[str, ...]:
-    """What a panel may show, as paths below the base."""
+    """Return the paths that a panel may show, relative to the base."""
     session = sources.session
     space, graph = session.space, listed_graph(session.graph, session.adapter.capabilities)
     urls = (
@@ -307,7 +307,7 @@ class ShownDefault(_ShownPage, DefaultCockpit):
 
 
 class CockpitContainer(ContainerResource):
-    """`/cockpit/`: what clients keep there. Its page lists the default cockpit beside them, and makes copies."""
+    """`/cockpit/`: stored cockpits. Its page also lists the default cockpit, and makes copies."""
 
     takes_forms = True
 

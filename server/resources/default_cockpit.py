@@ -53,7 +53,7 @@ _SIMPLE = _NUMBERS | {"std_msgs/msg/String", "std_msgs/msg/Bool"}
 
 
 async def default_cockpit(session: Session, affordances: AffordanceService[State], *, can_stop: bool) -> Cockpit:
-    """What is worth a panel of the robot as it is now."""
+    """Return panels for the current robot."""
     space, is_read_only = session.space, session.settings.read_only
     graph = session.graph
     listed = listed_graph(graph, session.adapter.capabilities)
@@ -67,7 +67,7 @@ async def default_cockpit(session: Session, affordances: AffordanceService[State
 
 
 def _first_topics(space: Space, topics: Iterable[Topic]) -> Iterator[Panel]:
-    """Where nothing is of a kind that has a panel: the messages of the first topics."""
+    """Return panels of the first topics, if no topic is of a kind with a panel of its own."""
     for topic in [each for each in topics if _is_published(each)][:_MAX_VALUES]:
         yield Panel(PanelKind.VALUE, (space.topic(topic.name),), title=topic.name, area=GridArea(4, 5))
 
@@ -120,7 +120,7 @@ def _of_fields(
 
 
 def _of_resources(space: Space, graph: Graph, tree: ResourceTree, *, is_read_only: bool) -> Iterator[Panel]:
-    """What a mapping arranges, with its values and what it offers; and the actions of ROS."""
+    """Return panels of mapped resources with values and offers, and of the actions of ROS."""
     mapped = [path for path in tree.paths if (plan := tree.complex(path)) is not None and plan.mapped is not None]
     shown = 0
     for path in sorted(mapped, key=lambda each: (each.count("/"), each)):
@@ -144,7 +144,7 @@ def _of_resources(space: Space, graph: Graph, tree: ResourceTree, *, is_read_onl
 
 
 def _is_published(topic: Topic) -> bool:
-    """Whether somebody publishes a topic, or nobody is known to use it: not every recording tells who published."""
+    """Whether a topic has a publisher, or no known user: recordings may lack publishers."""
     return bool(topic.publishers) or not topic.subscribers
 
 

@@ -81,7 +81,7 @@ _PLAIN: DataSchema = {
 
 
 class DiagnosticsResource(Resource):
-    """The states of all parts that tell of themselves, or of those of one name, as one agent may see them."""
+    """The states of all reporting parts, or of those of one name, as one agent may see them."""
 
     kind = "Diagnostics"
     title = "Diagnostics"
@@ -113,7 +113,7 @@ class DiagnosticsResource(Resource):
         return (self.session.space.document_shape("Source"),)
 
     async def select_variant(self, exchange: Exchange) -> Resource:
-        """What the query asks for, as the agent may see it."""
+        """Return the requested part, as the agent may see it."""
         return DiagnosticsResource(
             self.session,
             self.history,
@@ -165,7 +165,7 @@ class DiagnosticsResource(Resource):
         return [self.level_times.note(state_at(each, now, period), now) for each in states]
 
     async def _past(self, graph: Graph, topic: str) -> Sequence[LevelChange]:
-        """What the part said within the last hour, as far as it is recorded; nothing where nothing is."""
+        """Return the recorded states of a part in the last hour, if any."""
         if not is_recorded(self.history, topic):
             return ()
         try:

@@ -30,7 +30,7 @@ _RESOURCES = "What the robot is like now, and what it can do: values to read and
 
 
 def _count_readable(names: Collection[str], url: Callable[[str], str], site: Site) -> int:
-    """How many of these the reader may read."""
+    """Return the number of these that the reader may read."""
     return sum(site.may("GET", url(name)) for name in names) if site.is_restricted else len(names)
 
 

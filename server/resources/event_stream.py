@@ -49,7 +49,7 @@ class PageNumber(NamedTuple):
 
     @property
     def size(self) -> int:
-        """How many messages a page of its level leads to."""
+        """The number of messages below a page of its level."""
         return int(MEMBERS ** (self.level + 1))
 
     @property
@@ -74,7 +74,7 @@ def pages_between(level: int, first: int, beyond: int) -> Iterator[PageNumber]:
 
 
 def top_level(first: int, beyond: int) -> int:
-    """The lowest level of which one page of links can have all pages."""
+    """Return the lowest level at which one page of links leads to all pages."""
     level = 0
     while -(-beyond // MEMBERS ** (level + 1)) - first // MEMBERS ** (level + 1) > MEMBERS:
         level += 1

@@ -87,7 +87,7 @@ class FramesResource(Resource):
         return FramesResource(self.space, self.adapter, self.scene, exchange.permissions)
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:
-        """Frames that move do so all the time: they are looked at now and then."""
+        """Return a polling watch, because moving frames change all the time."""
         return call_every(_LOOK_SECONDS, wake)
 
     async def state(self) -> State:

@@ -124,7 +124,7 @@ class GraphResource(Resource):
         )
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:
-        """The graph itself is told of as all else; rates change all the time, and are looked at now and then."""
+        """Return a watch of the graph; rates change all the time, and are polled."""
         return call_every(_LOOK_SECONDS, wake)
 
     async def state(self) -> State:

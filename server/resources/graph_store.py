@@ -242,7 +242,7 @@ class GraphStore(Resource):
 
 @lru_cache(maxsize=256)
 def _address(below: str, root: str, others: str) -> Scope:
-    """What a request has of the address that lies `below` the root of this server, with these parameters as well."""
+    """Return the location `below` the root of this server, with additional query parameters."""
     path, _, own = below.partition("?")
     return {
         "path": unquote(root + path),
@@ -273,7 +273,7 @@ async def _prepare(exchange: Exchange, resource: Resource) -> None:
 
 
 class _Whole(Resource):
-    """All graphs, as a query tells them."""
+    """All graphs, read by a query."""
 
     links = ()
     form: str
@@ -348,7 +348,7 @@ class DatasetResource(_Whole):
 
 
 def _operations(graphs: Mapping[str, Sequence[Triple]], *, replaces: bool) -> Sequence[Operation]:
-    """What has the graphs say this, but for what the server says of each itself."""
+    """Return the operations that make graphs state these triples, except server-managed ones."""
     found: list[Operation] = []
     for name, triples in graphs.items():
         found.append(ManageGraph(GraphVerb.CREATE, name, silent=True))

@@ -75,7 +75,7 @@ async def create_hold(
     name: str,
     find: Find | None,
 ) -> Answer:
-    """Carry out a POST of a message to a topic: hold it. Raises whatever there is to refuse."""
+    """Carry out a POST to a topic: hold it. Raises all refusals."""
     rate, (lease, is_timed) = _rate(exchange, session.limiter), _lease(exchange, session) or (LEASE, False)
     publishing = Publisher(session, limit_checks, name)
     if rate is None and not publishing.commands_velocity:
@@ -109,7 +109,7 @@ def hold_parameters(longest: float, required: str = "") -> tuple[QueryParameter,
 
 
 def hold_schema(schemas: MessageSchemas, schema: MessageSchema | None) -> DataSchema:
-    """How a hold of a topic of this type stands, as plain JSON."""
+    """Return the JSON schema of a hold's state for messages of a type."""
     number: DataSchema = {"type": "number"}
     words: DataSchema = {"id": TEXT, "url": URI, "topic": TEXT, "holder": TEXT, "rate": number, "lease": number}
     message = ANYTHING if schema is None else schemas.read(schema)
@@ -363,7 +363,7 @@ def _rate(exchange: Exchange, limiter: PublishLimiter) -> float | None:
 
 
 def _lease(exchange: Exchange, session: Session) -> tuple[float, bool] | None:
-    """The seconds that a hold goes on unrenewed, and whether `?for=` asked for them; None where nothing does."""
+    """Return the seconds that a hold lasts without renewal, and whether `?for=` set them; None without any."""
     longest = session.settings.hold_time
     words = f"at least {MIN_OF_HOLDS:f} and at most {longest:g} s (--setting hold_time)"
     lease, time = _number(exchange, "lease", MAX_LEASE, _LEASES), _number(exchange, "for", longest, words)
@@ -385,7 +385,7 @@ def _number(exchange: Exchange, name: str, limit: float, words: str) -> float | 
 
 
 def _readable(space: Space, find: Find | None, exchange: Exchange) -> Find | None:
-    """What finds resources for whoever asks: of those that they may not read it says nothing."""
+    """Return a finder of resources that hides those that the agent may not read."""
     if find is None or exchange.permissions.is_unrestricted:
         return find
 
@@ -400,7 +400,7 @@ def _readable(space: Space, find: Find | None, exchange: Exchange) -> Find | Non
 async def _then(
     asked: str | None, session: Session, publishing: Publisher, held: HeldMessage, find: Find | None
 ) -> tuple[HeldMessage | None, str]:
-    """What is published when the hold ends, and how that was asked for: within the limits, ready to be sent."""
+    """Return the message at the end of a hold, and how it was requested; checked against limits and encoded."""
     schema = held.schema
     words = asked or (ZERO if schema.ref.name in TWISTS else NONE)
     if words == NONE:
@@ -424,7 +424,7 @@ async def _then(
 async def _message_at(
     url: str, space: Space, lifting: LiftSettings, schema: MessageSchema, find: Find | None
 ) -> Message:
-    """Return the message that stands at a URL of this server now. Raises Problems (422), and LoweringError."""
+    """Return the current message at a URL of this server. Raises Problems (422), and LoweringError."""
     base = space.base
     whole = urljoin(base, url)
     document, _, fragment = whole.partition("#")
@@ -453,7 +453,7 @@ def _command(session: Session, topic: str, schema: MessageSchema, message: Messa
 
 
 def _notice_silence(exchange: Exchange, seconds: float) -> None:
-    """Have the connection end when what is sent on it is not acknowledged for so long, where the system can."""
+    """Close the connection if sent data stays unacknowledged, where the system supports that."""
     transport = exchange.request.scope.get("rosld.transport")
     found = None if transport is None else transport.get_extra_info("socket")
     if found is not None and sys.platform == "linux":

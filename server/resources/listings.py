@@ -35,7 +35,7 @@ _FAILED_GOALS = frozenset({GoalStatus.ABORTED, GoalStatus.REJECTED, GoalStatus.L
 
 @dataclass(frozen=True, slots=True)
 class ListedMember:
-    """A member of a listing: its URL, what it is called and told of it, in RDF too, and whether it failed."""
+    """A member of a listing: its URL, label and cells, its RDF, and whether it failed."""
 
     url: str
     name: str
@@ -45,7 +45,7 @@ class ListedMember:
 
 
 class ListingResource(Resource):
-    """`/NAME/`: a container of the members that there are now, the newest first; `changes` tells of others."""
+    """`/NAME/`: a container of current members, the newest first; `changes` announces others."""
 
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
 
@@ -77,7 +77,7 @@ class ListingResource(Resource):
         return (self._space.document_shape("Container"),)
 
     async def state(self) -> State:
-        """Its state is another one whenever that of a member is: its page tells of that."""
+        """Return the state, which changes with that of each member because the page shows it."""
         members = tuple(self._members())
         token = digest(repr(members).encode("utf-8", "replace"))
         return self._states.get_or_make(self.url, token, lambda: State(lambda: self._document(members), token=token))

@@ -83,7 +83,7 @@ def found(location: str, links: Sequence[Link]) -> Problem:
 
 
 async def read_history(read: Callable[[], _T]) -> _T:
-    """What is read of the history, off the loop. Raises a 503 Problem where it cannot be."""
+    """Read the history off the loop. Raises a 503 Problem if it cannot be read."""
     try:
         return await asyncio.to_thread(read)
     except (OSError, ValueError, KeyError) as error:
@@ -114,7 +114,7 @@ async def negotiate_topic(space: Space, history: History, topic: str, accept_dat
 
 
 class TimeMap(Resource):
-    """The mementos of what topics tell, one a message, a thousand at a time, from one number of the history on."""
+    """The mementos of topics, one per message, a thousand at a time, from a number of the history on."""
 
     kind = "TimeMap"
     is_cacheable = False

@@ -79,7 +79,7 @@ def _kept_if(is_kept: Callable[[str, _V], bool], things: Mapping[str, _V]) -> Ma
 
 
 def _unhidden(graph: Graph) -> Graph:
-    """Return the graph without hidden names; parameters are hidden where their nodes are, whatever those call them."""
+    """Return the graph without hidden names; parameters are hidden with their nodes."""
 
     def shown(things: Mapping[str, _V]) -> Mapping[str, _V]:
         return _kept_if(lambda name, _: not names.is_hidden(name), things)
@@ -98,7 +98,7 @@ _listed: IdentityCache[Graph, Graph] = IdentityCache(_unhidden)
 
 
 def listed_graph(graph: Graph, capabilities: Capabilities) -> Graph:
-    """Return the graph as listings tell it: without hidden names, where the robot's kind of system has them."""
+    """Return the graph for listings: without hidden names, if this kind of system has them."""
     return _listed(graph) if capabilities.hidden_names else graph
 
 
@@ -107,7 +107,7 @@ LISTING_PARAMETERS = (FORMAT, _HIDDEN)
 
 
 def with_hidden(url: str) -> str:
-    """Return the URL at which a container tells its hidden members too."""
+    """Return the URL of a container that lists hidden members, too."""
     return f"{url}?{HIDDEN}"
 
 
@@ -119,7 +119,7 @@ def listing_query(place: PagePosition | None, *, hidden: bool) -> str:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ListedNamespace:
-    """A namespace of one route as it is listed in one graph. `hidden`: hidden members are asked for."""
+    """A namespace of one route as listed in one graph. `hidden`: including hidden members."""
 
     graph: Graph
     capabilities: Capabilities
@@ -158,7 +158,7 @@ class ListedNamespace:
 
 
 def count_members(members: Members) -> int:
-    """How many members a namespace has: names, and namespaces below."""
+    """Return the number of a namespace's members: names, and nested namespaces."""
     return len(members.leaves) + len(members.namespaces)
 
 
@@ -284,7 +284,7 @@ class NamespaceContainer(Resource):
         return tuple((name, values.of_topic(name)) for name in below)
 
     def _document(self, now: ListedNamespace, members: Members, outlines: Sequence[MemberOutline]) -> Document:
-        """What the namespace says of itself, and in brief of its members."""
+        """Return the document of the namespace, with brief members."""
         document = now.document(self.session.space, members)
         told = (triple for outline in outlines for triple in member_triples(outline, self.session.space))
         return replace(document, triples=(*document.triples, *told))
@@ -303,7 +303,7 @@ class NamespaceContainer(Resource):
         return members
 
     def _page(self, place: PagePosition, members: Members) -> tuple[LdpPage, Members]:
-        """Return a page, and the members it tells of."""
+        """Return a page, and its members."""
         page, told = page_of_names(self._sequence, place, member_keys(members))
         return page, members_from_keys(told)
 
@@ -316,7 +316,7 @@ class NamespaceContainer(Resource):
         return () if self._place is None or members is None else self._page(self._place, members)[0].neighbours()
 
     def listing(self) -> MemberColumns | None:
-        """Everything below, or below what a page tells of, with types and endpoints."""
+        """Return everything below on this page, with types and endpoints."""
         whole = self._hidden or names.is_hidden(names.join(self.namespace))
         now, space = self._listed(), self.session.space
         graph, members = now.graph if whole else listed_graph(now.graph, now.capabilities), now.members

@@ -69,7 +69,7 @@ class NodeResource(CommandResource):
 
     @property
     def lifecycle(self) -> Lifecycle | None:
-        """Its lifecycle, None where it has none."""
+        """The lifecycle of the node, or None."""
         return self._lifecycle_in(self.session.graph)
 
     def _lifecycle_in(self, graph: Graph) -> Lifecycle | None:
@@ -77,7 +77,7 @@ class NodeResource(CommandResource):
         return None if found is None else found.lifecycle
 
     def _offers(self, lifecycle: Lifecycle) -> bool:
-        """Whether a transition can be asked for here now."""
+        """Whether a transition can be requested here now."""
         allowed = self.session.adapter.allows(Ref(Kind.NODE, self.name))
         return "POST" in self._methods_with(lifecycle) - self.withheld and Operation.CHANGE_STATE in allowed
 

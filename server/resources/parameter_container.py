@@ -99,7 +99,7 @@ class ParameterContainer(ParameterBase):
         )
 
     def outline(self) -> Document:
-        """What it says but for values."""
+        """Return the document without values."""
         listed = self._listed()
         return parameter_container_document(
             self.namespace,
@@ -141,7 +141,7 @@ class ParameterContainer(ParameterBase):
     def _page(
         self, place: PagePosition, tree: Mapping[str, ParameterValue]
     ) -> tuple[LdpPage, dict[str, ParameterValue]]:
-        """Return a page, and what of the tree it tells."""
+        """Return a page, and its part of the tree."""
         keys = {encode_segment(key) + ("/" if isinstance(tree[key], dict) else ""): key for key in tree}
         page, told = page_of_names(self._sequence, place, sorted(keys))
         return page, {keys[end]: tree[keys[end]] for end in told}

@@ -211,7 +211,7 @@ class _Reading:
         return found if isinstance(found, MessageSchema) else None
 
     def _lift_block(self, recording: Recording, block: MessageBlock, said: _RecordText) -> Iterator[tuple[str, int]]:
-        """What is said of messages, each time with their number: of all at once, where only numbers are asked for."""
+        """Yield the text of messages with their numbers, in columns if only numbers are needed."""
         if block.rows is not None and not len(block.rows.times):
             return
         if block.rows is not None and self._only is not None and not said.is_more:
@@ -241,7 +241,7 @@ class _Reading:
         return self._lifters[key]
 
     def _lift(self, recording: Recording, message: RecordedMessage, said: _RecordText) -> str:
-        """What is said of a message, and of its record."""
+        """Return the text of a message and its record."""
         sample = message.sample
         schema = self._schema(recording, sample.schema)
         url = f"{said.messages}{message.index}"
@@ -262,7 +262,7 @@ class _Reading:
 
 
 class _RecordText:
-    """What is said of the messages of a recording beside what they hold."""
+    """Text about the messages of a recording, except their content."""
 
     def __init__(self, space: Space, recording: Recording, only: frozenset[str] | None) -> None:
         self.messages = space.bag_messages(recording.name)
@@ -272,7 +272,7 @@ class _RecordText:
         self.is_more = only is None or not only.isdisjoint(_OF_RECORDS)
 
     def of_record(self, url: str, message: RecordedMessage, reason: str | None = None) -> str:
-        """Of one message; `reason` is why it cannot be read, if it cannot."""
+        """Return the text about one message; `reason` is why it cannot be read, if so."""
         topic = self.topic(message.topic)
         link = f"<{topic}> <{ros.past.value}> <{url}{MESSAGE}> .\n" if reason is None else ""
         if not self.is_more:

@@ -60,7 +60,7 @@ class PastReadings:
         self._at_ns = at_ns
 
     async def snapshot(self, properties: Sequence[Property]) -> Snapshot:
-        """What follows from the readings of these properties."""
+        """Return the state that follows from readings of these properties."""
         readings = [await self._reading(each) for each in properties]
         return self._affordances.snapshot(await self._affordances.tree(), readings)
 
@@ -186,12 +186,12 @@ class _TimeGate(Resource):
             self.links = (*self.links, *timegate_links(self.url))
 
     async def state(self) -> State:
-        """As it is now; a cache must not tell it to who asks for another time."""
+        """Return the current state, with headers against caching for requests of other times."""
         state = await super().state()
         return replace(state, headers={**state.headers, "vary": VARY}) if self.history.is_kept else state
 
     async def select_variant(self, exchange: Exchange) -> Resource:
-        """`?at=TIME` and Accept-Datetime: as it was; `?timemap`: when that may be asked for."""
+        """Return the state at `?at=TIME` or Accept-Datetime, or the `?timemap`."""
         if asks_for_time_map(self.history, exchange):
             topics = _recorded_topics(self.history, await self._sources())
             return time_map_of(self.session.space, self.history, self.url, self._name, topics, exchange)
@@ -311,7 +311,7 @@ def _settle(state: State, at_ns: int) -> State:
 
 
 def _unknown(property: Property) -> str:
-    """Why it cannot be told what a property was."""
+    """Return the reason why the past of a property is unknown."""
     kinds = {Getter: "the service", ParameterSource: "the parameter", TopicSource: "the topic"}
     sources = [f"{kinds.get(type(each), 'the action')} {each.name}" for each in property.readers]
     return f"what it was then is not known: {' and '.join(sources) or 'its source'} is not recorded"

@@ -153,7 +153,7 @@ class MemberResource(CommandResource):
         )
 
     def methods(self) -> frozenset[str]:
-        """What can be done by the kind of resource it is, whatever conditions say now: these are told as 409."""
+        """Return the methods by the kind of resource; unmet conditions are 409."""
         tree = self._tree
         if tree is None or self.session.settings.read_only:
             return READ
@@ -170,7 +170,7 @@ class MemberResource(CommandResource):
 
     @property
     def withheld(self) -> frozenset[str]:
-        """What is not on offer while the robot is stopped: all that writes, but that goals are canceled."""
+        """The methods not offered while the robot is stopped: all writes, except canceling goals."""
         return super().withheld - {"DELETE"}
 
     async def current_methods(self) -> frozenset[str]:
@@ -338,7 +338,7 @@ class MemberResource(CommandResource):
             return await self._answer(exchange, written)
 
     async def _answer(self, exchange: Exchange, planned: PlannedWrite) -> Answer:
-        """Carry a write out: what it came to is shown where that is not what was asked for."""
+        """Carry out a write; the response shows the result if it differs from the request."""
         expect_status(204)
         written = await carry_out(self.session, planned)
         if written is WriteOutcome.OTHERWISE:
@@ -348,7 +348,7 @@ class MemberResource(CommandResource):
     async def _write(
         self, tree: ResourceTree, plan: PropertyPlan, content: object, *, defaults: bool = False
     ) -> PlannedWrite:
-        """How the property comes to be what `content` says, if it may be written now; nothing moves."""
+        """Plan the write of a value, if it may be written now; nothing moves."""
         if plan.is_conditional or plan.member.field is not None:
             snapshot = await read_fresh_state(self.affordances, tree, plan.reads)
             require_writable(self.session.space, self.affordances, plan, snapshot)
@@ -411,7 +411,7 @@ class MemberResource(CommandResource):
         return await self._content_of(plan, parse_body(data, exchange.media_type, self.url))
 
     async def _content_of(self, plan: PropertyPlan, body: RdfBody) -> object:
-        """What RDF states the value to be: by rdf:value, or by the relation that a mapping gives it."""
+        """Return the value that RDF states: by rdf:value, or by the relation of a mapping."""
         subject, predicate = NamedNode(self.url), rdf.value
         home = NamedNode(url_of(plan.parent, self.session.space))
         if plan.mapped is not None and body.objects(home, plan.mapped.predicate):

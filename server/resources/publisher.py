@@ -63,7 +63,7 @@ class Publisher:
         return topic is not None and topic.type is not None and topic.type.name in COMMANDS
 
     async def plan(self, exchange: Exchange) -> Publication:
-        """What a PUT asks to be published. Raises LoweringError, BodyError, and Problems for all that is refused."""
+        """Plan a PUT. Raises LoweringError, BodyError, and Problems for all refusals."""
         schema, message = await self.read_message(exchange)
         return await self._publication(schema, message, latch=exchange.query_flag("latch"))
 
@@ -144,7 +144,7 @@ class Publisher:
         return lowerer(schema, self.session.lifting).from_body(body, self.url)
 
     def _check_stable(self, topic: Topic | None, body: RdfBody) -> None:
-        """What the server says of a topic may be repeated, not changed (409)."""
+        """Raise a 409 Problem for a changed server-managed statement about a topic; repeating it is fine."""
         about = NamedNode(self.url)
         if about not in body.subjects:
             return

@@ -98,7 +98,7 @@ _TYPES: Mapping[ParameterType, DataSchema] = {
 
 
 def _query_item(purpose: str, parameters: Iterable[QueryParameterDeclaration]) -> PathItem:
-    """What the URL of a stored query answers."""
+    """Return the path item of a stored query."""
     given = (QueryParameter(one.name, one.about, _TYPES[one.type], one.default is None) for one in parameters)
     return PathItem(
         purpose[:_LONGEST_SUMMARY],
@@ -142,7 +142,7 @@ class QueryRunner:
         return self._identify(exchange, resource, answer, state)
 
     def _identify(self, exchange: Exchange, resource: Resource, answer: Response, state: str | None) -> Response:
-        """Results with what every answer about the query says, and an entity tag where they are there at once."""
+        """Return results with the headers of every response about the query, and an entity tag if they are complete."""
         for name, value in resource_headers(resource).items():
             answer.headers[name] = value
         if isinstance(answer, RawResponse):
@@ -156,7 +156,7 @@ class QueryRunner:
         return answer
 
     def _samples(self, query: StoredQuery, given: Mapping[str, str]) -> Mapping[str, str]:
-        """What is given, and for what must be given and is not, anything: to see which form the query has."""
+        """Return given parameters, and samples for missing ones, to determine the form of the query."""
         lacking = {one.name: _ANYTHING[one.type.value] for one in query.parameters if one.default is None}
         return {**lacking, **given}
 
@@ -322,7 +322,7 @@ class AbsentQueryResource(AbsentResource):
 
 
 class QueryContainer(ContainerResource):
-    """`/queries/`: what clients keep there, and beside it what comes with rosld."""
+    """`/queries/`: stored queries, and those that come with rosld."""
 
     def __init__(
         self,
@@ -383,11 +383,11 @@ class QueryContainer(ContainerResource):
         return _list(document, shipped, kept, titled=self._parts.minimal)
 
     def _shipped(self) -> dict[str, str]:
-        """Return the purposes of the queries that come with rosld, on the page that tells of them: the first."""
+        """Return the purposes of the queries that come with rosld, on the first page."""
         return _shipped(self.documents, self.queries) if self._place is None or self._place.after == 0 else {}
 
     def _stored_queries(self) -> list[tuple[str, StoredQuery]]:
-        """Return the queries that this page tells of."""
+        """Return the stored queries on this page."""
         if self._place is None:
             records = list(self.queries.stored_records())
         else:
@@ -405,7 +405,7 @@ def _shipped(documents: Documents, queries: StoredQueries) -> dict[str, str]:
 
 
 def _list(document: Document, shipped: Mapping[str, str], kept: Mapping[str, str], *, titled: bool) -> Document:
-    """Return the container with its queries' purposes. That they are queries they say themselves, and nobody else."""
+    """Return the container with its queries' purposes; their classes are in their own graphs only."""
     container = NamedNode(document.url)
     more = triples_about(
         container,
@@ -453,7 +453,7 @@ def _describe(documents: Documents, queries: StoredQueries, record: Record) -> S
 
 
 def _shapes(space: Space) -> tuple[str, ...]:
-    """What the description of a query conforms to; its results do not."""
+    """Return the shapes of the description of a query; its results have none."""
     return (space.document_shape("Query"),)
 
 

@@ -60,7 +60,7 @@ class MappedCondition(Resource):
 
 
 class FollowedCondition:
-    """What a recording waits for: the resource, and whether its condition holds as an agent may see it."""
+    """The trigger of a recording: the resource, and whether its condition holds as the agent may see it."""
 
     def __init__(self, resource: Resource, expression: str, permissions: Permissions) -> None:
         """Raise a 400 Problem for what is no condition."""
@@ -93,11 +93,11 @@ class RecordingTriggers:
         self._authenticator = authenticator
 
     async def resume(self, recordings: Recordings) -> None:
-        """Have those wait that did before the server was restarted."""
+        """Wait again for the triggers of orders from before a restart."""
         recordings.resume(self.occurrences)
 
     async def follow(self, order: RecordingOrder, permissions: Permissions) -> FollowedCondition:
-        """What an order waits for. Raises 403, 422 Problems where it cannot be waited for with these permissions."""
+        """Return the condition of an order. Raises 403, 422 Problems if these permissions are insufficient."""
         trigger, space = order.trigger, self._session.space
         assert trigger is not None, "what waits has a trigger"
         try:
@@ -118,7 +118,7 @@ class RecordingTriggers:
         return followed
 
     async def occurrences(self, one: ArmedRecording) -> AsyncGenerator[MayRecord, None]:
-        """Yields each time that the condition comes to hold, with what who ordered it may record then.
+        """Yield whenever the condition comes to hold, with what its agent may record then.
 
         That it holds at the beginning counts as well. While it cannot be waited for, the recording says why.
         """
@@ -136,7 +136,7 @@ class RecordingTriggers:
                     yield partial(may_read_topic, self._session.space, followed.permissions)
 
     async def _changes(self, one: ArmedRecording, followed: FollowedCondition) -> AsyncGenerator[None, None]:
-        """Yields each time that the condition comes to hold; ends where it could not be ordered any more."""
+        """Yield whenever the condition comes to hold; end once it could not be ordered any more."""
         broadcaster, waiter, held = Broadcaster(followed.resource, self._session.changes), Waiter(), False
         watch = None if self._authenticator is None else self._authenticator.changed.watch(broadcaster.wake_all)
         broadcaster.start()
@@ -170,11 +170,11 @@ class RecordingTriggers:
         return _condition(self._mappings, resource.condition.iri) == resource.condition
 
     def _permissions(self, one: ArmedRecording) -> Permissions | None:
-        """What who ordered a recording may do now; None where they could not ask any more."""
+        """Return the current permissions of the order's agent; None if it is no longer known."""
         return ALLOW_ALL if self._authenticator is None else self._authenticator.current_permissions(one.agent)
 
     def _require(self, one: ArmedRecording) -> Permissions:
-        """What who ordered a recording may do now. Raises 403, 422 Problems where it could not be ordered now."""
+        """Return the current permissions of the order's agent. Raises 403, 422 Problems if they are insufficient."""
         space, permissions = self._session.space, self._permissions(one)
         if not can_record(self._session.settings, self._session.adapter.capabilities):
             raise Problem(403, NOTHING_IS_RECORDED)
@@ -193,7 +193,7 @@ class RecordingTriggers:
 
     @contextlib.contextmanager
     def _woken_by_changes(self, waiter: Waiter) -> Iterator[None]:
-        """Wake whoever sleeps when something may be otherwise: the robot, a mapping, the rights; and now and then."""
+        """Wake the waiter after changes of the robot, a mapping or permissions, and periodically."""
         watches = [self._session.changes.watch(waiter.wake), call_every(LOOK_AGAIN_SECONDS, waiter.wake)]
         if self._authenticator is not None:
             watches.append(self._authenticator.changed.watch(waiter.wake))
@@ -234,7 +234,7 @@ def require_topics(order: RecordingOrder, permissions: Permissions, space: Space
 
 
 def _judge(until: Until, state: State | Problem) -> tuple[bool, str | None]:
-    """Whether the condition holds of a state, and why that cannot be told."""
+    """Return whether the condition holds for a state, and why that is unknown, if so."""
     try:
         if isinstance(state, Problem):
             raise state

@@ -73,7 +73,7 @@ class SeriesResource(Resource):
         )
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
-        """Return the columns as CSV (RFC 4180), where that is asked for."""
+        """Return the columns as CSV (RFC 4180), if requested."""
         asked = exchange.query.get("format")
         wanted = choose_offer(exchange.accept, (*OFFERS, CSV)) if asked is None else asked
         if wanted not in (CSV, "csv"):
@@ -197,7 +197,7 @@ def series_of(space: Space, history: History, topic: str, exchange: Exchange) ->
 
 
 def require_history(history: History, topic: str) -> None:
-    """Raise a 404 Problem where nothing is kept of a topic."""
+    """Raise a 404 Problem without a history of a topic."""
     if not is_recorded(history, topic):
         if history.is_kept and history.will_record(topic):
             raise Problem(404, f"Nothing is recorded of {topic} yet: its first message will be.")

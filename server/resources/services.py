@@ -210,7 +210,7 @@ class CallResource(Resource):
         return self._state(call, self._plain)
 
     def response_state_of(self, call: Call) -> State:
-        """The same with the response alone as plain JSON, which is what the caller asked for."""
+        """Return the state with only the response as plain JSON, for the caller."""
         return self._state(call, self._response_json, "response")
 
     def _state(self, call: Call, plain: Callable[[Call], bytes], part: str = "") -> State:

@@ -77,7 +77,7 @@ _PROTOCOL = frozenset({"query", "update", "default-graph-uri", "named-graph-uri"
 
 
 def available_formats(form: str | None) -> Mapping[str, str]:
-    """Those of `FORMATS` that the results of a query of this form can be had in, pages aside."""
+    """Return the `FORMATS` of results of a query of this form, except pages."""
     offers = media_types_of(form)
     return {name: accept for name, accept in FORMATS.items() if choose_offer(accept, offers) is not None}
 
@@ -291,7 +291,7 @@ class SparqlResource(Resource):
         )
 
     def _mirror(self) -> NamedNode | None:
-        """Where it is told how far another store is with this dataset, where there is one (`--store`)."""
+        """Return a link to the state of replication to another store, if there is one (`--store`)."""
         return NamedNode(f"{self.space.base}mirror") if self.settings.store_endpoints else None
 
     def _languages(self, service: NamedNode) -> Iterable[Triple]:

@@ -89,7 +89,7 @@ class StopResource(Resource):
         return self.current_state()
 
     def current_state(self) -> State:
-        """What it is like now."""
+        """Return the current state."""
         version = (
             self.software_stop.revision,
             self.software_stop.steps,

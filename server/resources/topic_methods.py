@@ -39,7 +39,7 @@ def write_refusal(session: Session, name: str) -> str | None:
 
 
 def topic_methods(space: Space, graph: Graph, name: str, *, can_write: bool) -> frozenset[str]:
-    """The methods of the topic of a name; of one that is not there those that make it: nothing can be read of it."""
+    """Return the allowed methods of a topic; for a missing topic, those that create it."""
     methods = READ | _writing_methods(graph, name) if can_write else READ
     is_there = not is_absent(space, graph, "topics", name)
     return methods if is_there else methods - {"GET", "HEAD"}

@@ -433,7 +433,7 @@ class TopicResource(CommandResource):
         return await self._publishing.carry_out(publication, exchange)
 
     async def delete(self, exchange: Exchange) -> Answer:
-        """Advertise the topic no more."""
+        """Stop advertising the topic."""
         await self.session.adapter.unadvertise(self.name)
         return Response(status_code=204)
 

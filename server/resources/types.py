@@ -166,7 +166,7 @@ class ShapesGraphResource(Resource):
 def shapes_graph(
     session: Session, affordances: AffordanceService[State], limit_checks: LimitChecks, name: str
 ) -> tuple[object, Callable[[], Document]]:
-    """One of SHAPES_GRAPHS: what tells whether it is the same as before, and what describes it."""
+    """Return the version of one of SHAPES_GRAPHS, and a function that describes it."""
     url = session.space.shape(name)
     if name != LIMITS:
         return name, partial(shapes_file, name, url)
@@ -255,7 +255,7 @@ def shape_route(
     documents: Documents,
     location: Location,
 ) -> Resource:
-    """`/shapes/` and below: shapes of types, and beside their packages the limits that clients keep."""
+    """Return the resource at `/shapes/` or below: shapes of types, and stored limits."""
     if location.is_container and not location.segments:
         return LimitsContainer(session.adapter, documents, active_limits.ROUTE)
     if len(location.segments) == 1:
@@ -341,18 +341,18 @@ class LimitsContainer(ContainerResource):
 
 
 def _is_of(triple: Triple, *, containment: bool, minimal: bool) -> bool:
-    """Whether a part of the container tells this triple."""
+    """Whether a triple is about a part of the container."""
     return minimal if triple.predicate in (dcterms.title, rdf.type) else containment
 
 
 def _generate(space: Space, adapter: AuditedAdapter) -> Document:
-    """What `/shapes/` says of what nobody keeps there."""
+    """Return the generated part of `/shapes/`."""
     listed = sorted({ref.name for ref in known_types(adapter)})
     return type_container_document("shapes", (), child_names(listed, "shapes", ()), space)
 
 
 def shapes_document(adapter: AuditedAdapter, documents: Documents) -> Document:
-    """What `/shapes/` says with all that is in it, as it is now."""
+    """Return the current document of `/shapes/` with all members."""
     space, record = documents.space, documents.records.get(active_limits.ROUTE)
     assert record is not None
     members = [space.base + member.path for member in all_members(documents.records, record)]

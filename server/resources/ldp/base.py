@@ -51,7 +51,7 @@ class Documents:
     """Tells what the mapping at a URL names in vain, in sentences."""
 
     def validator_of(self, path: str) -> Validator | None:
-        """Who judges what is kept at a path; nobody, for most."""
+        """Return the validator of documents at a path; None for most."""
         route = path[: path.find("/") + 1]
         return None if path == route else self.validators.get(route)
 

@@ -103,7 +103,7 @@ async def creation_writes(
 
 
 async def _as_member(documents: Documents, put: Put, stated: Statements, url: str) -> Put:
-    """With what stands for it in the membership triples of its container (LDP 5.5.1.2)."""
+    """Return the record with its URI in the membership triples of its container (LDP 5.5.1.2)."""
     container = documents.records.get(container_of(put.path))
     if container is None or container.membership is None:
         return put
@@ -133,7 +133,7 @@ _SUMMARIES = {"data/": "Data that clients keep", "mappings/": "Mapping documents
 
 
 class ContainerResource(RdfSourceResource):
-    """A container (LDP 5): POST makes a member, its members are told with it, in pages where there are many."""
+    """A container (LDP 5): POST creates a member; many members are listed in pages."""
 
     kind = "Container"
     writes = frozenset({"PUT", "PATCH", "POST", "DELETE"})
@@ -247,7 +247,7 @@ _NAMED_MEANWHILE = frozenset({ConflictCause.THERE, ConflictCause.NAME, ConflictC
 async def create_resource(
     documents: Documents, path: str, model: Model, exchange: Exchange, blob: Blob | None, *, unused: bool = False
 ) -> Answer:
-    """Return a new resource, and the answer that tells of it (LDP 4.2.3, 5.2.3). Raises Conflict as `create_record`."""
+    """Create a resource, and return the response (LDP 4.2.3, 5.2.3). Raises Conflict as `create_record`."""
     record = await create_record(resource_of(documents, path, model), model, exchange, blob, unused=unused)
     resource = resource_of(documents, path, model)  # as it is now that it is there
     if model is Model.NON_RDF_SOURCE:

@@ -27,7 +27,7 @@ _MILLISECOND = 1_000_000
 
 
 def managed_triples_in(triples: Sequence[Triple], url: str, model: Model) -> list[Triple]:
-    """Those of the triples by which a body says of the resource at `url` what is the server's to say."""
+    """Return the server-managed triples in a body about the resource at `url`."""
     if not triples:
         return []
     subject = NamedNode(url)

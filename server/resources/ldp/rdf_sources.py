@@ -207,12 +207,12 @@ class RdfSourceResource(StoredResource):
 
     @property
     def document_url(self) -> str:
-        """What relative IRIs are resolved against."""
+        """The base of relative IRIs."""
         return self.url
 
     @property
     def _subject(self) -> str:
-        """What the server says something of."""
+        """The subject of server-managed triples."""
         return self.documents.space.base + self.path
 
     async def with_triples(
@@ -251,7 +251,7 @@ class RdfSourceResource(StoredResource):
         )
 
     async def _member(self, record: Record, stated: Statements) -> str | None:
-        """What stands for it from now on in the membership triples of its container; None: what did before."""
+        """Return the new member URI in the membership triples of the container; None keeps the present one."""
         if record.member != NO_MEMBER:
             return None
         container = self.documents.records.get(container_of(record.path))

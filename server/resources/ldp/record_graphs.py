@@ -87,19 +87,19 @@ class RecordGraphs:
         return self._records.version if record is None else max(record.version, record.listed)
 
     def changes(self, after: int) -> Iterator[Changes]:
-        """What changed after a version, in parts."""
+        """Yield the changes after a version, in parts."""
         return _Search(self._records, self._base, after, self._times, self._said, self._elsewhere).parts()
 
 
 class _Times:
-    """What the graphs of containers may say of when they were modified: a list that changes changes that alone."""
+    """Modification times in the graphs of containers: a change of a list changes only these."""
 
     def __init__(self, base: str) -> None:
         self._base = base
         self._told: dict[str, dict[str, int]] = {}
 
     def tell(self, record: Record, after: int) -> tuple[str, str]:
-        """What a container is to say now, and all that it may say instead; `after` is what is there for certain."""
+        """Return the current triple of a container, and all that it may replace; `after` is certain to exist."""
         told = self._told.setdefault(record.path, {})
         certain = max((version for version in told.values() if version <= after), default=0)
         for line in [line for line, version in told.items() if version < certain]:
@@ -109,7 +109,7 @@ class _Times:
         return now, "".join(line for line in told if line != now)
 
     def drop(self, path: str) -> None:
-        """It is no more."""
+        """Remove a container."""
         self._told.pop(path, None)
 
 
@@ -185,7 +185,7 @@ class _Search:
             self._list(container, path, record)
 
     def _is_to_be_whole(self, container: Record) -> bool:
-        """Whether it changed since it was told whole: all of it is told later."""
+        """Whether a container changed since it was sent: all of it is sent later."""
         return container.version > self._whole.get(container.path, self._after)
 
     def _replace(self, record: Record) -> None:
@@ -215,7 +215,7 @@ class _Search:
             self._graphs[self._base + path + META] = None
 
     def _list(self, container: Record, path: str, record: Record | None) -> None:
-        """Have a container list one that was made in it, or no more one that is gone (None)."""
+        """Add a new member to a container's list, or remove a deleted one (None)."""
         if record is not None and record.created_ns == record.modified_ns:
             self._edit(container.path, self._lines(container, [(path, record.member)]))
         elif _is_indirect(container.membership):
@@ -245,7 +245,7 @@ class _Search:
         yield self._part(reached)
 
     def _lines(self, container: Record, members: Sequence[tuple[str, str | None]]) -> str:
-        """What a container says of members: their paths, and what stands for each in its membership triples."""
+        """Return the lines about members: their paths, and their URIs in membership triples."""
         url = self._base + container.path
         lines = [f"<{url}> {ldp.contains} <{self._base + path}> .\n" for path, _ in members]
         membership = container.membership
@@ -260,7 +260,7 @@ class _Search:
 
 
 def _is_indirect(membership: Membership | None) -> bool:
-    """Whether something else than members themselves may stand for them (LDP 5.5.1.2)."""
+    """Whether members may be represented by other URIs in membership triples (LDP 5.5.1.2)."""
     return membership is not None and membership.content not in (None, ldp.MemberSubject.value)
 
 
@@ -272,18 +272,18 @@ def _membership(membership: Membership, member: str) -> str:
 
 
 def _text(record: Record, url: str, said: ExtraTriples) -> str:
-    """What it says, its members aside. What clients say stands as it is kept, which spares reading it."""
+    """Return the text of a record without members; client statements are copied unparsed."""
     membership = membership_declaration(record.membership, url) if record.membership is not None else ()
     managed = record_document(without_statements(record, url), url, (), (*membership, *said(record)))
     return serialize(managed, Syntax.N_TRIPLES).decode() + client_ntriples(record, url).decode()
 
 
 def _managed_lines(record: Record, url: str) -> frozenset[str]:
-    """What the server says of a record, and of what clients say its times."""
+    """Return the server-managed lines of a record, and the times its client stated."""
     return frozenset(_text(without_statements(record, url), url, _nothing).splitlines(keepends=True))
 
 
 def _modified_triples(record: Record, url: str) -> str:
-    """What it says of when it was modified."""
+    """Return the triples of the modification time."""
     said = tuple(each for each in managed_triples(record, url) if each.predicate == dcterms.modified)
     return serialize(Document(url, said), Syntax.N_TRIPLES).decode()

@@ -45,7 +45,7 @@ def stored_document(
 
 
 def member_derived_uris_of(base: str, members: Iterable[Member]) -> list[str]:
-    """What stands for members in the membership triples of their container (LDP 5.4.1.5, 5.5.1.2)."""
+    """Return the URIs of members in the membership triples of their container (LDP 5.4.1.5, 5.5.1.2)."""
     return list(member_derived_uris((base + each.path, each.member) for each in members))
 
 
@@ -59,7 +59,7 @@ def all_members(records: Records, record: Record) -> list[Member]:
 
 
 def member_uris(space: Space, members: Iterable[Member]) -> list[str]:
-    """What stands for members in the membership triples of their container (LDP 5.4.1.5, 5.5.1.2)."""
+    """Return the URIs of members in the membership triples of their container (LDP 5.4.1.5, 5.5.1.2)."""
     return member_derived_uris_of(space.base, members)
 
 

@@ -62,7 +62,7 @@ class AbsentResource(StoredResource):
                 self.accepts |= {"POST": (*RDF_BODIES, MULTIPART)}
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        """What may come to be here: what one URL answers depends on what is there."""
+        """Return the path item of any stored resource; the actual one depends on its kind."""
         methods = READ if self.documents.settings.read_only else READ | {"PUT", "POST", "PATCH", "DELETE"}
         is_limits = self.path.startswith("shapes/")
         if is_limits:
@@ -112,7 +112,7 @@ class AbsentResource(StoredResource):
         exchange.method = "PUT"
 
     def _missing(self, exchange: Exchange) -> Problem:
-        """That nothing is here, and for those who may make something what that may be."""
+        """Return the Problem of a missing resource, with the models that may be created there."""
         problem = missing_problem(self.documents, self.path)
         if problem.status in (404, 410) and self.methods() > ABSENT and exchange.permissions.may("PUT", self.url):
             problem.headers |= {name: value for name, value in resource_headers(self).items() if name != "link"}
@@ -141,7 +141,7 @@ class AbsentResource(StoredResource):
 
     @property
     def _plain_model(self) -> Model:
-        """The model where nobody asks for one."""
+        """Return the model if none is requested."""
         return Model.BASIC_CONTAINER if self.path.endswith("/") else Model.RDF_SOURCE
 
     async def put(self, exchange: Exchange) -> Answer:

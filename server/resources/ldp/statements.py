@@ -78,7 +78,7 @@ class Statements(Sequence[Triple]):
 
     @property
     def managed(self) -> Sequence[Triple]:
-        """Those about the resource that the server manages, maybe others beside; none where there are no such."""
+        """Return the statements if any of them may be server-managed, else none."""
         if self._managed is not None:
             return self._managed
         return self if not isinstance(self._given, bytes) or may_be_managed(unpack_triples(self._given)) else ()
@@ -92,7 +92,7 @@ class Statements(Sequence[Triple]):
         return Statements, (self.packed, self._managed, self.changed)
 
     def difference(self, before: Record, url: str, times: bytes) -> Difference | None:
-        """What they change of the record at `url`; None where that is much, or not the client's alone to say."""
+        """Return the change of the record at `url`; None if it is large, or touches server-managed triples."""
         if self.changed is None or before.model is not Model.RDF_SOURCE:
             return None
         triples = [*self.changed.removed, *self.changed.added]
@@ -145,7 +145,7 @@ def statements_of(given: bytes | list[Triple]) -> Statements:
 
 
 def contained_members(triples: Iterable[Triple], url: str) -> set[Term]:
-    """What triples say that the container at `url` contains."""
+    """Return the members of the container at `url` by its containment triples."""
     subject = NamedNode(url)
     return {each.object for each in triples if each.predicate == ldp.contains and each.subject == subject}
 
@@ -258,7 +258,7 @@ def client_triples(kept: Statements, subject: str, model: Model, servers: frozen
 
 
 def member_uri(membership: Membership, kept: Statements, url: str) -> str:
-    """What stands for a new member at `url` in membership triples. Raises as `member_derived_uri`."""
+    """Return the URI of a new member at `url` in membership triples. Raises as `member_derived_uri`."""
     return member_derived_uri(membership, index_triples(kept), url)
 
 
@@ -328,7 +328,7 @@ def has_managed(triples: Iterable[Triple], subject: str) -> bool:
 
 
 def has_blank_nodes(ntriples: bytes) -> bool:
-    """Whether a blank node stands in lines of N-Triples; also where a literal ends as such a line does."""
+    """Whether lines of N-Triples may have a blank node; true for some literals, too."""
     return any(line.startswith(b"_:") or b" _:" in line[line.rindex(b" ", 0, -2) :] for line in _lines(ntriples))
 
 

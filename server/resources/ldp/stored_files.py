@@ -60,7 +60,7 @@ class StoredFile(StoredResource):
                     raise
 
     async def _file_response(self, exchange: Exchange, record: Record) -> Response:
-        """Return the answer with its bytes. Raises FileNotFoundError where they are no more."""
+        """Return the response with the file's bytes. Raises FileNotFoundError if it was removed."""
         assert record.blob is not None
         etag = ETag(f"{self.documents.records.identity}-{record.version}", "bin")
         if_match, if_none_match = exchange.header("if-match"), exchange.header("if-none-match")

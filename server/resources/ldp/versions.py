@@ -114,7 +114,7 @@ def version_at(records: Records, path: str, time_ns: int) -> Record | None:
 
 
 def former_of(documents: Documents, path: str, exchange: Exchange) -> Resource | None:
-    """What a request asks of the past of a document; None where it asks for nothing. Raises Problems: 302, 400, 404."""
+    """Return the requested former version of a document, or None. Raises Problems: 302, 400, 404."""
     if exchange.method not in ("GET", "HEAD"):
         return None
     query, wanted = exchange.query, exchange.headers.get("accept-datetime")

@@ -65,7 +65,8 @@ class ErrorResponses:
         elif isinstance(error, BodyError | LoweringError):
             error = problem_of_body(error)
         elif isinstance(error, StorageError):
-            error = Problem(507, str(error)) if error.full else Problem(503, str(error), headers={"Retry-After": "1"})
+            lasts = error.full or error.final
+            error = Problem(507, str(error)) if lasts else Problem(503, str(error), headers={"Retry-After": "1"})
         elif is_out_of_memory(error):
             _log.error("%s %s: %s", exchange.method, scope["path"], error or "no memory is left")
             error = problem_of_out_of_memory(error, is_write=self._would_write(exchange))

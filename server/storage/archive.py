@@ -32,12 +32,10 @@ from rosld.server.storage.blobs import ID, Blobs
 from rosld.server.storage.record import (
     NO_MEMBER,
     Blob,
-    DatabaseBusy,
     Membership,
     Model,
     Put,
     Record,
-    StorageError,
     check_write,
     container_of,
     database_error,
@@ -223,7 +221,6 @@ class _Moved:
 
 def _replace_all(connection: sqlite3.Connection, entries: Iterable[NumberedRecord], gone: Iterable[str]) -> list[str]:
     """Put entries in place of all records; the blobs set free."""
-    connection.execute("PRAGMA synchronous = FULL")
     table = RecordTable(connection)
     try:
         table.begin()
@@ -231,8 +228,6 @@ def _replace_all(connection: sqlite3.Connection, entries: Iterable[NumberedRecor
         table.commit()
     except sqlite3.Error as error:
         raise database_error(error) from error
-    except DatabaseBusy as error:
-        raise StorageError("Something else is writing to these records for too long: try again.") from error
     finally:
         table.rollback()
     return freed

@@ -94,3 +94,13 @@ def remove_note(path: Path) -> None:
     except FileNotFoundError:
         return
     sync_folder(path.parent)
+
+
+LOW_BYTES = 1024 * 1024
+"""Bytes left on the disk at which it is taken for full."""
+
+
+def free_bytes(folder: Path) -> int:
+    """Return the number of bytes that can still be written to the disk of a folder. Raises OSError."""
+    found = os.statvfs(folder)
+    return found.f_bavail * found.f_frsize

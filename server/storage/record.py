@@ -180,11 +180,15 @@ class Conflict(Exception):
 
 
 class StorageError(Exception):
-    """The disk or the database failed: nothing was done, in a sentence. `full`: there is no space left."""
+    """A failure of the disk or the database, in a sentence: nothing was done.
 
-    def __init__(self, sentence: str, *, full: bool = False) -> None:
+    `full`: there is no space left. `final`: every write is refused until the process is started again.
+    """
+
+    def __init__(self, sentence: str, *, full: bool = False, final: bool = False) -> None:
         super().__init__(sentence)
         self.full = full
+        self.final = final
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,15 +239,11 @@ def rdf_types(model: Model) -> tuple[NamedNode, ...]:
     return MODEL_TYPES[model]
 
 
-class DatabaseBusy(Exception):
-    """Another process is writing just now."""
-
-
-def database_error(error: sqlite3.Error) -> Exception:
-    """Return the exception that an error of SQLite is raised as: DatabaseBusy, or a StorageError with its words."""
+def database_error(error: sqlite3.Error) -> StorageError:
+    """Return the exception that an error of SQLite is raised as."""
     words = str(error)
     if "locked" in words or "busy" in words:
-        return DatabaseBusy(words)
+        return StorageError("Another process is writing to these records: try again.")
     if is_disk_full(error):
         return StorageError(f"There is no space left to keep this: {words}.", full=True)
     return StorageError(f"The database of records failed: {words}.")

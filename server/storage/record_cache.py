@@ -32,6 +32,10 @@ class RecordCache:
             kept.move_to_end(path)
         return found
 
+    def peek(self, path: str) -> Record | None:
+        """Return a cached record, or None, from any thread; it is evicted no later."""
+        return self._kept.get(path)
+
     def put(self, record: Record) -> None:
         """Add a record, and evict the longest unused above the limit."""
         self.drop(record.path)

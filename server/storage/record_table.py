@@ -43,11 +43,10 @@ from rosld.server.storage.tables import (
     record_of_row,
     row_texts,
 )
-from rosld.server.storage.transactions import Effects, MemberList, version_of_change, with_list
+from rosld.server.storage.transactions import Effects, MemberList, with_list
 
 OPENING = 1 << 20
-"""Versions begin anew at a multiple of this when records are opened: what was seen before a power failure, but was not
-durable yet, shares its version with nothing that comes after."""
+"""Versions begin anew at a multiple of this when records are opened."""
 
 _GREATEST = (1 << 63) - 1
 
@@ -62,8 +61,8 @@ class NumberedRecord(NamedTuple):
 class RecordTable:
     """The records of a database whose tables are there. Belongs to one thread at a time.
 
-    `known` gives a record without asking the database; it may be out of date. Methods raise StorageError, or
-    DatabaseBusy while another process writes; those that give ids, records or paths of all records, sqlite3.Error.
+    `known` gives a record without asking the database; it may be out of date. Methods raise StorageError; those that
+    give ids, records or paths of all records, sqlite3.Error.
     """
 
     def __init__(
@@ -78,8 +77,6 @@ class RecordTable:
         latest = self._latest()
         self.version = (latest // OPENING + 1) * OPENING if latest else 0
         """The last version that was used."""
-        self._withdrawn: dict[str, int] = {}
-        """What was seen and then was not kept, and has never been there since: the version at which it went."""
 
     def find(self, path: str) -> Record | None:
         """Return the record at a path, None where there is none."""
@@ -132,38 +129,7 @@ class RecordTable:
             rows = self._execute(SELECT_CHANGES, (after, limit)).fetchall()
         except sqlite3.Error as error:
             raise database_error(error) from error
-        found = [RecordChange(path, version, bool(gone)) for path, version, gone in rows]
-        if self._withdrawn:
-            found += (RecordChange(path, version, True) for path, version in self._withdrawn.items() if version > after)
-            found.sort(key=version_of_change)
-        return found[:limit]
-
-    def suspend(self, words: str) -> None:
-        """Have whatever is asked from now on fail with these words: the connection is about to be closed."""
-
-        def refuse(*_: object) -> sqlite3.Cursor:
-            raise sqlite3.OperationalError(words)
-
-        self._execute = refuse
-
-    def take_over(self, former: RecordTable, undone: Iterable[str]) -> None:
-        """Take the place of a former table; `undone` are the paths of writes that were lost, which so change again.
-
-        Versions go on from its own, so that none stands for two states.
-        """
-        self.version = max(self.version, (former.version // OPENING + 1) * OPENING)
-        self._withdrawn = former._withdrawn
-        self.begin()
-        try:
-            for path in undone:
-                self._next += 1
-                if not self._execute("UPDATE record SET version = ? WHERE path = ?", (self._next, path)).rowcount:
-                    self._withdrawn[path] = self._next
-            self.commit()
-        except sqlite3.Error as error:
-            raise database_error(error) from error
-        finally:
-            self.rollback()
+        return [RecordChange(path, version, bool(gone)) for path, version, gone in rows]
 
     def blob_ids(self) -> set[str]:
         """Return the ids of all blobs that records refer to."""
@@ -354,7 +320,6 @@ class RecordTable:
         self._list(above, container, applied, now, 1)
 
     def _insert(self, put: Put, container: int, now: int) -> Record:
-        self._withdrawn.pop(put.path, None)
         self._next = version = self._next + 1
         record = Record(put.path, put.model, version, now, now, put.triples, put.blob, put.membership, put.member)
         self._row(version, version, container, record)

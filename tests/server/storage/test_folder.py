@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import resource
 import sqlite3
-import threading
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import AbstractAsyncContextManager, closing, contextmanager
 from pathlib import Path
@@ -13,7 +12,6 @@ from typing import Any, TypeAlias
 
 import pytest
 
-from rosld.server.storage import durability, write_ahead_log
 from rosld.server.storage.record import Model, Put, StorageError
 from rosld.server.storage.sqlite import Records, open_records
 from rosld.server.storage.transactions import MAX_BATCHES
@@ -41,69 +39,25 @@ def connections(monkeypatch: pytest.MonkeyPatch) -> list[sqlite3.Connection]:
     return made
 
 
-class Disk:
-    """A disk that reaches nothing before it is let, and that may fail."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.let = threading.Event()
-        self.asked = threading.Semaphore(0)
-        self.syncs = 0
-        self.failure: OSError | None = None
-        monkeypatch.setattr(write_ahead_log, "sync_file", self.sync)
-
-    def sync(self, file: int) -> None:
-        self.syncs += 1
-        self.asked.release()
-        assert self.let.wait(60)
-        if self.failure is not None:
-            raise self.failure
-
-
-def test_a_write_is_acknowledged_only_when_it_has_reached_the_disk(
-    kept: Opened, monkeypatch: pytest.MonkeyPatch
+def test_writes_that_come_while_the_disk_is_at_work_are_one_transaction(
+    tmp_path: Path, connections: list[sqlite3.Connection]
 ) -> None:
     async def run() -> None:
-        disk = Disk(monkeypatch)
-        async with kept() as records:
-            writing = asyncio.create_task(records.write(Put("data/a", RDF)))
-            await asyncio.to_thread(disk.asked.acquire)
-            assert not (await asyncio.wait([writing], timeout=0.05))[0]
-            disk.let.set()
-            assert (await writing)[0] is records.get("data/a")
-
-    asyncio.run(run())
-
-
-def test_writes_that_come_while_the_disk_is_at_work_wait_for_it_once_together(
-    kept: Opened, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    async def run() -> None:
-        disk = Disk(monkeypatch)
-        async with kept() as records:
-            first = asyncio.create_task(records.write(Put("data/a", RDF)))
-            await asyncio.to_thread(disk.asked.acquire)
-            others = [asyncio.create_task(records.write(Put(f"data/{n}", RDF))) for n in range(MAX_BATCHES)]
+        kept = open_records(tmp_path)
+        statements: list[str] = []
+        connections[0].set_trace_callback(statements.append)
+        with closing(sqlite3.connect(tmp_path / "records.sqlite", isolation_level=None)) as other:
+            other.execute("BEGIN IMMEDIATE")
+            first = asyncio.create_task(kept.write(Put("data/a", RDF)))
+            while "BEGIN IMMEDIATE" not in statements:  # noqa: ASYNC110 - the thread of another tells nobody
+                await asyncio.sleep(0)
+            others = [asyncio.create_task(kept.write(Put(f"data/{n}", RDF))) for n in range(MAX_BATCHES)]
             await asyncio.sleep(0)
-            disk.let.set()
-            await asyncio.gather(first, *others)
-            assert disk.syncs == 2
-
-    asyncio.run(run())
-
-
-def test_a_disk_that_fails_acknowledges_nothing_and_the_next_write_is_tried_anew(
-    kept: Opened, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    async def run() -> None:
-        disk = Disk(monkeypatch)
-        disk.let.set()
-        async with kept() as records:
-            disk.failure = OSError(5, "Input/output error")
-            with pytest.raises(StorageError, match="Input/output error") as caught:
-                await records.write(Put("data/a", RDF))
-            assert not caught.value.full
-            disk.failure = None
-            await records.write(Put("data/b", RDF))
+            assert kept.get("data/a") is None
+            other.execute("COMMIT")
+        await asyncio.gather(first, *others)
+        assert statements.count("COMMIT") == 2
+        await kept.close()
 
     asyncio.run(run())
 
@@ -113,7 +67,7 @@ def test_a_full_database_refuses_what_does_not_fit_and_goes_on(
 ) -> None:
     async def run() -> None:
         async with records() as kept:
-            connection = connections[-1]
+            connection = connections[0]
             pages = connection.execute("PRAGMA page_count").fetchone()[0]
             connection.execute(f"PRAGMA max_page_count = {pages + 20}")
             await kept.write(Put("data/a", RDF, b"a"))
@@ -172,21 +126,14 @@ def test_files_that_cannot_grow_refuse_what_does_not_fit_and_go_on(tmp_path: Pat
     asyncio.run(run())
 
 
-def test_a_log_that_has_grown_is_carried_over_while_writes_go_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_log_does_not_grow_with_the_writes(tmp_path: Path) -> None:
     async def run() -> None:
-        monkeypatch.setattr(durability, "LOG_BYTES", 300_000)
         kept, log, largest = open_records(tmp_path), tmp_path / "records.sqlite-wal", 0
-        for number in range(30):
-            writes = (kept.write(Put(f"data/{number}-{n}", RDF, bytes(10_000))) for n in range(10))
-            await asyncio.gather(*writes)
+        for number in range(100):
+            await kept.write(*(Put(f"data/{number}-{n}", RDF, bytes(10_000)) for n in range(20)))
             largest = max(largest, log.stat().st_size)
-        assert (tmp_path / "records.sqlite").stat().st_size > 1_500_000
-        assert largest < 1_500_000
-        await kept.close()
-        kept = open_records(tmp_path)
-        assert len(kept.members("data/")) == 300
+        assert (tmp_path / "records.sqlite").stat().st_size > 15_000_000
+        assert largest < 6_000_000
         await kept.close()
 
     asyncio.run(run())

@@ -78,6 +78,10 @@ class RecordTable:
         self.version = (latest // OPENING + 1) * OPENING if latest else 0
         """The last version that was used."""
 
+    def close(self) -> None:
+        """Close the connection. Idempotent."""
+        self._connection.close()
+
     def find(self, path: str) -> Record | None:
         """Return the record at a path, None where there is none."""
         try:

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from rosld.server.runtime.dry_run import end_dry_run, is_dry_run
+from rosld.server.runtime.tasks import end_tasks
 from rosld.server.storage.blobs import Blobs, ReceivedBlobs
 from rosld.server.storage.files import LOW_BYTES, free_bytes, sync_folder
 from rosld.server.storage.record import (
@@ -48,7 +49,6 @@ CHECK_SECONDS = 0.5
 _OPEN_SECONDS = 10.0
 """How long to wait while another process writes."""
 _CHANGES = 10_000
-_FAILED_SYNC = "SQLITE_IOERR_FSYNC"
 
 
 def open_records(
@@ -97,43 +97,34 @@ class Records:
         self._cache = RecordCache()
         self._differences = RecentWrites()
         self._watchers: dict[object, Callable[[Sequence[RecordChange]], None]] = {}
-        self._look: asyncio.TimerHandle | None = None
-        self._looking: asyncio.Task[None] | None = None
-        self._failure: StorageError | None = None
+        self._look: asyncio.Task[None] | None = None
         self._group: GroupCommit | None = None
         self._freed: list[str] = []
         self._closed = False
         self._place = folder
         if folder is not None:
             folder.mkdir(parents=True, exist_ok=True)
-        self._connection = self._reader = connect(folder)
+        connection = connect(folder)
         try:
-            keep_versions(self._connection, versions)
-            self._table = self._readable = RecordTable(self._connection, self._cache.peek)
-            self._make_roots(roots)
+            keep_versions(connection, versions)
+            self._writer = _Writer(connection, self._cache.peek, roots)
+            self._reader = self._writer.table
             if folder is not None:
                 self._keep_in(folder)
         except (sqlite3.DatabaseError, StorageError) as error:
-            self._close_connections()
+            connection.close()
             raise ValueError(unusable_reason(str(folder), error)) from error
         except BaseException:
-            self._close_connections()
+            connection.close()
             raise
-        self._version = self._told = self._table.version
-
-    def _make_roots(self, roots: Sequence[str]) -> None:
-        self._table.begin()
-        for root in roots:
-            self._table.create_root(root, time.time_ns())
-        self._table.commit()
+        self._version = self._writer.table.version
 
     def _keep_in(self, folder: Path) -> None:
         blobs = Blobs(folder / BLOBS, durable=True)
-        blobs.sweep(self._table.blob_ids)
+        blobs.sweep(self._reader.blob_ids)
         self._received.use(blobs)
         sync_folder(folder)
-        self._reader = connect(folder)
-        self._readable = RecordTable(self._reader)
+        self._reader = RecordTable(connect(folder))
         self._thread = ThreadPoolExecutor(1, "records")
         self._group = GroupCommit(self._transact)
         if self.failure is not None:
@@ -142,7 +133,7 @@ class Records:
     @property
     def identity(self) -> str:
         """A random name of these records, made once and kept with them: versions are only of one identity."""
-        return self._readable.identity
+        return self._reader.identity
 
     @property
     def version(self) -> int:
@@ -154,8 +145,8 @@ class Records:
         """Why not everything can be kept just now, in a sentence for people; None where it can."""
         if self._place is None:
             return None
-        if self._failure is not None:
-            return str(self._failure)
+        if self._writer.failure is not None:
+            return str(self._writer.failure)
         left = free_bytes(self._place)
         words = f"The disk that holds the data is full, {left} bytes are left: delete what is not needed."
         return words if left < LOW_BYTES else None
@@ -165,7 +156,7 @@ class Records:
         found = self._cache.get(path)
         if found is None:
             self._attach()
-            found = self._readable.find(path)
+            found = self._reader.find(path)
             if found is not None:
                 self._cache.put(found)
         return found
@@ -177,23 +168,23 @@ class Records:
 
     def versions(self, path: str) -> Sequence[FormerVersion]:
         """Return the former versions of a document that are kept, the oldest first."""
-        return self._readable.versions(path)
+        return self._reader.versions(path)
 
     def version_at(self, path: str, time_ns: int) -> Record | None:
         """Return the version of a document at a time, or None if it did not exist or was not kept."""
-        return self._readable.version_at(path, time_ns)
+        return self._reader.version_at(path, time_ns)
 
     def is_tombstone(self, path: str) -> bool:
         """Whether a record of this path was ever removed; one may be there again."""
-        return self._readable.is_tombstone(path)
+        return self._reader.is_tombstone(path)
 
     def members(self, path: str, *, after: int = 0, limit: int = 1000) -> Sequence[Member]:
         """Return the members of a container in the order of their numbers, those after one of them."""
-        return self._readable.members(path, after, limit)
+        return self._reader.members(path, after, limit)
 
     def last_member_numbers(self, path: str, *, up_to: int | None = None, limit: int = 1000) -> Sequence[int]:
         """Return the numbers of the last members of a container (up to a number), the newest first."""
-        return self._readable.last_member_numbers(path, up_to, limit)
+        return self._reader.last_member_numbers(path, up_to, limit)
 
     def changes_since(self, after: int, *, limit: int = _CHANGES) -> Sequence[RecordChange]:
         """Return the changes after a version, each path with its latest version, in the order of versions.
@@ -201,7 +192,7 @@ class Records:
         A path occurs once, or twice if it was removed and created again. Versions are unique: if there are `limit`
         changes, continue after the last.
         """
-        return self._readable.changes_since(after, limit)
+        return self._reader.changes_since(after, limit)
 
     def writes_since(self, record: Record, after: int) -> Sequence[RecordWrite] | None:
         """Return the writes that led from a version to this record, or None if they are unknown."""
@@ -239,15 +230,8 @@ class Records:
         """Do writes, undo them, and discard the received blobs that they refer to. Raises Conflict, StorageError."""
         received = self._received.claim(_blob_ids(writes))
 
-        def attempt() -> Effects | Conflict:
-            self._table.begin()
-            try:
-                return self._table.apply(writes, received, time.time_ns())
-            finally:
-                self._table.rollback()
-
         try:
-            outcome = await self._run(attempt)
+            outcome = await self._run(lambda: self._writer.attempt(writes, received))
             if isinstance(outcome, Conflict):
                 raise outcome
         finally:
@@ -257,11 +241,11 @@ class Records:
 
     def _rewritten(self, write: Write) -> Record | None:
         """Do a single write in memory that needs no transaction; return None if it needs one."""
-        record = self._table.apply_single(write, time.time_ns()) if isinstance(write, Put) else None
+        record = self._writer.table.apply_single(write, time.time_ns()) if isinstance(write, Put) else None
         if isinstance(write, Put) and record is not None:
             self._cache.put(record)
             self._differences.add(write, record)
-            self._version = self._told = record.version
+            self._version = record.version
             self._wake([RecordChange(record.path, record.version, False)])
         return record
 
@@ -273,66 +257,32 @@ class Records:
 
     async def _transact(self, batches: Sequence[WriteBatch]) -> Sequence[Effects | Conflict]:
         """Do batches in one durable transaction: the outcome of each. Raises StorageError with none of them done."""
-        if self._failure is not None:
-            raise self._failure
         try:
-            foreign, outcomes = await self._run(lambda: self._commit(batches))
+            foreign, outcomes = await self._run(lambda: self._writer.commit(batches))
         except BaseException:
             for batch in batches:
                 self._received.keep(batch.received)
             raise
         if foreign:
             self._notice()
-        self._version = self._table.version
+        self._version = max(self._version, self._writer.table.version)
         for batch, outcome in zip(batches, outcomes, strict=True):
             if isinstance(outcome, Effects):
                 self._received.keep(outcome.unused)
                 self._renew(outcome)
                 self._note(batch.writes, outcome)
                 self._tell(outcome)
+                self._freed += outcome.freed
             else:
                 self._received.keep(batch.received)
+        if self._freed:  # now that no record in the cache refers to them
+            await self._run(self._remove_freed)
         return outcomes
-
-    def _commit(self, batches: Sequence[WriteBatch]) -> tuple[bool, Sequence[Effects | Conflict]]:
-        """Do batches; return whether another process has changed something, and the outcomes."""
-        try:
-            done = self._attempt(batches)
-        except StorageError as error:
-            if not error.full:
-                raise
-            # The log begins anew in the space that it has: enough for what deletes.
-            with contextlib.suppress(sqlite3.Error):
-                self._connection.execute("PRAGMA wal_checkpoint(RESTART)").fetchall()
-            done = self._attempt(batches)
-        self._freed += (id for outcome in done[1] if isinstance(outcome, Effects) for id in outcome.freed)
-        self._remove_freed()
-        return done
 
     def _remove_freed(self) -> None:
         """Remove the blobs that nothing refers to any more, unless another process keeps all files still."""
         if self._freed and self._received.folder().remove(self._freed):
             self._freed = []
-
-    def _attempt(self, batches: Sequence[WriteBatch]) -> tuple[bool, Sequence[Effects | Conflict]]:
-        table = self._table
-        foreign = table.begin()
-        try:
-            now = time.time_ns()
-            outcomes = [table.apply(batch.writes, batch.received, now) for batch in batches]
-            try:
-                table.commit()
-            except StorageError as error:
-                if getattr(error.__cause__, "sqlite_errorname", _FAILED_SYNC) != _FAILED_SYNC:
-                    raise
-                # The system takes the pages of a failed sync for written, and the next sync succeeds.
-                _log.critical("the records cannot be kept: %s", error)
-                words = f"{error} Nothing is kept from now on: see to the disk, and start rosld again."
-                self._failure = StorageError(f"{words} What was refused just now may be there then.", final=True)
-                raise self._failure from error
-        finally:
-            table.rollback()
-        return foreign, outcomes
 
     def _renew(self, applied: Effects) -> None:
         """Bring the cache up to date."""
@@ -389,7 +339,6 @@ class Records:
         return end
 
     def _tell(self, applied: Effects) -> None:
-        self._told = max(self._told, self._version)
         if self._watchers:
             self._wake(applied.changes())
 
@@ -403,40 +352,29 @@ class Records:
     def _attach(self) -> None:
         """Look from now on, on this loop, at whether another process has changed something."""
         if self._look is None and self._group is not None and not self._closed:
-            try:
-                loop = asyncio.get_running_loop()
-            except RuntimeError:
-                return  # not on a loop yet
-            self._look = loop.call_later(CHECK_SECONDS, self._look_again)
-
-    def _look_again(self) -> None:
-        self._look = asyncio.get_running_loop().call_later(CHECK_SECONDS, self._look_again)
-        if self._looking is None or self._looking.done():
-            self._looking = asyncio.ensure_future(self._look_elsewhere())
+            with contextlib.suppress(RuntimeError):  # not on a loop yet
+                self._look = asyncio.get_running_loop().create_task(self._look_elsewhere())
 
     async def _look_elsewhere(self) -> None:
-        try:
-            if await self._run(self._look_once):
-                self._version = self._table.version
-                self._notice()
-        except (sqlite3.Error, StorageError) as error:
-            _log.error("the records cannot be read: %s", error)
+        while True:
+            await asyncio.sleep(CHECK_SECONDS)
+            try:
+                if await self._run(self._look_once):
+                    self._notice()
+            except (sqlite3.Error, StorageError) as error:
+                _log.error("the records cannot be read: %s", error)
 
     def _look_once(self) -> bool:
         """Return whether another process has changed something; remove what could not be removed before."""
         self._remove_freed()
-        return self._table.changed_elsewhere()
+        return self._writer.table.changed_elsewhere()
 
     def _notice(self) -> None:
         """Clear the cache and report the changes that another process made."""
         self.clear_cache()
-        while changed := self._table.changes_since(self._told, _CHANGES):
-            self._told = changed[-1].version
+        while changed := self._reader.changes_since(self._version, _CHANGES):
+            self._version = changed[-1].version
             self._wake(changed)
-
-    def _close_connections(self) -> None:
-        for connection in (self._reader, self._connection):
-            connection.close()
 
     async def close(self) -> None:
         """Finish what is under way. Idempotent."""
@@ -445,15 +383,82 @@ class Records:
         self._received.discard_all()
         self._closed = True
         if self._look is not None:
-            self._look.cancel()
-        if self._looking is not None:
-            await asyncio.wait([self._looking])
+            await end_tasks([self._look])
         if self._group is not None:
             await self._group.wait_idle()
             await asyncio.to_thread(self._thread.shutdown)
-        await asyncio.to_thread(self._close_connections)
+        for table in (self._reader, self._writer.table):
+            await asyncio.to_thread(table.close)
         self._cache.clear()
         self._received.close()
+
+
+class _Writer:
+    """Writes in transactions, on a connection of its own. Belongs to one thread at a time.
+
+    `table` shows what was committed. `failure` is why nothing is written any more.
+    """
+
+    def __init__(
+        self, connection: sqlite3.Connection, known: Callable[[str], Record | None], roots: Sequence[str]
+    ) -> None:
+        self._connection = connection
+        self.table = RecordTable(connection, known)
+        self.failure: StorageError | None = None
+        self.table.begin()
+        for root in roots:
+            self.table.create_root(root, time.time_ns())
+        self.table.commit()
+
+    def attempt(self, writes: Sequence[Write], received: Sequence[str]) -> Effects | Conflict:
+        """Do writes and undo them: what they would do."""
+        self.table.begin()
+        try:
+            return self.table.apply(writes, received, time.time_ns())
+        finally:
+            self.table.rollback()
+
+    def commit(self, batches: Sequence[WriteBatch]) -> tuple[bool, Sequence[Effects | Conflict]]:
+        """Do batches durably; return whether another process has changed something, and the outcomes.
+
+        Raises StorageError; then none of them is done.
+        """
+        if self.failure is not None:
+            raise self.failure
+        try:
+            return self._commit(batches)
+        except StorageError as error:
+            if not error.full:
+                raise
+        # The log begins anew in the space that it has, which may be enough.
+        with contextlib.suppress(sqlite3.Error):
+            self._connection.execute("PRAGMA wal_checkpoint(RESTART)").fetchall()
+        return self._commit(batches)
+
+    def _commit(self, batches: Sequence[WriteBatch]) -> tuple[bool, Sequence[Effects | Conflict]]:
+        table = self.table
+        foreign = table.begin()
+        try:
+            now = time.time_ns()
+            outcomes = [table.apply(batch.writes, batch.received, now) for batch in batches]
+            table.commit()
+        except StorageError as error:
+            if not _is_failed_sync(error.__cause__):
+                raise
+            # The system takes the pages of a failed sync for written, and the next sync succeeds.
+            _log.critical("the records cannot be kept: %s", error)
+            words = f"{error} Nothing is kept from now on: see to the disk, and start rosld again."
+            self.failure = StorageError(f"{words} What was refused just now may be there then.", final=True)
+            raise self.failure from error
+        finally:
+            table.rollback()
+        return foreign, outcomes
+
+
+def _is_failed_sync(error: BaseException | None) -> bool:
+    """Whether SQLite failed to sync; before Python 3.11, which tells its extended codes, any failure of the disk."""
+    name = getattr(error, "sqlite_errorname", None)
+    return "disk I/O error" in str(error) if name is None else name == "SQLITE_IOERR_FSYNC"
 
 
 def _blob_ids(writes: Sequence[Write]) -> list[str]:

@@ -76,7 +76,9 @@ def crammed(disk: Path) -> None:
                     break
 
 
-def test_a_full_disk_serves_what_is_there_also_after_a_kill_and_goes_on_once_there_is_room(server: Server, disk: Path) -> None:
+def test_a_full_disk_serves_what_is_there_also_after_a_kill_and_goes_on_once_there_is_room(
+    server: Server, disk: Path
+) -> None:
     made = filled(server)
     crammed(disk)
     assert "The disk that holds the data is full" in server.http.get("/", headers={"Accept": "text/html"}).text

@@ -33,8 +33,7 @@ from rosld.server.middleware.dispatch import Dispatch, ErrorResponses, ServerOpt
 from rosld.server.middleware.limits import Admission, RateLimits, Scheduling
 from rosld.server.policies.stored_mappings import log_mapping_warnings
 from rosld.server.receipts.journal import Journal
-from rosld.server.resources.about import AboutResources, types_at
-from rosld.server.resources.acl import AclResource
+from rosld.server.resources.acl import AboutResources, AclResource, types_at
 from rosld.server.resources.channels import Notifications, fixed_resources
 from rosld.server.resources.channels import routes as notification_routes
 from rosld.server.resources.finder import near_urls

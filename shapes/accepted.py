@@ -1,16 +1,17 @@
-"""SHACL shapes of what may be written to a resource: what its server accepts as RDF (SHACL 1.0 Core, LDP 4.2.1.6).
+"""SHACL shapes of the RDF that resources accept (SHACL 1.0 Core, LDP 4.2.1.6), and datatypes of limited fields.
 
-They are apart from the shapes of what is said (`message.py`): more lexical forms are taken than are ever said, nothing
-that was left out because of its size is, and limits are in force. The graph is about one resource and complete by
-itself: whatever conforms to it, as any validator has it, fits and is within the limits.
+They differ from the shapes of documents (`message.py`): more lexical forms are accepted than are ever written, elided
+values are not, and limits apply. The graph is about one resource and self-contained: what conforms to it by any
+validator fits and is within the limits.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence, Set
+from functools import lru_cache
 from typing import TypeAlias, cast
 
-from pyoxigraph import Literal, NamedNode
+from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
 from rosld.adapters.model import Array, FieldType, MessageSchema, MessageType, Nested, ParameterType, Primitive
 from rosld.ontology.compile import TIME
@@ -20,8 +21,10 @@ from rosld.ontology.triples import RDF_SOURCE, Statement, Value, integer, statem
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import dcterms, rdf, rdfs, ros, sh, xsd
 from rosld.shapes.accepted_values import PARAMETERS, AcceptedValues, OpenParameter
-from rosld.shapes.limit_parts import NO_DEMAND, Demand, is_limited_text, limited_texts, write_limit
+from rosld.shapes.limit_parts import NO_DEMAND, Demand, Place, is_limited_text, limited_texts, write_limit
+from rosld.shapes.limits import Limits
 from rosld.shapes.message import write_message_shapes
+from rosld.shapes.shapes_graph import Node, ShapesGraph
 from rosld.shapes.writer import ShapesWriter, within
 
 _DATE_TIME = (
@@ -244,3 +247,36 @@ class AcceptedFields:
         if not isinstance(kind, Primitive):
             return None
         return (steps[0] if len(steps) == 1 else writer.list_of(steps)), kind
+
+
+@lru_cache(maxsize=8)
+def limit_datatypes(limits: Limits, places: tuple[tuple[str, Place], ...], types: str) -> tuple[Triple, ...]:
+    """`sh:datatype` of each property shape of the limits that leads to one scalar and does not say it.
+
+    `places` are what the targets are, by their IRIs. It demands nothing: as the server says a message, its fields have
+    these datatypes, and a body may have others (`URL?shape`).
+    """
+    graph, known, space = ShapesGraph(limits.graph), dict(places), Space("http://0/", types)
+    found: dict[Node, set[NamedNode]] = {}
+    for node, _, target in graph.targets():
+        place = known.get(target.value) if isinstance(target, NamedNode) else None
+        if place is not None:
+            for shape, datatype in _datatypes(graph, node, place, space):
+                found.setdefault(shape, set()).add(datatype)
+    return tuple(Triple(shape, sh.datatype, each) for shape, one in found.items() if len(one) == 1 for each in one)
+
+
+def _datatypes(graph: ShapesGraph, node: Node, place: Place, space: Space) -> Iterator[tuple[Node, NamedNode]]:
+    said = graph.statements(node)
+    for path in said.get(sh.path, ()):
+        found = place.follow(path, space) if isinstance(path, NamedNode) else None
+        if found is None:
+            return
+        place = found
+        if found.datatype is not None and sh.datatype not in said:
+            yield node, found.datatype
+    inner = [*said.get(sh.property, ()), *said.get(sh.node, ()), *said.get(sh.not_, ())]
+    inner += [each for key in (sh.and_, sh.or_, sh.xone) for head in said.get(key, ()) for each in graph.members(head)]
+    for each in inner:
+        if isinstance(each, NamedNode | BlankNode):
+            yield from _datatypes(graph, each, place, space)

@@ -10,7 +10,6 @@ import numpy.typing as npt
 from PIL import Image
 
 from rosld.adapters.model import Message, MessageSchema, Sample
-from rosld.server.pictures.colour_map import draw_depth
 from rosld.server.pictures.form import (
     COMPRESSED_IMAGE,
     JPEG,
@@ -27,6 +26,7 @@ from rosld.server.pictures.form import (
 from rosld.server.pictures.raw_image import (
     ENCODINGS,
     depth_scale,
+    draw_depth,
     draw_raw,
     read_bytes,
     read_field,

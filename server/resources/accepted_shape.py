@@ -29,9 +29,8 @@ from rosld.server.rest.state import State
 from rosld.server.robot.audited_adapter import AuditedAdapter
 from rosld.server.robot.session import Session
 from rosld.server.settings import Settings
-from rosld.shapes.accepted import Accepted, accepted_message_document, accepted_value_document
+from rosld.shapes.accepted import Accepted, accepted_message_document, accepted_value_document, limit_datatypes
 from rosld.shapes.accepted_values import PARAMETERS, OpenParameter
-from rosld.shapes.limit_datatypes import limit_datatypes
 from rosld.shapes.limit_parts import Demand, Place, ResourcePlace, ValuePlace, is_limited_text, limited_texts
 from rosld.shapes.message import SHACL_SHACL
 

@@ -1,20 +1,30 @@
-"""`/acl`: the rules in force as Web Access Control says them, for those who administer. Tokens are not in it."""
+"""Permissions: the rules at `/acl`, and the types and subjects of resources, which rules can depend on."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
 from pyoxigraph import Literal, NamedNode, Triple
 
+from rosld.adapters.model import Graph, Kind, TypeRef
 from rosld.ontology.document import Document
 from rosld.ontology.triples import boolean, statements, text, triples_about
+from rosld.ontology.urls import Location, Space
 from rosld.ontology.vocab import acl, foaf, rdf, ros
 from rosld.server.auth.agent import ANONYMOUS, Agent
 from rosld.server.auth.authenticator import Authenticator
 from rosld.server.auth.config import MODES
-from rosld.server.auth.rules import ACL, AUTHENTICATED, Policy, Rule
+from rosld.server.auth.rules import ACL, AUTHENTICATED, UNTYPED, Policy, Rule, Types
+from rosld.server.events.notification_channels import Channels
+from rosld.server.history.recordings import Recordings
+from rosld.server.hypermedia.affordance_service import AffordanceService
+from rosld.server.hypermedia.catalogue import GoalSource, ParameterSource, TopicSource
+from rosld.server.receipts.journal import Journal, NoSuchReceipt
 from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource
 from rosld.server.rest.state import State
+from rosld.server.robot.hold_store import Holds
+from rosld.server.robot.session import Session
 
 _CLASSES = {ANONYMOUS.name: foaf.Agent, AUTHENTICATED: acl.AuthenticatedAgent}
 _MODES = {mode: term for term, mode in MODES.items()}
@@ -69,3 +79,126 @@ def _authorization(rule: Rule, node: NamedNode, nodes: Mapping[str, NamedNode]) 
         *statements(ros.typeGlob, map(Literal, rule.types)),
         (ros.deny, boolean(True) if rule.deny else None),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class AboutResources:
+    """Callable that returns the URLs of the subjects of a resource, or None if the resource is unknown.
+
+    A removed resource has no subjects, because its absence reveals nothing. Thread-safe.
+    """
+
+    session: Session
+    holds: Holds
+    recordings: Recordings
+    receipts: Journal
+    channels: Channels
+
+    def __call__(self, location: Location) -> Sequence[str] | None:
+        """Return the URLs of the subjects of the resource at a location."""
+        space, session = self.session.space, self.session
+        match location.kind, location.segments:
+            case "calls", (id,):
+                name = session.calls.service_of(id)
+                return name if name is None else (space.service(name),) if name else ()
+            case "goals", (id,):
+                name = session.goals.action_of(id)
+                return name if name is None else (space.action(name),) if name else ()
+            case "holds", (id,):
+                name = self.holds.topic_of(id)
+                return name if name is None else (space.topic(name),) if name else ()
+            case "activity", (id,):
+                return self._of_receipt(id)
+            case "channels", (_, token, *_):
+                topic = self.channels.topic_of(token)
+                return None if topic is None else (topic,)
+            case "bags", (name, "file"):
+                return self._of_file(space, name)
+            case "bags", (name, "messages", index):
+                return self._of_message(space, name, index)
+        return ()
+
+    def _of_receipt(self, id: str) -> Sequence[str] | None:
+        try:
+            return self.receipts.find(id).touched
+        except NoSuchReceipt:
+            return None
+
+    def _of_file(self, space: Space, name: str) -> Sequence[str]:
+        """Return the recording and all of its topics: its file holds their messages."""
+        recording = self.recordings.find(name)
+        return () if recording is None else (space.bag(name), *map(space.topic, recording.topics))
+
+    def _of_message(self, space: Space, name: str, segment: str) -> Sequence[str] | None:
+        recording = self.recordings.find(name)
+        if recording is None or not (segment.isascii() and segment.isdigit()):
+            return None
+        index = int(segment)
+        if index < recording.first:
+            return ()
+        topic = recording.topic_of(index)
+        return None if topic is None else (space.topic(topic),)
+
+
+_KINDS: Mapping[type, Kind] = {TopicSource: Kind.TOPIC, GoalSource: Kind.ACTION}
+"""What a value is read from or written to; all else is a service."""
+
+
+def types_at(session: Session, affordances: AffordanceService[State], location: Location) -> Types:
+    """Return the names of the types of what is at a location; none where it is of no type, or is not there."""
+    if not location.segments:
+        return UNTYPED
+    try:
+        return frozenset(ref.name for ref in _refs(session, affordances, location))
+    except ValueError:  # no name of ROS is spelt so
+        return UNTYPED
+
+
+def _refs(session: Session, affordances: AffordanceService[State], location: Location) -> Iterable[TypeRef]:
+    graph = session.graph
+    match location.kind:
+        case "topics":
+            return types_of(graph, Kind.TOPIC, location.name)
+        case "services":
+            return types_of(graph, Kind.SERVICE, location.name)
+        case "actions":
+            return _of_action(graph, location.name)
+        case "calls":
+            found = next((call.service for call in session.calls.all() if call.id == location.segments[0]), None)
+            return () if found is None else types_of(graph, Kind.SERVICE, found)
+        case "goals":
+            goal = next((goal.action for goal in session.goals.all() if goal.id == location.segments[0]), None)
+            return () if goal is None else _of_action(graph, goal)
+        case "resources" if not location.is_container:
+            return _of_member(graph, affordances, location.name)
+    return ()
+
+
+def types_of(graph: Graph, kind: Kind, name: str) -> tuple[TypeRef, ...]:
+    """Return the types of a topic, a service or an action, as far as they are known."""
+    if kind is Kind.TOPIC:
+        topic = graph.topics.get(name)
+        return () if topic is None else tuple(topic.types)
+    if kind is Kind.ACTION:
+        return _of_action(graph, name)
+    service = graph.services.get(name)
+    return () if service is None or service.type is None else (service.type,)
+
+
+def _of_action(graph: Graph, name: str) -> tuple[TypeRef, ...]:
+    action = graph.actions.get(name)
+    return () if action is None or action.type is None else (action.type,)
+
+
+def _of_member(graph: Graph, affordances: AffordanceService[State], name: str) -> Iterable[TypeRef]:
+    """Return the topics and services that a property uses, or an action invokes."""
+    tree = affordances.cached_tree() or affordances.last_tree
+    if tree is None:
+        return
+    plan, action = tree.property(name), tree.action(name)
+    if plan is not None:
+        for way in (*plan.source.readers, *plan.source.writers):
+            if not isinstance(way, ParameterSource):
+                yield from types_of(graph, _KINDS.get(type(way), Kind.SERVICE), way.name)
+    if action is not None:
+        yield from types_of(graph, Kind.ACTION if action.sends_goals else Kind.SERVICE, action.service)

@@ -15,8 +15,7 @@ from rosld.ontology.document import Document
 from rosld.ontology.literals import date_time
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.diagrams import dot, svg
-from rosld.server.diagrams.diagram import Diagram, Selection, Traffic, draw_graph, namespaces_of
-from rosld.server.diagrams.fold import fold
+from rosld.server.diagrams.diagram import Diagram, Selection, Traffic, draw_graph, fold, namespaces_of
 from rosld.server.html.forms import Form
 from rosld.server.html.page import Csrf, GraphPage, Notice
 from rosld.server.html.render import render_graph

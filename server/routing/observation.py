@@ -1,8 +1,12 @@
-"""Changes of a resource: long polling (`?after=`, `?until=`) and event streams."""
+"""Observation of a resource: long polling (`?after=`, `?until=`), event streams, and motion streams of pictures."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+import asyncio
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import partial
 
 from starlette.responses import Response
@@ -11,10 +15,9 @@ from rosld.server.auth import enforcement
 from rosld.server.auth.errors import invalid_token
 from rosld.server.auth.redaction import redact_problem
 from rosld.server.events import query_params
-from rosld.server.events.broadcaster import Broadcasters
-from rosld.server.events.event_stream import HEADERS, EventStream, StreamEnd, StreamFormat
+from rosld.server.events.broadcaster import Broadcasters, Waiter
+from rosld.server.events.event_stream import HEADERS, EndlessResponse, EventStream, StreamEnd, StreamFormat, Tell
 from rosld.server.events.long_poll import Until, wait_for_state
-from rosld.server.events.motion_stream import MotionStream
 from rosld.server.http.problem import Problem
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import HTML, VARIANTS
@@ -23,6 +26,88 @@ from rosld.server.rest.resource import Motion, Resource
 from rosld.server.rest.responses import RawResponse, resource_headers
 from rosld.server.rest.state import State
 from rosld.server.routing.representations import Representations, encode_headers, event_media_type, redacted_state
+
+_BOUNDARY = "rosld-picture"
+MEDIA_TYPE = f"multipart/x-mixed-replace; boundary={_BOUNDARY}"
+
+
+@dataclass(slots=True)
+class Pace:
+    """At most one picture in each interval of 1/`rate` seconds; the intervals of all readers begin at the same times.
+
+    So readers who want fewer pictures than there are want the same ones, and these are drawn once.
+    """
+
+    rate: float
+    _last: int = -1
+
+    def wait(self, now: float) -> float:
+        """Return the seconds until the next picture may be sent, 0.0 where one may be sent now."""
+        interval = math.floor(now * self.rate)
+        return 0.0 if interval > self._last else max(0.001, (self._last + 1) / self.rate - now)
+
+    def take(self, now: float) -> None:
+        """Note that a picture is sent in this interval."""
+        self._last = math.floor(now * self.rate)
+
+
+class MotionStream(EndlessResponse):
+    """The pictures of one motion, until the reader leaves, loses its rights, or the server ends.
+
+    A reader gets the newest picture after it has taken the one before; a slow reader skips pictures. Equal pictures are
+    drawn once for all readers, and only if a reader takes them.
+    """
+
+    last_chunk = f"\r\n--{_BOUNDARY}--\r\n".encode("ascii")
+
+    def __init__(
+        self,
+        broadcasters: Broadcasters,
+        motion: Motion,
+        rate: float,
+        headers: list[tuple[bytes, bytes]],
+        is_valid: Callable[[], bool],
+    ) -> None:
+        own = [
+            (b"content-type", MEDIA_TYPE.encode("ascii")),
+            (b"cache-control", b"no-store"),
+            (b"x-accel-buffering", b"no"),
+            (b"x-content-type-options", b"nosniff"),
+            (b"vary", b"Accept"),
+        ]
+        super().__init__(broadcasters, [*own, *headers])
+        self._motion = motion
+        self._pace = Pace(rate)
+        self._is_valid = is_valid
+
+    async def write(self, tell: Tell) -> None:
+        waiter, is_new = Waiter(), True
+
+        def wake() -> None:
+            nonlocal is_new
+            is_new = True
+            waiter.wake()
+
+        watch = await self._motion.watch(wake)
+        try:
+            part = f"--{_BOUNDARY}\r\nContent-Type: {self._motion.media_type}\r\n\r\n".encode("ascii")
+            await tell(part)
+            while True:
+                if not is_new:
+                    await waiter.sleep()
+                if not self._is_valid():
+                    return
+                if (seconds := self._pace.wait(time.monotonic())) > 0.0:
+                    await asyncio.sleep(seconds)
+                is_new = False
+                picture = await self._motion.newest()
+                if picture is None or not self._is_valid():
+                    continue
+                self._pace.take(time.monotonic())
+                # The head of the next part goes with this one: browsers show a picture when they have read that.
+                await tell(b"".join((picture, b"\r\n", part)))
+        finally:
+            watch.close()
 
 
 class Observation:

@@ -22,12 +22,11 @@ from rosld.server.resources.cockpit_panels import CockpitSources, QueryTables
 from rosld.server.resources.cockpits import cockpit_route
 from rosld.server.resources.complex_resource import ComplexResource
 from rosld.server.resources.diagnostics import DiagnosticsResource
-from rosld.server.resources.entry_point import EntryResource
+from rosld.server.resources.entry_point import EntryResource, GuideResource
 from rosld.server.resources.find import FindResource
 from rosld.server.resources.finder import Finder
 from rosld.server.resources.graph import GraphResource
 from rosld.server.resources.graph_store import GraphStore
-from rosld.server.resources.guide import GuideResource
 from rosld.server.resources.holds import HoldResource
 from rosld.server.resources.ldp.routes import stored_route
 from rosld.server.resources.limit_checks import LimitChecks

@@ -22,8 +22,15 @@ from rosld.server.resources.ldp.base import (
     with_warnings,
     write_together,
 )
-from rosld.server.resources.ldp.bodies import as_statements, model_of_request, read_statements, receive_blob
-from rosld.server.resources.ldp.managed_triples import initial_times, managed_triples_in, require_classes
+from rosld.server.resources.ldp.bodies import (
+    as_statements,
+    initial_times,
+    managed_triples_in,
+    model_of_request,
+    read_statements,
+    receive_blob,
+    require_classes,
+)
 from rosld.server.resources.ldp.rdf_sources import RdfSourceResource
 from rosld.server.resources.ldp.representation import page_at, page_state, state_of
 from rosld.server.resources.ldp.statements import (

@@ -17,12 +17,14 @@ from rosld.server.resources.ldp.base import Documents, StoredResource, with_warn
 from rosld.server.resources.ldp.bodies import (
     as_statements,
     client_statements,
+    managed_triples_in,
     merged_statements,
     read_statements,
+    require_membership,
     require_model,
     require_same_containment,
+    require_unchanged,
 )
-from rosld.server.resources.ldp.managed_triples import managed_triples_in, require_membership, require_unchanged
 from rosld.server.resources.ldp.representation import state_of
 from rosld.server.resources.ldp.statements import (
     MAX_PATCHED,

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from rosld.adapters.model import Action, Endpoint, Graph, Node, Service, Topic, TypeRef
 from rosld.adapters.model.qos import Qos
 from rosld.ontology.urls import Space
-from rosld.server.diagrams.diagram import Diagram, Selection, Traffic, VertexKind, draw_graph
-from rosld.server.diagrams.fold import MAX_VERTICES, fold
+from rosld.server.diagrams.diagram import MAX_VERTICES, Diagram, Selection, Traffic, VertexKind, draw_graph, fold
 from rosld.server.diagrams.layout import Size, lay_out
 from rosld.server.diagrams.svg import thickness, write_svg
 

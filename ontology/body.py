@@ -85,7 +85,7 @@ class RdfBody:
     size: int
 
     def properties(self, subject: Term) -> Properties:
-        """What is said about `subject`: nothing, for a literal or a stranger."""
+        """Return the properties of `subject`; none for a literal or an unknown node."""
         return _NOTHING if isinstance(subject, Literal) else self.subjects.get(subject, _NOTHING)
 
     def objects(self, subject: Term, predicate: NamedNode) -> list[Term]:
@@ -237,7 +237,7 @@ def expanded_body_error(size: int) -> ExpandedBodyError:
 
 
 def index_triples(triples: Iterable[Triple]) -> RdfBody:
-    """Triples by subject and predicate."""
+    """Return the triples by subject and predicate."""
     subjects: dict[Subject, dict[NamedNode, list[Term]]] = {}
     size = 0
     for subject, predicate, object in triples:

@@ -21,7 +21,7 @@ _OWN = frozenset({ros.hasPanel, dcterms.title})
 
 
 class PanelKind(Enum):
-    """What a panel draws."""
+    """Kind of a panel's content."""
 
     PLOT = "plot"
     PICTURE = "picture"
@@ -99,7 +99,7 @@ def read_cockpit(triples: Iterable[Triple], url: str) -> Cockpit:
 
 
 def _order(name: str) -> list[tuple[int, str]]:
-    """What puts `panel.2` before `panel.10`."""
+    """Return a sort key that puts `panel.2` before `panel.10`."""
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in _DIGITS.split(name)]
 
 
@@ -157,7 +157,7 @@ def cockpit_triples(url: str, cockpit: Cockpit) -> list[Triple]:
 
 
 def without_cockpit(triples: Sequence[Triple], url: str) -> list[Triple]:
-    """What a document says beside its cockpit: neither its title nor its panels."""
+    """Return the triples of a document without the title and panels of its cockpit."""
     document = NamedNode(url)
     panels = {each.object for each in triples if each.subject == document and each.predicate == ros.hasPanel}
     return [

@@ -49,7 +49,7 @@ class Misfit(ValueError):
 
 
 def describe_kind(kind: FieldType) -> str:
-    """What is expected of a field, in words."""
+    """Return the expected kind of a field in words."""
     if isinstance(kind, Nested):
         return f"a {kind.name}"
     if isinstance(kind, Array):
@@ -147,7 +147,7 @@ def base64_octets(text: str) -> bytes:
 
 
 def octet_array(kind: Array, octets: bytes) -> Numbers:
-    """Octets as the array of a field. Raises Misfit for a wrong length."""
+    """Return octets as the array of a field. Raises Misfit for a wrong length."""
     return check_length(kind, np.frombuffer(octets, DTYPES[kind.element.name]))
 
 

@@ -32,7 +32,7 @@ _NO_NUMBERS = frozenset(
 
 
 class _NotNumbers(Exception):
-    """Something else than a number is asked for."""
+    """Other values than numbers are needed."""
 
 
 class ColumnLifter:

@@ -122,7 +122,7 @@ class _Module:
         return self._functions[name]
 
     def leaves(self, name: str, above: tuple[str, ...]) -> int:
-        """How many statements a type would take inlined whole. Raises ValueError where it nests itself."""
+        """Return the number of statements of a type inlined completely. Raises ValueError for a recursive type."""
         if name in above:
             raise ValueError(f"the type {name} contains itself")
         if name not in self._leaves:
@@ -152,7 +152,7 @@ class _Module:
         return any(self.is_field_wanted(self.names[name], field) for field in self.types[name].fields)
 
     def inlined(self, name: str) -> bool:
-        """Whether a nested message of this type is written where it stands."""
+        """Whether nested messages of this type are inlined."""
         return self.leaves(name, ()) <= _MAX_INLINED
 
 
@@ -289,7 +289,7 @@ def _nested_type(field: Field) -> str | None:
 
 
 def _attribute(field: Field) -> str:
-    """Return the attribute of a field, proved to be no more than a name: it goes into source."""
+    """Return the attribute of a field after checking that it is an identifier: it becomes source code."""
     if not (_ATTRIBUTE.fullmatch(field.attribute) and _ATTRIBUTE.fullmatch(field.name)):
         raise ValueError(f"{field.name!r} is no name of a ROS field")
     return field.attribute

@@ -57,12 +57,12 @@ class Receipt(NamedTuple):
 
     @property
     def seconds(self) -> float:
-        """How long the answer took."""
+        """The duration of the response."""
         return max(0, self.ended_ns - self.started_ns) / 1e9
 
 
 def activity_document(receipt: Receipt, space: Space) -> Document:
-    """Return a receipt: who asked what and when, the plan it came to, what that touched, what was answered."""
+    """Return a receipt: agent, request, time, plan, touched resources, and response."""
     url = space.activity(receipt.id)
     activity, agent = NamedNode(url), NamedNode(receipt.webid or agent_url(receipt.agent, space))
     request, answer, association, plan = (
@@ -99,7 +99,7 @@ def activity_document(receipt: Receipt, space: Space) -> Document:
 
 
 def _request_statements(receipt: Receipt) -> tuple[Statement, ...]:
-    """What is said of a request, by the terms of HTTP in RDF."""
+    """Return the statements about a request, in HTTP in RDF."""
     return (
         (rdf.type, htv.Request),
         (rdf.type, prov.Entity),
@@ -114,7 +114,7 @@ def _request_statements(receipt: Receipt) -> tuple[Statement, ...]:
 
 
 def _response_statements(receipt: Receipt) -> tuple[Statement, ...]:
-    """What is said of a response, by the terms of HTTP in RDF."""
+    """Return the statements about a response, in HTTP in RDF."""
     return (
         (rdf.type, htv.Response),
         (rdf.type, prov.Entity),
@@ -130,5 +130,5 @@ def _is_activity(url: str | None, space: Space) -> bool:
 
 
 def agent_url(name: str, space: Space) -> str:
-    """What stands for somebody who has no URL of their own: the same in all receipts."""
+    """Return the URL of an agent, or the placeholder IRI for agents without one."""
     return space.fragment(space.container("activity"), "agent", name)

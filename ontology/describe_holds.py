@@ -135,7 +135,7 @@ def hold_outline(
 def holdable(
     topic: str, shape: str | None = None, *, commands_velocity: bool = False, document: str | None = None
 ) -> list[Triple]:
-    """What says that the topic at this URL can be held: an action, what to send, and its parameters.
+    """Return the statements that the topic at this URL can be held: an action, its message and parameters.
 
     `shape` is the URL of the shape of the message. Where it `commands_velocity` no parameter has to be given. It is
     said of the topic, or of the resource that is described in another `document`.
@@ -236,7 +236,7 @@ def _step_statements(step: StepView) -> tuple[Statement, ...]:
 
 
 def _step_node(url: str, step: StepView) -> NamedNode:
-    """Return the name of a step, of what it does: numbers would tell who may not see all steps how many there are."""
+    """Return the node of a step, named by a digest of its description, which hides the number of steps."""
     return NamedNode(f"{url}#step-{sha256(step.does.encode()).hexdigest()[:12]}")
 
 

@@ -61,7 +61,7 @@ def topic_document(
 
 @lru_cache(maxsize=4096)
 def _described_hold(topic: Topic, space: Space) -> tuple[Triple, ...]:
-    """How the topic is held."""
+    """Return the affordance of holding the topic."""
     name = None if topic.type is None else topic.type.name
     shape = None if name is None else space.shape(name)
     return tuple(holdable_at(space.topic(topic.name), shape, commands_velocity=name in COMMANDS))
@@ -91,7 +91,7 @@ def _fragment(message: LiftedMessage, nodes: str) -> str:
 
 @lru_cache(maxsize=4096)
 def _description(topic: Topic, space: Space, is_namespace: bool) -> tuple[Triple, ...]:
-    """What does not change with the messages."""
+    """Return the part of the document that does not change with messages."""
     url = space.topic(topic.name)
     endpoints = [
         *endpoints_of(ros.Publisher, topic.publishers, topic, space),
@@ -127,7 +127,7 @@ def _type(topic: Topic, space: Space) -> list[Statement]:
 
 
 def type_url(ref: TypeRef, space: Space) -> list[Triple]:
-    """Where the class of a type is described on this server: its IRI lies elsewhere."""
+    """Return the URL on this server that describes the class of a type."""
     return triples_about(NamedNode(space.class_of(ref.name)), (rdfs.isDefinedBy, NamedNode(space.type(ref.name))))
 
 
@@ -195,7 +195,7 @@ def _seconds(nanoseconds: int | None) -> Literal | None:
 
 
 def _mismatches(topic: Topic, space: Space) -> Iterator[tuple[NamedNode, list[Triple]]]:
-    """Who does not hear whom, as far as it is told: of topics with many endpoints the number says the rest."""
+    """Return the incompatible pairs of endpoints, and their number if there are too many."""
     for number, one in enumerate(mismatches(topic.publishers, topic.subscribers, _MAX_MISMATCHES), 1):
         node = NamedNode(space.fragment(space.topic(topic.name), "qos-mismatch", str(number)))
         yield (

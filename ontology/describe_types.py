@@ -78,7 +78,7 @@ def _hash(ref: TypeRef) -> Statement:
 
 
 def _message_type(kind: MessageType, space: Space) -> list[Triple]:
-    """Fields and constants."""
+    """Return the fields and constants of a message type."""
     subject = NamedNode(space.class_of(kind.name))
     fields = [NamedNode(space.property_of(kind.name, field.name)) for field in kind.fields]
     constants = [NamedNode(space.property_of(kind.name, constant.name)) for constant in kind.constants]
@@ -115,21 +115,21 @@ def _field(field: Field, position: int, kind: NamedNode, space: Space) -> list[S
 
 
 def _property_types(kind: FieldType) -> tuple[NamedNode, ...]:
-    """What kind of property a field is; of what may be left out, neither literals nor nodes alone are values."""
+    """Return the classes of a field's property; one that may be elided has literals and nodes."""
     if isinstance(kind, Nested):
         return (rdf.Property, owl.ObjectProperty)
     return (rdf.Property,) if _may_be_elided(kind) else (rdf.Property, owl.DatatypeProperty)
 
 
 def _range(kind: FieldType, space: Space) -> list[Statement]:
-    """What the values of a field are; of what may be left out, all that they may be."""
+    """Return the range of a field; that of one that may be elided includes nodes."""
     if _may_be_elided(kind):
         return statements(schema_org.rangeIncludes, (value_type(kind, space), ros.Elided))
     return [(rdfs.range, value_type(kind, space))]
 
 
 def _may_be_elided(kind: FieldType) -> bool:
-    """Whether a value may be too large to be written, so that a node stands for it."""
+    """Whether a value may be too large to write, so that a node replaces it."""
     return isinstance(kind, Array) or (isinstance(kind, Primitive) and kind.name in STRINGS)
 
 
@@ -172,7 +172,7 @@ def definition_text(kind: FieldType) -> str:
 
 
 def value_type(kind: FieldType, space: Space) -> NamedNode:
-    """What the values of a field are in RDF: a class or a datatype."""
+    """Return the class or datatype of a field's values in RDF."""
     if isinstance(kind, Nested):
         return NamedNode(space.class_of(kind.name))
     if isinstance(kind, Primitive):

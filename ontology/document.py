@@ -17,7 +17,7 @@ from rosld.ontology.lift import Lifter
 
 
 class Envelope(NamedTuple):
-    """What came with a message: when it was received (ns, wall clock), its number, its publisher's URL."""
+    """Metadata of a message: time of receipt (ns, wall clock), number, and its publisher's URL."""
 
     received_ns: int
     sequence: int
@@ -38,14 +38,14 @@ class LiftedMessage:
     source: str | None = None
 
     def turtle(self, document: Document) -> str:
-        """Turtle statements, as they stand in `document`."""
+        """Return Turtle statements, relative to `document`."""
         return self.lifter.turtle(
             self.message, document.url, self.node, envelope=self.envelope, simulated_time=document.simulated_time,
             source=self.source,
         )  # fmt: skip
 
     def jsonld(self, document: Document) -> str:
-        """One JSON-LD node object (text), as it stands in `document`."""
+        """Return a JSON-LD node object (text), relative to `document`."""
         return self.lifter.jsonld(
             self.message, document.url, self.node, envelope=self.envelope, simulated_time=document.simulated_time,
             source=self.source,

@@ -57,7 +57,7 @@ class _Writer:
         return orjson.dumps(body)
 
     def _adopt_contexts(self) -> set[str]:
-        """Takes in the contexts of the messages; gives the nodes of those that contradict what is there already."""
+        """Add the contexts of messages; return the nodes of messages with conflicting ones."""
         embedded: set[str] = set()
         for iri, message in self.messages.items():
             wanted = message.lifter.context
@@ -78,7 +78,7 @@ class _Writer:
         return f"{prefix}:{iri[cut:]}"
 
     def _define(self, term: str, value: object) -> bool:
-        """Puts a term into the context; False where it is taken or could be mistaken."""
+        """Add a term to the context; return False if it is taken or ambiguous."""
         if term in self.forbidden:
             return False
         return self.context.setdefault(term, value) == value
@@ -161,7 +161,7 @@ class _Writer:
         return self._iri(term) if kind == _ID else {_ID: self._iri(term)}
 
     def _may_nest(self, term: NamedNode) -> bool:
-        """What is described is nested where it is first linked."""
+        """Whether a node is nested at its first link."""
         return term in self.shape.subjects and term not in self.written
 
     def _blank(self, blank: BlankNode, kind: str | None, depth: int) -> Json:
@@ -213,7 +213,7 @@ def _by_predicate(shape: Outline) -> Mapping[NamedNode, list[Term]]:
 
 
 def _schemes(triples: Iterable[Triple]) -> frozenset[str]:
-    """What stands before the colon of every IRI that a JSON-LD processor could take for a compact IRI.
+    """Return the prefixes of all IRIs that a JSON-LD processor could take for compact IRIs.
 
     An IRI whose colon is followed by two slashes is never one (JSON-LD 1.1 API 5.2.2).
     """

@@ -129,7 +129,7 @@ def parse_date_time(text: str) -> int:
 
 
 def _offset(zone: str) -> int:
-    """Seconds east of UTC."""
+    """Return the offset in seconds east of UTC."""
     if zone == "Z":
         return 0
     east = int(zone[1:3]) * 3600 + int(zone[4:6]) * 60

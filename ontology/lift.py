@@ -193,7 +193,7 @@ _DATE_TIME, _INTEGER = xsd.dateTime.value, xsd.integer.value
 
 
 def _prefixes(names: Iterable[TypeName]) -> dict[str, str]:
-    """Those of the values, and two a type: its package's, for the class, and its own, for its fields."""
+    """Return the prefixes of values, and two per type: that of its package for the class, its own for fields."""
     prefixes = {"ros": ros.iri, "rdf": rdf.iri, "xsd": xsd.iri}
     for name in names:
         prefixes[name.package] = name.namespace
@@ -216,7 +216,7 @@ def _terms(schema: MessageSchema, names: Mapping[str, TypeName]) -> dict[str, ob
 
 
 def _coercion(kind: FieldType) -> dict[str, str]:
-    """What a field's value, a string or an array in JSON, stands for."""
+    """Return the coercion of a field's value (a string or an array in JSON)."""
     if isinstance(kind, Nested):
         return {"@type": "@id"}
     if isinstance(kind, Primitive):

@@ -67,7 +67,7 @@ def _unexpected(kind: FieldType, term: Term) -> Misfit:
 
 
 def _number(kind: Primitive, fit: Callable[[Number], object]) -> TermLeaf:
-    """Return the reader of a number; of an integer no float is one, for no shape could tell which of them are whole."""
+    """Return the reader of a number; a float is no integer, because no shape could tell which are whole."""
     is_integer = kind.name in RANGES
 
     def read(term: Term) -> object:
@@ -265,7 +265,7 @@ def _primitive(kind: Primitive) -> Reader:
 
 
 def _read(entry: _Entry, objects: list[Term], values: dict[str, object], path: Path, reading: GraphReading) -> None:
-    """Read one field; whatever is wrong with it becomes a violation."""
+    """Read one field; errors become violations."""
     field = entry.field
     values[field.attribute] = None
     if len(objects) > 1 and len(set(objects)) > 1:

@@ -33,7 +33,7 @@ def module_iri(name: str, version: str = "") -> str:
 
 
 def module_url(name: str, base: str, version: str = "") -> str:
-    """Where a server at `base` has a module, or one version of it."""
+    """Return the URL of a module, or of one version of it, on a server at `base`."""
     return base + "/".join(("ontology", *_path(name, version)))
 
 
@@ -61,7 +61,7 @@ def served_triples(name: str) -> tuple[Triple, ...]:
 
 
 def _signposts(name: str) -> Iterator[Triple]:
-    """Of each term of `ros:` that a module defines: its kind, its label, and that it is defined there.
+    """Return the kind, label and module of each term of `ros:` in a module.
 
     Classes of other vocabularies are left out: the core does not declare them (OWL 2 DL).
     """
@@ -88,7 +88,7 @@ def home_of_terms() -> Mapping[str, str]:
 
 
 def term_url(iri: str, base: str) -> str | None:
-    """Where a server at `base` describes a term or a module; None for an IRI that is neither."""
+    """Return the URL that describes a term or a module on a server at `base`; None for other IRIs."""
     if iri in _modules():
         return base + _modules()[iri]
     if iri.startswith(_NAMESPACES):

@@ -134,7 +134,7 @@ def description_members(url: str, storage: str, services: Iterable[ServiceDescri
 
 @dataclass(frozen=True, slots=True)
 class ChannelDescription:
-    """What a channel was made for and is (protocol 3.3): `interval` is its rate in seconds, times are ns since 1970."""
+    """Description of a channel (protocol 3.3): `interval` is its rate in seconds, times are ns since 1970."""
 
     url: str
     type: str
@@ -180,7 +180,7 @@ class ChannelDescription:
 
 
 class Activity(NamedTuple):
-    """What happened (protocol 3.4): `type` is an activity type, `state` the state of the topic after it."""
+    """Content of a notification (protocol 3.4): `type` is an activity type, `state` the new state of the topic."""
 
     type: str
     object: str
@@ -213,7 +213,7 @@ class Activity(NamedTuple):
 
 
 def duration(seconds: float) -> str:
-    """Return the xsd:duration of so many seconds, down to the microsecond."""
+    """Return the xsd:duration of seconds, to the microsecond."""
     return f"PT{seconds:.6f}".rstrip("0").rstrip(".") + "S"
 
 

@@ -54,7 +54,7 @@ def outline(triples: Iterable[Triple]) -> Outline:
 
 
 def _uses(subjects: dict[Subject, Statements]) -> Counter[BlankNode]:
-    """How often each blank node is an object; within a triple term counts as often, for it needs its label there."""
+    """Count the uses of each blank node as object; in a triple term it counts double, because it needs a label."""
     uses: Counter[BlankNode] = Counter()
     for statements in subjects.values():
         for objects in statements.values():

@@ -11,7 +11,7 @@ class CannotCarry(ValueError):
 
 
 class SyntaxName(NamedTuple):
-    """What a syntax is called: its media type, the extension of its files, and its name for people."""
+    """Names of a syntax: its media type, the suffix of its files, and its name for people."""
 
     media_type: str
     extension: str

@@ -80,7 +80,7 @@ class _Writer:
         self.waiting.clear()
 
     def statements(self, statements: Statements, depth: int) -> str:
-        """Predicates and objects, a line a predicate; `a` first."""
+        """Return predicates with objects, one per line; `a` first."""
         indent = "\n" + "    " * (depth + 1)
         kinds = statements.get(rdf.type)
         lines = [f"a {self.objects(kinds, depth)}"] if kinds else []

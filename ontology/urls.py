@@ -25,7 +25,7 @@ _MALFORMED = re.compile(r"%(?![0-9A-Fa-f]{2}).{0,2}", re.DOTALL)
 
 @lru_cache(maxsize=8192)
 def encode_segment(segment: str) -> str:
-    """One segment as it stands in a path. Raises ValueError for lone surrogates, which UTF-8 cannot carry."""
+    """Encode a segment for a path. Raises ValueError for lone surrogates, which UTF-8 cannot encode."""
     text = "~" + segment if _ESCAPED.fullmatch(segment) else segment
     try:
         return quote(text, safe="")
@@ -76,7 +76,7 @@ class Location(NamedTuple):
 
 
 def locate(raw_path: str | bytes) -> Location:
-    """Where a path (below the base, beginning with a slash, still percent-encoded) points.
+    """Return the location of a path (below the base, with leading slash, percent-encoded).
 
     Raises ValueError naming the segment that is malformed.
     """
@@ -121,7 +121,7 @@ class Space:
         return self.base + reference.removeprefix(self.path).removeprefix("/")
 
     def location(self, url: str) -> Location | None:
-        """Where a URL of this space points, whatever its query and fragment; None for all other URLs."""
+        """Return the location of a URL of this space, ignoring query and fragment; None for other URLs."""
         if not url.startswith(self.base):
             return None
         path = url[len(self.base) - 1 :].partition("#")[0].partition("?")[0]

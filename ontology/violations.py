@@ -40,12 +40,12 @@ class Violation:
 
     @property
     def with_quote(self) -> str:
-        """What was expected, with the shape's message as a quotation: for people."""
+        """The expected value, with the shape's message as a quotation, for people."""
         return f"{self.message} ({json.dumps(self.said, ensure_ascii=False)})" if self.said else self.message
 
 
 def violations_text(violations: Iterable[Violation]) -> str:
-    """Violations as text without a full stop."""
+    """Return violations as text without a full stop."""
     return "; ".join(f"{each.path}: {each.message}" if each.path else each.message for each in violations)
 
 

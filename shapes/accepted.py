@@ -101,7 +101,7 @@ def accepted_value_document(
 def _scalar(
     writer: ShapesWriter, values: AcceptedValues, kind: Primitive | ParameterType | OpenParameter, demand: Demand
 ) -> Value:
-    """The shape of a literal of which more is demanded."""
+    """Return the shape of a constrained literal."""
     if isinstance(kind, OpenParameter):
         ranges = [each for _, bounds in demand.bounds for each in values.bounds(Primitive("float64"), bounds)]
         shapes: list[Value] = [values.open_parameter(kind), *(writer.blank(*each) for each in ranges)]
@@ -185,7 +185,7 @@ class AcceptedFields:
                     yield sh.targetObjectsOf, NamedNode(self._space.property_of(kind.name, field.name))
 
     def _stamp(self, kind: MessageType) -> list[Statement]:
-        """A stamp has its seconds and nanoseconds, or else the moment that they stand for."""
+        """Write that a stamp has seconds and nanoseconds, or the equivalent dateTime."""
         writer = self._writer
         fields = [NamedNode(self._space.property_of(kind.name, field.name)) for field in kind.fields]
         whole = [writer.blank((sh.path, path), (sh.minCount, integer(1))) for path in fields]
@@ -224,7 +224,7 @@ class AcceptedFields:
                     self._writer.add(root, (sh.property, self._writer.blank((sh.path, found[0]), *each)))
 
     def _write_texts(self, properties: Set[NamedNode]) -> None:
-        """Texts that limits are about are written as text."""
+        """Require limited texts to be written as text."""
         for kind in self._schema.types.values() if properties else ():
             for field in kind.fields:
                 if NamedNode(self._space.property_of(kind.name, field.name)) in properties:

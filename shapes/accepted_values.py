@@ -49,7 +49,7 @@ PARAMETER_ARRAYS: Mapping[ParameterType, Primitive] = {
 
 
 class OpenParameter(NamedTuple):
-    """A parameter of which nothing is declared: integers have `bits`, and XML has to carry it (ROS 1) or not."""
+    """A parameter without a declaration: integers have `bits`, and XML must be able to carry it (ROS 1) or not."""
 
     bits: int = 64
     is_in_xml: bool = False
@@ -118,11 +118,11 @@ class AcceptedValues:
         return self._node_shape(f"{element.name}-array", lambda: array)
 
     def open_parameter(self, kind: OpenParameter) -> NamedNode:
-        """The shape of the value of a parameter of which nothing is declared: what it may be, by datatype."""
+        """Return the shape of an undeclared parameter's value, by datatype."""
         return self._node_shape("parameter", lambda: [self._open(kind)])
 
     def list(self, elements: Sequence[Statement], kind: Array) -> Sequence[Statement]:
-        """What a list is, each element of which fulfils `elements`."""
+        """Return the shape of a list whose elements fulfil `elements`."""
         if LIST not in self._written:
             self._written.add(LIST)
             write_list_shape(self._writer)

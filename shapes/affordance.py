@@ -46,7 +46,7 @@ def _scalar(
     measure: Measure = NO_MEASURE,
     datatype: NamedNode | None = None,
 ) -> list[Triple]:
-    """What one literal must be: of the datatype of its primitive, within its range and the bounds."""
+    """Return the constraints on a literal: the datatype of its primitive, its range and bounds."""
     least, greatest = RANGES.get(kind.name, (None, None)) if kind is not None else (None, None)
     longest = kind.bound if kind is not None else None
     bounds = narrow(bounds, Bounds(integer(least), integer(greatest), max_length=longest))

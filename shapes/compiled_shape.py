@@ -20,7 +20,7 @@ SetTest: TypeAlias = Callable[[Sequence[Term]], bool]
 
 
 class ShapeValidator(Protocol):
-    """What can tell how a focus node breaks a shape."""
+    """Validator of a focus node against a shape."""
 
     def find_violations(self, focus: Term, view: View, above: str = "") -> Iterator[Violation]:
         """Return each violation; `above` is the dotted path to the focus node."""
@@ -44,7 +44,7 @@ class SetConstraint(NamedTuple):
 
 
 class Extent(NamedTuple):
-    """How large a shape is: `size` counts the shapes in it, `depth` their levels."""
+    """Extent of a shape: `size` counts the shapes in it, `depth` their levels."""
 
     size: int = 1
     depth: int = 1

@@ -44,11 +44,11 @@ class NodeShape:
 
     @property
     def bounds(self) -> Mapping[NamedNode, Bounds]:
-        """What is demanded of the one value of each predicate."""
+        """The bounds on the single value of each predicate."""
         return {path[0]: bounds for path, bounds in self.within.items() if len(path) == 1}
 
     def violations(self, focus: NamedNode | BlankNode, triples: Iterable[Triple]) -> tuple[Violation, ...]:
-        """What the node breaks, nothing where it conforms; equal to pyshacl's verdict."""
+        """Return the violations of a node; equal to pyshacl's verdict."""
         return self.violations_in(focus, TripleView(triples))
 
     def violations_in(self, focus: NamedNode | BlankNode, view: View) -> tuple[Violation, ...]:

@@ -42,7 +42,7 @@ _CHARACTER = rf'([^"\\\x00-\x1F]|\\(["\\/bfnrt]|{_UNICODE}))'
 
 
 def base64_pattern(length: int | None = None, bound: int | None = None) -> str:
-    """Octets in base64, with white space anywhere: of exactly `length`, or at most `bound` octets."""
+    """Return the pattern of base64 with white space anywhere, of exactly `length`, or at most `bound` octets."""
     most = length if length is not None else bound
     if most is None or most > LONGEST_COUNT:
         return rf"^\s*([A-Za-z0-9+/\s]*{_SEXTET}{_SEXTET}(=\s*){{0,2}})?$"
@@ -134,7 +134,7 @@ def integer_pattern(least: int, greatest: int) -> str:
 
 
 def _up_to(most: str) -> list[str]:
-    """Alternatives for the integers from 1 to `most`."""
+    """Return alternatives for the integers from 1 to `most`."""
     shorter = f"[1-9][0-9]{{0,{len(most) - 2}}}" if len(most) > 1 else ""
     found = [shorter] if shorter else []
     for place, digit in enumerate(most):

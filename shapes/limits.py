@@ -123,15 +123,15 @@ class Limits:
         return bool(self.by_class or self.by_url)
 
     def message(self, schema: MessageSchema) -> Check | None:
-        """What judges messages of a type; None where no limit is about it, or about a type nested in it."""
+        """Return the validator of messages of a type; None without limits on it or nested types."""
         return _check(self, schema) if self.by_class else None
 
     def resource(self, url: str) -> NodeShape | None:
-        """What judges the triples of the resource at a URL, the URL being the focus node; None where nothing does."""
+        """Return the validator of triples of the resource at a URL (the focus node); None without limits."""
         return self.by_url.get(url)
 
     def bounds_of_resource(self, url: str, predicate: NamedNode = rdf.value) -> Bounds:
-        """What is demanded of the scalar that is a resource's value of a predicate."""
+        """Return the bounds on the scalar that is a resource's value of a predicate."""
         shape = self.by_url.get(url)
         return UNBOUNDED if shape is None else shape.within.get((predicate,), UNBOUNDED)
 
@@ -143,14 +143,14 @@ class Limits:
         return _bounds(self, schema) if self.by_class else {}
 
     def bounds_of_value(self, url: str, predicate: NamedNode, schema: MessageSchema) -> Mapping[str, Bounds]:
-        """What is demanded of single scalars of the message that is a resource's value of a predicate."""
+        """Return the bounds on scalars of the message that is a resource's value of a predicate."""
         shape, space = self.by_url.get(url), Space("http://0/", self.types)
         found = {} if shape is None else {way[1:]: each for way, each in shape.within.items() if way[0] == predicate}
         paths = {way: _dotted_path(schema, schema.ref.name, way, space) for way in found if way}
         return {path: found[way] for way, path in paths.items() if path is not None}
 
     def demand_of_message(self, schema: MessageSchema) -> Demand:
-        """What is demanded of messages of a type, and of those within."""
+        """Return the demand on messages of a type, and on nested ones."""
         demand, space = Demand(tuple(self.bounds_of_message(schema).items())), Space("http://0/", self.types)
         for name in schema.types:
             shape = self.by_class.get(space.class_of(name))
@@ -162,7 +162,7 @@ class Limits:
     def demand_of_value(
         self, url: str, predicate: NamedNode, schema: MessageSchema, scalar: str | None = None
     ) -> Demand:
-        """What is demanded of the message that is a resource's value of a predicate, or of its one `scalar`."""
+        """Return the demand on the message that is a resource's value of a predicate, or on its one `scalar`."""
         shape = self.by_url.get(url)
         if shape is None:
             return NO_DEMAND
@@ -178,7 +178,7 @@ class Limits:
         return demand & _of_parts(shape, predicate, place, self.types, scalar or "")
 
     def demand_of_scalar(self, url: str, predicate: NamedNode, place: ValuePlace | None = None) -> Demand:
-        """What is demanded of the scalar that is a resource's value of a predicate, which `place` says the kind of."""
+        """Return the demand on the scalar of kind `place` that is a resource's value of a predicate."""
         shape = self.by_url.get(url)
         if shape is None:
             return NO_DEMAND
@@ -199,7 +199,7 @@ def _parts(shape: NodeShape, place: Place, space: Space) -> list[LimitPart] | No
 
 
 def _of_parts(shape: NodeShape, predicate: NamedNode, place: ValuePlace | None, types: str, path: str) -> Demand:
-    """What a limit on a resource demands of its value, which is told at a dotted path."""
+    """Return the demand of a limit on a resource on its value, at a dotted path."""
     parts = _parts(shape, ResourcePlace(predicate, place), Space("http://0/", types))
     return Demand(is_all=parts is not None, value_parts=[(path, part.of_value()) for part in parts or ()])
 
@@ -275,7 +275,7 @@ class _MessageCheck:
         self._strange = tuple(self._strangers())
 
     def check(self, message: Message, document: str, node: str) -> tuple[Violation, ...]:
-        """What a message breaks. A limit on a field that the type has not must be a mistake: it lets nothing pass."""
+        """Return the violations by a message. A limit on an unknown field is a mistake: it permits nothing."""
         if self._strange:
             return self._strange
         view = MessageView(self._layout, message, document, node)
@@ -306,7 +306,7 @@ class _MessageCheck:
                     )
 
     def _reaching(self) -> set[str]:
-        """Return the types that hold, at whatever depth, a type with a shape."""
+        """Return the types that contain a type with a shape, at any depth."""
         types = self._schema.types
         found: set[str] = set()
         while more := {

@@ -70,34 +70,34 @@ _HALVES: Mapping[type, Sequence[NamedNode]] = {
 
 
 class FieldShapes(Protocol):
-    """What is demanded of the values of fields, by their kinds."""
+    """Shapes of the values of fields, by kind."""
 
     def node(self, name: str) -> NamedNode:
         """Return the node shape of a type."""
         ...
 
     def is_required(self, kind: MessageType) -> bool:
-        """Whether a message of a type must say each of its fields, whatever else it says."""
+        """Whether messages must state each field of a type."""
         ...
 
     def primitive(self, kind: Primitive) -> Sequence[Statement]:
-        """Of a scalar."""
+        """Return the statements of a scalar."""
         ...
 
     def nested(self, name: str) -> Sequence[Statement]:
-        """Of a message within a message, by the name of its type."""
+        """Return the statements of a nested message, by the name of its type."""
         ...
 
     def array(self, kind: Array, element: Primitive) -> Sequence[Statement]:
-        """Of an array of primitives."""
+        """Return the statements of an array of primitives."""
         ...
 
     def messages(self, kind: Array, name: str) -> Sequence[Statement]:
-        """Of an array of messages, by the name of their type."""
+        """Return the statements of an array of messages, by the name of their type."""
         ...
 
     def message(self, kind: MessageType) -> Sequence[Statement]:
-        """Of the node of a message itself beside its fields, and which nodes are meant."""
+        """Return the statements of a message's node itself, and its targets."""
         ...
 
 
@@ -108,7 +108,7 @@ def write_message_shapes(writer: ShapesWriter, schema: MessageSchema, space: Spa
 
 
 def _write_type(writer: ShapesWriter, kind: MessageType, space: Space, fields: FieldShapes) -> None:
-    """Write the node shape of a type. Constants are told, which a field may but need not hold."""
+    """Write the node shape of a type. Constants are included, but need not be stated in messages."""
     node = fields.node(kind.name)
     properties = {field: within(node, field.name) for field in kind.fields}
     values = [(constant, constant_value(constant)) for constant in kind.constants]

@@ -36,7 +36,7 @@ def constraint_url(url: str, descriptor: Descriptor | None) -> str | None:
 
 
 def declared_shape(descriptor: Descriptor, measure: Measure = NO_MEASURE) -> ScalarShape | OpenShape:
-    """What a value must be; open where that may change, and where it is an array."""
+    """Return the shape of a value; open if the type may change, and for arrays."""
     kind = None if descriptor.type is None else PARAMETERS.get(descriptor.type)
     if kind is None:
         return OpenShape(measure=measure)
@@ -46,7 +46,7 @@ def declared_shape(descriptor: Descriptor, measure: Measure = NO_MEASURE) -> Sca
 
 
 def declared_demand(descriptor: Descriptor) -> Demand:
-    """What is demanded of a scalar beyond its type; of a step what SHACL Core can say."""
+    """Return the demand on a scalar beyond its type, as far as SHACL Core can express steps."""
     declared, range = declared_shape(descriptor), descriptor.range
     choices = declared.bounds.choices or _choices(range)
     bounds = replace(declared.bounds, choices=choices, step=None)
@@ -54,7 +54,7 @@ def declared_demand(descriptor: Descriptor) -> Demand:
 
 
 def declared_triples(descriptor: Descriptor, url: str, space: Space) -> list[Triple]:
-    """What the document of the parameter at a URL says beside its value: words, type, and the shape of its values."""
+    """Return the triples about the declaration of the parameter at a URL: words, type, and shape."""
     subject = NamedNode(url)
     constraint = constraint_url(url, descriptor)
     shape = None if constraint is None else NamedNode(constraint)
@@ -84,7 +84,7 @@ def declared_triples(descriptor: Descriptor, url: str, space: Space) -> list[Tri
 
 
 def choice_words(descriptor: Descriptor) -> tuple[str, ...]:
-    """What each of the choices is called and is about, in words; nothing of those that have neither."""
+    """Return the labels and descriptions of choices that have any."""
     named = ((choice, choice.name not in ("", str(choice.value))) for choice in descriptor.choices)
     return tuple(
         (f"{choice.name} = {choice.value}" if is_named else f"{choice.value}")
@@ -194,7 +194,7 @@ def _array(type: ParameterType) -> re.Pattern[str]:
 
 
 def _outside_range(descriptor: Descriptor, value: ParameterValue, written: str) -> tuple[NamedNode, str] | None:
-    """What a number, or one of an array, breaks of the range declared, or else of that of all integers."""
+    """Return the violation of the declared range (or that of all integers) by a number or an element."""
     numbers = value if isinstance(value, list) and descriptor.type is not None else [value]
     for each in numbers:
         range = _INT64 if isinstance(each, int) and descriptor.range is None else descriptor.range
@@ -206,7 +206,7 @@ def _outside_range(descriptor: Descriptor, value: ParameterValue, written: str) 
 
 
 def _outside(range: Range, value: int | float, written: str) -> tuple[NamedNode, str] | None:
-    """What a number breaks of a range, and the words for it."""
+    """Return the violation of a range by a number, and its words."""
     if not value >= range.minimum:
         return component(sh.minInclusive), f"must be at least {_said(range.minimum)}, not {written}"
     if not value <= range.maximum:

@@ -104,7 +104,7 @@ class ShapesGraph:
                 yield node
 
     def statements(self, node: Node) -> Mapping[NamedNode, Sequence[Term]]:
-        """What is said of a node, by predicate."""
+        """Return the statements about a node, by predicate."""
         return self._said.get(node, {})
 
     def members(self, head: Term) -> Sequence[Term]:
@@ -260,7 +260,7 @@ class ShapesGraph:
         return found
 
     def _check_terms(self, node: Node, said: Mapping[NamedNode, list[Term]]) -> None:
-        """What is not known might have been meant to hold something back: it is refused, not passed over."""
+        """Refuse unknown terms, which may have been meant as constraints."""
         for predicate in said:
             if not predicate.value.startswith(sh.iri) or predicate in COMPILED | LEFT_TO_PYSHACL | TARGETS | ABOUT:
                 if len(said[predicate]) > 1 and predicate.value.startswith(sh.iri) and predicate not in REPEATABLE:
@@ -333,7 +333,7 @@ class ShapesGraph:
                 self._shapes_of(draft, parameter, value)
 
     def _check_left_to_pyshacl(self, draft: _Draft, parameter: NamedNode, value: Term) -> None:
-        """What is left to pyshacl, which would only stumble over a wrong value when it comes to it."""
+        """Check the values of terms that pyshacl evaluates, which would fail on wrong ones later."""
         match prefixed(parameter):
             case "sh:qualifiedValueShape":
                 self._part(draft, value)

@@ -101,7 +101,7 @@ def browser_pattern(bounds: Bounds) -> str:
 
 
 def describe_bounds(bounds: Bounds) -> str:
-    """What is demanded, in a sentence; empty where that is nothing, or the options say it."""
+    """Return the constraints in a sentence; empty without any, or if the options show them."""
     if bounds.choices:
         return ""
     found = ", ".join(_phrases(bounds))

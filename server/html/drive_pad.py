@@ -38,7 +38,7 @@ class Axis:
 
 @dataclass(frozen=True, slots=True)
 class DrivePad:
-    """A pad for a topic: how fast ahead, how much to the left, the message that stands still, how it is held."""
+    """A pad for a topic: forward and leftward speeds, the message of standstill, and the terms of its hold."""
 
     topic: str
     ahead: Axis

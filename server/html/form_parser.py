@@ -38,7 +38,7 @@ def split_hidden(pairs: Iterable[tuple[str, str]]) -> tuple[str | None, str | No
 
 
 def split_query(pairs: Iterable[tuple[str, str]]) -> tuple[dict[str, str], list[tuple[str, str]]]:
-    """What a form says in the query (`?rate`: no field of a message begins so), and its other pairs."""
+    """Return the pairs of a form for the query (`?rate`; no field's name begins so), and the others."""
     query: dict[str, str] = {}
     rest: list[tuple[str, str]] = []
     for name, value in pairs:
@@ -179,7 +179,7 @@ class _Reading:
             return None
 
     def refuse_the_rest(self) -> None:
-        """What no input of this form has sent is no field of the message."""
+        """Add violations for inputs that the form does not have."""
         self.violations.extend(
             Violation(name, f"is no field of {self.schema.ref.name}", text) for name, text in self.texts.items()
         )

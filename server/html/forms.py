@@ -100,7 +100,7 @@ class MessageForm:
 
     @property
     def controls(self) -> tuple[Control, ...]:
-        """Its inputs."""
+        """Its inputs: those of the message, and those of the query, with names beginning with `?`."""
         return controls(self.schema, self.value, _filling(self.submitted, self.violations))
 
 
@@ -154,7 +154,7 @@ class HoldForm:
 
 
 def _query_number(name: str, label: str, value: float, most: float, unit: str, filling: InputValues) -> Input:
-    """Return the input for a number of the query, of at most so many."""
+    """Return the input for a number in the query, with a maximum."""
     text = filling.text(name, f"{value:g}")
     return Input(name, label, "number", escape_controls(text), min="0.1", max=f"{most:g}", step="0.1", unit=unit)
 

@@ -67,7 +67,7 @@ class Input:
 
     @property
     def lines(self) -> int:
-        """How many lines a textarea shows."""
+        """The number of lines of a textarea."""
         return max(2, min(12, self.value.count("\n") + 1 + len(self.value) // 60))
 
 
@@ -89,22 +89,22 @@ Control: TypeAlias = Input | Fieldset
 
 @dataclass(frozen=True, slots=True)
 class InputValues:
-    """What a form is filled with: what was `typed` into it last time, else a value; `errors` and `bounds` by path."""
+    """Values of a form: those `typed` before, else a value; `errors` and `bounds` by path."""
 
     submitted: Mapping[str, str] | None = None
     errors: Mapping[str, str] | None = None
     bounds: Mapping[str, Bounds] = field(default_factory=dict)
 
     def text(self, path: str, otherwise: str) -> str:
-        """What stands in the input of `path`."""
+        """Return the text in the input of `path`."""
         return otherwise if self.submitted is None else self.submitted.get(path, "")
 
     def error(self, path: str) -> str:
-        """What does not fit at `path` itself."""
+        """Return the error at `path`."""
         return escape_controls((self.errors or {}).get(path, ""))
 
     def error_below(self, path: str) -> str:
-        """What does not fit at `path` or anywhere below it, for a field that has no inputs of its own below."""
+        """Return the error at `path` or below, for a field without inputs below."""
         found = (
             message if name == path else f"{name}: {message}"
             for name, message in (self.errors or {}).items()
@@ -153,7 +153,7 @@ def is_fieldset(schema: MessageSchema, kind: FieldType) -> bool:
 
 
 def count_inputs(schema: MessageSchema, name: str) -> int:
-    """How many inputs all fields of a type come to; counting stops above `MAX_LEAVES`, however deep types nest."""
+    """Return the number of inputs for all fields of a type, counted up to `MAX_LEAVES`."""
     count = 0
     waiting = [name]
     while waiting and count <= MAX_LEAVES:
@@ -250,7 +250,7 @@ def _number(
 
 
 def number_text(value: Json) -> str:
-    """Return a number of plain JSON as it stands in an input."""
+    """Return a number of plain JSON as text of an input."""
     if isinstance(value, bool):
         return str(int(value))
     return value if isinstance(value, str) else repr(value) if isinstance(value, int | float) else "0"
@@ -335,7 +335,7 @@ class _Defaults:
         return self._unstated(field.type, depth) if stated is None else stated
 
     def _unstated(self, kind: FieldType, depth: int) -> Json:
-        """Return the default of a field of which its definition says nothing."""
+        """Return the default of a field without one in its definition."""
         self._left -= 1
         if self._left < 0 or depth > _DEEPEST:
             raise OverflowError

@@ -76,7 +76,7 @@ def container_table(document: Document, site: Site, listing: MemberColumns | Non
 
 
 def parameters_below(document: Document) -> tuple[NamedNode, ...]:
-    """Return the parameters and trees of parameters that a document about such a tree tells of."""
+    """Return the parameters and trees of parameters in a document about such a tree."""
     told = {each.subject for each in document.triples if each.predicate == rdf.type and each.object == ros.Parameter}
     own = NamedNode(document.url)
     is_tree = own in told and ldp.Container in objects_of(document, rdf.type)
@@ -118,7 +118,7 @@ def _cells(cells: tuple[Cell, ...], width: int, site: Site) -> tuple[tuple[View,
 
 
 def _columns(document: Document, urls: list[str]) -> tuple[tuple[str, ...], dict[str, tuple[Cell, ...]]]:
-    """Columns from what the document itself says about its members."""
+    """Return the columns that the document has about its members."""
     members = set(urls)
     found: dict[str, dict[NamedNode, Cell]] = {}
     predicates: dict[NamedNode, None] = {}

@@ -143,7 +143,7 @@ def _with_plot_link(view: View, kind: Primitive, path: str, drawing: _Drawing) -
 
 
 def level_view(level: int) -> View:
-    """Return a diagnostic level as its word, with its number beside; an unknown one as its number."""
+    """Return a diagnostic level as its word and number; an unknown one as its number."""
     if level not in _LEVELS:
         return TextView(str(level), tone="number")
     word, tone = _LEVELS[level]
@@ -192,7 +192,7 @@ def _octets(values: npt.NDArray[Any], path: str, drawing: _Drawing) -> View:
 
 
 def scalar_view(kind: Primitive, value: object) -> View:
-    """Return a primitive value; of floats six significant digits, beside them the fewest that read back the same."""
+    """Return a primitive value; floats have six significant digits, and all digits in `exact`."""
     if isinstance(value, str):
         return text_view(value)
     return number_view(_number(kind, value))

@@ -133,7 +133,7 @@ def _fitting(page: Page) -> Iterator[Form]:
 
 
 def _body(page: Page, posted: tuple[FormTarget, ...]) -> dict[str, object]:
-    """What stands between the heading of a page and its forms."""
+    """Return the part between the heading of a page and its forms."""
     document, site = page.document, page.site
     if page.offer is not None:
         return {
@@ -176,7 +176,7 @@ def _body(page: Page, posted: tuple[FormTarget, ...]) -> dict[str, object]:
 
 
 def _own_notices(page: Page) -> tuple[Notice, ...]:
-    """What the description itself says is wrong with the resource; what is on offer tells that by itself."""
+    """Return notices of problems in the description itself, except of offers."""
     if page.offer is not None:
         return ()
     outcome = (*_goal_notice(page.document), *_call_notice(page.document))
@@ -187,7 +187,7 @@ def _own_notices(page: Page) -> tuple[Notice, ...]:
 
 
 def _goal_notice(document: Document) -> tuple[Notice, ...]:
-    """What has become of a goal, which its page is opened for; nothing of what is no goal."""
+    """Return a notice of the state of a goal; None for other documents."""
     word, about = first_text(document, ros.statusWord), first_text(document, ros.words)
     if not word or ros.Goal not in objects_of(document, rdf.type):
         return ()
@@ -199,7 +199,7 @@ def _goal_notice(document: Document) -> tuple[Notice, ...]:
 
 
 def _call_notice(document: Document) -> tuple[Notice, ...]:
-    """What has become of a call; nothing of what is no call."""
+    """Return a notice of the state of a call; None for other documents."""
     if ros.Call not in objects_of(document, rdf.type):
         return ()
     about = first_text(document, ros.words)
@@ -212,7 +212,7 @@ def _call_notice(document: Document) -> tuple[Notice, ...]:
 
 
 def _curl(url: str, accept: str) -> str:
-    """Return a command line that fetches `url`, safe to paste into a shell whatever the robot's names are."""
+    """Return a command line that fetches `url`, safe to paste into a shell for any name."""
     return f"curl -H 'Accept: {accept}' '{_shell(url)}'"
 
 
@@ -344,7 +344,7 @@ def _types(result: SearchResult, site: Site) -> Iterator[str]:
 
 
 def _found_by(result: SearchResult) -> str:
-    """What of a result has the words, where its name does not show it."""
+    """Return the matching part of a result if its name does not show it."""
     if result.field is not None:
         return f"{result.match} {result.field}"
     return result.match if result.match in ("text", "type") else ""

@@ -136,7 +136,7 @@ def background_jobs(
     authenticator: Authenticator | None,
     triggers: RecordingTriggers,
 ) -> Sequence[Job]:
-    """What runs beside requests from the start to the end."""
+    """Return the jobs that run in the background from start to end."""
     return [
         sparql.queries.keep_materialized,
         partial(asyncio.to_thread, prepare_pages),
@@ -149,7 +149,7 @@ def background_jobs(
 
 
 def create_authenticator(services: Services, channels: Channels) -> Authenticator | None:
-    """Who asks and what they may do, by the file of `--auth`; None without one."""
+    """Return the authenticator of the file of `--auth`; None without one."""
     session = services.session
     if session.settings.auth is None:
         return None

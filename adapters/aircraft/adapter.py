@@ -90,7 +90,7 @@ class Aircraft(EmbeddedRobot):
         await super().close()
 
     def allows(self, ref: Ref) -> frozenset[Operation]:
-        """What ROS 1 can do with this thing."""
+        """Return the operations of ROS 1 on a thing."""
         if ref.kind is Kind.TOPIC:
             return _KNOWN_TOPIC if ref.name in self._graph.topics else frozenset({Operation.PUBLISH})
         if ref.kind is Kind.SERVICE:

@@ -107,13 +107,13 @@ class FlyGoal:
     canceling: bool = False
 
     def flown_at(self, now_ns: int) -> float:
-        """How far it has flown."""
+        """Return the distance flown at a time."""
         return min(self.distance, PACE * (now_ns - self.since_ns) / 1e9)
 
 
 @dataclass(frozen=True, slots=True)
 class GoalEnd:
-    """How a goal ended, and what is told of it."""
+    """End of a goal: its status and message."""
 
     status: GoalStatus
     message: str
@@ -140,7 +140,7 @@ def cancel(fly: FlyGoal) -> FlyGoal:
 
 
 def end_of(fly: FlyGoal, flight: Flight, now_ns: int) -> GoalEnd | None:
-    """How the goal has ended, None while it is pursued."""
+    """Return the end of the goal, or None while it is pursued."""
     if fly.canceling:
         return GoalEnd(GoalStatus.CANCELED, "canceled")
     if not flight.on:

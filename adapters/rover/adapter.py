@@ -95,7 +95,7 @@ class Rover(EmbeddedRobot):
         await super().close()
 
     def allows(self, ref: Ref) -> frozenset[Operation]:
-        """What ROS 2 can do with this thing."""
+        """Return the operations of ROS 2 on a thing."""
         if ref.kind is Kind.TOPIC:
             known = ref.name in self._graph.topics
             return frozenset({Operation.PUBLISH, *([Operation.SUBSCRIBE] if known else [])})
@@ -118,9 +118,9 @@ class Rover(EmbeddedRobot):
     async def publish(
         self, topic: str, type: TypeRef, data: bytes, *, latch: bool = False, deadline: float
     ) -> Published:
-        """Publish; nobody can come to match later, so that this never waits.
+        """Publish without waiting: no subscriber can match later.
 
-        Refused where the type is another, and for a velocity that cannot be read.
+        Raises Refused for another type, and for a velocity that cannot be decoded.
         """
         self._require_reachable(deadline)
         schema = self._message(type)
@@ -220,7 +220,7 @@ class Rover(EmbeddedRobot):
         self._topics.say(topic, NODE, data, latched=topic in LATCHED)
 
     def _tell_of_goals(self, now: float) -> None:
-        """Tell which goals have ended, and from time to time how far the rover has come."""
+        """Announce ended goals and, periodically, the progress of the rover."""
         for ended in self._simulation.take_ended():
             self._tell_end(ended)
         if now >= self._due.get(NAVIGATE_TO, now):

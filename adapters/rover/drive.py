@@ -41,7 +41,7 @@ class Limits(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """Where the rover is, how it moves, how far it has driven, and whether an obstacle holds it up."""
+    """The position and motion of the rover, the distance driven, and whether an obstacle blocks it."""
 
     x: float = 0.0
     y: float = 0.0
@@ -91,7 +91,7 @@ def is_closer(world: World, motion: Motion, x: float, y: float) -> bool:
 
 
 def is_blocked_ahead(world: World, motion: Motion, distance: float) -> bool:
-    """Whether something stands in the way so far ahead."""
+    """Whether an obstacle is within this distance ahead."""
     x, y = motion.x + distance * math.cos(motion.heading), motion.y + distance * math.sin(motion.heading)
     return is_closer(world, motion, x, y)
 
@@ -126,7 +126,7 @@ _CHARGING = 0.002
 
 @dataclass(frozen=True, slots=True)
 class Battery:
-    """How full the battery is, from 0 to 1, and how much of it a second takes (below 0: gives)."""
+    """Charge of the battery, from 0 to 1, and its drain per second (below 0: charging)."""
 
     level: float = 1.0
     drain: float = _IDLE
@@ -143,7 +143,7 @@ class Battery:
 
     @property
     def current(self) -> float:
-        """Amperes, below 0 while it discharges."""
+        """The current in amperes, negative while discharging."""
         return -self.drain * CAPACITY * 3600
 
 

@@ -172,7 +172,7 @@ _PREFIX = f"{NODE}/"
 
 
 def operations_on(name: str) -> frozenset[Operation]:
-    """What may be done with a parameter: the node keeps what it declared, and takes nothing else."""
+    """Return the operations on a parameter: the node keeps its declared ones, and accepts no others."""
     declared = PARAMETERS.get(name.removeprefix(_PREFIX)) if name.startswith(_PREFIX) else None
     if declared is None:
         return frozenset()

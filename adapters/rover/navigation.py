@@ -24,7 +24,7 @@ _QUATERNION_TOLERANCE = 0.1
 
 
 class Outcome(Enum):
-    """How a goal can end (action_msgs/msg/GoalStatus)."""
+    """Outcome of a goal (action_msgs/msg/GoalStatus)."""
 
     SUCCEEDED = "succeeded"
     CANCELED = "canceled"
@@ -127,7 +127,7 @@ def velocity_towards(journey: Journey, motion: Motion, limits: Limits) -> Veloci
 
 
 def end_of(journey: Journey, motion: Motion, world: World, is_empty: bool) -> JourneyEnd | None:
-    """How the goal has ended, None while it is pursued. The map does not have every obstacle."""
+    """Return the end of the goal, or None while it is pursued. The map may lack obstacles."""
     if journey.is_canceling:
         return JourneyEnd(journey.id, Outcome.CANCELED, "canceled")
     if is_empty:
@@ -204,18 +204,18 @@ class SetBoolRequest(Protocol):
 
 
 def velocity_of(message: Message | Twist) -> Velocity:
-    """What of a geometry_msgs/Twist a differential drive can do."""
+    """Return the part of a geometry_msgs/Twist that a differential drive can follow."""
     twist = cast(Twist, message)
     return Velocity(twist.linear.x, twist.angular.z)
 
 
 def goal_of(message: Message | NavigateToGoal) -> Pose:
-    """Where a goal leads. Declined for one that is none."""
+    """Return the pose of a goal. Raises Declined for an invalid one."""
     stamped = cast(NavigateToGoal, message).pose
     at, turned = stamped.pose.position, stamped.pose.orientation
     return check_goal(stamped.header.frame_id, at.x, at.y, heading_of(turned.x, turned.y, turned.z, turned.w))
 
 
 def switch_of(message: Message | SetBoolRequest) -> bool:
-    """What a std_srvs/SetBool asks for."""
+    """Return the value in a std_srvs/SetBool request."""
     return cast(SetBoolRequest, message).data

@@ -32,12 +32,12 @@ class Grid:
 
     @property
     def rows(self) -> int:
-        """How many rows there are."""
+        """The number of rows."""
         return int(self.clearances.shape[0])
 
     @property
     def columns(self) -> int:
-        """How many columns there are."""
+        """The number of columns."""
         return int(self.clearances.shape[1])
 
     def cell(self, x: float, y: float) -> Cell:
@@ -83,7 +83,7 @@ def way(grid: Grid, start: Point, goal: Point) -> tuple[Point, ...]:
 
 
 def length(start: Point, corners: Sequence[Point]) -> float:
-    """How long the way from a point over these is."""
+    """Return the length of the way from a point over these."""
     return math.fsum(math.dist(one, other) for one, other in pairwise((start, *corners)))
 
 
@@ -134,7 +134,7 @@ def _back(came: Mapping[Cell, Cell], last: Cell) -> Sequence[Cell]:
 
 
 def _straighten(grid: Grid, cells: Sequence[Cell]) -> Sequence[Cell]:
-    """Of these cells the first, the last, and those in between at which the way must bend."""
+    """Return the first and last of these cells, and those at which the way bends."""
     kept = [cells[0]]
     for previous, cell in pairwise(cells):
         if not _is_view_free(grid, kept[-1], cell):

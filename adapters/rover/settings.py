@@ -26,7 +26,7 @@ class Declaration:
 
     @property
     def constraints(self) -> str:
-        """What no range can say, in words."""
+        """Constraints beyond a range, in words."""
         return "" if self.choices is None else f"One of: {', '.join(self.choices)}."
 
 
@@ -55,7 +55,7 @@ DEFAULTS: Mapping[str, Value] = MappingProxyType({name: each.default for name, e
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """What the parameters ask of the rover."""
+    """The settings of the rover from its parameters."""
 
     limits: Limits
     stop_before_obstacles: bool

@@ -38,7 +38,7 @@ _STOP_DISTANCE = 0.2
 
 
 class Severity(Enum):
-    """How much a line of the log matters."""
+    """Severity of a line of the log."""
 
     INFO = "info"
     WARN = "warn"
@@ -53,7 +53,7 @@ class LogLine(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """What a service says: whether it was done, and in words."""
+    """Response of a service: success, and a message."""
 
     success: bool
     message: str
@@ -61,7 +61,7 @@ class Answer(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """How the rover begins: how full its battery is, where it stands, and how many times faster its time passes."""
+    """Initial state of the rover: charge of its battery, pose, and speed of its time."""
 
     battery: float = 1.0
     pose: Pose = field(default_factory=lambda: Pose(0.0, 0.0, 0.0))
@@ -85,7 +85,7 @@ class State:
 
     @property
     def is_at_rest(self) -> bool:
-        """Whether nothing but the battery changes until the rover is told something."""
+        """Whether only the battery changes until the next command."""
         moves = self.command != STANDSTILL and not self.battery.is_empty
         return not moves and self.motion.velocity == STANDSTILL and self.journey is None
 
@@ -105,7 +105,7 @@ def step(state: State, settings: Settings, world: World) -> State:
 
 
 def _limit_command(state: State, command: Velocity, settings: Settings, world: World) -> Velocity:
-    """What of a command the base carries out: nothing without power, and not ahead where it is to stop by itself."""
+    """Return the part of a command that the base follows: none without power, and not ahead near an obstacle."""
     if state.battery.is_empty:
         return STANDSTILL
     if settings.stop_before_obstacles and command.speed:
@@ -122,7 +122,7 @@ def rest(state: State, seconds: float) -> State:
 
 
 def changes(before: State, after: State, settings: Settings) -> tuple[LogLine, ...]:
-    """What the log tells of the way from a state to a later one."""
+    """Return the lines of the log for the change from a state to a later one."""
     lines: list[LogLine] = []
     if after.motion.is_bumped and not before.motion.is_bumped:
         lines.append(LogLine(Severity.WARN, f"an obstacle stops the rover at {_place(after.motion)}"))
@@ -181,7 +181,7 @@ class Simulation:
         return Answer(True, f"the lights are {'on' if on else 'off'}")
 
     def dock(self, now: float) -> Answer:
-        """Begin to charge, where the rover stands at its dock."""
+        """Start charging if the rover is at its dock."""
         self.advance(now)
         motion = self.state.motion
         distance = math.dist((motion.x, motion.y), DOCK)
@@ -212,19 +212,19 @@ class Simulation:
         return True
 
     def configure(self, values: Mapping[str, Value], now: float) -> None:
-        """Have the parameters these values, which are all of them and have been checked."""
+        """Set all parameters, checked before."""
         self.advance(now)
         self.settings = settings_of(values)
 
     def take_ended(self) -> tuple[JourneyEnd, ...]:
-        """The goals that have ended since this was last asked for."""
+        """Return the goals that have ended since the last call."""
         ended = self.state.ended
         if ended:
             self.state = replace(self.state, ended=())
         return ended
 
     def take_log(self) -> tuple[LogLine, ...]:
-        """What happened since this was last asked for."""
+        """Return the lines of the log since the last call."""
         lines = tuple(self._lines)
         self._lines.clear()
         return lines
@@ -252,7 +252,7 @@ _EXAMPLE = "rover:?battery=0.21&pose=1,0,1.57&rate=10"
 
 
 def read_source(text: str) -> Start:
-    """How the rover of a source begins. Raises ValueError with a sentence for the user."""
+    """Return the start of a source's rover. Raises ValueError with a sentence for the user."""
     rest = text.removeprefix("rover").removeprefix(":").removeprefix("//")
     if rest and not rest.startswith("?"):
         raise ValueError(f"{text!r} names no rover: write rover or {_EXAMPLE}")

@@ -54,7 +54,7 @@ class Disc(NamedTuple):
 
 
 class Hits(NamedTuple):
-    """What rays meet: the distance (inf: nothing) and the colour of each."""
+    """Hits of rays: the distance (inf for none) and colour of each."""
 
     distances: NDArray[np.float64]
     colours: NDArray[np.uint8]
@@ -81,14 +81,14 @@ class World:
         return self.left <= x <= self.left + self.width and self.bottom <= y <= self.bottom + self.height
 
     def clearance(self, x: float, y: float) -> float:
-        """How far a point is from the nearest shape, 0 within one."""
+        """Return the distance of a point from the nearest shape, 0 inside one."""
         return min(
             min(box.distance(x, y) for box in self.boxes),
             min(disc.distance(x, y) for disc in self.discs),
         )
 
     def cast(self, x: float, y: float, angles: NDArray[np.float64]) -> Hits:
-        """What rays from a point meet in these directions (radians, counterclockwise from x)."""
+        """Return the hits of rays from a point in these directions (radians, counterclockwise from x)."""
         dx, dy = np.cos(angles), np.sin(angles)
         distances = np.concatenate([_to_boxes(self.boxes, x, y, dx, dy), _to_discs(self.discs, x, y, dx, dy)])
         nearest = np.argmin(distances, axis=0)

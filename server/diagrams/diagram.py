@@ -27,7 +27,7 @@ _OF_NODES = frozenset(
 
 
 class VertexKind(Enum):
-    """What a vertex stands for; its value is the word for one, with an s for several."""
+    """Kind of a vertex; the value is the word for one, with an s for several."""
 
     NODE = "node"
     TOPIC = "topic"
@@ -79,7 +79,7 @@ class Edge:
 
 @dataclass(frozen=True, slots=True)
 class Diagram:
-    """A diagram; `total` is the number of things that its vertices stand for."""
+    """A diagram; `total` is the number of things in all vertices."""
 
     vertices: tuple[Vertex, ...]
     edges: tuple[Edge, ...]
@@ -202,7 +202,7 @@ def _connect_topic(draft: _Draft, topic: Topic) -> None:
 
 
 def _select(whole: Diagram, below: str) -> Diagram:
-    """What lies below a name, and its neighbours; a node is the neighbour of its topics, and these of theirs."""
+    """Return the things below a name, and their neighbours: topics of nodes, and nodes of topics."""
     prefix = below.rstrip("/")
     inside = {each.key for each in whole.vertices if each.name == prefix or each.name.startswith(f"{prefix}/")}
     kept = inside | {
@@ -265,7 +265,7 @@ Grouping = Callable[[Diagram], Callable[[Vertex], Hashable]]
 
 
 def _by_neighbours(depth: int) -> Grouping:
-    """What has the same neighbours and is wrong or right alike, within namespaces of so many segments."""
+    """Group things with the same neighbours and the same health, within namespaces of this depth."""
 
     def of_diagram(diagram: Diagram) -> Callable[[Vertex], Hashable]:
         before, after = defaultdict[str, set[str]](set), defaultdict[str, set[str]](set)

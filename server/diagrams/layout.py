@@ -62,7 +62,7 @@ def lay_out(sizes: Mapping[str, Size], edges: Iterable[tuple[str, str]]) -> Layo
 
 
 def _layouts(sizes: Mapping[str, Size], pairs: Sequence[tuple[str, str]], connected: Sequence[str]) -> Iterator[Layout]:
-    """Layouts to choose from, up to the first that fits on a page."""
+    """Yield layouts, up to the first that fits on a page."""
     forward = _acyclic(connected, pairs)
     choices = [(forward, _rank(connected, forward))]
     if (three := _three_ranks(connected, pairs)) is not None:
@@ -269,7 +269,7 @@ def _places(layers: _Layers, sizes: Mapping[str, Size]) -> tuple[dict[Hashable, 
 def _spread(
     rank: Sequence[Hashable], wanted: Sequence[float], heights: Mapping[Hashable, float]
 ) -> dict[Hashable, float]:
-    """Centres as near to those wanted as the order and the heights permit (pool adjacent violators)."""
+    """Return centres as near to the wanted ones as order and heights permit (pool adjacent violators)."""
     offsets, offset = [], 0.0
     for index, key in enumerate(rank):
         if index:

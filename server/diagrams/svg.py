@@ -52,7 +52,7 @@ def write_svg(diagram: Diagram, href: Callable[[str], str | None], title: str, *
 
 
 def label(vertex: Vertex) -> str:
-    """What a vertex is called: its name, the end of a long one, and how many it stands for."""
+    """Return the label of a vertex: its name, the end of a long one, and the number of things in it."""
     name = vertex.name if len(vertex.name) <= _LONGEST else f"…{vertex.name[1 - _LONGEST :]}"
     return name if vertex.count == 1 else f"{name} ({vertex.count} {vertex.kind.value}s)"
 
@@ -105,10 +105,10 @@ def _edge(edge: Edge, route: Sequence[Point]) -> str:
 
 
 def thickness(rate: float) -> float:
-    """How thick a conversation is drawn: 1 where its rate is not known, 5 from 1000 messages a second on."""
+    """Return the width of an edge: 1 if its rate is unknown, 5 from 1000 messages a second on."""
     return 1.0 if rate <= 0 else min(5.0, 1.5 + 3.5 * math.log10(1.0 + rate) / 3.0)
 
 
 def _text(text: str) -> str:
-    """Text as it may stand in a document, whatever the robot's names hold."""
+    """Return text that is valid in a document."""
     return escape(_UNPRINTABLE.sub("�", text))

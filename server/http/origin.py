@@ -70,7 +70,7 @@ def is_loopback(host: str) -> bool:
 
 
 def is_wildcard(host: str) -> bool:
-    """Whether an address to bind to stands for all addresses of this machine."""
+    """Whether an address to bind to means all addresses of this machine."""
     try:
         return ip_address(host.strip("[]")).is_unspecified
     except ValueError:

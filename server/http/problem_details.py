@@ -47,7 +47,7 @@ def validation_report(url: str, violations: Sequence[Violation], *, node: str = 
 
 
 def _source(violation: Violation) -> tuple[Statement, ...]:
-    """What broke, and what broke it."""
+    """Return the statements about the broken constraint."""
     return (
         (sh.resultPath, violation.predicate),
         (sh.value, violation.term if violation.term is not None else text(violation.value)),

@@ -100,13 +100,13 @@ class Audit:
 
 
 def _with_receipt(location: bytes, id: str) -> bytes:
-    """Return the URL of a page that tells of a receipt."""
+    """Return the URL of a page with the parameter that shows a receipt."""
     return location + (b"&" if b"?" in location else b"?") + f"receipt={id}".encode("ascii")
 
 
 @lru_cache(maxsize=4096)
 def _path(raw: bytes, root: int) -> str:
-    """Return the path below the base of a path as it was sent, fit to stand in a URL."""
+    """Return the path below the base, percent-encoded for use in a URL."""
     return quote(raw[root:], safe="/%:@!$&'()*+,;=~")
 
 

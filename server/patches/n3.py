@@ -24,7 +24,7 @@ class Variable(NamedTuple):
 
 
 class Formula:
-    """What stands between braces, or the whole document: its statements in order. Equal to nothing but itself."""
+    """Content of braces, or of the whole document: its statements in order. Equal only to itself."""
 
     def __init__(self) -> None:
         self.statements: list[Statement] = []
@@ -35,11 +35,11 @@ class Formula:
         return self
 
     def newUniversal(self, name: str, why: object = None) -> NoReturn:
-        """Refuses: variables are written `?name` only."""
+        """Raise an error: variables are written `?name` only."""
         raise RefusedSyntax("@forAll is not read here: write ?variables")
 
     def declareExistential(self, name: str) -> NoReturn:
-        """Refuses: blank nodes are written `_:name` or `[]` only."""
+        """Raise an error: blank nodes are written `_:name` or `[]` only."""
         raise RefusedSyntax("@forSome is not read here: write blank nodes")
 
 
@@ -47,7 +47,7 @@ Node: TypeAlias = "NamedNode | BlankNode | Literal | Variable | Formula"
 
 
 class Statement(NamedTuple):
-    """One statement. N3 lets anything stand anywhere."""
+    """One statement. In N3, any term can have any position."""
 
     subject: Node
     predicate: Node

@@ -120,7 +120,7 @@ def _resolve(reference: str, base: str) -> str:
 
 
 class _Sink:
-    """What the parser makes terms and statements with. The names are the parser's."""
+    """Factory of terms and statements for the parser, which determines the names."""
 
     def startDoc(self, formula: Formula) -> None:
         """Nothing to do."""
@@ -191,5 +191,5 @@ def _error(text: str, position: int, words: str) -> BodyError:
 
 
 def _words(error: Exception) -> str:
-    """What an error says, where that can mean something to whoever wrote the text."""
+    """Return the message of an error if it helps the author of the text."""
     return str(error)[:200] if isinstance(error, ValueError) else "it ends too early or holds what is not expected"

@@ -271,7 +271,7 @@ class _Search:
 
 
 def _bound(pattern: Pattern, triple: Triple) -> Bindings | None:
-    """What the variables of a pattern are in a triple, None where one would be two things."""
+    """Return the bindings of a pattern's variables in a triple, or None if they conflict."""
     found: dict[Variable, Term] = {}
     for each, term in zip(pattern, tuple(triple), strict=True):
         if isinstance(each, Variable) and found.setdefault(each, term) != term:

@@ -15,7 +15,7 @@ DRAWN_TYPES = (RAW_IMAGE, COMPRESSED_IMAGE, OCCUPANCY_GRID)
 
 
 class DepthRange(NamedTuple):
-    """The distances, in metres, that the nearest and the farthest colour stand for."""
+    """The distances, in metres, of the nearest and the farthest colour."""
 
     nearest: float = 0.0
     farthest: float = 10.0
@@ -26,7 +26,7 @@ DEFAULT_RANGE = DepthRange()
 
 @dataclass(frozen=True, slots=True)
 class PictureForm:
-    """How a picture is wanted: its media type, at most how wide, and the distances that colours stand for."""
+    """Form of a requested picture: its media type, maximum width, and the distances of colours."""
 
     media_type: str = JPEG
     width: int | None = None
@@ -56,7 +56,7 @@ class CannotDraw(ValueError):
 
 
 class UnknownPicture(CannotDraw):
-    """A kind of picture that is not drawn here, whatever its data are."""
+    """Pictures of this kind are not supported, regardless of their data."""
 
 
 def require_size(width: int, height: int) -> None:

@@ -61,7 +61,7 @@ def draw_grid(message: Message, width: int | None = None) -> Image.Image:
 
 
 def shrink_factor(columns: int, width: int | None) -> int:
-    """Return the cells of a side of the square that one pixel stands for."""
+    """Return the side of the square of cells that become one pixel."""
     return 1 if width is None or columns <= width else -(-columns // width)
 
 
@@ -146,7 +146,7 @@ def _dequantize(values: npt.NDArray[np.generic], scale: float, offset: float) ->
 
 
 def _open(data: bytes) -> Image.Image:
-    """Return the picture of a file, of which only the head is read; one that would be too large is refused."""
+    """Open a picture in a file, reading only its head; one that would be too large is refused."""
     try:
         found = Image.open(io.BytesIO(data), formats=_FORMATS)
     except (OSError, ValueError, SyntaxError, struct.error, Image.DecompressionBombError) as error:

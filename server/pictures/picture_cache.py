@@ -38,7 +38,7 @@ class PictureCache:
         return await self.file(topic, schema, sample, form, partial(_draw_picture, form=form))
 
     async def file(self, topic: str, schema: MessageSchema, sample: Sample, form: Hashable, draw: DrawSample) -> bytes:
-        """Return the file that `draw` makes of a sample on the thread; `form` tells it from others of the sample."""
+        """Return the file that `draw` makes of a sample on the thread; `form` is part of its key."""
         key = (topic, sample.publisher, sample.epoch, sample.sequence, sample.received_ns, form)
         found = self._kept.get(key)
         if found is not None:

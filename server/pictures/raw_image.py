@@ -113,7 +113,7 @@ def convert_yuv(luma: Plane, u: Plane, v: Plane) -> Plane:
 
 
 def convert_packed(pairs: npt.NDArray[np.uint8], *, luma_first: bool) -> Plane:
-    """Of YUV 4:2:2 in rows of four bytes for two pixels: Y U Y V (`luma_first`) or U Y V Y."""
+    """Convert YUV 4:2:2 in rows of four bytes for two pixels: Y U Y V (`luma_first`) or U Y V Y."""
     first, second = (0, 1) if luma_first else (1, 0)
     luma = pairs[:, :, first::2].reshape(pairs.shape[0], -1)
     u, v = pairs[:, :, second], pairs[:, :, second + 2]
@@ -272,7 +272,7 @@ def _packed(*, luma_first: bool) -> Draw:
 
 
 def _planes(image: RawImage, rows: int) -> npt.NDArray[np.uint8]:
-    """So many rows of bytes as wide as the picture."""
+    """Return rows of bytes as wide as the picture."""
     _require_rows(image, image.width, rows)
     return _rows(image, image.width, rows)
 

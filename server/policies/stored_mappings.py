@@ -26,7 +26,7 @@ _log = logging.getLogger("rosld")
 
 
 def stored_mapping(triples: bytes, url: str) -> MappingDocument:
-    """The mapping that is kept as these N-Triples. Raises InvalidMapping."""
+    """Return the mapping in stored N-Triples. Raises InvalidMapping."""
     return mapping_of(index_quads(parse(triples, RdfFormat.N_TRIPLES), url), url)
 
 

@@ -27,7 +27,7 @@ _T = TypeVar("_T")
 
 
 class StoredQueries:
-    """The stored queries. What is kept is read when it is asked for, so that records are the only copy."""
+    """The stored queries, always read from the records, which are the only copy."""
 
     def __init__(self, records: Records, space: Space, bounds: QueryBounds) -> None:
         self.shipped: Mapping[str, StoredQuery] = shipped_queries()
@@ -47,7 +47,7 @@ class StoredQueries:
             self.version = max(self.version, change.version)
 
     def stored_records(self, *, limit: int | None = None) -> Iterator[Record]:
-        """What clients keep below `/queries/`, in the order in which it was made; the first `limit` of it."""
+        """Return the first `limit` documents below `/queries/`, in order of creation."""
         last = 0
         while limit is None or limit > 0:
             found = self._records.members(ROUTE, after=last, limit=1000 if limit is None else min(limit, 1000))
@@ -61,7 +61,7 @@ class StoredQueries:
                     yield record
 
     def all(self, *, limit: int | None = None) -> Iterator[tuple[str, StoredQuery]]:
-        """Yield the queries with their URLs, the shipped ones first, then at most so many of those that are kept."""
+        """Yield the queries with their URLs, the shipped ones first, then stored ones up to a limit."""
         kept = {self._space.base + record.path: self.outline(record) for record in self.stored_records(limit=limit)}
         for name, query in self.shipped.items():
             if self._space.query(name) not in kept:
@@ -69,12 +69,12 @@ class StoredQueries:
         yield from kept.items()
 
     def outline(self, record: Record) -> StoredQuery:
-        """What a kept query says of itself; of one that is none (any more) the purpose says why. In any thread."""
+        """Return the outline of a stored query; the purpose of an invalid one is the reason (thread-safe)."""
         assert record.blob is not None
         return self._outlines.get(record.blob, lambda: self._outline(record))
 
     def description(self, record: Record) -> list[Triple]:
-        """What the text of a kept query says, as RDF; nothing of other records. In any thread."""
+        """Return the RDF in the text of a stored query; none for other records (thread-safe)."""
         if record.model is not Model.NON_RDF_SOURCE or not record.path.startswith(ROUTE):
             return []
         return query_triples(self._space.base + record.path, self.outline(record))
@@ -152,11 +152,11 @@ class _Remembered(Generic[_T]):
         self._found: OrderedDict[str, _T] = OrderedDict()
 
     def known(self, blob: Blob) -> _T | None:
-        """What is remembered."""
+        """Return the cached outline."""
         return self._found.get(blob.id)
 
     def get(self, blob: Blob, make: Callable[[], _T]) -> _T:
-        """What is remembered, or made now."""
+        """Return the outline, cached or made now."""
         found = self._found.get(blob.id)
         if found is None:
             found = self._found[blob.id] = make()

@@ -58,7 +58,7 @@ class AuditContext:
         self.length = 0
 
     def begin(self) -> None:
-        """Mark the request as a write: from now on it leaves a receipt, whatever its outcome. A dry run leaves none."""
+        """Mark the request as a write, which leaves a receipt whatever its outcome, except in a dry run."""
         self.is_write = current_dry_run.get() is None
         current_audit.set(self)
 
@@ -69,7 +69,7 @@ class AuditContext:
         return self.receipt
 
     def mark_read_only(self) -> None:
-        """It turned out to change nothing, whatever it says: a query."""
+        """Mark the request as one that changes nothing, such as a query."""
         self.is_write = False
 
     def add_step(self, does: str, *touches: str) -> None:
@@ -89,7 +89,7 @@ class AuditContext:
             self.touched = tuple(dict.fromkeys((*self.touched, *urls)))
 
     def add_receivers(self, matched: int) -> None:
-        """A message went to so many subscribers."""
+        """Add the number of subscribers that received a message."""
         self.matched = matched + (self.matched or 0)
 
     def set_refusal(self, words: str, about: Sequence[str]) -> None:

@@ -93,7 +93,7 @@ class AuditEntry(NamedTuple):
 
 
 def excerpt(body: bytes) -> tuple[bytes, bytes | None]:
-    """What is held of a body, and its digest where that is not all of it."""
+    """Return the stored part of a body, and its digest if that is not all."""
     return (body, None) if len(body) <= SCANNED else (body[:SCANNED], hashlib.sha256(body).digest())
 
 
@@ -143,7 +143,7 @@ def touched_urls(url: str, touched: Sequence[str], made: str | None, status: int
 
 
 def _text(body: bytes) -> str | None:
-    """How a body begins, if it is text in UTF-8; it may end within a character."""
+    """Return the beginning of a body if it is UTF-8; the last character may be cut."""
     try:
         text = codecs.getincrementaldecoder("utf-8")().decode(body[:SCANNED])
     except UnicodeDecodeError:
@@ -154,13 +154,13 @@ def _text(body: bytes) -> str | None:
 
 
 def _begin(text: str, limit: int) -> str:
-    """At most so many bytes of a text."""
+    """Return the first bytes of a text."""
     cut = text.encode()[:limit].decode("utf-8", "ignore")
     return cut if len(cut) == len(text) else f"{cut}..."
 
 
 def _said(words: str, withheld: bool) -> str:
-    """A sentence that may tell a value: not where the value is a secret, or looks like one."""
+    """Return a sentence unless it may contain a secret value."""
     if withheld or holds_credentials(words):
         return _WITHHELD
     return words if len(words) <= _MAX_TEXT else f"{words[:_MAX_TEXT]}..."

@@ -31,7 +31,7 @@ _REFUSED_PART = 5
 
 
 class JournalEntry:
-    """One write in the journal; its receipt is made when it is first asked for, in any thread."""
+    """One write in the journal; its receipt is made on first use (thread-safe)."""
 
     __slots__ = ("_asked", "_excerpt_bytes", "_receipt", "ended_ns", "id", "is_refused", "number")
 
@@ -75,7 +75,7 @@ class JournalEntry:
 
 
 class NoSuchReceipt(LookupError):
-    """There is no receipt of this id, or no more."""
+    """There is no receipt of this id, or no longer."""
 
 
 class Journal:

@@ -51,7 +51,7 @@ class SqliteLog:
         return self._connection is not None
 
     def report_failure(self, error: sqlite3.Error) -> None:
-        """Tell that receipts cannot be written, once."""
+        """Log once that receipts cannot be written."""
         problem = f"Receipts cannot be written to the disk ({error}), and are kept in memory until they can."
         if problem != self.problem:
             _log.error("%s", problem)

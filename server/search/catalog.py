@@ -65,7 +65,7 @@ def _paths(schema: MessageSchema, kind: FieldType, prefix: str, depth: int) -> I
 
 
 def _graph_entries(graph: Graph, tree: ResourceTree, space: Space) -> Iterator[Entry]:
-    """What the graph names; where a resource has the same name, it is told with it."""
+    """Yield the entries of names in the graph, each with a resource of the same name."""
     properties, actions = set(tree.properties), set(tree.actions)
 
     def resource(name: str, among: set[str]) -> str | None:
@@ -110,7 +110,7 @@ def _complex_texts(mapped: ComplexResource | None) -> tuple[str, ...]:
 
 
 def _property_texts(tree: ResourceTree, name: str, url: str | None) -> tuple[str, ...]:
-    """What a mapping says of a property: its relation, its unit, its kind of quantity."""
+    """Return the texts of a mapping about a property: its relation, unit, and kind of quantity."""
     plan = None if url is None else tree.property(name)
     mapped = None if plan is None else plan.mapped
     if mapped is None:
@@ -124,5 +124,5 @@ def _declared_texts(descriptor: Descriptor | None) -> Sequence[str]:
 
 
 def local_name(iri: str) -> str:
-    """What an IRI ends in: `M-PER-SEC` of QUDT's metres per second."""
+    """Return the local name of an IRI: `M-PER-SEC` for QUDT's metres per second."""
     return iri.rstrip("/#").rpartition("#")[2].rpartition("/")[2]

@@ -13,7 +13,7 @@ from typing import NamedTuple, TypeAlias
 
 
 class EntryKind(Enum):
-    """What an entry is of; of several that fit equally well the first kind here comes first."""
+    """Kind of an entry; among equal matches, earlier kinds rank higher."""
 
     ACTION = "action"
     TOPIC = "topic"
@@ -82,7 +82,7 @@ _KIND_ORDER = {kind: order for order, kind in enumerate(EntryKind)}
 
 
 class Match(IntEnum):
-    """How a word of a query fits an entry, the best first: `label` is what clients see."""
+    """Kind of match of a word, the best first; `label` is for clients."""
 
     NAME = 0
     SEGMENT = 1
@@ -111,7 +111,7 @@ _LABELS = {
 
 
 class _Place(IntEnum):
-    """Where an entry, or a type, has a word."""
+    """Place of a word in an entry or a type."""
 
     LAST_SEGMENT = 0
     SEGMENT = 1
@@ -203,7 +203,7 @@ class SearchIndex:
         return next((path for match, path in found if match in (Match.FIELD, Match.FIELD_PREFIX)), None)
 
     def _fits(self, term: str) -> _Fits:
-        """How a term fits each entry, the best way; a term of several words (`image_raw`) fits where all of them do."""
+        """Return the best match of a term in each entry; a term of several words (`image_raw`) needs all of them."""
         if "/" in term:
             return self._path_fits(term)
         found = self._word_fits(term)
@@ -250,7 +250,7 @@ class SearchIndex:
         return found
 
     def _type_fit(self, name: str, term: str) -> tuple[Match | None, str | None]:
-        """How a term fits a type: by a field's name (and the path of that), else by the words of its own."""
+        """Return the match of a term in a type: a field's name (with its path), else a word of its own name."""
         prefix: str | None = None
         for path in self._fields.get(name, ()):
             own = path.rpartition(".")[2].removesuffix("[]").casefold()
@@ -268,7 +268,7 @@ class SearchIndex:
 
 
 def _tie(entry: Entry) -> tuple[int, int, int, str]:
-    """What orders entries that fit equally well."""
+    """Return the sort key of equal matches."""
     return _KIND_ORDER[entry.kind], entry.name.count("/"), len(entry.name), entry.name
 
 

@@ -81,7 +81,7 @@ def max_edits(word: str) -> int:
 
 
 def _distance(one: str, other: str, edits: int) -> int | None:
-    """How far two last segments are from each other; None where they are not near."""
+    """Return the distance of two last segments, or None if they are not similar."""
     distance = edit_distance(one, other, edits)
     if distance <= edits:
         return distance

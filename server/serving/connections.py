@@ -50,7 +50,7 @@ class Connections:
         return len(self._open) + len(self._extra)
 
     def open(self, connection: Endable, *, is_extra: bool = False) -> bool:
-        """Add a connection, into the reserve if need be or if told so. False where the reserve is full, too."""
+        """Add a connection, in the reserve if necessary or requested; return False if that is full, too."""
         if not is_extra and (len(self._open) < self._limit or self._end_longest_idle()):
             self._open.add(connection)
             self._idle[connection] = None

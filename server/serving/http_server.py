@@ -33,7 +33,7 @@ def require_certificate(certificate: Path, key: Path | None) -> None:
 
 
 def configure_tls(config: uvicorn.Config, certificate: Path | None, key: Path | None) -> None:
-    """Have a server speak TLS, if it has a certificate."""
+    """Configure TLS, if there is a certificate."""
     if certificate is not None:
         config.ssl_certfile = str(certificate)
         config.ssl_keyfile = None if key is None else str(key)

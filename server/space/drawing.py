@@ -35,7 +35,7 @@ _DIGITS = 3
 
 @dataclass(frozen=True, slots=True)
 class Ellipse:
-    """Where a position is likely to be: half the axes, one standard deviation each, and the direction of the first."""
+    """Uncertainty of a position: half the axes, one standard deviation each, and the direction of the first."""
 
     major: float
     minor: float
@@ -54,7 +54,7 @@ class Grid:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drawing:
-    """What is drawn of a message, in `frame` at `stamp_ns`. `has_trace`: where its arrow was before is drawn, too."""
+    """Drawing of a message, in `frame` at `stamp_ns`. `has_trace`: former positions of its arrow are drawn, too."""
 
     frame: str
     stamp_ns: int
@@ -69,7 +69,7 @@ class Drawing:
 
 @dataclass(frozen=True, slots=True)
 class _Kind:
-    """How messages of a type are called, and what draws them."""
+    """Label and drawing function of a message type."""
 
     label: str
     draw: Callable[[Fields], Drawing]
@@ -81,12 +81,12 @@ def can_place(type_name: str) -> bool:
 
 
 def kind_label(type_name: str) -> str:
-    """How messages of a type are called."""
+    """Return the label of a message type."""
     return _KINDS[type_name].label
 
 
 def place_sample(schema: MessageSchema, sample: Sample) -> Drawing:
-    """What is drawn of a sample. Raises CannotDraw, and ValueError for bytes that are no such message."""
+    """Return the drawing of a sample. Raises CannotDraw, and ValueError for undecodable bytes."""
     kind = _KINDS.get(schema.ref.name)
     if kind is None:
         raise CannotDraw(f"A {schema.ref.name} is not drawn in space")
@@ -130,7 +130,7 @@ def pose_json(pose: Transform) -> list[float]:
 
 
 def thin(places: npt.NDArray[np.intp], most: int = MAX_POINTS) -> npt.NDArray[np.intp]:
-    """At most so many of them, evenly, with the last."""
+    """Return a limited number of items, evenly spaced, including the last."""
     if len(places) <= most:
         return places
     return places[::-1][:: -(-len(places) // most)][::-1]
@@ -221,7 +221,7 @@ def _odometry(message: Fields) -> Drawing:
 
 
 def _places(count: int) -> list[int]:
-    """Which of so many are drawn."""
+    """Return the indices of drawn items."""
     return [int(each) for each in thin(np.arange(count))]
 
 

@@ -144,7 +144,7 @@ class FrameBuffer:
         return None if history is None else history.newest
 
     def sources_of(self, name: str) -> Collection[tuple[str, str]]:
-        """Which publishers said which parents of a frame, within the time that is kept."""
+        """Return the publishers of each parent of a frame, within the buffered time."""
         history = self._histories.get(name)
         return {(each.source.publisher, each.parent) for each in history.transforms} if history else set()
 
@@ -164,12 +164,12 @@ class FrameBuffer:
         return sorted(sizes, key=lambda name: (-sizes[name], name))
 
     def default_frame(self) -> str | None:
-        """The frame that a view is fixed to unless another is asked for; None while there are no frames."""
+        """Return the default fixed frame of a view; None without frames."""
         names = self.names
         return next((each for each in _FIRST_CHOICES if each in names), None) or next(iter(self.roots), None)
 
     def look_up(self, target: str, source: str, stamp_ns: int | None = None) -> Transform:
-        """Where `source` is in `target` at a time (None: the newest of each frame). Raises NoTransform."""
+        """Return the transform from `source` to `target` at a time (None: the newest). Raises NoTransform."""
         target, source = frame_name(target), frame_name(source)
         if target == source:
             return IDENTITY

@@ -47,7 +47,7 @@ class Cloud:
 
 @dataclass(frozen=True, slots=True)
 class _Field:
-    """Where a number of a point lies in it."""
+    """Offset and type of a number in a point."""
 
     offset: int
     format: str
@@ -55,7 +55,7 @@ class _Field:
 
 @dataclass(frozen=True, slots=True)
 class _Layout:
-    """How the points of a message lie in its data."""
+    """Layout of points in the data of a message."""
 
     data: npt.NDArray[np.uint8]
     height: int
@@ -110,7 +110,7 @@ def _spread(count: int, most: int) -> npt.NDArray[np.intp]:
 
 
 def _layout(message: Fields) -> _Layout | None:
-    """How the points lie; None where there are none. Raises CannotDraw where the message contradicts itself."""
+    """Return the layout of points; None without points. Raises CannotDraw for an inconsistent message."""
     height, width = int(message.height), int(message.width)
     point_step, row_step = int(message.point_step), int(message.row_step)
     data = np.frombuffer(np.ascontiguousarray(message.data, np.uint8), np.uint8)

@@ -19,7 +19,7 @@ class NoRotation(ValueError):
 
 
 class Transform(NamedTuple):
-    """Where a child frame is in its parent: takes the coordinates of a point in the child to those in the parent."""
+    """Transform of a child frame in its parent: maps coordinates in the child to those in the parent."""
 
     translation: Vector
     rotation: Quaternion

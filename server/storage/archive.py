@@ -55,7 +55,7 @@ _MEDIA_TYPE = re.compile(r"[\x20-\x7e]{1,1000}")
 
 
 class ArchiveCounts(NamedTuple):
-    """How much an archive holds."""
+    """Numbers of records and blobs in an archive."""
 
     records: int
     blobs: int
@@ -156,7 +156,7 @@ class ArchiveReader:
         return ArchiveCounts(count, len(new)), freed
 
     def _check_records(self, records: IO[bytes]) -> tuple[int, dict[str, int], list[str]]:
-        """Copies and checks the records: how many, the sizes of blobs by id, the paths that are gone."""
+        """Copy and check records; return their number, sizes of blobs by id, and removed paths."""
         shutil.copyfileobj(self._member(_RECORDS), records)
         records.seek(0)
         count, sizes = 0, dict[str, int]()

@@ -209,7 +209,7 @@ def container_of(path: str) -> str:
 
 
 def check_write(write: Write) -> None:
-    """Raise ValueError for a write that makes no sense whatever is there."""
+    """Raise ValueError for a write that is invalid in any state."""
     path = write.path
     if not path or path[0] == "/" or "//" in path:
         raise ValueError(f"{path!r} is no path of a record: it has an empty segment")

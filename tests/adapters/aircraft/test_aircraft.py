@@ -82,9 +82,9 @@ async def test_the_speed_comes_ten_times_a_second_also_while_off_and_reaches_wha
 async def test_a_busy_loop_leaves_messages_out_but_does_not_fall_behind() -> None:
     async with fly() as aircraft:
         subscription = await aircraft.subscribe(SPEED, depth=50)
-        time.sleep(0.55)  # noqa: ASYNC251 the loop is what is to be kept busy
+        time.sleep(1.05)  # noqa: ASYNC251 the loop is what is to be kept busy
         await asyncio.sleep(0.02)
-        assert len(subscription.latest()) == 2
+        assert 2 <= len(subscription.latest()) < 6, "of the ten that would have been sent meanwhile most are left out"
 
 
 async def test_what_does_not_fit_a_service_or_a_topic_is_refused() -> None:

@@ -1,4 +1,4 @@
-"""Slots: the newest samples of each publisher of one topic, and the wakes of those who wait for more.
+"""Slots: the newest samples of each publisher of one topic, and the watches of those who wait for more.
 
 For adapters whose samples arrive on the server's loop. Nothing here is thread-safe, and nothing costs more than a
 few microseconds: a sample that nobody looks at replaces one entry.

@@ -1,1 +1,1 @@
-"""What things mean: the ROS vocabulary, and pure functions that lift ROS into RDF and lower RDF back into ROS."""
+"""The ROS vocabulary, and pure functions that lift ROS into RDF and lower RDF back into ROS."""

@@ -1,4 +1,4 @@
-"""Coercion: whether a value fits a ROS primitive, exactly or, for floats, rounded to the nearest.
+"""Coercion: fitting values to ROS primitives, exactly or, for floats, rounded to the nearest.
 
 A value has been read from some syntax already: it is an int, a float or, where its digits matter, a Decimal. What does
 not fit is a `Misfit` that says what was expected.

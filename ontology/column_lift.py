@@ -1,4 +1,4 @@
-"""Lifting many messages of one type at once, where only numbers of them are of use.
+"""Lifting of many messages of one type at once, when only numbers are needed.
 
 A compiled lifter is run once, on a message that tells which fields it is asked for, and gives a mark for each. What
 comes is the text of any message with marks in it: what stands there for others is filled in by columns.

@@ -1,4 +1,4 @@
-"""Holds and the stop described, and how a topic says that it can be held."""
+"""Documents of holds and of the stop, and the affordance of holding a topic."""
 
 from __future__ import annotations
 

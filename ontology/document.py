@@ -1,4 +1,4 @@
-"""Documents: what a resource says, before any syntax is chosen.
+"""Documents: the statements of a resource, before a syntax is chosen.
 
 A `Document` is the RDF of one resource: triples of description and, for what carries ROS messages, the messages
 still as ROS has them, each with the compiled `Lifter` that writes it. Serialisation (`ontology/serialize.py`) joins

@@ -1,4 +1,4 @@
-"""Messages that tell a robot to stand still, and headers with the time in them. Pure."""
+"""Messages that let a robot stand still, and headers with a given time. Pure."""
 
 from __future__ import annotations
 

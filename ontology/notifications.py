@@ -1,4 +1,4 @@
-"""Notifications (Solid Notifications Protocol 0.3): its terms, and what services, channels and messages say.
+"""Notifications (Solid Notifications Protocol 0.3): terms, services, channels and messages.
 
 Everything is said twice, by triples for every syntax and by the compact JSON-LD that clients without RDF read.
 """

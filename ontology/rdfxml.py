@@ -1,4 +1,4 @@
-"""RDF/XML (RDF 1.1 XML Syntax): flat, one rdf:Description a subject. It cannot carry everything, and then says so."""
+"""RDF/XML (RDF 1.1 XML Syntax): flat, one rdf:Description per subject. Some graphs cannot be written in it."""
 
 from __future__ import annotations
 

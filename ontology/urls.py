@@ -1,4 +1,4 @@
-"""Names to URLs and back: the one place that knows where things live. Pure.
+"""Mapping of names to URLs and back. Pure.
 
 Each segment of a ROS name is one segment of the path, percent-encoded as UTF-8 by itself. Three segments cannot stand
 in a URL as they are: the empty one (it would read as the slash of a container) and `.` and `..` (clients remove them,

@@ -1,4 +1,4 @@
-"""What people ask: SPARQL queries, each with its purpose and its parameters in the comments it begins with.
+"""Shipped SPARQL queries, each with its purpose and parameters in its leading comments.
 
     # What the query answers, in plain words.
     # @param NAME TYPE [DEFAULT] -- what it is

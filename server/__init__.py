@@ -1,1 +1,1 @@
-"""How the web sees a robot: the layers of the server, each of which imports only from those below it."""
+"""The web server: layers, each of which imports only from those below it."""

@@ -1,1 +1,1 @@
-"""What may be written: SHACL shapes of message types, and the reports of what was refused."""
+"""SHACL shapes of message types, and reports of refusals."""

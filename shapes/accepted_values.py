@@ -1,4 +1,4 @@
-"""Shapes of the values that fields take in RDF that is written: more lexical forms than this server itself uses.
+"""Shapes of field values in RDF from clients: more lexical forms than this server itself writes.
 
 Whoever writes Turtle by hand says `1` or `0.5` where ROS has a double, and a program says whatever numbers its language
 has. So any number of XSD is taken that the field can hold: for an integer all integers, and decimals that are whole;

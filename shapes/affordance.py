@@ -1,4 +1,4 @@
-"""Shapes of what to send: a `ValueShape` as SHACL, for affordances that tell clients what a write must hold."""
+"""Shapes of requests: a `ValueShape` as SHACL, for affordances."""
 
 from __future__ import annotations
 

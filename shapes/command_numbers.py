@@ -1,4 +1,4 @@
-"""Numbers that a robot may be commanded: finite ones, and velocities that are none of a typing error.
+"""Numbers that may be sent to a robot: finite ones, and velocities that are no typing errors.
 
 A base that is told NaN has no position from then on, and one that is told 1e300 overflows when it squares it.
 """

@@ -1,4 +1,4 @@
-"""Patterns of what may be written: the lexical forms of octets, and of arrays in rdf:JSON (RFC 8259).
+"""Patterns of lexical forms: octets, and arrays in rdf:JSON (RFC 8259).
 
 They are written in what XPath, Python and Java have in common (XQuery Functions 7.6.1), and no two alternatives begin
 alike for long, so that whoever matches them takes linear time.

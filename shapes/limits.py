@@ -1,4 +1,4 @@
-"""Limits: SHACL shapes that bound what is written, by the type of a message or by the resource it is written to.
+"""Limits: SHACL shapes that bound writes, by the type of a message or by the resource.
 
 A shape says what it limits by its targets (SHACL 2.1.3): `sh:targetClass` is the class of a message type and holds
 wherever such a message is written, nested ones included; `sh:targetNode` is the URL of a resource. Messages are judged

@@ -1,4 +1,4 @@
-"""SHACL shapes of message types: what this server says of a message (SHACL 1.0 Core).
+"""SHACL shapes of message types, as this server writes messages (SHACL 1.0 Core).
 
 A shape says what the datatypes of XSD and the classes do not say by themselves: each field is there exactly once, the
 range of integers, the length of strings and arrays, what may stand for a value that is too large to be written. The

@@ -1,4 +1,4 @@
-"""Shapes graphs read: each shape compiled once, and whatever is wrong with it told before it judges anything."""
+"""Parsed shapes graphs: each shape compiled once, and every error reported before any validation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What can go wrong between rosld and a robot, in ROS's own terms.
+"""Errors between rosld and a robot, in ROS's own terms.
 
     RosError
     ├── NotFound       no such node, topic, service, parameter or message

@@ -1,4 +1,4 @@
-"""What of a recording is served: `run.bag?from=-60&rate=2`, parsed from the source."""
+"""The part of a recording that is served: `run.bag?from=-60&rate=2`, parsed from the source."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From the master's state and what was learnt to the computation graph: pure, and sharing what did not change."""
+"""The computation graph from the master's state and facts about endpoints. Pure; unchanged parts are shared."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The master: what it can be asked and told, each answer checked before it is believed."""
+"""The master: its API, each response checked before it is used."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A topic that rosld publishes, and its connections to subscribers, none of which can hold up another or us."""
+"""A topic that rosld publishes, and its connections to subscribers, none of which can block another or rosld."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Parameters that take effect: those of nodes with dynamic_reconfigure, described and set by the nodes themselves.
+"""Parameters of nodes with dynamic_reconfigure, described and set by the nodes, so that they take effect.
 
 What the servers tell is read without registering, as any topic is. Nodes write the values that they take to the
 master's tree, from which they are read like all others.

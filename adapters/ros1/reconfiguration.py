@@ -1,4 +1,4 @@
-"""dynamic_reconfigure: what its servers tell of a node's parameters, and how they are set, as it is on the wire. Pure.
+"""The wire format of dynamic_reconfigure: descriptions of a node's parameters, and how to set them. Pure.
 
 A server below a name (`/camera`, or `/camera/driver`) is a service `set_parameters` and two latched topics:
 `parameter_descriptions` says what each parameter is about and may be, `parameter_updates` what values all of them have.

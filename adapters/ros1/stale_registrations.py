@@ -1,4 +1,4 @@
-"""Registrations at the master that a rosld left there when it ended uncleanly, and their removal.
+"""Removal of registrations at the master that a rosld left when it ended uncleanly.
 
 The master never forgets a publisher that was killed, so that its topics would be "published by /rosld_HOST_PID" for
 ever. What is removed was registered under a name of rosld's, at an address of this machine where nobody answers any

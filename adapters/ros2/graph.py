@@ -1,4 +1,4 @@
-"""From what the middleware shows to the computation graph: pure, and sharing what did not change."""
+"""The computation graph from the middleware's view of the system. Pure; unchanged parts are shared."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Lifecycles: managed nodes, each asked through its own services, and followed by what it tells of its transitions.
+"""Lifecycles: managed nodes, queried through their own services, and followed by their transition events.
 
 A node is asked when it appears, when it tells of a transition, and now and then, for what it tells may get lost.
 Everything here runs on the thread that talks to ROS.

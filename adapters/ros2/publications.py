@@ -1,4 +1,4 @@
-"""What rosld publishes: one writer a topic, with the profile that all its subscribers accept.
+"""Publications of rosld: one writer per topic, with a profile that all its subscribers accept.
 
 Made on the thread that talks to ROS; how many are matched may be asked on any.
 """

@@ -1,4 +1,4 @@
-"""Types: defined by the packages installed here, by folders that the user names, or told by the nodes that use them."""
+"""Types: defined by installed packages, by the user's folders, or by the nodes that use them."""
 
 from __future__ import annotations
 

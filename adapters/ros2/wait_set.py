@@ -1,4 +1,4 @@
-"""The thread that waits for the middleware: it takes nothing, it only tells who has something to take.
+"""The thread that waits for the middleware and notifies readers; it takes no messages itself.
 
 Whoever wants to be told arms a handle; once told, it is armed no more until it says so again, so that many messages
 cost one wake, and what nobody watches costs nothing.

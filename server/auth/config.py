@@ -1,4 +1,4 @@
-"""Reading the file of `--auth`: agents, tokens, trusted issuers and rules, in TOML or Turtle.
+"""The configuration of `--auth`: agents, tokens, trusted issuers and rules, in TOML or Turtle.
 
 TOML has the tables `[[token]]` (agent, sha256), `[[agent]]` (name, webid, issuer, subject), `[[issuer]]` (url,
 audience, algorithms, keys) and `[[rule]]` (agents, modes, paths, types, deny). Turtle says agents and rules with Web

@@ -1,4 +1,4 @@
-"""Enforcement of rights: on the path of a request, then on its resource; answers tell what the agent may do."""
+"""Enforcement of permissions: by the path of a request, then by its resource; and the headers that describe them."""
 
 from __future__ import annotations
 

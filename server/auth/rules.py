@@ -1,4 +1,4 @@
-"""Access rules: which agents may do what at which paths. Pure.
+"""Access rules: agents, modes, and paths. Pure.
 
 Nothing is allowed that no rule allows, and what one rule denies no other allows. A rule is about paths (`globs.py`)
 and, where it says so, about message types: of topics, services and actions, and of the resources made of them.

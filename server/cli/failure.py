@@ -1,4 +1,4 @@
-"""Failures of a command, told in one line on stderr."""
+"""Failures of commands, reported in one line on stderr."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Diagrams of the computation graph: what is drawn, where it stands, as SVG and as DOT. Pure: no HTTP, no robot."""
+"""Diagrams of the computation graph: content, layout, SVG and DOT. Pure: no HTTP, no robot."""

@@ -1,4 +1,4 @@
-"""A diagram as SVG that links to everything. Whatever comes from the robot is escaped. Pure."""
+"""Diagrams as SVG with links. All text of the robot is escaped. Pure."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The index of a history: which chunk of which segment holds which messages (SQLite).
+"""The index of a history: the messages of each chunk of each segment (SQLite).
 
 It can be made again from the segments at any time, so it is never waited for: no sync, and what is damaged is deleted.
 """

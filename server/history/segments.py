@@ -1,4 +1,4 @@
-"""The segments of a history: MCAP files of a minute each with an index, the oldest of which are removed."""
+"""The segments of a history: MCAP files of a minute each with an index; the oldest are removed."""
 
 from __future__ import annotations
 

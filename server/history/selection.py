@@ -1,4 +1,4 @@
-"""Messages of the history by topic, time and number: the index tells in which chunks they are, and these are read."""
+"""Selection of messages of the history by topic, time and number; reads only the chunks in the index that match."""
 
 from __future__ import annotations
 

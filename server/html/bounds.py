@@ -1,4 +1,4 @@
-"""Bounds as an input can have them: the texts of its attributes, its options, and a sentence for people. Pure.
+"""Bounds of inputs: the texts of attributes, options, and a sentence for people. Pure.
 
 An input only helps those who type: what is sent is judged by the shape itself, whatever a browser let through.
 """

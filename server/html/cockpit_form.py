@@ -1,4 +1,4 @@
-"""What all forms have in common: their methods, and the pairs that they send."""
+"""The form that edits a cockpit, and the parts that all forms share: methods, and the pairs they send."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a container contains, as a table: members first by name, each with its namespace of the same name, if any."""
+"""The table of a container: members by name, each followed by the namespace of the same name, if any."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The shape of rosld's own access tokens, and texts without them. Pure.
+"""Redaction of rosld's own access tokens from texts. Pure.
 
 What rosld says itself (problem details, receipts, logs, names it gives) has no token in it, whatever a client sent.
 """

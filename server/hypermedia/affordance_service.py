@@ -1,4 +1,4 @@
-"""Affordances: the present state of the resources below `/resources/`, and what may be done with them.
+"""Affordances: the current state of the resources below `/resources/`, and the operations on offer.
 
 The resource tree says what there is, the readings what state it is in, the results of conditions what is on offer. All
 three are values; here they are kept in step with the robot.

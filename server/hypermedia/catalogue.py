@@ -1,4 +1,4 @@
-"""The catalogue: which resources a robot's names come to by convention (paper, section 4.2; Listing 1 to Listing 2).
+"""The catalogue of resources that follow from a robot's names by convention (paper, section 4.2; Listings 1 and 2).
 
 A `Property` is what has a value: `NS/get_X`, `NS/set_X`, the topic `NS/X` and the parameter `NS/X` are one. An `Action`
 is a service that is neither a getter nor a setter, or an action of ROS, below whose name is how its goal stands.

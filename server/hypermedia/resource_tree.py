@@ -1,4 +1,4 @@
-"""Resource tree: what every URL below `/resources/` identifies, from the catalogue and the mappings in force. Pure.
+"""The resource tree: plans of all URLs below `/resources/`, from the catalogue and the mappings in force. Pure.
 
 A plan says what belongs to a resource and which properties must be read to tell what it is like; nothing in it depends
 on the state of the robot. Plans are made when first asked for and kept with the layout.

@@ -1,4 +1,4 @@
-"""Thing Descriptions (WoT TD 1.1): what a complex resource, or the whole robot, can ever do, for WoT clients. Pure.
+"""Thing Descriptions (WoT TD 1.1) of complex resources, or of the whole robot, for WoT clients. Pure.
 
 Clients keep them, so they list all affordances, also those that are not on offer now. What is offered now, the RDF of
 the resources says.

@@ -1,4 +1,4 @@
-"""Views described: properties, actions and complex resources with what may be done with them now, as RDF and as JSON.
+"""Documents of properties, actions and complex resources with the operations on offer, as RDF and as JSON.
 
 What may be done is said in the words of WoT's Thing Description ontology and its hypermedia controls: an affordance a
 property and action, a form an operation (method, target, media types), and the SHACL shape of what to send. Of this

@@ -1,4 +1,4 @@
-"""The audit context of a request: what it did so far, of which its receipt is made.
+"""The audit context of a request, from which its receipt is made.
 
 Whatever writes to the robot records that in `current_audit`, so that no resource can forget what it touches or what
 came of it. What a resource has to add, it adds to the context of its exchange.

@@ -1,4 +1,4 @@
-"""Receipts on the disk: a database of their own beside the records, written by one thread, some at a time."""
+"""Receipts on disk: a database of their own beside the records, written in batches by one thread."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the panels of a cockpit show: each is read from the resource that it names, as one agent may see it."""
+"""Panels of cockpits, each read from its resource as one agent may see it."""
 
 from __future__ import annotations
 

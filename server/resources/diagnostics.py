@@ -1,4 +1,4 @@
-"""Diagnostics at `/diagnostics`: the states of parts, the worst first; `?name=` is one, with what it said before."""
+"""Diagnostics at `/diagnostics`: the states of parts, the worst first; `?name=` selects one, with its recent states."""
 
 from __future__ import annotations
 

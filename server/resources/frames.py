@@ -1,4 +1,4 @@
-"""Frames at `/frames`: each below its parent, who says it, how old that is, and what is odd in words."""
+"""Frames at `/frames`: each below its parent, with its publisher, age and problems."""
 
 from __future__ import annotations
 

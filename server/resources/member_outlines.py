@@ -1,4 +1,4 @@
-"""The members of namespaces in brief: as RDF tells them in a listing, and as the cells of its table."""
+"""Brief members of namespaces: RDF for listings, and cells of tables."""
 
 from __future__ import annotations
 

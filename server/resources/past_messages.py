@@ -1,4 +1,4 @@
-"""Recorded messages for SPARQL queries: which are read, and what is said of them."""
+"""Recorded messages for SPARQL queries: selection, and their text."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`/resources/...?at=TIME`: resources as they were, as far as the history of their topics tells it.
+"""`/resources/...?at=TIME`: former states of resources, from the history of their topics.
 
 What getters and parameters said then nobody recorded: that is told in place of a value. Nothing is on offer
 then, and whether a mapping had it on offer is not judged.

@@ -1,4 +1,4 @@
-"""What lies in a complex resource: properties and actions, `/resources/NS/X` (paper, section 4.2; Listing 2).
+"""Members of complex resources: properties and actions, `/resources/NS/X` (paper, section 4.2; Listing 2).
 
 A property is read with GET and written with PUT and PATCH, an action is invoked with POST. One name may be both.
 """

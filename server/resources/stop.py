@@ -1,4 +1,4 @@
-"""`/stop`: POST stops the robot, DELETE lets it be moved again, GET tells which of the two it is."""
+"""`/stop`: POST stops the robot, DELETE releases the stop, GET returns the state."""
 
 from __future__ import annotations
 

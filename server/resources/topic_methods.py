@@ -1,4 +1,4 @@
-"""Which methods a topic answers, what each takes, and why nothing may be published."""
+"""The methods of topics, their requests, and why nothing may be published."""
 
 from __future__ import annotations
 

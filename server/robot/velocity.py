@@ -1,4 +1,4 @@
-"""Velocity topics: those whose zero message has the robot stand still."""
+"""Velocity topics: those whose zero message stops the robot."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Zero on velocity topics, published again and again for a second, so that what moves comes to a stand.
+"""Publishing of zero on velocity topics, repeatedly for a second, so that moving robots stop.
 
 A base without a watchdog drives on after the last command, so a single lost message would matter; and where another
 node publishes as well, one zero among its commands would be nothing.

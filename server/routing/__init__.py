@@ -1,1 +1,1 @@
-"""From a path to a resource, and from a method to what the resource does."""
+"""Routing of paths to resources, and of methods to their verbs."""

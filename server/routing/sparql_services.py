@@ -1,4 +1,4 @@
-"""What answers SPARQL on one run of the server: composed once, from its services and the resources that it reads."""
+"""The SPARQL services of a run of the server, composed once."""
 
 from __future__ import annotations
 

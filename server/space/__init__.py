@@ -1,1 +1,1 @@
-"""What a robot says of space: frames, and what is drawn of messages in them. Pure."""
+"""Frames of a robot, and drawings of messages in them. Pure."""

@@ -1,4 +1,4 @@
-"""What is drawn of a message: points, a line, arrows, a grid, in the frame that it names. Pure, for a thread."""
+"""Drawings of messages: points, a line, arrows, a grid, each in its frame. Pure, for a thread."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Large N-Triples, packed: what a record says is kept compressed from a size on, so that the loop handles little of it.
+"""Documents of records (LDP 4.2, 5.2), and the compression of large N-Triples. Pure.
 
 A million triples of one kind are some hundred megabytes of N-Triples, and three packed. What is small stays as it is,
 byte for byte. Packing and unpacking what is large take a second or so: worker processes do that.

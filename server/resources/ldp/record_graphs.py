@@ -1,4 +1,4 @@
-"""Records as named graphs: what changed in them, found from the records that changed and from nothing else.
+"""Records as named graphs: changes of graphs, derived from the changed records only.
 
 A container may have very many members, so its graph is never told anew for one of them: what a member adds to it (a
 containment triple, a membership triple) comes and goes by itself.

@@ -272,7 +272,7 @@ class Records:
                 self._renew(outcome)
                 self._note(batch.writes, outcome)
                 self._tell(outcome)
-                self._freed += outcome.freed
+                self._freed.extend(outcome.freed)
             else:
                 self._received.keep(batch.received)
         if self._freed:  # now that no record in the cache refers to them
@@ -281,8 +281,9 @@ class Records:
 
     def _remove_freed(self) -> None:
         """Remove the blobs that nothing refers to any more, unless another process keeps all files still."""
-        if self._freed and self._received.folder().remove(self._freed):
-            self._freed = []
+        freed = self._freed[:]
+        if freed and self._received.folder().remove(freed):
+            del self._freed[: len(freed)]  # the loop may have added more
 
     def _renew(self, applied: Effects) -> None:
         """Bring the cache up to date."""

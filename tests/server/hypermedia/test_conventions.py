@@ -296,6 +296,8 @@ class TestExcluded:
         for name in excluded:
             assert found(services={name: "GetFloat"}) == found(services={name: None}) == found()
             assert needed_types(graph(services={name: "GetFloat"})) == ()
+        told = graph(services={"/talker/loggers": "std_srvs/srv/SetBool", "/talker/silent": None})
+        assert [ref.name for ref in needed_types(told)] == ["std_srvs/srv/SetBool"]
         for name in ("/talker/loggers", "/a/get_loggers_x", "/get_loggers/x", "/a_b/c_"):
             assert list(found(services={name: "std_srvs/srv/Empty"}).actions) == [name]
         assert found({"/a/_action/feedback": FLOAT}) == found()

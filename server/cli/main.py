@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
@@ -12,7 +13,7 @@ import rosld
 from rosld.adapters.base import AdapterOptions
 from rosld.adapters.model import Qos, read_profile
 from rosld.server import settings as declared
-from rosld.server.cli.failure import user_errors
+from rosld.server.cli.failure import Failure, user_errors
 from rosld.server.settings import Declaration, Settings
 
 _F = TypeVar("_F", bound=Callable[..., Any])
@@ -159,6 +160,8 @@ def serve(source: str, others: tuple[tuple[str, str], ...], base_url: str | None
       rosld serve ros1: --host 0.0.0.0 --base-url http://robot.example:8080/
     """
     settings = settings_of(others, base_url, **options)
+    if os.name != "posix":
+        raise Failure("The server forks its workers and needs a POSIX system: use Linux, or WSL on Windows.")
     from rosld.server.cli.serve import serve as run
 
     run(source, settings, base_given=base_url is not None)

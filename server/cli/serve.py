@@ -6,8 +6,8 @@ import asyncio
 import contextlib
 import gc
 import os
+import resource
 import socket
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
@@ -136,10 +136,6 @@ def end_at_the_latest(seconds: float) -> None:
 
 def raise_file_limit() -> None:
     """As many open files as the system lets this process have: each subscription and each client takes one."""
-    if sys.platform == "win32":
-        return
-    import resource
-
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     limit = 65536 if hard == resource.RLIM_INFINITY else min(hard, 65536)
     if soft != resource.RLIM_INFINITY and soft < limit:
@@ -149,10 +145,6 @@ def raise_file_limit() -> None:
 
 def max_open_files() -> int:
     """Return the maximum number of open files of this process, including sockets."""
-    if sys.platform == "win32":
-        return 65536
-    import resource
-
     soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     return 65536 if soft == resource.RLIM_INFINITY else soft
 

@@ -11,14 +11,12 @@ import ctypes
 import errno
 import os
 import re
+import resource
 import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
-
-if sys.platform == "linux":
-    import resource
 
 MARGIN = 48 * 1024 * 1024
 """Bytes that are never asked for: what is not asked about needs some, too."""

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
-import sys
 import weakref
 from pathlib import Path
 
-if sys.platform != "win32":
-    import fcntl
-
 
 class FileLock:
-    """An open file that may be locked. Where the system has no flock (Windows), it always is."""
+    """An open file that may be locked."""
 
     def __init__(self, path: Path) -> None:
         self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
@@ -20,8 +17,6 @@ class FileLock:
 
     def acquire(self, *, shared: bool = False, wait: bool = False) -> bool:
         """Lock it, against all others or with others who share; whether that was possible."""
-        if sys.platform == "win32":
-            return True
         kind = fcntl.LOCK_SH if shared else fcntl.LOCK_EX
         try:
             fcntl.flock(self._file, kind if wait else kind | fcntl.LOCK_NB)
@@ -31,8 +26,7 @@ class FileLock:
 
     def release(self) -> None:
         """Unlock it."""
-        if sys.platform != "win32":
-            fcntl.flock(self._file, fcntl.LOCK_UN)
+        fcntl.flock(self._file, fcntl.LOCK_UN)
 
     def read(self) -> str:
         """Return the text that the holder wrote into the file."""
@@ -58,9 +52,8 @@ def _close_all() -> None:
         lock.close()
 
 
-if sys.platform != "win32":
-    # A child that was forked would hold the locks for as long as it lives.
-    os.register_at_fork(after_in_child=_close_all)
+# A child that was forked would hold the locks for as long as it lives.
+os.register_at_fork(after_in_child=_close_all)
 
 
 def sync_folder(folder: Path) -> None:

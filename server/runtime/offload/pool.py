@@ -38,8 +38,6 @@ _AT_ONCE_SECONDS = 0.5
 """A worker that ends within these did not end by its work."""
 _START = "import sys; sys.path[:] = sys.argv[1:-1]; from rosld.server.runtime.offload.worker import main; main()"
 """What a worker runs: with the same modules as the server, wherever that found them."""
-HAS_PROCESSES = sys.platform != "win32"
-"""Elsewhere a thread does the work."""
 
 
 class WorkerPool:
@@ -191,8 +189,6 @@ class _Worker:
 
 def _pickle(work: Work[object]) -> bytes | None:
     """Work for another process; None where it must stay in this one."""
-    if not HAS_PROCESSES:
-        return None
     try:
         return pickle.dumps(work, protocol=5)
     except (pickle.PicklingError, TypeError, AttributeError):

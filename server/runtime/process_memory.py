@@ -16,7 +16,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NamedTuple
 
 MARGIN = 48 * 1024 * 1024
 """Bytes that are never asked for: what is not asked about needs some, too."""
@@ -38,18 +37,8 @@ _MIB = 1024 * 1024
 _AVAILABLE = re.compile(rb"^(?:MemAvailable|SwapFree): +(\d+) kB", re.MULTILINE)
 
 
-class _Names(NamedTuple):
-    """The files of a control group that tell of memory, and what `memory.stat` says of files that can be let go of."""
-
-    limit: str
-    used: str
-    files: re.Pattern[bytes]
-
-
-_VERSION_1 = _Names(
-    "memory.limit_in_bytes", "memory.usage_in_bytes", re.compile(rb"^total_inactive_file (\d+)", re.MULTILINE)
-)
-_VERSION_2 = _Names("memory.max", "memory.current", re.compile(rb"^inactive_file (\d+)", re.MULTILINE))
+_INACTIVE_FILE = re.compile(rb"^inactive_file (\d+)", re.MULTILINE)
+"""Bytes of cached files that the kernel can drop, in `memory.stat`."""
 
 
 class NotEnoughMemory(MemoryError):
@@ -128,24 +117,18 @@ def _of_process(process: Path, pid: int) -> Iterator[int]:
 
 
 def cgroup_available_bytes(groups: str, mounted: Path) -> Iterator[int]:
-    """What control groups leave, from those that a process is in (the text of /proc/self/cgroup) upwards."""
-    for line in groups.splitlines():
-        _, controllers, path = line.split(":", 2)
-        if not controllers:
-            yield from _left(mounted, path, _VERSION_2)
-        elif "memory" in controllers.split(","):
-            yield from _left(mounted / "memory", path, _VERSION_1)
-
-
-def _left(top: Path, path: str, names: _Names) -> Iterator[int]:
-    group = top / path.lstrip("/")
+    """Yield the bytes that each control group (version 2) leaves, from that of /proc/self/cgroup (`groups`) upwards."""
+    path = next((line[4:] for line in groups.splitlines() if line.startswith("0::/")), None)
+    if path is None:
+        return
+    group = mounted / path
     for folder in (group, *group.parents):
         with contextlib.suppress(OSError, ValueError):
-            limit = int((folder / names.limit).read_text())  # `max` is no limit
-            used = int((folder / names.used).read_text())
-            files = names.files.search((folder / "memory.stat").read_bytes())
+            limit = int((folder / "memory.max").read_text())  # `max` is no limit
+            used = int((folder / "memory.current").read_text())
+            files = _INACTIVE_FILE.search((folder / "memory.stat").read_bytes())
             yield limit - used + (int(files[1]) if files else 0)
-        if folder == top:
+        if folder == mounted:
             return
 
 

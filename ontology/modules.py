@@ -29,19 +29,12 @@ _DECLARED = (ros.iri, owl.iri, rdf.iri, rdfs.iri)
 
 def module_iri(name: str, version: str = "") -> str:
     """Return the IRI of a module; with a version, that of this version of it."""
-    return "/".join((ROOT, *_path(name, version)))
+    return "/".join(part for part in (ROOT, version, "" if name == CORE else name) if part)
 
 
-def module_url(name: str, base: str, version: str = "") -> str:
-    """Return the URL of a module, or of one version of it, on a server at `base`."""
-    return base + "/".join(("ontology", *_path(name, version)))
-
-
-def _path(name: str, version: str) -> Iterator[str]:
-    if version:
-        yield version
-    if name != CORE:
-        yield name
+def module_url(name: str, base: str) -> str:
+    """Return the URL of a module on a server at `base`."""
+    return f"{base}ontology" if name == CORE else f"{base}ontology/{name}"
 
 
 @cache
@@ -100,4 +93,4 @@ def term_url(iri: str, base: str) -> str | None:
 @cache
 def _modules() -> Mapping[str, str]:
     """Return the path of each module, by its IRI and by the IRI of its version."""
-    return {module_iri(name, version): module_url(name, "", version) for name in MODULES for version in ("", VERSION)}
+    return {module_iri(name, version): module_url(name, "") for name in MODULES for version in ("", VERSION)}

@@ -1,11 +1,11 @@
-"""The ontology: `/ontology` is its core, `/ontology/NAME` another module, `/ontology/VERSION/NAME` a version of one."""
+"""The ontology: `/ontology` is its core, `/ontology/NAME` another module."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 from rosld.ontology.document import Document
-from rosld.ontology.modules import CORE, MODULES, VERSION, module_url, served_triples
+from rosld.ontology.modules import CORE, MODULES, module_url, served_triples
 from rosld.ontology.urls import Location, Space
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import MessageSchemas
@@ -16,12 +16,12 @@ from rosld.server.runtime.version_cache import VersionCache
 
 
 class OntologyResource(Resource):
-    """A module of the ontology, as it is now or as one version of it."""
+    """A module of the ontology."""
 
     kind = "Ontology"
 
-    def __init__(self, space: Space, states: VersionCache[State], name: str = CORE, version: str = "") -> None:
-        super().__init__(module_url(name, space.base, version))
+    def __init__(self, space: Space, states: VersionCache[State], name: str = CORE) -> None:
+        super().__init__(module_url(name, space.base))
         self.title = "Ontology" if name == CORE else f"Ontology: {name}"
         self.space = space
         self.states = states
@@ -46,16 +46,11 @@ def ontology_route(space: Space, states: VersionCache[State], location: Location
     """Return the module of the vocabulary at `/ontology` or below. Raises a 404 Problem where there is none."""
     if location.is_container:
         raise permanent_redirect(space.url("ontology", location.segments))
-    version = location.segments[0] if location.segments[:1] == (VERSION,) else ""
-    rest = location.segments[1:] if version else location.segments
-    if rest == (CORE,):
-        raise permanent_redirect(module_url(CORE, space.base, version))
-    if not rest:
-        return OntologyResource(space, states, CORE, version)
-    if len(rest) == 1 and rest[0] in MODULES:
-        return OntologyResource(space, states, rest[0], version)
-    raise Problem(
-        404,
-        f"The ontology has no {'/'.join(location.segments)}: its version is {VERSION}, its modules are "
-        f"{', '.join(MODULES)}.",
-    )
+    name = "/".join(location.segments)
+    if name == CORE:
+        raise permanent_redirect(module_url(CORE, space.base))
+    if not name:
+        return OntologyResource(space, states)
+    if name in MODULES:
+        return OntologyResource(space, states, name)
+    raise Problem(404, f"The ontology has no {name}: its modules are {', '.join(MODULES)}.")

@@ -159,9 +159,9 @@ def serve(source: str, others: tuple[tuple[str, str], ...], base_url: str | None
       rosld serve ros1://robot:11311 --ros-ip 10.0.0.7 --allow-publish /cmd_vel
       rosld serve ros1: --host 0.0.0.0 --base-url http://robot.example:8080/
     """
-    settings = settings_of(others, base_url, **options)
     if os.name != "posix":
         raise Failure("The server forks its workers and needs a POSIX system: use Linux, or WSL on Windows.")
+    settings = settings_of(others, base_url, **options)
     from rosld.server.cli.serve import serve as run
 
     run(source, settings, base_given=base_url is not None)

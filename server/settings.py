@@ -258,11 +258,7 @@ class Settings:
     read_deadline: float = setting(
         5.0, "How long a resource waits for the values of all its members together.", unit="s", minimum=0.001
     )
-    calls_kept: int = setting(1000, "The most calls kept under /calls/; the oldest goes first.", minimum=1)
     calls_age: float = setting(3600.0, "How long a call is kept under /calls/.", unit="s", minimum=1)
-    goals_kept: int = setting(
-        1000, "The most goals kept under /goals/; the oldest that has ended goes first.", minimum=1
-    )
     goals_age: float = setting(
         3600.0, "How long a goal is kept under /goals/ after it was last heard of.", unit="s", minimum=1
     )
@@ -289,9 +285,6 @@ class Settings:
         "The most connections at a time; a new one takes the place of an idle one, or is answered 503.",
         minimum=10,
     )
-    head_limit: int = setting(
-        64 * 1024, "The largest request line and headers of a request, together.", unit="bytes", minimum=1024
-    )
     head_timeout: float = setting(
         20.0, "How long a client has to send the request line and headers.", unit="s", minimum=0.01
     )
@@ -300,9 +293,6 @@ class Settings:
         "How long a client has to send a body; a file that is to be kept, each part of it.",
         unit="s",
         minimum=0.01,
-    )
-    read_timeout: float = setting(
-        60.0, "How long a client may leave unread what it is sent, before it is cut off.", unit="s", minimum=0.01
     )
     versions: int = setting(
         0,
@@ -377,7 +367,6 @@ class Settings:
     query_queue: int = setting(
         256, "The most SPARQL queries that wait for their turn; to more the answer is 503.", minimum=0
     )
-    query_size_limit: int = setting(256 * 1024, "The longest text of a SPARQL query.", unit="bytes", minimum=1024)
     types_namespace: str = setting(
         "https://w3id.org/rosld/types/", "The namespace of the classes and properties of message types."
     )

@@ -81,8 +81,12 @@ class Serving:
         self._adapter = adapter
         self._sock = sock
         settings = app.session.settings
-        limits = (settings.head_limit, settings.head_timeout, settings.read_timeout)
-        bounds = ConnectionBounds(*limits, app.clients.connect, app.clients.open_websocket, app.is_urgent)
+        bounds = ConnectionBounds(
+            head_seconds=settings.head_timeout,
+            connect=app.clients.connect,
+            open_websocket=app.clients.open_websocket,
+            is_urgent=app.is_urgent,
+        )
         limit = min(settings.connections, max_open_files() - MAX_FILES)
         self._server = Server(app, on_listening, bounds, max(limit, 1))
         configure_tls(self._server.config, app.session.settings.tls_cert, app.session.settings.tls_key)

@@ -16,7 +16,7 @@ from rosld.ontology.vocab import dcterms, rdf, ros
 from rosld.server.http.negotiation import parse_media_type
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.stored_query import StoredQuery, outline, read_stored_query, shipped_queries
-from rosld.server.sparql.syntax.lexer import QueryBounds
+from rosld.server.sparql.syntax.lexer import DEFAULT_BOUNDS
 from rosld.server.storage.record import Blob, Model, Record, RecordChange
 from rosld.server.storage.sqlite import Records
 
@@ -29,9 +29,8 @@ _T = TypeVar("_T")
 class StoredQueries:
     """The stored queries, always read from the records, which are the only copy."""
 
-    def __init__(self, records: Records, space: Space, bounds: QueryBounds) -> None:
+    def __init__(self, records: Records, space: Space) -> None:
         self.shipped: Mapping[str, StoredQuery] = shipped_queries()
-        self.bounds = bounds
         self.version = records.version
         """The number of the last change of records below `/queries/`: it rises, from one run to the next too."""
         self.lock = asyncio.Lock()
@@ -93,7 +92,7 @@ class StoredQueries:
     def check(self, path: str, blob: Blob) -> None:
         """Raise ValueError where the bytes of a blob are no stored query, naming the line."""
         name = name_of(path)
-        read_stored_query(name, self._text(name, blob), self.bounds)
+        read_stored_query(name, self._text(name, blob))
 
     def _outline(self, record: Record) -> StoredQuery:
         name = name_of(record.path)
@@ -111,12 +110,12 @@ class StoredQueries:
         name = name_of(record.path)
         assert record.blob is not None
         try:
-            return read_stored_query(name, self._text(name, record.blob), self.bounds)
+            return read_stored_query(name, self._text(name, record.blob))
         except (OSError, ValueError) as error:
             return str(error)
 
     def _text(self, name: str, blob: Blob) -> str:
-        if blob.size > 4 * self.bounds.size:
+        if blob.size > 4 * DEFAULT_BOUNDS.size:
             raise ValueError(f"{name}: {blob.size} bytes are more than a query may have")
         data = self._records.file(blob).read_bytes()
         charset = parse_media_type(blob.media_type).parameter("charset") or UTF_8

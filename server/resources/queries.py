@@ -76,6 +76,7 @@ from rosld.server.sparql.stored_query import (
     StoredQuery,
     bind_parameters,
 )
+from rosld.server.sparql.syntax.lexer import DEFAULT_BOUNDS
 from rosld.server.storage.record import Put, Record
 from rosld.server.storage.record_documents import record_document
 
@@ -264,7 +265,7 @@ class StoredQueryResource(StoredFile):
         self._runner = runner
 
     async def select_variant(self, exchange: Exchange) -> Resource:
-        await _require_size(self.queries, exchange)
+        await _require_size(exchange)
         return self
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
@@ -317,7 +318,7 @@ class AbsentQueryResource(AbsentResource):
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         if exchange.method == "PUT":
-            await _require_size(self.queries, exchange)
+            await _require_size(exchange)
         return await super().select_variant(exchange)
 
 
@@ -337,7 +338,7 @@ class QueryContainer(ContainerResource):
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         if exchange.method == "POST":
-            await _require_size(self.queries, exchange)
+            await _require_size(exchange)
         found = await super().select_variant(exchange)
         if type(found) is ContainerResource:
             return QueryContainer(self.documents, self.queries, self.path, found._parts, found._place)
@@ -457,9 +458,9 @@ def _shapes(space: Space) -> tuple[str, ...]:
     return (space.document_shape("Query"),)
 
 
-async def _require_size(queries: StoredQueries, exchange: Exchange) -> None:
+async def _require_size(exchange: Exchange) -> None:
     """Raise a 413 Problem for a text that says that it is longer than a query may be."""
-    limit = 4 * queries.bounds.size
+    limit = 4 * DEFAULT_BOUNDS.size
     if exchange.method in ("PUT", "POST") and (parse_content_length(exchange.header("content-length")) or 0) > limit:
         async for _ in exchange.chunks(limit=limit):
             pass

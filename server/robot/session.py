@@ -28,6 +28,10 @@ from rosld.server.runtime.dry_run import is_dry_run
 from rosld.server.runtime.tasks import Signal, WokenTask, loop_time
 from rosld.server.settings import Settings
 
+MAX_CALLS = 1000
+"""Calls under /calls/; the oldest goes first."""
+MAX_GOALS = 1000
+"""Goals under /goals/; the oldest that has ended goes first."""
 _MAX_NAME = 60
 """Characters of a name."""
 _PARAMETER = "/robot_name"
@@ -99,13 +103,13 @@ class Session:
         self.calls = Calls(
             self.adapter,
             lambda service: self.announce_write(Kind.SERVICE, service),
-            limit=settings.calls_kept,
+            limit=MAX_CALLS,
             age=settings.calls_age,
         )
         self.goals = Goals(
             self.adapter,
             self._action_schema,
-            limit=settings.goals_kept,
+            limit=MAX_GOALS,
             age=settings.goals_age,
             idle=settings.idle_time,
         )

@@ -262,7 +262,7 @@ class RobotGraphs:
         wanted = [one for one in topics if one.subscribes]
         new = [one for one in wanted if not live.is_settled(_name(one))]
         if len(wanted) > budget:
-            words = f"{len(wanted)} topics must be subscribed to, and --subscription-budget is {budget}"
+            words = f"{len(wanted)} topics must be subscribed to, and the setting subscription_budget is {budget}"
             found.unread.update((one.url, words) for one in wanted)
             new = []
         await self._wait_for([(one, self._first(one, found)) for one in new], deadline, found)

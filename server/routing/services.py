@@ -33,7 +33,6 @@ from rosld.server.runtime.offload import WorkerPool
 from rosld.server.runtime.tasks import Signal
 from rosld.server.runtime.version_cache import VersionCache
 from rosld.server.settings import Settings
-from rosld.server.sparql.syntax.lexer import QueryBounds
 from rosld.server.storage.record import RecordChange
 from rosld.server.storage.sqlite import Records, open_records
 
@@ -58,7 +57,7 @@ class Services:
             age=settings.receipts_age,
             excerpt_bytes=settings.receipt_excerpt,
         )
-        self.queries = stored_queries.StoredQueries(records, space, QueryBounds(size=settings.query_size_limit))
+        self.queries = stored_queries.StoredQueries(records, space)
         self.mappings = Mappings(initial_mappings(settings, adapter, space))
         self.property_reader = PropertyReader(
             adapter,

@@ -43,7 +43,6 @@ class SparqlServices:
         self._analyser = Analyser(
             space.base,
             space.types,
-            bounds=QueryBounds(size=settings.query_size_limit),
             reach=ServiceAllowlist(frozenset(settings.allow_service)),
         )
         self.queries = QueryService(

@@ -16,10 +16,8 @@ from rosld.server.sparql.past import MessageTerms, PastQuery, past_query
 from rosld.server.sparql.rewriting import rewrite
 from rosld.server.sparql.ros_functions import AGE
 from rosld.server.sparql.syntax.lexer import (
-    DEFAULT_BOUNDS,
     NO_SERVICES,
     CheckedText,
-    QueryBounds,
     ServiceAllowlist,
     check_text,
     update_keyword,
@@ -69,13 +67,11 @@ class Analyser:
         types: str,
         *,
         prefixes: Mapping[str, str] = PREFIXES,
-        bounds: QueryBounds = DEFAULT_BOUNDS,
         reach: ServiceAllowlist = NO_SERVICES,
     ) -> None:
         self.base = base
         self.prefixes = dict(prefixes)
         self._types = types
-        self._bounds = bounds
         self._reach = reach
         self.analyse = lru_cache(maxsize=_KEPT)(self.analyse_once)
         """Analyse a query as `analyse_once` does, remembering the last ones."""
@@ -85,10 +81,10 @@ class Analyser:
 
         Raises Problems: those of `check_text` and `parse_query`, and 400 for an update.
         """
-        checked = check_text(text, self._bounds, reach=self._reach)
+        checked = check_text(text, reach=self._reach)
         if keyword := update_keyword(checked.tokens):
             raise Problem(400, f"{keyword} is an update, and this is the endpoint for queries: it only reads.")
-        query = parse_query(checked, self.prefixes, self.base, AGE, self._bounds)
+        query = parse_query(checked, self.prefixes, self.base, AGE)
         past = past_query(query, MessageTerms(self._types, self.base))
         return Analysis(
             rewrite(checked.text, query.literals, query.expressions),

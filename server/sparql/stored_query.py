@@ -27,8 +27,6 @@ from rosld.server.dataset import QueryError
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.analysis import Analyser, parse_problem
 from rosld.server.sparql.syntax.lexer import (
-    DEFAULT_BOUNDS,
-    QueryBounds,
     check_text,
     line_and_column,
     tokens,
@@ -95,13 +93,13 @@ def shipped_queries() -> Mapping[str, StoredQuery]:
     return {name: outline(name, text) for name, text in texts.items()}
 
 
-def read_stored_query(name: str, text: str, bounds: QueryBounds = DEFAULT_BOUNDS) -> StoredQuery:
+def read_stored_query(name: str, text: str) -> StoredQuery:
     """The stored query that a text is.
 
     Raises ValueError naming the query and the line (or the parameter) that is not as it should be.
     """
     query, lines = _outline(name, text)
-    _check(query, lines, bounds)
+    _check(query, lines)
     return query
 
 
@@ -157,7 +155,7 @@ def _parameter(line: str, where: str) -> QueryParameterDeclaration:
     return QueryParameterDeclaration(name, ParameterType(kind), "" if default == '""' else default, match["about"])
 
 
-def _check(query: StoredQuery, lines: Mapping[str, int], bounds: QueryBounds) -> None:
+def _check(query: StoredQuery, lines: Mapping[str, int]) -> None:
     """That the parameters fit their types and stand where terms may stand, and that it is a query then."""
     name = query.name
     for parameter in query.parameters:
@@ -166,7 +164,7 @@ def _check(query: StoredQuery, lines: Mapping[str, int], bounds: QueryBounds) ->
         except ValueError as error:
             raise ValueError(f"{name}:{lines[parameter.name]}: the default of {parameter.name}: {error}") from error
     try:
-        checked = check_text(query.text, bounds)
+        checked = check_text(query.text)
         if keyword := update_keyword(checked.tokens):
             word = next(token for token in checked.tokens if token.text.upper() == keyword)
             line = line_and_column(checked.text, word.start).partition(":")[0]
@@ -181,16 +179,16 @@ def _check(query: StoredQuery, lines: Mapping[str, int], bounds: QueryBounds) ->
     except Problem as problem:
         raise ValueError(f"{name}: {problem.detail}") from problem
     try:
-        _parse(bound, bounds, next(f"nobodys{number}" for number in count() if f"nobodys{number}" not in there))
+        _parse(bound, next(f"nobodys{number}" for number in count() if f"nobodys{number}" not in there))
     except Problem as problem:
         found = _PLACE.search(problem.detail)
         where = f"{name}:{found[1]}" if found else name
         raise ValueError(f"{where}: with its parameters bound it is no query. {problem.detail}") from problem
 
 
-def _parse(text: str, bounds: QueryBounds, nobodys: str) -> None:
+def _parse(text: str, nobodys: str) -> None:
     """Hold that a text is a query, in which there is no variable of that name. Raises Problem 400."""
-    analysis = Analyser(_ANYWHERE, TYPES, bounds=bounds).analyse(text)
+    analysis = Analyser(_ANYWHERE, TYPES).analyse(text)
     # A value for a variable that is not there is refused after the text was parsed, and before it is evaluated.
     values: dict[Variable, NamedNode | BlankNode | Literal | Triple] = {Variable(nobodys): Literal("")}
     try:

@@ -183,7 +183,8 @@ def test_a_closed_action_takes_no_goals(closed: dict[str, Any]) -> None:
         assert "invokeAction" not in http.get(FLY, headers={"Accept": "application/n-triples"}).text
 
 
-def test_the_oldest_goal_goes_when_there_are_more_than_goals_kept() -> None:
-    with served(adapter_for("aircraft", AdapterOptions()), goals_kept=3) as http:
+def test_the_oldest_goal_goes_when_there_are_too_many(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rosld.server.robot.session.MAX_GOALS", 3)
+    with served(adapter_for("aircraft", AdapterOptions())) as http:
         urls = [sent(http, 1).headers["location"] for _ in range(4)]
         assert [http.get(url).status_code for url in urls] == [410, 200, 200, 200]

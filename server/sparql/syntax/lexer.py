@@ -30,7 +30,7 @@ class QueryBounds:
     optimiser's time grows with (its cube: 64 patterns on one variable take 0.1 s, 200 take 10 s).
     """
 
-    size: int = 64 * 1024
+    size: int = 256 * 1024
     depth: int = 128
     steps: int = 1000
     joins: int = 64

@@ -14,7 +14,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.sparql.syntax.cursor import Span
 from rosld.server.sparql.syntax.expressions import ExpressionParser, has_aggregate, ungrouped
 from rosld.server.sparql.syntax.keywords import FORMS, MEMBERS, MODIFIERS
-from rosld.server.sparql.syntax.lexer import CheckedText, QueryBounds, line_and_column
+from rosld.server.sparql.syntax.lexer import DEFAULT_BOUNDS, CheckedText, line_and_column
 from rosld.server.sparql.syntax.token import Kind, Token
 from rosld.server.sparql.syntax.tree import (
     Constant,
@@ -37,14 +37,14 @@ _TRIPLE = "a triple pattern, a keyword such as FILTER or OPTIONAL, or }"
 _STARTS_OF_CONDITIONS = frozenset({Kind.VARIABLE, Kind.IRI, Kind.NAME, Kind.WORD})
 
 
-def parse_query(query: CheckedText, prefixes: Mapping[str, str], base: str, age: str, bounds: QueryBounds) -> Query:
+def parse_query(query: CheckedText, prefixes: Mapping[str, str], base: str, age: str) -> Query:
     """Read a query; `prefixes` need not be declared. `age` is the IRI of ros:age.
 
     Raises Problem 400 for what is no query, saying where and what was expected, and for more joins than the bounds
     allow.
     """
     try:
-        return QueryParser(query, prefixes, base, bounds.joins, age).query()
+        return QueryParser(query, prefixes, base, DEFAULT_BOUNDS.joins, age).query()
     except RecursionError as error:
         raise Problem(400, "The query nests too deep: ask it in parts.") from error
 

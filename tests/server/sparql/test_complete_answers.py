@@ -41,7 +41,7 @@ def test_a_query_that_would_be_incomplete_is_refused_unless_it_takes_a_part() ->
         refused = http.get("/sparql", params={"query": ALL})
         assert refused.status_code == 503
         assert refused.json()["reason"] == "incomplete"
-        for words in (f"<{http.base_url}topics/one>", "--subscription-budget is 1", "?partial=true"):
+        for words in (f"<{http.base_url}topics/one>", "the setting subscription_budget is 1", "?partial=true"):
             assert words in refused.json()["detail"]
         partial = http.get("/sparql", params={"query": ALL, "partial": "true"}, headers={"Accept": "text/csv"})
         assert partial.status_code == 200

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import cast
 
 import httptools
 import uvicorn
@@ -15,7 +14,6 @@ from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
 from rosld.server.serving.connections import Connections, WebSocketConnection
 from rosld.server.serving.request_head import LONGEST_TARGET, RequestHead
-from rosld.server.serving.transport import CoalescingTransport
 
 _FRAMING_RATIO = 16
 """Bytes of chunk sizes, chunk extensions and trailers that may come with each byte of a chunked body.
@@ -90,7 +88,7 @@ class Connection(HttpToolsProtocol):
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """A client connected, and has a while to say what it wants."""
-        super().connection_made(cast("asyncio.Transport", CoalescingTransport(transport, self.loop)))
+        super().connection_made(transport)
         config = self.config if isinstance(self.config, BoundedConfig) else BoundedConfig
         self._bounds, self._connections = config.bounds, config.connections
         self._impatience = self.loop.call_later(self._bounds.head_seconds, self._too_slow)

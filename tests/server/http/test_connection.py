@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import json
 from collections.abc import Awaitable, Callable
-from typing import TypeVar, cast
+from typing import TypeVar
 
 import pytest
 from starlette.requests import Request
@@ -18,7 +18,6 @@ from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
 from rosld.server.serving.connection import ConnectionBounds
 from rosld.server.serving.http_server import Server, bind
-from rosld.server.serving.transport import CoalescingTransport
 
 _V = TypeVar("_V")
 
@@ -296,56 +295,3 @@ def test_a_second_head_that_never_ends_is_408() -> None:
             writer.close()
 
     assert with_server(talk, SOON).startswith(b"HTTP/1.1 408")
-
-
-class Sent:
-    """A transport that notes what it is told."""
-
-    def __init__(self) -> None:
-        self.calls: list[object] = []
-
-    def write(self, data: bytes) -> None:
-        self.calls.append(data)
-
-    def writelines(self, parts: list[bytes]) -> None:
-        self.calls.append(parts)
-
-    def write_eof(self) -> None:
-        self.calls.append("eof")
-
-    def close(self) -> None:
-        self.calls.append("close")
-
-    def is_closing(self) -> bool:
-        return "close" in self.calls
-
-
-def sent(*acts: tuple[str, object]) -> list[object]:
-    """What is sent by a transport that holds heads back, and then by one more turn of the loop."""
-
-    async def act() -> list[object]:
-        noted = Sent()
-        together = CoalescingTransport(cast("asyncio.Transport", noted), asyncio.get_running_loop())
-        for name, argument in acts:
-            method = getattr(together, name)
-            method() if argument is None else method(argument)
-        await asyncio.sleep(0)
-        return noted.calls
-
-    return asyncio.run(act())
-
-
-HEAD = b"HTTP/1.1 200 OK\r\n\r\n"
-
-
-def test_the_head_of_an_answer_goes_with_its_body() -> None:
-    assert sent(("write", HEAD)) == [HEAD]
-    assert sent(("write", HEAD), ("write", b"body"), ("write", b"more")) == [HEAD + b"body", b"more"]
-    assert sent(("write", HEAD), ("write", b"x" * 100_000)) == [HEAD, b"x" * 100_000]
-
-
-def test_nothing_overtakes_a_head() -> None:
-    assert sent(("write", HEAD), ("write_eof", None)) == [HEAD, "eof"]
-    assert sent(("write", HEAD), ("close", None)) == [HEAD, "close"]
-    assert sent(("write", HEAD), ("writelines", [b"a"])) == [HEAD, [b"a"]]
-    assert sent(("write", HEAD), ("write", HEAD)) == [HEAD + HEAD]

@@ -62,6 +62,8 @@ def main() -> None:
     A SOURCE is `aircraft`, `rover`, the path of a recording (.bag, .mcap, .db3, a rosbag2 folder), `ros1://HOST:PORT`
     (`ros1:` takes ROS_MASTER_URI), or `ros2:?domain=42&namespace=/robot1` (`ros2:` takes ROS_DOMAIN_ID).
     """
+    if os.name != "posix":
+        raise Failure("The server forks its workers, which needs a POSIX system: use Linux, or WSL on Windows.")
 
 
 def _pairs(context: click.Context, parameter: click.Parameter, values: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
@@ -159,8 +161,6 @@ def serve(source: str, others: tuple[tuple[str, str], ...], base_url: str | None
       rosld serve ros1://robot:11311 --ros-ip 10.0.0.7 --allow-publish /cmd_vel
       rosld serve ros1: --host 0.0.0.0 --base-url http://robot.example:8080/
     """
-    if os.name != "posix":
-        raise Failure("The server forks its workers and needs a POSIX system: use Linux, or WSL on Windows.")
     settings = settings_of(others, base_url, **options)
     from rosld.server.cli.serve import serve as run
 

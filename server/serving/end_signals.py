@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import signal
 
-_END = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
+_END = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 
 
 def end_signals() -> tuple[signal.Signals, ...]:
-    """Return the signals that end a command in order, as far as this system has them.
+    """Return the signals that end a command in order.
 
     SIGHUP is left out where it is ignored already: that is what `nohup` asks for.
     """
-    found = [signal.Signals[name] for name in _END if name in signal.Signals.__members__]
-    return tuple(one for one in found if one.name != "SIGHUP" or signal.getsignal(one) is not signal.SIG_IGN)
+    return tuple(one for one in _END if one != signal.SIGHUP or signal.getsignal(one) is not signal.SIG_IGN)

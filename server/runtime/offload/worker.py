@@ -8,7 +8,9 @@ as they work, and freeing a million triples does for a fifth of a second.
 from __future__ import annotations
 
 import gc
+import os
 import pickle
+import resource
 import signal
 import socket
 import struct
@@ -59,10 +61,7 @@ def main() -> None:
 def _take_limits(memory: int) -> None:
     """Be the first to be ended where the machine is short of memory, and take no more than so many bytes."""
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
-    with suppress(ImportError, OSError, ValueError):
-        import os
-        import resource
-
+    with suppress(OSError, ValueError):
         os.nice(_NICENESS)
         Path("/proc/self/oom_score_adj").write_text("1000")
         resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
@@ -88,9 +87,7 @@ def _do(data: bytes) -> bytes:
 
 def _memory() -> int:
     """The bytes of memory that this process has now; 0 where that cannot be told."""
-    with suppress(ImportError, OSError, IndexError, ValueError):
-        import resource
-
+    with suppress(OSError, IndexError, ValueError):
         return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
     return 0
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import gc
 import os
+import resource
 import select
 import signal
 import socket
@@ -156,9 +157,7 @@ def main() -> None:
 def _prepare() -> None:
     """Be the first to be ended where the machine is short of memory, and leave no core. One heap is enough."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # ^C is for the server, whose end is this one's
-    with suppress(ImportError, OSError, ValueError, AttributeError):
-        import resource
-
+    with suppress(OSError, ValueError, AttributeError):
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         Path("/proc/self/oom_score_adj").write_text("1000")
         ctypes.CDLL(None).mallopt(_M_ARENA_MAX, 1)

@@ -220,13 +220,14 @@ class PageResults:
 
 @dataclass(frozen=True, slots=True)
 class SparqlPage:
-    """The page at `/sparql`; `query` is the text in the editor."""
+    """The page at `/sparql`: the text in the editor, and whether it asks for a partial answer."""
 
     site: Site
     query: str = ""
     examples: tuple[StoredQueryLink, ...] = ()
     results: PageResults | None = None
     notices: tuple[Notice, ...] = ()
+    partial: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ Its endpoint is this server's, and nothing is asked of another. Without this fil
   const root = document.getElementById("editor"), settings = JSON.parse(root.dataset.editor);
   const element = (name) => root.querySelector(`[data-part=${name}]`);
   const form = document.getElementById("ask"), box = form.querySelector("textarea");
-  const parameters = element("parameters"), run = element("run"), words = element("status"), stored = element("stored");
+  const parameters = element("parameters"), run = element("run"), partial = element("partial"), words = element("status"), stored = element("stored");
   const endpoint = new URL(settings.endpoint, location.href).href;
   const names = { ...settings, endpoint };
 
@@ -45,6 +45,7 @@ Its endpoint is this server's, and nothing is asked of another. Without this fil
   element("query").replaceChildren();
   root.hidden = false;
   form.hidden = true;
+  partial.checked = form.elements.partial.checked;
   const editor = new Yasqe(element("query"), {
     value: box.value,
     persistenceId: `rosld ${settings.base}`,
@@ -59,6 +60,7 @@ Its endpoint is this server's, and nothing is asked of another. Without this fil
       acceptHeaderSelect: "application/sparql-results+json",
       acceptHeaderGraph: "text/turtle",
       acceptHeaderUpdate: "application/json",
+      args: (yasqe) => partial.checked && yasqe.getQueryMode() === "query" ? [{ name: "partial", value: "true" }] : [],
       adjustQueryBeforeRequest: (yasqe) => queryParameters.bind(parameters, yasqe.getValue(), settings.base),
     },
   });
@@ -156,7 +158,7 @@ Its endpoint is this server's, and nothing is asked of another. Without this fil
     if (editor.getQueryMode() !== "query") return;
     const text = queryParameters.bind(parameters, editor.getValue(), settings.base);
     const view = Object.keys(VIEWS).find((hash) => VIEWS[hash] === results.getSelectedPluginName()) ?? "";
-    if (text.length <= LONGEST) history.replaceState(null, "", `?query=${encodeURIComponent(text)}${view === "#table" ? "" : view}`);
+    if (text.length <= LONGEST) history.replaceState(null, "", `?query=${encodeURIComponent(text)}${partial.checked ? "&partial=true" : ""}${view === "#table" ? "" : view}`);
   }
   results.on("change", () => { try { remember(); } catch { /* a parameter is wrong: the address stays */ } });
 

@@ -20,7 +20,7 @@ from rosld.server.http.body import FORM
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import DataSchema
-from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, URI, MessageSchemas
+from rosld.server.hypermedia.json_schema import ANYTHING, BOOLEAN, TEXT, URI, MessageSchemas
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import HTML, RDF_BODIES
 from rosld.server.rest.pages import PageRenderer
@@ -214,6 +214,7 @@ _OF_UPDATES = (
     QueryParameter("using-graph-uri", "The graphs that are the default graph of an update together.", _GRAPHS),
     QueryParameter("using-named-graph-uri", "The named graphs of an update.", _GRAPHS),
 )
+_NO_QUERY = QueryRequest("")
 
 
 class SparqlResource(Resource):
@@ -247,7 +248,7 @@ class SparqlResource(Resource):
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         form: DataSchema = {
             "type": "object",
-            "properties": {"query": TEXT, "default-graph-uri": _GRAPHS, "named-graph-uri": _GRAPHS},
+            "properties": {"query": TEXT, "default-graph-uri": _GRAPHS, "named-graph-uri": _GRAPHS, "partial": BOOLEAN},
             "required": ["query"],
         }
         update: DataSchema = {
@@ -347,22 +348,21 @@ class SparqlResource(Resource):
         if not prefers_page(accept):
             return await answer_query(self._service, request, accept, disconnected, permissions)
         try:
-            return self._page(
-                permissions, request.text, await page_results(self._service, request, disconnected, permissions)
-            )
+            results = await page_results(self._service, request, disconnected, permissions)
         except Problem as problem:
-            return self._page(permissions, request.text, None, problem)
+            return self._page(permissions, request, problem=problem)
+        return self._page(permissions, request, results)
 
     def _page(
         self,
         permissions: Permissions,
-        text: str = "",
+        request: QueryRequest = _NO_QUERY,
         results: PageResults | None = None,
         problem: Problem | None = None,
     ) -> Response:
         notices = () if problem is None else (Notice(problem.detail, NoticeLevel.ERROR),)
         examples = tuple(each for each in self._examples() if permissions.may_read(each.url))
-        page = SparqlPage(self._pages.site_for(permissions), text, examples, results, notices)
+        page = SparqlPage(self._pages.site_for(permissions), request.text, examples, results, notices, request.partial)
         status, also = (200, {}) if problem is None else (problem.status, problem.headers)
         policy = {"content-security-policy": QUERY_EDITOR_POLICY}
         headers = {**also, **self._pages.headers, **policy, "Vary": "Accept", "Cache-Control": "no-cache"}

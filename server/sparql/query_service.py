@@ -126,7 +126,7 @@ class QueryService:
         async for past, least in self._read_past(analysis, request, permissions, limits, until, is_counted):
             async with self._sync(analysis, request, permissions, limits) as unread:
                 query = self._query(analysis, request, permissions, past)
-                work = AnswerWork(query, media_type, limits.rows, least)
+                work = AnswerWork(query, media_type, limits.rows, least, tuple(sorted(unread)))
                 body = await self._run_work(work, analysis, limits, until, disconnected, permissions)
             if not least or (body := await _whole(body)):
                 break

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import io
+import json
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import chain, islice
 from typing import BinaryIO, NamedTuple, TypeAlias, cast
+from xml.sax.saxutils import quoteattr
 
 from pyoxigraph import (
     Quad,
@@ -96,17 +99,53 @@ def content_type(media_type: str) -> str:
     return f"{media_type}; charset=utf-8" if media_type in _CHARSET else media_type
 
 
-def write_results(results: Results, media_type: str, output: BinaryIO, check: Check, base: str) -> None:
-    """Write results as they come. Raises what `check` and `output` raise, and Problem 406 for what XML cannot carry."""
+def write_results(
+    results: Results, media_type: str, output: BinaryIO, check: Check, base: str, links: Sequence[str] = ()
+) -> None:
+    """Write results as they come. Raises what `check` and `output` raise, and Problem 406 for what XML cannot carry.
+
+    The head of JSON and XML results refers to `links` (SPARQL 1.1 Query Results JSON Format 3.1.2, XML 2.2).
+    """
     if isinstance(results, QueryTriples):
         _write_graph(results, GRAPHS[media_type], output, check, base)
     elif media_type in DATASETS:
         assert isinstance(results, QuerySolutions)
         _write_prefixed(_quads(results, check), output, DATASETS[media_type])
     else:
+        if links and SOLUTIONS[media_type] in (QueryResultsFormat.JSON, QueryResultsFormat.XML):
+            output = cast("BinaryIO", _LinkingOutput(output, SOLUTIONS[media_type], links))
         decoder = Decoder(output)
         _write_solutions(results, media_type, cast("BinaryIO", decoder))
         decoder.finish()
+
+
+class _LinkingOutput(io.RawIOBase):
+    """Output that adds links to the end of the head of JSON or XML results."""
+
+    def __init__(self, output: BinaryIO, syntax: QueryResultsFormat, links: Sequence[str]) -> None:
+        super().__init__()
+        self._output = output
+        self._head: bytes | None = b""
+        if syntax == QueryResultsFormat.JSON:
+            text, self._end = f'"link":{json.dumps(links)}', b"}"
+        else:
+            text, self._end = "".join(f"<link href={quoteattr(each)}/>" for each in links), b"</head>"
+        self._links = text.encode()
+
+    def writable(self) -> bool:
+        return True
+
+    def write(self, data: bytes) -> int:  # type: ignore[override]
+        """Hold the head back until it is complete, then pass everything on."""
+        if self._head is None:
+            return self._output.write(data)
+        self._head += bytes(data)
+        head, end, rest = self._head.partition(self._end)
+        if end:
+            separator = b"," if head.endswith(b"]") else b""  # of JSON, after the names of variables
+            self._output.write(b"".join((head, separator, self._links, end, rest)))
+            self._head = None
+        return len(data)
 
 
 def _write_decoded(results: QueryTriples, syntax: RdfFormat, output: BinaryIO) -> None:

@@ -85,15 +85,16 @@ class QueryWork(NamedTuple):
 
 
 class AnswerWork(NamedTuple):
-    """The results of a query in one media type. Problem 503 for more than `limit` rows, or triples of a graph.
+    """Results of a query in one media type. Raises Problem 503 for more than `limit` rows (triples of a graph).
 
-    Nothing at all where there are fewer than `least` rows.
+    The output is empty if there are fewer than `least` rows. `unread` are the URLs that a partial answer links to.
     """
 
     query: QueryWork
     media_type: str
     limit: int
     least: int = 0
+    unread: tuple[str, ...] = ()
 
     def __call__(self, store: MemoryStore, output: BinaryIO) -> None:
         with _reaching_others():
@@ -101,10 +102,10 @@ class AnswerWork(NamedTuple):
             limited = row_limit.limit_rows(output, self.media_type, isinstance(found, QueryTriples), self.limit)
             counted = _never_stop if limited is not output else row_limit.RowCounter(_never_stop, self.limit).count
             if not self.least:
-                results.write_results(found, self.media_type, limited, counted, self.query.base)
+                results.write_results(found, self.media_type, limited, counted, self.query.base, self.unread)
                 return
             held = io.BytesIO()
-            results.write_results(found, self.media_type, held, _never_stop, self.query.base)
+            results.write_results(found, self.media_type, held, _never_stop, self.query.base, self.unread)
             if row_limit.count_rows(held.getvalue(), self.media_type) >= self.least:
                 limited.write(held.getvalue())
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+from xml.etree import ElementTree
 
 import httpx
 import pytest
@@ -46,8 +47,17 @@ def test_a_query_that_would_be_incomplete_is_refused_unless_it_takes_a_part() ->
         partial = http.get("/sparql", params={"query": ALL, "partial": "true"}, headers={"Accept": "text/csv"})
         assert partial.status_code == 200
         assert f'"{http.base_url}topics/two"' in partial.headers["unread-graphs"]
+        unread = [each.strip('"') for each in partial.headers["unread-graphs"].split(", ")]
+        for query in (ALL, f"ASK {ALL[9:]}"):
+            asked = {"query": query, "partial": "true"}
+            assert http.get("/sparql", params=asked).json()["head"]["link"] == unread
+            xml = ElementTree.fromstring(http.get("/sparql", params={**asked, "format": "xml"}).content)
+            assert [each.get("href") for each in xml[0] if each.tag.endswith("}link")] == unread
         page = http.get("/sparql", params={"query": ALL, "partial": "true"}, headers={"Accept": "text/html"})
         assert "The answer is partial." in page.text
+        assert 'name="partial" value="true" checked' in page.text
+        assert 'name="partial" value="true">' in http.get("/sparql", headers={"Accept": "text/html"}).text
+        assert http.post("/sparql", data={"query": ALL, "partial": "true"}).status_code == 200
         assert http.get("/sparql", params={"query": ALL, "partial": "perhaps"}).status_code == 400
         assert ask(http, f"SELECT ?v {{ GRAPH <topics/two> {{ ?m <{TYPES}{STRING}#data> ?v }} }}") == [["/two"]]
 

@@ -54,7 +54,7 @@ def _run(arguments: tuple[str, ...], output: _Descriptor, errors: _Descriptor, e
 
 
 def _run_query_process(connection: _Descriptor, status: _Descriptor, test: str) -> None:
-    from rosld.server.sparql.process.main import main
+    from rosld.server.sparql.process.keeper import main
 
     os.setsid()
     os.dup2(connection.number, 0)

@@ -8,7 +8,7 @@ import rosld.adapters.ros1
 import rosld.adapters.rover
 import rosld.server.app
 import rosld.server.cli.serve
-import rosld.server.sparql.process.main  # noqa: F401
+import rosld.server.sparql.process.keeper  # noqa: F401
 
 gc.collect()
 gc.freeze()  # what is shared is not written to by each collection

@@ -24,8 +24,7 @@ from rosld.server.history.recordings import Recordings
 from rosld.server.http.problem import Problem
 from rosld.server.robot.session import Session
 from rosld.server.sparql.intervals import Interval
-from rosld.server.sparql.past import PastQuery, PastSelection
-from rosld.server.sparql.past_source import MAX_TEXT, PastText
+from rosld.server.sparql.past import MAX_TEXT, PastQuery, PastSelection, PastText
 from rosld.server.sparql.query_limits import MAX_PAST, out_of_time, too_much_past
 
 _SLICE = 0.004

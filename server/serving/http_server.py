@@ -19,7 +19,7 @@ from starlette.types import ASGIApp
 from rosld.server.http.token_redaction import redact_tokens
 from rosld.server.serving.connection import BoundedConfig, Connection, ConnectionBounds
 from rosld.server.serving.connections import Connections, WebSocketConnection
-from rosld.server.sparql.process.evaluation import Aborted
+from rosld.server.sparql.process.pool import Aborted
 
 
 def require_certificate(certificate: Path, key: Path | None) -> None:

@@ -15,12 +15,19 @@ from itertools import count
 from typing import NamedTuple
 
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
-from rosld.server.sparql.change_source import NOTHING, ChangeSource
-from rosld.server.sparql.graph_rendering import INLINE, render_graphs, render_in_thread
 from rosld.server.sparql.graph_source import GraphEntry, GraphSource, LiveDocument, LiveGraphs
 from rosld.server.sparql.needs import Needs
-from rosld.server.sparql.stored_sync import StoredSync
-from rosld.server.sparql.sync_target import HeldGraph, SyncTarget, TargetState
+from rosld.server.sparql.stored_sync import (
+    INLINE,
+    NOTHING,
+    ChangeSource,
+    HeldGraph,
+    StoredSync,
+    SyncTarget,
+    TargetState,
+    render_graphs,
+    render_in_thread,
+)
 
 WILDCARD_SECONDS = 0.2
 """Seconds for which values are good enough for the next query that does not name their document.

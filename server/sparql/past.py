@@ -16,10 +16,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 from urllib.parse import unquote
 
 from rosld.ontology.vocab import ldp, rdf, ros
+from rosld.server.auth.permissions import Permissions
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.intervals import ANY_TIME, Interval, Knowledge, date_time_interval, knowledge_of
 from rosld.server.sparql.needs import document_of, groups_within, matches_any_node
@@ -54,6 +55,8 @@ PREDICATES = frozenset(
     )
 )  # fmt: skip
 """What is said of recorded messages and of their topics, beside the fields of their types."""
+MAX_TEXT = 256 * 1024 * 1024
+"""Characters of N-Triples that one query may have of them."""
 _MOST_ROWS = 10_000
 """Rows of an answer, those that OFFSET leaves out included, up to which less than all is read for them."""
 
@@ -382,3 +385,32 @@ def _recordings(query: Query, base: str) -> Iterator[str]:
         document = document_of(iri)
         if document.startswith(below) and "/" in document[len(below) :]:
             yield below + document[len(below) :].partition("/")[0] + "/"
+
+
+class PastText(NamedTuple):
+    """What is said of recorded messages, as N-Triples; `is_whole`: of all that were asked for."""
+
+    text: bytes
+    is_whole: bool = True
+
+
+class PastSource(Protocol):
+    """Reads recorded messages. Called on the loop."""
+
+    async def read(
+        self,
+        asked: PastQuery,
+        graphs: tuple[str, ...],
+        permissions: Permissions,
+        now: Interval,
+        until: float,
+        most: int | None = None,
+    ) -> PastText:
+        """What is said of the messages that a query asks for, as far as they may be read.
+
+        Of about `most` messages where that is a number: those at the query's `end`, all that were received at a time,
+        or on that side of it. `graphs` are those that the default graph is made of, none for all. NOW() will be within
+        `now`; `until` is when the time is over (monotonic). Raises Problems: 400 where there is no past to be read, 503
+        for too much.
+        """
+        ...

@@ -21,7 +21,7 @@ from rosld.server.sparql.disconnect import Disconnected
 from rosld.server.sparql.intervals import Interval
 from rosld.server.sparql.materializer import Materializer, SeenVersions
 from rosld.server.sparql.needs import Needs
-from rosld.server.sparql.past_source import PastSource
+from rosld.server.sparql.past import PastSource
 from rosld.server.sparql.process.client import QueryProcess
 from rosld.server.sparql.process.work import AnswerWork, QueryWork, Work
 from rosld.server.sparql.process.work import TableWork as FirstRows

@@ -13,8 +13,8 @@ from rosld.ontology.urls import Space
 from rosld.ontology.vocab import ldp, rdf
 from rosld.server.dataset import Edit
 from rosld.server.receipts.journal import Journal, JournalEntry
-from rosld.server.sparql.change_source import Changes
 from rosld.server.sparql.needs import Needs, ToldTerms
+from rosld.server.sparql.stored_sync import Changes
 
 TITLE = "Activity"
 _PAGE = 200

@@ -9,18 +9,25 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from itertools import islice
+from typing import NamedTuple, Protocol, TypeAlias
 
+from rosld.server.dataset import Edit
 from rosld.server.http.problem import Problem
 from rosld.server.runtime.process_memory import PROCESS_MEMORY, SENT_PER_CHARACTER
-from rosld.server.sparql.change_source import Changes, ChangeSource
-from rosld.server.sparql.graph_rendering import INLINE, render_graphs, render_in_thread
 from rosld.server.sparql.needs import Needs
 from rosld.server.sparql.query_limits import process_restarting
-from rosld.server.sparql.sync_target import SyncTarget, TargetState
 
 _log = logging.getLogger("rosld.sparql")
+
+INLINE = 64 * 1024
+"""Characters of N-Triples up to which graphs are rendered on the loop: a thread would cost more."""
+_SLICE = 0.002
+"""Seconds of rendering in a thread after which the loop gets its turn: both need the interpreter's lock."""
+
+Renderings: TypeAlias = Mapping[str, Callable[[], str] | None]
+"""Functions that render graphs, by IRI; None for a graph that is removed."""
 
 _MUCH = 1000
 """Changes that are not left for a query to find."""
@@ -33,6 +40,169 @@ _ASKED_SECONDS = 10.0
 _SHORT_OF_MEMORY = 30.0
 """Seconds until what there was no memory for is tried again, unless a query asks for it."""
 _LONGEST_RETRY = 60
+
+
+class Changes(NamedTuple):
+    """A part of what changed: graphs replaced by what they say then (None: gone), after these the edits of others.
+
+    `size` is about how many characters it comes to. What `graphs` holds is called in any thread. `reached` is the
+    version up to which changes have been told with this part, as far as that is known. The graph that is `unfinished`
+    goes on in the next part.
+    """
+
+    graphs: Mapping[str, Callable[[], str] | None]
+    edits: Sequence[Edit]
+    size: int
+    reached: int = 0
+    unfinished: str | None = None
+
+
+class ChangeSource(Protocol):
+    """Graphs that clients keep. There may be very many, few of which change at a time. Called on the loop."""
+
+    @property
+    def version(self) -> int:
+        """A number that rises with each change; 0 as long as there is nothing."""
+        ...
+
+    def may_match(self, needs: Needs) -> bool:
+        """Whether a query of these needs can match a triple of the graphs."""
+        ...
+
+    def last_change(self, graph: str) -> int:
+        """No less than the version of the last change of a graph; 0 for one that is certainly none of these."""
+        ...
+
+    def changes(self, after: int) -> Iterator[Changes]:
+        """What changed after a version, in parts that are found quickly each; the loop may have its turn in between.
+
+        All parts together bring the graphs from that version to the one that is in force when the first is asked for,
+        or to what the last has `reached`. Doing them to graphs that are newer than `after` already is no harm. An edit
+        counts only where it comes after the part that replaces its graph.
+        """
+        ...
+
+
+class _Nothing:
+    """A `ChangeSource` without graphs."""
+
+    version = 0
+
+    def may_match(self, needs: Needs) -> bool:
+        return False
+
+    def last_change(self, graph: str) -> int:
+        return 0
+
+    def changes(self, after: int) -> Iterator[Changes]:
+        return iter(())
+
+
+NOTHING: ChangeSource = _Nothing()
+"""Nothing is kept."""
+
+
+class SyncTarget(Protocol):
+    """Where the graphs go: what was sent is seen by all that is asked afterwards. Called on the loop."""
+
+    @property
+    def generation(self) -> int:
+        """Another number whenever it holds nothing any more."""
+        ...
+
+    async def wait_drained(self) -> None:
+        """Return when little is on its way that was not taken yet."""
+        ...
+
+    def change(self, graphs: Mapping[str, str | None], edits: Sequence[Edit] = ()) -> None:
+        """Replace graphs, then do edits, as `MemoryStore.replace`. Raises Problem 503 and NotEnoughMemory."""
+        ...
+
+
+class HeldGraph(NamedTuple):
+    """A graph as the target holds it.
+
+    `token` is its own, `description` that of its description then, None for a graph without one. `number` is that of
+    the reading it is of, `size` is in characters of N-Triples.
+    """
+
+    token: Hashable
+    description: Hashable
+    has_values: bool
+    number: int
+    size: int
+
+
+class TargetState:
+    """What the target holds, by what it was sent since its start: nothing again once it has started anew."""
+
+    def __init__(self, target: SyncTarget, stores: int) -> None:
+        self._target = target
+        self._stores = stores
+        self._forget()
+
+    def _forget(self) -> None:
+        self.versions = [0] * self._stores
+        """The versions of what clients keep, by its place among the sources."""
+        self.ahead: dict[str, int] = {}
+        """Graphs that clients keep which are newer than these versions."""
+        self.held: dict[str, HeldGraph] = {}
+        """The graphs that come from the `GraphSource`."""
+        self.live: set[str] = set()
+        """Those of them that have values which change by themselves."""
+        self.transient: set[str] = set()
+        """Those of them that are there for the queries that name them."""
+        self.descriptions: Hashable = object()
+        """The revision of the descriptions that it holds."""
+        self.generation = self._target.generation
+        """That of the target to which all this belongs; the last to be set, for those who look from another thread."""
+
+    @property
+    def is_outdated(self) -> bool:
+        """Whether the target has started anew, and holds nothing of this."""
+        return self.generation != self._target.generation
+
+    def follow_restart(self) -> bool:
+        """Hold nothing where the target has started anew; whether it has."""
+        is_new = self.is_outdated
+        if is_new:
+            self._forget()
+        return is_new
+
+    def require(self, generation: int) -> None:
+        """Raise Problem 503 where the target holds nothing any more that it was sent in this generation."""
+        if not generation == self.generation == self._target.generation:
+            raise process_restarting(1)
+
+
+def render_graphs(graphs: Renderings, slice: float | None = None) -> dict[str, str | None]:
+    """The N-Triples of graphs; None for those that go, and for those whose source fails, which is logged.
+
+    With a `slice` (seconds) it pauses for a tenth of that after each. Raises MemoryError.
+    """
+    texts: dict[str, str | None] = {}
+    pause = None if slice is None else time.monotonic() + slice
+    for iri, ntriples in graphs.items():
+        texts[iri] = None if ntriples is None else _render(iri, ntriples)
+        if slice is not None and pause is not None and time.monotonic() > pause:
+            time.sleep(slice / 10)
+            pause = time.monotonic() + slice
+    return texts
+
+
+async def render_in_thread(graphs: Renderings) -> dict[str, str | None]:
+    """`render_graphs` in a thread which lets the loop have its turn. Raises MemoryError."""
+    return await asyncio.to_thread(render_graphs, graphs, _SLICE)
+
+
+def _render(iri: str, ntriples: Callable[[], str]) -> str | None:
+    try:
+        return ntriples()
+    except MemoryError:
+        raise
+    except Exception:  # a source's failure concerns one graph only
+        _log.exception("%s cannot be rendered and is left out of the dataset", iri)
+        return None
 
 
 class _Transfer:

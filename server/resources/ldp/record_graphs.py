@@ -18,8 +18,8 @@ from rosld.ontology.syntax import Syntax
 from rosld.ontology.vocab import dcterms, ldp
 from rosld.server.dataset import Edit
 from rosld.server.rest.interaction import member_derived_uris, membership_declaration
-from rosld.server.sparql.change_source import Changes
 from rosld.server.sparql.needs import Needs
+from rosld.server.sparql.stored_sync import Changes
 from rosld.server.storage.record import Member, Membership, Model, Record, RecordChange, container_of
 from rosld.server.storage.record_cache import RecordWrite
 from rosld.server.storage.record_documents import (

@@ -14,9 +14,8 @@ from rosld.server.http.problem import Problem
 from rosld.server.runtime.process_memory import DATASET_PER_CHARACTER, DATASET_PER_TRIPLE
 from rosld.server.sparql.disconnect import Disconnected
 from rosld.server.sparql.process.connection import ChildProcess, spawn
-from rosld.server.sparql.process.evaluation import Aborted, Evaluation
 from rosld.server.sparql.process.frames import Change, Drop, Ended, Job, Refused, pack
-from rosld.server.sparql.process.pool import WorkerPool
+from rosld.server.sparql.process.pool import Aborted, Evaluation, WorkerPool
 from rosld.server.sparql.process.work import Work
 from rosld.server.sparql.query_limits import Limits, process_restarting
 

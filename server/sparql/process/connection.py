@@ -22,7 +22,7 @@ _AHEAD = 4 * 1024 * 1024
 """Bytes that may be on their way to the process before others should be made."""
 _AT_ONCE = 64
 """Frames that are sent by one system call."""
-_START = "import sys; sys.path[:] = sys.argv[1:-1]; from rosld.server.sparql.process.main import main; main()"
+_START = "import sys; sys.path[:] = sys.argv[1:-1]; from rosld.server.sparql.process.keeper import main; main()"
 """What the process runs: with the same modules as the server, wherever that found them."""
 
 SpawnedProcess = tuple["subprocess.Popen[bytes]", socket.socket, SharedStatus]

@@ -11,8 +11,7 @@ import pytest
 from pyoxigraph import Literal, NamedNode, RdfFormat, parse
 
 import rosld
-from rosld.server.runtime.thread_stack import StackFrame
-from rosld.server.runtime.watchdog import Pause, describe_pause, running_code
+from rosld.server.runtime.watchdog import Pause, StackFrame, describe_pause, running_code
 from tests.server.robots.made_up import MadeUp, served
 from tests.waiting import until
 

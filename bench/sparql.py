@@ -40,12 +40,11 @@ from rosld.ontology.vocab import PREFIXES, rdf, ros
 from rosld.server.auth.permissions import Permissions
 from rosld.server.rest.resource import Resource
 from rosld.server.sparql.analysis import Analyser
-from rosld.server.sparql.graph_source import GraphEntry, LiveDocument, LiveGraphs
-from rosld.server.sparql.materializer import Materializer
-from rosld.server.sparql.needs import Needs, ToldTerms
+from rosld.server.sparql.materializer import GraphEntry, LiveDocument, LiveGraphs, Materializer
+from rosld.server.sparql.needs import Needs, StatedTerms
 from rosld.server.sparql.process.client import QueryProcess
 from rosld.server.sparql.protocol import query_request
-from rosld.server.sparql.query_service import QueryService, QuerySettings
+from rosld.server.sparql.query_service import QueryService
 
 BASE = "http://127.0.0.1:8080/"
 TOPICS = 1000
@@ -277,7 +276,7 @@ class Robot:
         assert isinstance(schema, MessageSchema)
         self._lifter = lifter(schema)
         fields = (f"{TYPES}{kind.name}#{field.name}" for kind in schema.types.values() for field in kind.fields)
-        self._told = ToldTerms(frozenset({*fields, ros.latest.value, rdf.type.value}), frozenset())
+        self._told = StatedTerms(frozenset({*fields, ros.latest.value, rdf.type.value}), frozenset())
         self._resource = Resource(BASE)
         vector = schema.codec.build("geometry_msgs/msg/Vector3", {"x": 1.5, "y": -0.25, "z": 3.0})
         message = schema.codec.build(schema.ref.name, {"linear": vector, "angular": vector})
@@ -325,8 +324,8 @@ class Robot:
 
 def serve() -> None:
     """The thousand topics behind HTTP: /sparql; /tick, a new message on each; /idle, which asks for nothing."""
-    robot, process, settings = Robot(), QueryProcess(4, 256), QuerySettings()
-    service = QueryService(process, Materializer(process, robot), Analyser(BASE, TYPES), settings=settings)
+    robot, process = Robot(), QueryProcess(4, 256)
+    service = QueryService(process, Materializer(process, robot), Analyser(BASE, TYPES))
 
     async def sparql(request: Request) -> Response:
         answer = await service.answer(query_request("GET", request.scope["query_string"]), "text/csv")

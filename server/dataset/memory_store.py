@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from itertools import islice
@@ -13,7 +13,6 @@ from pyoxigraph import BlankNode, DefaultGraph, NamedNode, Quad, RdfFormat, Stor
 
 from rosld.server.dataset.base import Edit, Function, QueryError, Results
 from rosld.server.dataset.encoding import decode_ntriples, decode_triple, encode_ntriples
-from rosld.server.dataset.garbage_estimate import GarbageEstimate
 from rosld.server.dataset.private_functions import FUNCTIONS
 from rosld.server.runtime.process_memory import trim
 
@@ -25,6 +24,12 @@ _REMEMBERED = 32 * 1024 * 1024
 """Characters of all graphs that are remembered; the one that was replaced longest ago goes first."""
 _SLICE = 1000
 """Quads added or copied at a time: about two milliseconds."""
+_FREE = 4000
+"""Triples up to which the size of a store does not matter."""
+_STEPS = 32
+"""Steps over removed triples (65 ns in each of two graphs) that take as long as copying one triple (4 us)."""
+_MAX_GARBAGE_RATIO = 4
+"""Maximum number of removed triples in memory for each present one."""
 _DEFAULT = DefaultGraph()
 _LABEL = re.compile(r'"(?:[^"\\]|\\.)*"|<[^>]*>|_:(?![a-f][0-9a-f]{23,31}(?:[\s.]|$))')
 """Where a label begins that other graphs may have for other nodes.
@@ -421,3 +426,50 @@ def _parse(graph: NamedNode, data: bytes) -> Iterator[Quad]:
 def _lines(text: str) -> frozenset[str]:
     """Without their ends. Only a line feed ends one (RDF 1.1 N-Triples, 2): Python knows more."""
     return frozenset(text.split("\n")) - {""}
+
+
+class GarbageEstimate:
+    """Estimate of the memory that a store still holds for removed triples, in lines of N-Triples.
+
+    Oxigraph frees nothing in memory. A removed triple stays in the lists of its graph, its subject and so on, and every
+    lookup walks past it: a graph that was replaced ten thousand times takes milliseconds to read. The only remedy is a
+    new store, which costs as much as everything in it.
+    """
+
+    def __init__(self) -> None:
+        self._sizes: dict[str, int] = {}
+        self._gone: Counter[str] = Counter()
+        self._size = 0
+        self._lost = 0
+        self._walked = 0
+
+    @property
+    def is_due(self) -> bool:
+        """Whether skipping removed triples has cost as much as a new store, or they take too much memory."""
+        size = max(self._size, _FREE)
+        return self._walked > _STEPS * size or self._lost > _MAX_GARBAGE_RATIO * size
+
+    @property
+    def is_mostly_garbage(self) -> bool:
+        """Whether a new store would take less than half the memory."""
+        return self._lost > max(self._size, _FREE)
+
+    def size(self, graph: str) -> int:
+        """Return the number of lines of a graph."""
+        return self._sizes.get(graph, 0)
+
+    def note(self, graph: str, lost: int, gained: int) -> None:
+        """Count the lines that a graph lost and gained."""
+        self._sizes[graph] = max(0, self.size(graph) + gained - lost)
+        if not self._sizes[graph]:
+            del self._sizes[graph]
+        self._size += gained - lost
+        if lost:
+            self._gone[graph] += lost
+            self._lost += lost
+            self._walked += self._gone[graph]
+
+    def reset(self) -> None:
+        """Reset after compaction."""
+        self._gone.clear()
+        self._lost = self._walked = 0

@@ -3,7 +3,7 @@
 Queries are answered from the dataset here; the other store follows at a rate. It may hold the graphs of other servers
 too: a graph belongs to a server by its IRI, and those of others are never touched. Changes wait as names of graphs
 (`pending_changes.py`), which are read from the dataset when they are sent, and of a small graph only what differs is
-sent (`replica_state.py`): stores grow with what is replaced in them. While the other store cannot be reached nothing
+sent (`ReplicaState`): stores grow with what is replaced in them. While the other store cannot be reached nothing
 else waits for it.
 
 A graph of its own there, the heartbeat, says which run of which server sent what is there, and when it did so last. A
@@ -28,10 +28,8 @@ from rosld.ontology.triples import date_time_literal as instant
 from rosld.ontology.vocab import dcterms, rdf, ros
 from rosld.server.dataset.base import Edit
 from rosld.server.dataset.endpoint_client import StoreError, StoreRefused
-from rosld.server.dataset.ntriples import split_parts
-from rosld.server.dataset.pending_changes import INITIAL_LIMIT, PendingBatch, PendingChanges
-from rosld.server.dataset.remote_store import RemoteStore
-from rosld.server.dataset.replica_state import ReplicaState
+from rosld.server.dataset.pending_changes import INITIAL_LIMIT, PendingBatch, PendingChanges, ReplicaState
+from rosld.server.dataset.remote_store import RemoteStore, split_parts
 
 _log = logging.getLogger("rosld.store")
 

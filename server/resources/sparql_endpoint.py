@@ -42,10 +42,9 @@ from rosld.server.sparql.protocol import (
 )
 from rosld.server.sparql.query_limits import describe_limits
 from rosld.server.sparql.query_service import QueryAnswer, QueryService
-from rosld.server.sparql.results import GRAPHS, SOLUTIONS, media_types_of, without_xml
+from rosld.server.sparql.results import GRAPHS, SOLUTIONS, XML_REASON, media_types_of, without_xml
 from rosld.server.sparql.ros_functions import functions
 from rosld.server.sparql.update.base import UpdateRunner
-from rosld.server.sparql.xml_output import REASON
 
 ROWS = 500
 """Rows of a result that a page shows."""
@@ -113,7 +112,7 @@ async def answer_query(
     try:
         answer = await service.answer(request, accept, disconnected, permissions)
     except Problem as problem:
-        other = without_xml(service.check(request.text).form, accept) if problem.extra == REASON else None
+        other = without_xml(service.check(request.text).form, accept) if problem.extra == XML_REASON else None
         if other is None:
             raise
         answer = await service.answer(request, other, disconnected, permissions)

@@ -36,7 +36,7 @@ from rosld.server.resources.queries import queries_document, shipped_document
 from rosld.server.resources.types import SHAPES_GRAPHS, child_names, known_types, shapes_graph
 from rosld.server.routing.resource_factory import ResourceFactory
 from rosld.server.runtime.version_cache import IdentityKey
-from rosld.server.sparql.graph_source import GraphEntry
+from rosld.server.sparql.materializer import GraphEntry
 from rosld.shapes.message import shape_document
 from rosld.shapes.parameter import declared_triples
 

@@ -35,8 +35,8 @@ from rosld.server.routing.graph_descriptions import GraphDescriptions, document_
 from rosld.server.routing.resource_factory import ResourceFactory
 from rosld.server.runtime.tasks import loop_time
 from rosld.server.runtime.version_cache import IdentityKey
-from rosld.server.sparql.graph_source import GraphEntry, LiveDocument, LiveGraphs
-from rosld.server.sparql.needs import Constants, Needs, ToldTerms
+from rosld.server.sparql.materializer import GraphEntry, LiveDocument, LiveGraphs
+from rosld.server.sparql.needs import Constants, Needs, StatedTerms
 
 _KEPT = 256
 """Needs whose documents are remembered."""
@@ -56,10 +56,10 @@ _LISTS = frozenset({rdf.first.value, rdf.rest.value})
 _CLASSES = frozenset({ros.Message.value, ros.Elided.value})
 _TOPIC = frozenset(term.value for term in (ros.latest, ros.latestFrom, ros.unreadable, ros.words))
 _PROPERTY = frozenset(term.value for term in (rdf.value, ros.unreadable, ros.words, ros.readsFrom))
-_RATE = ToldTerms(frozenset({ros.rate.value}), frozenset())
-_BRIEF = ToldTerms(frozenset({ros.briefValue.value, ros.rate.value}), frozenset())
-_PARAMETER = ToldTerms(frozenset({ros.value.value}), frozenset())
-_ANYTHING = ToldTerms()
+_RATE = StatedTerms(frozenset({ros.rate.value}), frozenset())
+_BRIEF = StatedTerms(frozenset({ros.briefValue.value, ros.rate.value}), frozenset())
+_PARAMETER = StatedTerms(frozenset({ros.value.value}), frozenset())
+_ANYTHING = StatedTerms()
 
 
 class _Candidate(NamedTuple):
@@ -69,7 +69,7 @@ class _Candidate(NamedTuple):
     """
 
     url: str
-    told: ToldTerms
+    terms: StatedTerms
     make: Callable[[], Resource]
     by_name: bool = False
 
@@ -147,10 +147,10 @@ class RobotGraphs:
         yield from self._topics(graph, needs)
         by_term = replace(needs, patterns=frozenset(one for one in needs.patterns if one.predicates is not None))
         others = chain(self._parameters(graph), self._listings(graph), () if tree is None else self._resources(tree))
-        for url, told, make, by_name in others:
-            if needs.may_match(url, told):
+        for url, terms, make, by_name in others:
+            if needs.may_match(url, terms):
                 is_named = url in needs.documents
-                yield LiveDocument(url, make(), is_named or by_term.may_match(url, told), is_named or not by_name)
+                yield LiveDocument(url, make(), is_named or by_term.may_match(url, terms), is_named or not by_name)
         plans = () if tree is None else map(tree.complex, tree.paths)
         for plan in plans:
             if plan is not None and not plan.is_conditional:
@@ -161,19 +161,19 @@ class RobotGraphs:
         space = self._session.space
         url = url_of(plan.path, space)
         is_named = url in needs.documents
-        matched = [(one, told) for one in plan.members if needs.may_match(url, told := _told_by_member(one, space))]
+        matched = [(one, terms) for one in plan.members if needs.may_match(url, terms := _terms_of_member(one, space))]
         names = [one.source.name for one, _ in matched if is_named or not _is_bulky(one.source)]
         if matched:
-            is_named |= any(by_term.may_match(url, told) for _, told in matched)
+            is_named |= any(by_term.may_match(url, terms) for _, terms in matched)
             yield LiveDocument(url, self._factory.complex(plan.path), is_named, members=frozenset(names))
 
     def _topics(self, graph: Graph, needs: Needs) -> Iterator[LiveDocument]:
         space = self._session.space
         by_type = replace(needs, patterns=frozenset(one for one in needs.patterns if _names_type(one, space.types)))
         for topic in _named_topics(space, graph, needs):
-            url, (told, bulky) = space.topic(topic.name), self._told_by_topic(topic)
-            if needs.may_match(url, told):
-                is_named = url in needs.documents or by_type.may_match(url, told)
+            url, (terms, bulky) = space.topic(topic.name), self._terms_of_topic(topic)
+            if needs.may_match(url, terms):
+                is_named = url in needs.documents or by_type.may_match(url, terms)
                 yield LiveDocument(url, self._factory.topic(topic.name), is_named, is_named or not bulky)
 
     def _parameters(self, graph: Graph) -> Iterator[_Candidate]:
@@ -199,26 +199,26 @@ class RobotGraphs:
         for name in (*tree.properties, *tree.actions):
             found, action = tree.property(name), tree.action(name)
             if found is not None:
-                told = _ANYTHING if found.is_conditional else _told_by_member(found.member, space)
+                terms = _ANYTHING if found.is_conditional else _terms_of_member(found.member, space)
             elif action is not None and (action.exists_when or action.conditions):
-                told = _ANYTHING
+                terms = _ANYTHING
             else:
                 continue
             bulky = found is not None and any(map(_is_bulky, found.reads))
-            yield _Candidate(url_of(name, space), told, partial(factory.member, name), bulky)
+            yield _Candidate(url_of(name, space), terms, partial(factory.member, name), bulky)
 
-    def _told_by_topic(self, topic: Topic) -> tuple[ToldTerms, bool]:
+    def _terms_of_topic(self, topic: Topic) -> tuple[StatedTerms, bool]:
         """Return what the values of a topic tell, and whether its messages are pictures, clouds or the like."""
         schemas, space = self._session.schemas, self._session.space
-        found: list[ToldTerms] = [ToldTerms(_TOPIC | _MESSAGE, _CLASSES)]
+        found: list[StatedTerms] = [StatedTerms(_TOPIC | _MESSAGE, _CLASSES)]
         bulky = False
         for ref in topic.types:
             schema = schemas.find_cached(ref) or schemas.find_cached_by_name(ref.name)
             if not isinstance(schema, MessageSchema):
                 return _ANYTHING, False
             bulky |= is_bulky(schema)
-            found.append(_told_by_messages(schema, space))
-        return reduce(ToldTerms.__or__, found), bulky
+            found.append(_terms_of_messages(schema, space))
+        return reduce(StatedTerms.__or__, found), bulky
 
     def _rated(self, needs: Needs) -> Iterator[LiveDocument]:
         """Yield the topics subscribed to whose rates a query can match: a rate is no reason to subscribe."""
@@ -365,7 +365,7 @@ def _named_topics(space: Space, graph: Graph, needs: Needs) -> Iterable[Topic]:
 
 
 @lru_cache(maxsize=4096)
-def _told_by_messages(schema: MessageSchema, space: Space) -> ToldTerms:
+def _terms_of_messages(schema: MessageSchema, space: Space) -> StatedTerms:
     """Return the fields and classes of a message and of all within it."""
     kinds = schema.types.values()
     fields = {space.property_of(kind.name, field.name) for kind in kinds for field in kind.fields}
@@ -374,17 +374,17 @@ def _told_by_messages(schema: MessageSchema, space: Space) -> ToldTerms:
         for kind in kinds
         for field in kind.fields
     )
-    return ToldTerms(
+    return StatedTerms(
         frozenset(fields) | _MESSAGE | (_LISTS if has_lists else frozenset()),
         _CLASSES | {space.class_of(kind.name) for kind in kinds},
     )
 
 
-def _told_by_property(own: Property, space: Space) -> ToldTerms:
+def _terms_of_property(own: Property, space: Space) -> StatedTerms:
     if any(isinstance(reader, TopicSource) and reader.schema is None for reader in own.readers):
         return _ANYTHING
-    told = ToldTerms(_PROPERTY, frozenset())
-    return told | _told_by_messages(own.kind.schema, space) if isinstance(own.kind, MessageKind) else told
+    terms = StatedTerms(_PROPERTY, frozenset())
+    return terms | _terms_of_messages(own.kind.schema, space) if isinstance(own.kind, MessageKind) else terms
 
 
 def _is_bulky(own: Property) -> bool:
@@ -392,10 +392,10 @@ def _is_bulky(own: Property) -> bool:
     return any(source.schema is not None and is_bulky(source.schema) for source in sources)
 
 
-def _told_by_member(member: MemberPlan, space: Space) -> ToldTerms:
-    told = _told_by_property(member.source, space)
+def _terms_of_member(member: MemberPlan, space: Space) -> StatedTerms:
+    terms = _terms_of_property(member.source, space)
     relation = member.mapped.predicate.value if member.mapped is not None else None
-    return told if relation is None else told | ToldTerms(frozenset({relation}), frozenset())
+    return terms if relation is None else terms | StatedTerms(frozenset({relation}), frozenset())
 
 
 def _of_parameter(resource: Resource, value: ParameterValue | None) -> GraphEntry | None:

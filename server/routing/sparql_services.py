@@ -17,7 +17,8 @@ from rosld.server.settings import Settings
 from rosld.server.sparql.analysis import Analyser
 from rosld.server.sparql.materializer import Materializer
 from rosld.server.sparql.process.client import QueryProcess
-from rosld.server.sparql.query_service import QueryService, QuerySettings
+from rosld.server.sparql.query_limits import Limits
+from rosld.server.sparql.query_service import QueryService
 from rosld.server.sparql.receipt_graphs import ReceiptGraphs
 from rosld.server.sparql.restricted import RestrictedDatasets
 from rosld.server.sparql.syntax.lexer import QueryBounds, ServiceAllowlist
@@ -70,8 +71,8 @@ class SparqlServices:
         )
 
 
-def _limits(settings: Settings) -> QuerySettings:
-    return QuerySettings(
+def _limits(settings: Settings) -> Limits:
+    return Limits(
         settings.query_time_limit,
         settings.query_memory_limit,
         settings.query_row_limit,

@@ -32,14 +32,14 @@ class Constants(NamedTuple):
     type: str | None = None
 
 
-class ToldTerms(NamedTuple):
+class StatedTerms(NamedTuple):
     """The predicates of the value triples of a document, and the classes of its nodes; None for any."""
 
     predicates: frozenset[str] | None = None
     classes: frozenset[str] | None = None
 
-    def __or__(self, other: ToldTerms) -> ToldTerms:
-        return ToldTerms(_union(self.predicates, other.predicates), _union(self.classes, other.classes))
+    def __or__(self, other: StatedTerms) -> StatedTerms:
+        return StatedTerms(_union(self.predicates, other.predicates), _union(self.classes, other.classes))
 
 
 def _union(one: frozenset[str] | None, other: frozenset[str] | None) -> frozenset[str] | None:
@@ -63,20 +63,20 @@ class Needs:
         """Return the needs of the same query over these graphs alone, which it thereby names."""
         return replace(self, documents=self.documents.union(graphs), dataset=frozenset(graphs))
 
-    def may_match(self, document: str, told: ToldTerms) -> bool:
-        """Whether a pattern can match value triples of a document that tells these terms."""
+    def may_match(self, document: str, terms: StatedTerms) -> bool:
+        """Whether a pattern can match value triples of a document with these terms."""
         if self.dataset is not None and document not in self.dataset:
             return False
-        if self.asks_graphs and told.predicates is None:  # what is there may depend on values
+        if self.asks_graphs and terms.predicates is None:  # what is there may depend on values
             return True
-        return any(_may_match(pattern, document, told) for pattern in self.patterns)
+        return any(_may_match(pattern, document, terms) for pattern in self.patterns)
 
-    def may_match_below(self, place: str, told: ToldTerms) -> bool:
+    def may_match_below(self, place: str, terms: StatedTerms) -> bool:
         """Whether a pattern can match triples of these terms, about whatever, in graphs whose names begin so."""
         if self.dataset is not None and not any(graph.startswith(place) for graph in self.dataset):
             return False
         graphs = (one for one in self.patterns if one.graph is None or one.graph.startswith(place))
-        return any(_may_match(one._replace(graph=None, document=None), place, told) for one in graphs)
+        return any(_may_match(one._replace(graph=None, document=None), place, terms) for one in graphs)
 
     def __or__(self, other: Needs) -> Needs:
         dataset = _union(self.dataset, other.dataset)
@@ -138,11 +138,11 @@ def matches_any_node(pattern: Pattern, patterns: Iterable[Pattern]) -> bool:
     return all(isinstance(end, Variable) and end not in bound for end in (pattern.subject, pattern.object))
 
 
-def _may_match(pattern: Constants, document: str, told: ToldTerms) -> bool:
+def _may_match(pattern: Constants, document: str, terms: StatedTerms) -> bool:
     graph, subject, predicates, type = pattern
     return (
         (graph is None or graph == document)
         and (subject is None or subject == document)
-        and (predicates is None or told.predicates is None or not told.predicates.isdisjoint(predicates))
-        and (type is None or told.classes is None or type in told.classes)
+        and (predicates is None or terms.predicates is None or not terms.predicates.isdisjoint(predicates))
+        and (type is None or terms.classes is None or type in terms.classes)
     )

@@ -34,6 +34,9 @@ class Limits(NamedTuple):
     queue: int = 256
 
 
+DEFAULT_LIMITS = Limits()
+
+
 def describe_limits(service: NamedNode, limits: Limits) -> tuple[Triple, ...]:
     """The limits as the description of the service tells them."""
     return (

@@ -8,7 +8,6 @@ import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
@@ -26,7 +25,7 @@ from rosld.server.sparql.process.client import QueryProcess
 from rosld.server.sparql.process.work import AnswerWork, QueryWork, Work
 from rosld.server.sparql.process.work import TableWork as FirstRows
 from rosld.server.sparql.protocol import QueryRequest
-from rosld.server.sparql.query_limits import Limits, incomplete, out_of_time, too_many_queries
+from rosld.server.sparql.query_limits import DEFAULT_LIMITS, Limits, incomplete, out_of_time, too_many_queries
 from rosld.server.sparql.restricted import RestrictedDatasets
 from rosld.server.sparql.results import ResultRows
 
@@ -45,26 +44,6 @@ class QueryAnswer(NamedTuple):
     def content_type(self) -> str:
         """For the header of that name."""
         return results.content_type(self.media_type)
-
-
-@dataclass(frozen=True, slots=True)
-class QuerySettings:
-    """`time_limit` in seconds for a whole answer, `memory_limit` in bytes for what a query takes beyond the dataset.
-
-    `workers` queries that take long are answered at a time, `waiting` more may wait. An answer has at most `row_limit`
-    rows (triples of a graph).
-    """
-
-    time_limit: float = 10.0
-    memory_limit: int = 1024 * 1024 * 1024
-    row_limit: int = 1_000_000
-    workers: int = 4
-    waiting: int = 256
-
-    @property
-    def limits(self) -> Limits:
-        """What a query may take."""
-        return Limits(self.time_limit, self.memory_limit, self.row_limit, self.workers, self.waiting)
 
 
 _SECOND = 1_000_000_000
@@ -86,7 +65,7 @@ class QueryService:
         materializer: Materializer,
         analyser: Analyser,
         ages: Callable[[], Mapping[str, float]] = dict,
-        settings: QuerySettings = QuerySettings(),
+        limits: Limits = DEFAULT_LIMITS,
         restricted: RestrictedDatasets | None = None,
         past: PastSource | None = None,
     ) -> None:
@@ -96,7 +75,7 @@ class QueryService:
         self._ages = ages
         self._restricted = restricted
         self._past = past
-        self.limits = settings.limits
+        self.limits = limits
         self._reader = ThreadPoolExecutor(1, "sparql-reader")
         self._long = 0
 

@@ -13,7 +13,7 @@ from rosld.ontology.urls import Space
 from rosld.ontology.vocab import ldp, rdf
 from rosld.server.dataset import Edit
 from rosld.server.receipts.journal import Journal, JournalEntry
-from rosld.server.sparql.needs import Needs, ToldTerms
+from rosld.server.sparql.needs import Needs, StatedTerms
 from rosld.server.sparql.stored_sync import Changes
 
 TITLE = "Activity"
@@ -77,14 +77,14 @@ class ReceiptGraphs:
             self._gone.append((self._journal.version, entry.id))
 
 
-def _terms(space: Space) -> ToldTerms:
+def _terms(space: Space) -> StatedTerms:
     """Return the terms of a receipt that says all that one can say, and of the container."""
     container = container_document(space.container("activity"), [space.activity("0")], TITLE)
     made = (space.base, space.call("0"))
     documents = (container, *(activity_document(_EVERYTHING._replace(made=one), space) for one in made))
     triples = [triple for document in documents for triple in document.all_triples()]
     classes = frozenset(str(one.object)[1:-1] for one in triples if one.predicate == rdf.type)
-    return ToldTerms(frozenset(one.predicate.value for one in triples), classes)
+    return StatedTerms(frozenset(one.predicate.value for one in triples), classes)
 
 
 _EVERYTHING = Receipt(

@@ -29,7 +29,6 @@ from rosld.server.dataset.base import Term
 from rosld.server.dataset.encoding import Decoder, decode_term, decode_triple
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
-from rosld.server.sparql.xml_output import MAX_HELD_BYTES, XmlOutput, not_in_xml
 
 Check: TypeAlias = Callable[[], None]
 """Raises once the time is over."""
@@ -67,6 +66,10 @@ QUADS = "QUADS"
 _CHARSET = frozenset({"text/csv", "text/tab-separated-values", "text/turtle", "text/n3", "text/xml"})
 _PREFIXED = frozenset({RdfFormat.TURTLE, RdfFormat.TRIG, RdfFormat.N3})
 _PREFIXES = dict(PREFIXES)
+MAX_HELD_BYTES = 32 * 1024 * 1024
+"""Bytes that are held back."""
+_NO_CHARACTER = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]|\xef\xbf[\xbe\xbf]")
+XML_REASON = {"reason": "xml"}
 
 
 def choose_media_type(form: str | None, accept: str | None) -> str:
@@ -254,3 +257,52 @@ def _rows(rows: Iterator[tuple[Term | None, ...]], limit: int, check: Check) -> 
     for row in islice(rows, limit):
         check()
         yield tuple(None if term is None else decode_term(term) for term in row)
+
+
+def not_in_xml(words: str) -> Problem:
+    """The Problem of an answer that XML cannot carry: another format can."""
+    return Problem(406, words, extra=dict(XML_REASON))
+
+
+class XmlOutput(io.RawIOBase):
+    """Output that passes XML on once it is known to be well-formed, or has more than `limit` bytes.
+
+    XML 1.0 has no way to write most control characters (2.2), and readers turn a carriage return into a line feed
+    (2.11): the store's writer writes both unchanged. A carriage return is written as a reference here.
+    """
+
+    def __init__(self, output: BinaryIO, limit: int) -> None:
+        super().__init__()
+        self._output = output
+        self._limit = limit
+        self._held: list[bytes] | None = []
+        self._size = 0
+        self._rest = b""
+
+    def writable(self) -> bool:
+        return True
+
+    def write(self, data: bytes) -> int:  # type: ignore[override]
+        """Take bytes. Raises Problem 406 for a character that XML has not."""
+        piece = bytes(data)
+        if found := _NO_CHARACTER.search(self._rest + piece):
+            number = ord(found[0].decode())
+            raise not_in_xml(f"XML cannot carry the character U+{number:04X}, which is in the results: ask for JSON.")
+        self._rest = piece[-2:]
+        self._pass_on(piece.replace(b"\r", b"&#13;"))
+        return len(piece)
+
+    def _pass_on(self, piece: bytes) -> None:
+        if self._held is None:
+            self._output.write(piece)
+            return
+        self._held.append(piece)
+        self._size += len(piece)
+        if self._size > self._limit:
+            self.finish()
+
+    def finish(self) -> None:
+        """Pass on what is held back."""
+        held, self._held = self._held, None
+        for piece in held or ():
+            self._output.write(piece)

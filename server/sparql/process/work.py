@@ -36,8 +36,6 @@ from rosld.server.sparql.update.operations import Operation, Where
 
 _MAX_TRIPLES = 2000
 """Triples of a graph from which on an update is evaluated by what changes."""
-_MAX_TEMPLATES = 64
-"""Quads of an operation that are sent as they are."""
 _LASTING = functions(lambda topic: None)
 
 
@@ -159,13 +157,6 @@ class WhereWork(NamedTuple):
         if home is None or self.home is None or store.count(home.graph, 1):
             return self.query
         return self.home._replace(default_graphs=(home.graph,), named_graphs=tuple(store.graphs()))
-
-
-class _Update(NamedTuple):
-    """Operations, and what their WHEREs come to."""
-
-    operations: Sequence[Operation]
-    asked: Sequence[WhereWork]
 
 
 class EvaluateUpdate(NamedTuple):

@@ -10,9 +10,8 @@ from pyoxigraph import NamedNode, RdfFormat, parse
 
 from rosld.ontology.body import expanded_body_error, expansion_limit
 from rosld.server.http.problem import Problem
-from rosld.server.sparql.syntax.keywords import KEYWORDS
 from rosld.server.sparql.syntax.lexer import CheckedText, line_and_column, unescape_codepoints
-from rosld.server.sparql.syntax.token import Kind, Token
+from rosld.server.sparql.syntax.token import KEYWORDS, Kind, Token
 from rosld.server.sparql.syntax.tree import TYPE
 
 _MAX_QUOTED = 40

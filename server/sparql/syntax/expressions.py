@@ -7,9 +7,8 @@ from collections.abc import Iterator, Mapping
 
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.syntax.cursor import did_you_mean
-from rosld.server.sparql.syntax.keywords import AGGREGATES, ANY_NUMBER, ARGUMENTS
 from rosld.server.sparql.syntax.lexer import CheckedText, line_and_column
-from rosld.server.sparql.syntax.token import Kind, Token
+from rosld.server.sparql.syntax.token import AGGREGATES, ANY_NUMBER, ARGUMENTS, Kind, Token
 from rosld.server.sparql.syntax.tree import (
     Call,
     Choices,

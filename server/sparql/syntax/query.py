@@ -13,9 +13,8 @@ from typing import NamedTuple
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.syntax.cursor import Span
 from rosld.server.sparql.syntax.expressions import ExpressionParser, has_aggregate, ungrouped
-from rosld.server.sparql.syntax.keywords import FORMS, MEMBERS, MODIFIERS
 from rosld.server.sparql.syntax.lexer import DEFAULT_BOUNDS, CheckedText, line_and_column
-from rosld.server.sparql.syntax.token import Kind, Token
+from rosld.server.sparql.syntax.token import FORMS, MEMBERS, MODIFIERS, Kind, Token
 from rosld.server.sparql.syntax.tree import (
     Constant,
     ExpressionPurpose,

@@ -11,9 +11,8 @@ from pyoxigraph import Literal, NamedNode
 from rosld.ontology.vocab import rdf, xsd
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.syntax.cursor import Cursor
-from rosld.server.sparql.syntax.keywords import MEMBERS
 from rosld.server.sparql.syntax.lexer import CheckedText
-from rosld.server.sparql.syntax.token import Kind, Token
+from rosld.server.sparql.syntax.token import MEMBERS, Kind, Token
 from rosld.server.sparql.syntax.tree import (
     TYPE,
     Chain,

@@ -66,8 +66,8 @@ QUADS = "QUADS"
 _CHARSET = frozenset({"text/csv", "text/tab-separated-values", "text/turtle", "text/n3", "text/xml"})
 _PREFIXED = frozenset({RdfFormat.TURTLE, RdfFormat.TRIG, RdfFormat.N3})
 _PREFIXES = dict(PREFIXES)
-MAX_HELD_BYTES = 32 * 1024 * 1024
-"""Bytes that are held back."""
+_MAX_HELD_BYTES = 32 * 1024 * 1024
+"""Maximum number of bytes of XML held back until the end is seen."""
 _NO_CHARACTER = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]|\xef\xbf[\xbe\xbf]")
 XML_REASON = {"reason": "xml"}
 
@@ -163,7 +163,7 @@ def _write_solutions(results: QuerySolutions | QueryBoolean, media_type: str, ou
     if isinstance(results, QueryBoolean) and media_type in _BOOLEANS:
         output.write(_BOOLEANS[media_type] % (b"true" if results else b"false"))
     elif syntax == QueryResultsFormat.XML:
-        xml = XmlOutput(output, MAX_HELD_BYTES)
+        xml = _XmlOutput(output)
         results.serialize(cast("BinaryIO", xml), syntax)
         xml.finish()
     else:
@@ -211,7 +211,7 @@ def _write_xml(results: QueryTriples, output: BinaryIO, check: Check, base: str)
     try:
         output.write(rdfxml(_check(results, check), base).encode("utf-8"))
     except CannotCarry as error:
-        raise not_in_xml(f"{error}.") from error
+        raise _not_in_xml(f"{error}.") from error
 
 
 def _quads(solutions: QuerySolutions, check: Check) -> Iterator[Quad]:
@@ -259,22 +259,21 @@ def _rows(rows: Iterator[tuple[Term | None, ...]], limit: int, check: Check) -> 
         yield tuple(None if term is None else decode_term(term) for term in row)
 
 
-def not_in_xml(words: str) -> Problem:
-    """The Problem of an answer that XML cannot carry: another format can."""
+def _not_in_xml(words: str) -> Problem:
+    """Return the problem of results that XML cannot represent (other formats can)."""
     return Problem(406, words, extra=dict(XML_REASON))
 
 
-class XmlOutput(io.RawIOBase):
-    """Output that passes XML on once it is known to be well-formed, or has more than `limit` bytes.
+class _XmlOutput(io.RawIOBase):
+    """Output that passes XML on once it is known to be well-formed, or has more than 32 MiB.
 
     XML 1.0 has no way to write most control characters (2.2), and readers turn a carriage return into a line feed
     (2.11): the store's writer writes both unchanged. A carriage return is written as a reference here.
     """
 
-    def __init__(self, output: BinaryIO, limit: int) -> None:
+    def __init__(self, output: BinaryIO) -> None:
         super().__init__()
         self._output = output
-        self._limit = limit
         self._held: list[bytes] | None = []
         self._size = 0
         self._rest = b""
@@ -283,11 +282,11 @@ class XmlOutput(io.RawIOBase):
         return True
 
     def write(self, data: bytes) -> int:  # type: ignore[override]
-        """Take bytes. Raises Problem 406 for a character that XML has not."""
+        """Take bytes. Raises Problem 406 for a character that XML cannot represent."""
         piece = bytes(data)
         if found := _NO_CHARACTER.search(self._rest + piece):
             number = ord(found[0].decode())
-            raise not_in_xml(f"XML cannot carry the character U+{number:04X}, which is in the results: ask for JSON.")
+            raise _not_in_xml(f"XML cannot carry the character U+{number:04X}, which is in the results: ask for JSON.")
         self._rest = piece[-2:]
         self._pass_on(piece.replace(b"\r", b"&#13;"))
         return len(piece)
@@ -298,11 +297,11 @@ class XmlOutput(io.RawIOBase):
             return
         self._held.append(piece)
         self._size += len(piece)
-        if self._size > self._limit:
+        if self._size > _MAX_HELD_BYTES:
             self.finish()
 
     def finish(self) -> None:
-        """Pass on what is held back."""
+        """Pass on the bytes held back."""
         held, self._held = self._held, None
         for piece in held or ():
             self._output.write(piece)

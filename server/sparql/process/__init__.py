@@ -1,5 +1,5 @@
 """The query process: it holds the dataset and evaluates SPARQL, so that no query can block or end the server.
 
-It has one thread. What the server sends it (changes of graphs, work, cancellations) is carried out in that order, so
-work sees every change that was sent before it. Work that may take long is done in a fork.
+The query process has one thread and makes the changes of graphs that the server sends, in their order. Its workers are
+forks that receive the same changes: a job sees every change that was sent before it.
 """

@@ -1,4 +1,4 @@
-"""The server's end of the query process: sends it changes, has work done by its workers, starts it again if it dies."""
+"""The server's side of the query process: sends changes, runs work in workers, restarts the process if it dies."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from rosld.server.sparql.query_limits import Limits, process_restarting
 _log = logging.getLogger("rosld.sparql")
 
 _LARGE = 64 * 1024
-"""Bytes of a job from which on memory is asked for: less is within the margin."""
+"""Bytes of a job above which available memory is checked; smaller ones are within the margin."""
 _PER_BYTE = 3
-"""Bytes that a job takes in the process before it is begun, for each of its own."""
+"""Bytes that the process needs for each byte of a job that waits."""
 _PATIENCE = 2.0
-"""Seconds that a query waits for a process that is being started."""
+"""Seconds that a query waits for a process that is starting."""
 _AT_ONCE = 1.0
-"""A process that lives no longer is not started again at once."""
+"""Minimum lifetime in seconds of a process that is restarted without a pause."""
 _LONGEST_PAUSE = 30.0
 
 
@@ -36,8 +36,8 @@ class QueryProcess:
     """The process and its workers. Belongs to one loop; `start` and `close` it there.
 
     The process holds the datasets and makes changes; its workers, which are forks of it, do the work: at most
-    `concurrency` at a time, for which at most `queue` jobs wait. `generation` changes with each start: a new process
-    holds nothing, which the listeners of `on_start` are told.
+    `concurrency` at a time, while at most `queue` jobs wait. `generation` changes with each start: a new process has
+    empty datasets, and the listeners of `on_start` are called.
     """
 
     def __init__(self, concurrency: int, queue: int) -> None:
@@ -53,11 +53,11 @@ class QueryProcess:
 
     @property
     def pid(self) -> int | None:
-        """The number of the process, None while there is none."""
+        """The process ID, None while no process runs."""
         return None if self._child is None else self._child.popen.pid
 
     def on_start(self, listener: Callable[[], None]) -> None:
-        """Call the listener whenever the process has been started again, and holds nothing."""
+        """Call the listener after each start of the process, when its datasets are empty."""
         self._on_start.append(listener)
 
     def on_change(self, listener: Callable[[Mapping[str, str | None], Sequence[Edit]], None]) -> None:
@@ -65,7 +65,7 @@ class QueryProcess:
         self._on_change.append(listener)
 
     async def start(self) -> None:
-        """Start the process; it need not be waited for. Raises OSError."""
+        """Start the process. Raises OSError."""
         self._loop = asyncio.get_running_loop()
         spawned = await self._loop.run_in_executor(None, spawn)
         if self._closed:
@@ -76,12 +76,12 @@ class QueryProcess:
         self._child = ChildProcess(spawned, self._loop, self._take, self._lost)
         self._pool.start(self._child, self._loop)
         self.generation += 1
-        for told in self._on_start:
-            told()
+        for listener in self._on_start:
+            listener()
         self._up.set()
 
     async def close(self) -> None:
-        """End the process, with all that it does. Idempotent."""
+        """End the process and its workers. Idempotent."""
         self._closed = True
         if self._restart is not None:
             self._restart.cancel()
@@ -95,13 +95,13 @@ class QueryProcess:
 
     @property
     def _running(self) -> ChildProcess:
-        """The process. Raises Problem 503 where it is not there."""
+        """The process. Raises Problem 503 if none runs."""
         if self._child is None or not self._child.is_open:
             raise process_restarting(1)
         return self._child
 
     async def wait_ready(self, until: float) -> None:
-        """Wait a moment for the process to be there. Raises Problem 503 where it is not."""
+        """Wait up to two seconds for the process to start. Raises Problem 503 after that."""
         if self._up.is_set():
             return
         try:
@@ -109,13 +109,13 @@ class QueryProcess:
         except asyncio.TimeoutError as error:
             raise process_restarting(1) from error
 
-    # --- what it is told
+    # --- requests
 
     def change(self, graphs: Mapping[str, str | None], edits: Sequence[Edit] = (), dataset: int = 0) -> None:
-        """Replace graphs, then do edits, as `MemoryStore.replace`: all that is asked afterwards sees it.
+        """Replace graphs, then make edits, as `MemoryStore.replace` does; later jobs see the change.
 
-        A graph that cannot be stored is left out, and told of in the log. Raises Problem 503 where there is no process,
-        and NotEnoughMemory where the process has none for what is added.
+        A graph that cannot be stored is left out and logged. Raises Problem 503 if no process runs, and NotEnoughMemory
+        if the additions do not fit into memory.
         """
         if not graphs and not edits:
             return
@@ -129,15 +129,15 @@ class QueryProcess:
         process.send_change(data, needed)
         self._pool.note(data)
         if dataset == 0:
-            for told in self._on_change:
-                told(graphs, edits)
+            for listener in self._on_change:
+                listener(graphs, edits)
 
     def new_dataset(self) -> int:
-        """The number of another dataset, with nothing in it."""
+        """Return the number of a new, empty dataset."""
         return next(self._datasets)
 
     def drop(self, dataset: int) -> None:
-        """Let go of another dataset."""
+        """Discard a dataset that `new_dataset` returned."""
         with contextlib.suppress(Problem):
             data = pack(Drop(dataset))
             self._running.send(data)
@@ -151,11 +151,11 @@ class QueryProcess:
         disconnected: Disconnected | None = None,
         dataset: int = 0,
     ) -> bytes | AsyncIterator[bytes]:
-        """What the work writes: all bytes where they are few, else an iterator, which raises Aborted where it breaks.
+        """Return what the work writes: a small result whole, a larger one as an iterator that may raise Aborted.
 
-        `until` is when the time is over (monotonic), `limits.seconds` is what this comes from. Whoever hangs up has the
-        work ended. Raises what the work raises, and Problems: 503 where a limit is reached, too much is being done or
-        the process must be started again, 500 where the work ended the process that did it.
+        `until` is the deadline (monotonic) that follows from `limits.seconds`. The work ends when the client hangs up.
+        Raises what the work raises, and Problems: 503 if a limit is reached, the workers are busy or the process
+        restarts, 500 if the work crashed its worker.
         """
         data = pack(Job(dataset, work, max(0.0, until - time.monotonic()), limits.memory))
         if len(data) > _LARGE:
@@ -163,7 +163,7 @@ class QueryProcess:
         return await Evaluation(data, work, limits, until, self._pool.cancel).run(self._pool.begin, disconnected)
 
     async def result(self, work: Work, limits: Limits, until: float, disconnected: Disconnected | None = None) -> bytes:
-        """All that the work writes. Raises as `answer` does."""
+        """Return everything that the work writes. Raises as `answer` does."""
         found = await self.answer(work, limits, until, disconnected)
         if isinstance(found, bytes):
             return found
@@ -173,18 +173,18 @@ class QueryProcess:
             raise error.__cause__ or Problem(503, str(error)) from None
 
     def result_for_thread(self, work: Work, seconds: float) -> bytes:
-        """The same for another thread. Raises TimeoutError."""
+        """Return the same from another thread than the loop's. Raises TimeoutError."""
         coming = asyncio.run_coroutine_threadsafe(
             self.result(work, Limits(seconds), time.monotonic() + seconds), self._loop
         )
         return coming.result(seconds + 1)
 
     async def wait_drained(self) -> None:
-        """Return when the process has taken most of what it was sent, or is gone."""
+        """Wait until the process has received most of what was sent, or is gone."""
         if self._child is not None:
             await self._child.wait_drained()
 
-    # --- what it tells, and its death
+    # --- messages and restart
 
     def _take(self, message: object) -> None:
         match message:

@@ -1,4 +1,4 @@
-"""The server's connections to the query process and to its workers: frames out, messages in."""
+"""Connections of the server to the query process and to its workers: frames out, messages in."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from rosld.server.sparql.process.frames import FrameBuffer, ReduceMemory, Shared
 
 _RECEIVED = 256 * 1024
 _AHEAD = 4 * 1024 * 1024
-"""Bytes that may be on their way to the process before others should be made."""
+"""Maximum number of bytes queued for the process before senders wait."""
 _AT_ONCE = 64
-"""Frames that are sent by one system call."""
+"""Maximum number of frames in one system call."""
 _START = "import sys; sys.path[:] = sys.argv[1:-1]; from rosld.server.sparql.process.keeper import main; main()"
-"""What the process runs: with the same modules as the server, wherever that found them."""
+"""The program of the process; it finds modules where the server does."""
 
 SpawnedProcess = tuple["subprocess.Popen[bytes]", socket.socket, SharedStatus]
 
 
 def spawn() -> SpawnedProcess:
-    """Start a query process, with the socket to it and the memory in which it counts changes. Raises OSError."""
+    """Start a query process; return it, the socket to it and the memory with its count of changes. Raises OSError."""
     ours, theirs = socket.socketpair()
     with theirs, tempfile.TemporaryFile() as file:
         try:
@@ -54,7 +54,7 @@ def spawn() -> SpawnedProcess:
 class Connection:
     """A socket on the server's loop.
 
-    `on_message` is called with each message that comes, `on_lost` once, when the other end is gone.
+    `on_message` is called with each message received, `on_lost` once, after the other end has closed.
     """
 
     def __init__(
@@ -77,11 +77,11 @@ class Connection:
 
     @property
     def is_open(self) -> bool:
-        """Whether the other end is there, as far as is known."""
+        """Whether the socket is open."""
         return self._socket is not None
 
     def close(self) -> None:
-        """Close the socket; the other end stops by that. Idempotent."""
+        """Close the socket, which ends the other side. Idempotent."""
         connection, self._socket = self._socket, None
         if connection is None:
             return
@@ -95,7 +95,7 @@ class Connection:
         self._tell_taken()
 
     def send(self, data: bytes, descriptor: int | None = None) -> None:
-        """Send a frame after all others, soon; with a descriptor, which is closed then. Do nothing if it is closed."""
+        """Queue a frame, with a descriptor that is closed after sending. Does nothing on a closed connection."""
         if self._socket is None:
             if descriptor is not None:
                 os.close(descriptor)
@@ -105,7 +105,7 @@ class Connection:
         self._output.append((memoryview(data), descriptor))
 
     def flush(self) -> None:
-        """Send what the socket takes now: what is sent in one turn of the loop together wakes the other end once."""
+        """Send what the socket accepts now; frames sent in one iteration of the loop wake the other side once."""
         if self._socket is None:
             return
         while self._output:
@@ -122,7 +122,7 @@ class Connection:
         self._tell_taken()
 
     async def wait_drained(self) -> None:
-        """Return when the other end has taken most of what it was sent, or is gone."""
+        """Wait until the other side has received most of what was sent, or is gone."""
         while sum(len(view) for view, _ in self._output) > _AHEAD:
             self._taken = self._taken or self._loop.create_future()
             await asyncio.shield(self._taken)
@@ -133,7 +133,7 @@ class Connection:
             taken.set_result(None)
 
     def pause(self) -> None:
-        """Receive nothing until `resume`; the other end waits once the socket is full."""
+        """Receive nothing until `resume`; the other side blocks once the socket is full."""
         if self._socket is not None and not self._is_paused:
             self._is_paused = True
             self._loop.remove_reader(self._socket)
@@ -145,9 +145,9 @@ class Connection:
             self._loop.add_reader(self._socket, self._receive)
 
     def _receive(self) -> None:
-        """Take all that has come.
+        """Receive until nothing is left.
 
-        To its end: where the process was killed with requests unread, uvloop tells of it once, and of nothing after.
+        If the process was killed with requests unread, uvloop reports the socket as readable only once.
         """
         while self._socket is not None and not self._is_paused:
             self._read(self._socket)
@@ -170,7 +170,7 @@ class Connection:
 
 
 def _is_readable(connection: socket.socket) -> bool:
-    """Whether there are bytes, or an end, to be read."""
+    """Whether there are bytes or an end of file to read."""
     try:
         connection.recv(1, socket.MSG_PEEK)
     except (BlockingIOError, InterruptedError):
@@ -181,9 +181,9 @@ def _is_readable(connection: socket.socket) -> bool:
 
 
 def _send(connection: socket.socket, output: Iterable[tuple[memoryview, int | None]]) -> int | None:
-    """Send what the socket takes now of the first frames, the number of bytes, None where it takes none.
+    """Send what the socket accepts now of the first frames; return the number of bytes, None if it would block.
 
-    A descriptor goes with the frame that it belongs to, which is sent by itself.
+    A frame with a descriptor is sent on its own.
     """
     views: list[memoryview] = []
     passed: int | None = None
@@ -220,16 +220,16 @@ class ChildProcess(Connection):
         self._memory = Memory(lambda: available_bytes(self.popen.pid))
         self._changes = count(1)
         self._ahead: deque[tuple[int, int]] = deque()
-        """The changes that may not have been made yet: the number of each since the start, and the bytes for it."""
+        """Changes that may be pending in the process: the number of each since the start, and the bytes it needs."""
         super().__init__(connection, loop, on_message, on_lost)
 
     def send_change(self, data: bytes, needed: int) -> None:
-        """Send a change for which the process needs so many bytes."""
+        """Send a change for which the process needs `needed` bytes of memory."""
         self.send(data)
         self._ahead.append((next(self._changes), needed))
 
     def require_memory(self, needed: int, what: str) -> None:
-        """Raise NotEnoughMemory where the process has none for this and the changes that it is still to make."""
+        """Raise NotEnoughMemory if the process lacks memory for this in addition to the pending changes."""
         made = self._status.changes
         while self._ahead and self._ahead[0][0] <= made:
             self._ahead.popleft()

@@ -18,7 +18,7 @@ _NUMBER = struct.Struct("<Q")
 
 
 class Change(NamedTuple):
-    """Replace graphs of a dataset by N-Triples (None: drop them), then do edits: as `MemoryStore.replace`."""
+    """Replace graphs of a dataset by N-Triples (None: drop them), then make edits, as `MemoryStore.replace` does."""
 
     dataset: int
     graphs: Mapping[str, str | None]
@@ -54,7 +54,7 @@ class ReduceMemory(NamedTuple):
 
 
 class Job(NamedTuple):
-    """Do work over a dataset, within so many seconds and bytes of memory."""
+    """Do work over a dataset, limited in seconds and in bytes of memory."""
 
     dataset: int
     work: Work
@@ -73,14 +73,14 @@ class Refused(NamedTuple):
 
 
 class ExitStatus(NamedTuple):
-    """How a worker ended: its status as `os.waitpid` has it, and what native code wrote last, if anything."""
+    """How a worker ended: its status from `os.waitpid`, and its last output on stderr."""
 
     status: int
     words: str
 
 
 class Ended(NamedTuple):
-    """A worker has ended, or could not be forked because of a pickled exception."""
+    """A worker has ended, or could not be forked; `why` is then the pickled exception."""
 
     number: int
     why: ExitStatus | bytes
@@ -120,7 +120,7 @@ def pack(message: object) -> bytes:
 
 
 def pickle_error(error: Exception) -> bytes:
-    """Return an exception as bytes, without its traceback; one that cannot be pickled, in words."""
+    """Pickle an exception without its traceback; replace one that cannot be pickled by a RuntimeError."""
     bare = error.with_traceback(None)
     bare.__cause__ = bare.__context__ = None
     try:
@@ -132,13 +132,13 @@ def pickle_error(error: Exception) -> bytes:
 
 
 class FrameBuffer:
-    """Bytes as they come, cut into messages."""
+    """Buffer that splits a stream of bytes into messages."""
 
     def __init__(self) -> None:
         self._bytes = bytearray()
 
     def feed(self, data: bytes) -> Iterator[object]:
-        """Take bytes; yield the messages that are complete."""
+        """Add bytes; yield the messages that are complete."""
         self._bytes += data
         at = 0
         try:
@@ -154,16 +154,16 @@ class FrameBuffer:
 
 
 class SharedStatus:
-    """The number of changes that the query process has made, in memory shared with the server."""
+    """Count of the changes that the query process has made, in memory shared with the server."""
 
     SIZE = _NUMBER.size
 
     def __init__(self, descriptor: int) -> None:
-        """Map a file of `SIZE` bytes, which may be closed then."""
+        """Map a file of `SIZE` bytes, which the caller may close afterwards."""
         self._memory = mmap.mmap(descriptor, self.SIZE)
 
     def count_change(self) -> None:
-        """Count one more."""
+        """Increment the count."""
         _NUMBER.pack_into(self._memory, 0, self.changes + 1)
 
     @property

@@ -44,25 +44,25 @@ from rosld.server.sparql.query_limits import too_many_queries
 _CHUNK = 64 * 1024
 _RECEIVED = 256 * 1024
 _NICENESS = 5
-"""The nice increment: whoever moves or stops the robot never waits for a query's processor."""
+"""The nice increment of workers: queries never delay commands to the robot."""
 _MAX_GROWTH = 64 * 1024 * 1024
-"""Bytes that a worker may have grown by since its start: what a large query frees need not go back to the system."""
+"""Maximum growth of a worker in bytes: memory freed after a large query may not return to the system."""
 OUT_OF_MEMORY = 86
-"""The exit status of a worker that was refused memory."""
+"""The exit status of a worker that ran out of memory."""
 _PR_SET_PDEATHSIG = 1
 _MIN_MEMORY = 32 * 1024 * 1024
-"""Bytes of memory without which no worker is forked."""
+"""Bytes of memory required to fork a worker."""
 _MAX_WORDS = 4096
 _M_ARENA_MAX = -8
 
 
 def live(connection: int, stores: Mapping[int, MemoryStore], parent: int) -> NoReturn:
-    """Be a worker of these datasets, in the fork; `parent` is the query process."""
+    """Run a worker of these datasets in a fork of the query process, whose process ID is `parent`."""
     codes: list[int] = []
     try:
         gc.freeze()
         _be_alone(connection, parent)
-        # The store draws what is random from a state of each thread: a new thread's is seeded anew, a fork's is not.
+        # The store's random numbers have a state per thread: it is seeded in a new thread, but not in a fork.
         worker = _Worker(socket.socket(fileno=connection), stores)
         thread = threading.Thread(target=lambda: codes.append(worker.run()))
         thread.start()
@@ -74,7 +74,7 @@ def live(connection: int, stores: Mapping[int, MemoryStore], parent: int) -> NoR
 
 
 def _be_alone(connection: int, parent: int) -> None:
-    """Close every other socket and file, and end with the parent."""
+    """Close all other descriptors, and arrange to be killed with the parent."""
     signal.set_wakeup_fd(-1)
     for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGCHLD, signal.SIGALRM):
         signal.signal(number, signal.SIG_DFL)
@@ -89,7 +89,7 @@ def _be_alone(connection: int, parent: int) -> None:
 
 
 class _Worker:
-    """The loop of a worker, in a thread of its own."""
+    """Loop of a worker, run in a thread of its own."""
 
     def __init__(self, connection: socket.socket, stores: Mapping[int, MemoryStore]) -> None:
         self._connection = connection
@@ -103,7 +103,7 @@ class _Worker:
         self._first_size = self._size
 
     def run(self) -> int:
-        """Do what comes; return the exit status."""
+        """Handle messages until the end; return the exit status."""
         buffer = FrameBuffer()
         try:
             self._connection.sendall(pack(Ready()))
@@ -125,7 +125,7 @@ class _Worker:
         return 0
 
     def _do(self, job: Job) -> bool:
-        """Do a job; whether there may be another one."""
+        """Do a job; return whether the worker can take another one."""
         output = _Output(self._connection)
         signal.setitimer(signal.ITIMER_REAL, job.seconds + 1)
         self._limit_memory(job.memory)
@@ -149,11 +149,11 @@ class _Worker:
 
     @property
     def _size(self) -> int:
-        """The bytes of address space that are used; 0 where nothing tells."""
+        """Size of the address space in bytes; 0 if unknown."""
         return int(os.pread(self._statm, 64, 0).split()[0]) * resource.getpagesize() if self._statm >= 0 else 0
 
     def _limit_memory(self, memory: int) -> None:
-        """Let a job take so much memory beyond what is used now."""
+        """Limit the memory that a job uses beyond the present size."""
         if self._statm < 0:
             return
         soft, hard = self._memory
@@ -162,7 +162,7 @@ class _Worker:
 
 
 class _Output(io.RawIOBase):
-    """Sends a result in frames, small writes joined."""
+    """Output that sends a result in frames, joining small writes."""
 
     def __init__(self, connection: socket.socket) -> None:
         super().__init__()
@@ -173,7 +173,7 @@ class _Output(io.RawIOBase):
         return True
 
     def write(self, data: bytes) -> int:  # type: ignore[override]
-        """Take bytes of the result."""
+        """Add bytes of the result."""
         self._buffer += data
         if len(self._buffer) >= _CHUNK:
             self._connection.sendall(pack(Data(bytes(self._buffer))))
@@ -186,14 +186,14 @@ class _Output(io.RawIOBase):
 
 
 class _Child(NamedTuple):
-    """A worker, and the descriptor from which its stderr is read."""
+    """Process ID of a worker, and the descriptor of its stderr."""
 
     pid: int
     words: int
 
 
 class QueryProcessMain:
-    """Datasets by number, and workers. It has one thread, so that it can be forked."""
+    """Datasets by number, and workers. Single-threaded, so that it can fork safely."""
 
     def __init__(self, connection: socket.socket, status: SharedStatus) -> None:
         self._connection = connection
@@ -204,7 +204,7 @@ class QueryProcessMain:
         self._descriptors: deque[int] = deque()
 
     def run(self) -> None:
-        """Do what comes until the server is gone."""
+        """Handle messages until the server is gone."""
         woken, waking = os.pipe()
         os.set_blocking(woken, False)
         os.set_blocking(waking, False)
@@ -230,7 +230,7 @@ class QueryProcessMain:
         return sum(store.compact_step() for store in self._stores.values()) > 0
 
     def _receive(self) -> bool:
-        """Do what has come; False if nothing more comes, or another process is to go on."""
+        """Handle received messages; return False at the end, or if a new process should take over."""
         try:
             data, descriptors, _, _ = socket.recv_fds(self._connection, _RECEIVED, 16)
         except ConnectionResetError:
@@ -280,7 +280,7 @@ class QueryProcessMain:
             os.close(descriptor)
 
     def _reap(self) -> None:
-        """Tell which workers have ended."""
+        """Report the workers that have ended."""
         for number, child in [*self._workers.items()]:
             pid, status = os.waitpid(child.pid, os.WNOHANG)
             if pid:
@@ -296,14 +296,14 @@ def main() -> None:
     connection = socket.socket(fileno=0)
     with suppress(BrokenPipeError, ConnectionResetError):  # the server has gone
         QueryProcessMain(connection, SharedStatus(int(sys.argv[-1]))).run()
-    os._exit(0)  # what it holds need not be taken apart
+    os._exit(0)  # skips the destruction of the datasets
 
 
 def _prepare() -> None:
-    """Be the first to be ended where the machine is short of memory, and leave no core. One heap is enough."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # ^C is for the server, whose end is this one's
+    """Volunteer for the out-of-memory killer, write no core dump, use one heap."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # ^C ends the server, which ends this process
     with suppress(OSError, ValueError, AttributeError):
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         Path("/proc/self/oom_score_adj").write_text("1000")
         ctypes.CDLL(None).mallopt(_M_ARENA_MAX, 1)
-    gc.freeze()  # workers write to none of it
+    gc.freeze()  # a collection in a worker would copy shared pages

@@ -32,31 +32,31 @@ from rosld.server.sparql.query_limits import (
 )
 
 MAX_FIRST_BYTES = 1024 * 1024
-"""Bytes that are gathered before the first is sent: up to these, an answer is sent whole or refused."""
+"""Bytes gathered before the response begins: a shorter answer is sent whole or refused."""
 _MAX_AHEAD = 2 * MAX_FIRST_BYTES
-"""Bytes that a worker may be ahead of the client."""
+"""Maximum number of bytes received from a worker that the client has not read."""
 _QUIET = 0.05
-"""Seconds after which the client of a job is watched: most answers are there by then."""
+"""Seconds before watching for a disconnect of the client: most jobs have ended by then."""
 _MAX_BEHIND = 200
-"""Changes after which a worker is replaced rather than told: making them takes longer than a fork, of about 3 ms."""
+"""Unsent changes above which a worker is replaced: making them takes longer than a fork (about 3 ms)."""
 _MAX_BYTES_BEHIND = 512 * 1024
-"""Bytes of changes for which the same holds."""
+"""Bytes of unsent changes above which a worker is replaced."""
 _MAX_CHANGES = 4000
-"""Changes that a worker makes in its life: its store keeps what they removed."""
+"""Maximum number of changes in the life of a worker, whose store never frees removed triples."""
 _TRIAL_SECONDS = 0.5
-"""Seconds that a job may take in the one worker beyond the limit: so short ones need not wait for others to end."""
+"""Seconds that a job may take in the extra worker, so that short jobs need not wait for long ones."""
 _IDLE_SECONDS = 10.0
-"""Seconds after which an idle worker ends that is not the only one."""
+"""Seconds after which an idle worker ends, unless it is the only one."""
 
 
 class Aborted(Exception):
-    """Results that had begun to be sent cannot be completed; the connection must break, or they would look whole."""
+    """A streamed result cannot be completed: the connection must break, or the result would look complete."""
 
 
 class Evaluation:
-    """A job: `data` is its frame, `work` what it is to do. `cancel` is called if it is not wanted any more.
+    """Evaluation of a job: `data` is its frame, `cancel` is called if its result is no longer needed.
 
-    `worker` is there while one does it. `is_tried`: it was begun beyond the limit of workers.
+    `worker` is the worker that does it, if any; `is_tried` means that the extra worker has begun it before.
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class Evaluation:
     async def run(
         self, begin: Callable[[Evaluation], None], disconnected: Disconnected | None
     ) -> bytes | AsyncIterator[bytes]:
-        """Return the result. Raises Problems, and as the work does."""
+        """Return the result. Raises Problems and what the work raises."""
         body: bytes | AsyncIterator[bytes] = b""
         self._look_after(min(_QUIET, self._seconds_left), disconnected)
         try:
@@ -108,7 +108,7 @@ class Evaluation:
             self._close()
 
     async def _gather(self, size: int) -> None:
-        """Wait until so many bytes have come, or the job is over."""
+        """Wait until `size` bytes have arrived, or the job is over."""
         while not self._is_over and len(self._received) < size:
             self._wake = asyncio.get_running_loop().create_future()
             await self._wake
@@ -128,7 +128,7 @@ class Evaluation:
             self._is_over = True
             self._cancel(self)
 
-    # --- what happens to it
+    # --- events
 
     def add(self, data: bytes) -> None:
         """Add bytes of the result."""
@@ -138,7 +138,7 @@ class Evaluation:
         self._notify()
 
     def end(self, data: bytes) -> None:
-        """Complete the result by its last bytes."""
+        """Complete the result with its last bytes."""
         worker, self.worker = self.worker, None
         if worker is not None:
             worker.resume()
@@ -147,7 +147,7 @@ class Evaluation:
         self.add(data)
 
     def start_over(self) -> bool:
-        """Forget what has come, to be done again; whether that can be, as none of it was passed on."""
+        """Discard the result to evaluate again; return False if a part was already passed on."""
         if self._is_streaming or len(self._received) >= MAX_FIRST_BYTES:
             return False
         self._received.clear()
@@ -155,7 +155,7 @@ class Evaluation:
         return True
 
     def fail(self, error: Exception) -> None:
-        """End without a result, or break it off."""
+        """End with an error instead of a (complete) result."""
         if not self._is_over:
             self._error = error
             self.end(b"")
@@ -184,7 +184,7 @@ class Evaluation:
             self._timer.cancel()
 
     def _look(self, disconnected: Disconnected | None) -> None:
-        """Watch the client, and end when the time is over."""
+        """Start watching the client; end the job at its deadline."""
         if not self._seconds_left:
             self._give_up(self._why_late())
             return
@@ -199,7 +199,7 @@ class Evaluation:
         return too_many_queries() if self.worker is None or self.is_tried else dataset_behind()
 
     def _on_disconnect(self, watch: asyncio.Future[None]) -> None:
-        """The client has hung up, unless the watch was ended."""
+        """Give up if the client has disconnected, rather than the watch having been cancelled."""
         if not watch.cancelled() and watch.exception() is None:
             self._give_up(Problem(503, "The client has hung up."))
 
@@ -210,7 +210,7 @@ class Evaluation:
 
 
 def _why_ended(ended: ExitStatus, limits: Limits) -> Problem:
-    """Why a worker ended that did not say so."""
+    """Return the problem of a job whose worker ended unexpectedly."""
     status, words = ended
     if "memory allocation of" in words or (os.WIFEXITED(status) and os.WEXITSTATUS(status) == OUT_OF_MEMORY):
         return out_of_memory(limits.memory)
@@ -249,7 +249,7 @@ class _Worker(Connection):
         self._changes = 0
 
     def note(self, change: bytes) -> None:
-        """Note a change that the worker is to make before its next job."""
+        """Queue a change for the worker, to be made before its next job."""
         self._changes += 1
         self._behind += len(change)
         self.unsent.append(change)
@@ -269,9 +269,9 @@ class _Worker(Connection):
 
 
 class WorkerPool:
-    """Workers of a query process, of which at most `concurrency` work, and at most `waiting` jobs that wait for them.
+    """Workers of a query process: at most `concurrency` are busy, and at most `waiting` jobs wait.
 
-    While all work one more tries each job that comes: what is not done soon waits, and is begun again in its turn.
+    While all are busy, one extra worker tries each new job: one that takes longer waits and starts again in its turn.
     """
 
     def __init__(self, concurrency: int, waiting: int) -> None:
@@ -281,17 +281,17 @@ class WorkerPool:
         self._process: ChildProcess | None = None
         self._workers: dict[int, _Worker] = {}
         self._idle: list[_Worker] = []
-        """Those without a job; the one that was used last is used next."""
+        """Workers without a job; the last one used is used next."""
         self._queue: deque[Evaluation] = deque()
 
     def start(self, process: ChildProcess, loop: asyncio.AbstractEventLoop) -> None:
-        """Use a query process that has been started, and have one worker ready."""
+        """Use a new query process, and fork its first worker."""
         self._process, self._loop = process, loop
         with suppress(OSError):
             self._idle.append(self._fork(process))
 
     def stop(self) -> None:
-        """Fail all jobs: the query process is gone, and its workers with it."""
+        """Fail all jobs, because the query process and its workers are gone."""
         self._process = None
         workers, jobs = [*self._workers.values()], [*self._queue]
         for each in (self._workers, self._idle, self._queue):
@@ -304,14 +304,14 @@ class WorkerPool:
             job.fail(process_restarting(1))
 
     def note(self, change: bytes) -> None:
-        """Note a change of a dataset, for all workers."""
+        """Queue a change of a dataset for all workers."""
         for worker in [*self._workers.values()]:
             worker.note(change)
             if worker.is_outdated and worker.job is None:
                 self._drop(worker)
 
     def begin(self, job: Evaluation) -> None:
-        """Begin a job, or have it wait. Raises Problem 503 where too many wait, or there is no query process."""
+        """Begin or queue a job. Raises Problem 503 if too many wait or no query process runs."""
         if self._process is None:
             raise process_restarting(1)
         self._queue.append(job)
@@ -321,7 +321,7 @@ class WorkerPool:
             raise too_many_queries()
 
     def cancel(self, job: Evaluation) -> None:
-        """End a job that is not wanted any more."""
+        """End a job whose result is no longer needed."""
         if job in self._queue:
             self._queue.remove(job)
             return
@@ -355,7 +355,7 @@ class WorkerPool:
                 self._loop.call_later(_TRIAL_SECONDS, self._end_trial, worker, worker.turns)
 
     def _next_job(self) -> Evaluation | None:
-        """Return the job that may begin now."""
+        """Return the job that may begin now, if any."""
         if self._busy < self._concurrency:
             return next(iter(self._queue), None)
         if self._busy > self._concurrency:
@@ -388,13 +388,13 @@ class WorkerPool:
         return worker
 
     def _drop(self, worker: _Worker) -> None:
-        """Forget a worker, which ends by that if it has no job."""
+        """Forget a worker; an idle one ends when its connection closes."""
         worker.close()
         self._workers.pop(worker.number, None)
         if worker in self._idle:
             self._idle.remove(worker)
 
-    # --- what a worker tells
+    # --- messages of workers
 
     def _take(self, worker: _Worker, message: object) -> None:
         job = worker.job
@@ -411,7 +411,7 @@ class WorkerPool:
                 self._release(worker, is_last)
 
     def _release(self, worker: _Worker, is_last: bool) -> None:
-        """Use a worker again that has done its job."""
+        """Return a worker to the pool after its job."""
         worker.job = None
         if is_last or worker.is_outdated:
             self._drop(worker)
@@ -426,7 +426,7 @@ class WorkerPool:
             self._drop(worker)
 
     def _settle(self, worker: _Worker) -> None:
-        """Fail the job of a worker that is gone, once all that it sent was received and it is known how it ended."""
+        """Fail the job of an ended worker, once all its output was received and its exit status is known."""
         if worker.number not in self._workers or worker.is_open:
             return
         if worker.ended is None and worker.job is not None:

@@ -1,4 +1,4 @@
-"""The work of query workers: values that are sent to a worker and carried out there over its copy of a dataset."""
+"""Work of query workers: values that are sent to a worker, which evaluates them over its copy of a dataset."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ from rosld.server.sparql.update.evaluate import (
 from rosld.server.sparql.update.operations import Operation, Where
 
 _MAX_TRIPLES = 2000
-"""Triples of a graph from which on an update is evaluated by what changes."""
+"""Triples of a graph above which an update is evaluated as a difference."""
 _LASTING = functions(lambda topic: None)
 
 
 class Work(Protocol):
-    """Writes its result to `output`. Raises QueryError and Problems, and what `output` raises."""
+    """Function that writes its result to `output`. Raises QueryError, Problems, and what `output` raises."""
 
     def __call__(self, store: MemoryStore, output: BinaryIO) -> None:
         """Do it."""
@@ -48,10 +48,10 @@ class Work(Protocol):
 
 
 class QueryWork(NamedTuple):
-    """A query as the store takes it. `functions` are those that it calls by IRI.
+    """A query as the store evaluates it. `functions` are the IRIs of the functions that it calls.
 
-    `ages` are the seconds since the newest message of topics, for a query that asks; `past` are N-Triples about
-    recorded messages, which the default graph has for this query only.
+    `ages` are the seconds since the newest message of each topic, if the query needs them; `past` are N-Triples about
+    recorded messages, added to the default graph for this query only.
     """
 
     text: str
@@ -64,7 +64,7 @@ class QueryWork(NamedTuple):
     past: bytes | None = None
 
     def results(self, store: MemoryStore) -> Results:
-        """Its results. Raises QueryError."""
+        """Return the results. Raises QueryError."""
         return store.query(
             self.text,
             base=self.base,
@@ -76,7 +76,7 @@ class QueryWork(NamedTuple):
         )
 
     def _callable_functions(self) -> Mapping[str, Function]:
-        """The functions that it may call, with those that nobody knows: calling one is an error of its expression."""
+        """Return the functions it may call; a call of an unknown one is an error of its expression."""
         known = _LASTING if self.ages is None else functions(self.ages.get)
         more = unknown_functions(self.functions) if self.functions else {}
         return {**known, **more} if more else known
@@ -109,7 +109,7 @@ class AnswerWork(NamedTuple):
 
 
 class TableWork(NamedTuple):
-    """The first rows of the results of a query: a pickled `ResultRows`; nothing for fewer than `least`."""
+    """First rows of the results of a query, as a pickled `ResultRows`; empty if there are fewer than `least`."""
 
     query: QueryWork
     limit: int
@@ -124,7 +124,7 @@ class TableWork(NamedTuple):
 
 @contextmanager
 def _reaching_others() -> Iterator[None]:
-    """Raises a 502 Problem where another endpoint fails: nothing else is reached from here but who reads the result."""
+    """Raise a 502 Problem if another endpoint fails; any other OSError but a broken pipe is one of SERVICE."""
     try:
         yield
     except BrokenPipeError:
@@ -134,18 +134,18 @@ def _reaching_others() -> Iterator[None]:
 
 
 def _never_stop() -> None:
-    """Do nothing: a worker is killed when the time of its work is over."""
+    """Do nothing: a worker is killed at the deadline of its work."""
 
 
 class WhereWork(NamedTuple):
-    """A WHERE, and the queries that it may come to: its own, and that over the graph of WITH."""
+    """A WHERE as a query, and (`home`) the query over the graph of WITH."""
 
     where: Where
     query: QueryWork
     home: QueryWork | None
 
     def solutions(self, store: MemoryStore) -> Iterator[Row]:
-        """What the holes are filled with. Raises QueryError."""
+        """Yield the bindings for the templates. Raises QueryError."""
         found = self._chosen(store).results(store)
         if isinstance(found, QueryBoolean):
             return iter([()] if found else [])
@@ -162,7 +162,7 @@ class WhereWork(NamedTuple):
 class EvaluateUpdate(NamedTuple):
     """Result of operations: pickled graphs, each with whether it existed and its new content as N-Triples.
 
-    Of large graphs whose names begin with `documents` what changes is told.
+    For large graphs whose names begin with `documents` it has the differences.
     """
 
     update: bytes
@@ -181,7 +181,7 @@ class EvaluateUpdate(NamedTuple):
 
 
 def evaluate_work(operations: Sequence[Operation], asked: Sequence[WhereWork], documents: str | None) -> EvaluateUpdate:
-    """The work that evaluates operations; in any thread."""
+    """Return the work that evaluates operations (thread-safe)."""
     return EvaluateUpdate(pickle.dumps((operations, asked), protocol=5), documents)
 
 
@@ -193,7 +193,7 @@ _Written = tuple[str, bool, bytes | tuple[bytes, bytes] | None]
 
 
 def _write(change: GraphChange) -> _Written:
-    """With N-Triples: terms are pickled one by one, which takes ten times as long."""
+    """Convert to N-Triples: pickling terms takes ten times as long."""
     graph, was_there, after = change
     if isinstance(after, TripleChanges):
         return graph, was_there, (_text(after.removed), _text(after.added))
@@ -205,7 +205,7 @@ def _text(triples: Sequence[Triple]) -> bytes:
 
 
 def read_changes(result: bytes) -> tuple[GraphChange, ...]:
-    """The changes in the result of `EvaluateUpdate`."""
+    """Return the changes in the result of `EvaluateUpdate`."""
     changes: list[_Written] = pickle.loads(result)  # from our own process
     return tuple(GraphChange(graph, was_there, _read(after)) for graph, was_there, after in changes)
 
@@ -221,7 +221,7 @@ def _triples(text: bytes) -> tuple[Triple, ...]:
 
 
 class DumpGraphs(NamedTuple):
-    """What graphs hold, of one moment: a pickled mapping of names to N-Triples, None for a graph that is not there."""
+    """Pickled mapping of graph names to N-Triples at one moment; None for a graph that does not exist."""
 
     graphs: tuple[str, ...]
 
@@ -230,7 +230,7 @@ class DumpGraphs(NamedTuple):
 
 
 class ListGraphs(NamedTuple):
-    """The names of all graphs, pickled."""
+    """Pickled list of the names of all graphs."""
 
     def __call__(self, store: MemoryStore, output: BinaryIO) -> None:
         output.write(pickle.dumps([*store.graphs()]))

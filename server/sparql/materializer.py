@@ -18,13 +18,12 @@ from typing import NamedTuple, Protocol
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.rest.resource import Resource
 from rosld.server.sparql.needs import Needs
+from rosld.server.sparql.process.client import QueryProcess
 from rosld.server.sparql.stored_sync import (
     INLINE,
-    NOTHING,
     ChangeSource,
     HeldGraph,
     StoredSync,
-    SyncTarget,
     TargetState,
     render_graphs,
     render_in_thread,
@@ -91,7 +90,7 @@ class GraphSource(Protocol):
         ...
 
 
-WILDCARD_SECONDS = 0.2
+_WILDCARD_SECONDS = 0.2
 """Seconds for which values are good enough for the next query that does not name their document.
 
 They count for what the robot did by itself: after a write through the server everything is read again.
@@ -140,19 +139,15 @@ class Materializer:
 
     def __init__(
         self,
-        target: SyncTarget,
+        target: QueryProcess,
         source: GraphSource,
-        kept: ChangeSource = NOTHING,
-        *more: ChangeSource,
-        interval: float = WILDCARD_SECONDS,
+        *sources: ChangeSource,
     ) -> None:
-        sources = (kept, *more)
         self._target = target
         self._state = TargetState(target, len(sources))
         self.stored = StoredSync(target, self._state, sources)
         """What brings what clients keep."""
         self._source = source
-        self._interval = interval
         self._numbers = count(1)
         self._pinned: Counter[str] = Counter()
         self._recent = _NEVER
@@ -217,7 +212,7 @@ class Materializer:
         """Return the documents to be read: without those that were read just now and are not named."""
         urls, version, ended = self._recent
         now = self._state.generation, self._source.writes
-        if version != now or time.monotonic() - ended >= self._interval:
+        if version != now or time.monotonic() - ended >= _WILDCARD_SECONDS:
             return documents
         if any(not one.is_named and one.url not in urls for one in documents):
             return documents  # all are of one moment

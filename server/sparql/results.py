@@ -5,9 +5,9 @@ from __future__ import annotations
 import io
 import json
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain, islice
-from typing import BinaryIO, NamedTuple, TypeAlias, cast
+from typing import BinaryIO, NamedTuple, TypeVar, cast
 from xml.sax.saxutils import quoteattr
 
 from pyoxigraph import (
@@ -29,9 +29,9 @@ from rosld.server.dataset.base import Term
 from rosld.server.dataset.encoding import Decoder, decode_term, decode_triple
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
+from rosld.server.sparql.query_limits import too_many_rows
 
-Check: TypeAlias = Callable[[], None]
-"""Raises once the time is over."""
+_T = TypeVar("_T")
 
 SOLUTIONS: Mapping[str, QueryResultsFormat] = {
     "application/sparql-results+json": QueryResultsFormat.JSON,
@@ -103,17 +103,18 @@ def content_type(media_type: str) -> str:
 
 
 def write_results(
-    results: Results, media_type: str, output: BinaryIO, check: Check, base: str, links: Sequence[str] = ()
+    results: Results, media_type: str, output: BinaryIO, limit: float, base: str, links: Sequence[str] = ()
 ) -> None:
-    """Write results as they come. Raises what `check` and `output` raise, and Problem 406 for what XML cannot carry.
+    """Write results as they come. Raises what `output` raises, and Problem 406 for what XML cannot carry.
 
+    Raises Problem 503 for more than `limit` quads, or triples in a syntax that is not written by the store itself.
     The head of JSON and XML results refers to `links` (SPARQL 1.1 Query Results JSON Format 3.1.2, XML 2.2).
     """
     if isinstance(results, QueryTriples):
-        _write_graph(results, GRAPHS[media_type], output, check, base)
+        _write_graph(results, GRAPHS[media_type], output, limit, base)
     elif media_type in DATASETS:
         assert isinstance(results, QuerySolutions)
-        _write_prefixed(_quads(results, check), output, DATASETS[media_type])
+        _write_prefixed(_at_most(limit, _quads(results)), output, DATASETS[media_type])
     else:
         if links and SOLUTIONS[media_type] in (QueryResultsFormat.JSON, QueryResultsFormat.XML):
             output = cast("BinaryIO", _LinkingOutput(output, SOLUTIONS[media_type], links))
@@ -177,13 +178,14 @@ _BOOLEANS: Mapping[str, bytes] = {
 """ASK in the formats that have no booleans: a table with the column that Jena reads and writes."""
 
 
-def _write_graph(results: QueryTriples, syntax: RdfFormat, output: BinaryIO, check: Check, base: str) -> None:
+def _write_graph(results: QueryTriples, syntax: RdfFormat, output: BinaryIO, limit: float, base: str) -> None:
+    triples = _at_most(limit, (decode_triple(triple) for triple in results))
     if syntax is RdfFormat.RDF_XML:
-        _write_xml(results, output, check, base)
+        _write_xml(triples, output, base)
     elif syntax in _PREFIXED:
-        _write_prefixed(_check(results, check), output, syntax)
+        _write_prefixed(triples, output, syntax)
     elif syntax is RdfFormat.JSON_LD:
-        serialize(_check(results, check), output, syntax)
+        serialize(triples, output, syntax)
     else:
         _write_decoded(results, syntax, output)
 
@@ -206,26 +208,26 @@ _FIRST = 10_000
 _PREFIX = re.compile(rb'"(?:[^"\\]|\\.)*"|<[^>]*>|@prefix [^\n]*|([A-Za-z][A-Za-z0-9_-]*):')
 
 
-def _write_xml(results: QueryTriples, output: BinaryIO, check: Check, base: str) -> None:
-    """XML cannot carry every graph, and the store's writer does not look; ours does, on the whole of it."""
+def _write_xml(triples: Iterable[Triple], output: BinaryIO, base: str) -> None:
+    """Write RDF/XML with our own writer: the store's does not notice what XML cannot represent."""
     try:
-        output.write(rdfxml(_check(results, check), base).encode("utf-8"))
+        output.write(rdfxml(triples, base).encode("utf-8"))
     except CannotCarry as error:
         raise _not_in_xml(f"{error}.") from error
 
 
-def _quads(solutions: QuerySolutions, check: Check) -> Iterator[Quad]:
-    """The quads that solutions are: a graph, a subject, a predicate and an object each."""
+def _quads(solutions: QuerySolutions) -> Iterator[Quad]:
+    """Yield solutions, each of a graph, a subject, a predicate and an object, as quads."""
     for graph, subject, predicate, object in solutions:
-        check()
         triple = decode_triple(Triple(subject, predicate, object))
         yield Quad(triple.subject, triple.predicate, triple.object, graph)
 
 
-def _check(triples: Iterable[Triple], check: Check) -> Iterator[Triple]:
-    for triple in triples:
-        check()
-        yield decode_triple(triple)
+def _at_most(limit: float, statements: Iterable[_T]) -> Iterator[_T]:
+    for number, statement in enumerate(statements, 1):
+        if number > limit:
+            raise too_many_rows(int(limit))
+        yield statement
 
 
 class ResultRows(NamedTuple):
@@ -240,22 +242,21 @@ class ResultRows(NamedTuple):
     unread: Mapping[str, str] = {}
 
 
-def result_rows(results: Results, limit: int, check: Check) -> ResultRows:
-    """At most `limit` rows of results. Raises what `check` raises."""
+def result_rows(results: Results, limit: int) -> ResultRows:
+    """Return at most `limit` rows of results."""
     if isinstance(results, QueryBoolean):
         return ResultRows(boolean=bool(results))
     if isinstance(results, QuerySolutions):
         names = tuple(variable.value for variable in results.variables)
-        return ResultRows(names, tuple(_rows((tuple(row) for row in results), limit, check)))
+        return ResultRows(names, tuple(_rows((tuple(row) for row in results), limit)))
     triples: Iterator[tuple[Term | None, ...]] = (
         (triple.subject, triple.predicate, triple.object) for triple in results
     )
-    return ResultRows(("subject", "predicate", "object"), tuple(_rows(triples, limit, check)))
+    return ResultRows(("subject", "predicate", "object"), tuple(_rows(triples, limit)))
 
 
-def _rows(rows: Iterator[tuple[Term | None, ...]], limit: int, check: Check) -> Iterator[tuple[Term | None, ...]]:
+def _rows(rows: Iterator[tuple[Term | None, ...]], limit: int) -> Iterator[tuple[Term | None, ...]]:
     for row in islice(rows, limit):
-        check()
         yield tuple(None if term is None else decode_term(term) for term in row)
 
 

@@ -12,7 +12,6 @@ from collections.abc import Callable, Mapping
 from typing import BinaryIO, cast
 
 from rosld.server.sparql.query_limits import too_many_rows
-from rosld.server.sparql.results import Check
 
 _UNSEEN = 4 * 1024 * 1024
 """Bytes that are kept for being counted later."""
@@ -21,7 +20,7 @@ _UNSEEN = 4 * 1024 * 1024
 def limit_rows(output: BinaryIO, media_type: str, graph: bool, limit: int) -> BinaryIO:
     """An output that raises Problem 503 (rows) for more than `limit` rows, or triples of a `graph`.
 
-    It is `output` itself for what has no rows that can be counted so: these are for `RowCounter`.
+    Returns `output` itself for a media type whose rows cannot be counted in its bytes.
     """
     if media_type == "application/json":
         media_type = "" if graph else "application/sparql-results+json"
@@ -40,22 +39,6 @@ def count_rows(whole: bytes, media_type: str) -> int:
     """The rows of solutions that are written whole in a media type that has a counter."""
     make, _ = _COUNTERS[media_type]
     return make()(whole)
-
-
-class RowCounter:
-    """Counts what is made one by one; `check` is called before each."""
-
-    def __init__(self, check: Check, limit: int) -> None:
-        self._check = check
-        self._limit = limit
-        self._left = limit
-
-    def count(self) -> None:
-        """Count one more. Raises what `check` raises, and Problem 503 (rows)."""
-        self._check()
-        self._left -= 1
-        if self._left < 0:
-            raise too_many_rows(self._limit)
 
 
 class _Limited(io.RawIOBase):

@@ -17,6 +17,7 @@ from rosld.server.dataset import Edit
 from rosld.server.http.problem import Problem
 from rosld.server.runtime.process_memory import PROCESS_MEMORY, SENT_PER_CHARACTER
 from rosld.server.sparql.needs import Needs
+from rosld.server.sparql.process.client import QueryProcess
 from rosld.server.sparql.query_limits import process_restarting
 
 _log = logging.getLogger("rosld.sparql")
@@ -83,42 +84,6 @@ class ChangeSource(Protocol):
         ...
 
 
-class _Nothing:
-    """A `ChangeSource` without graphs."""
-
-    version = 0
-
-    def may_match(self, needs: Needs) -> bool:
-        return False
-
-    def last_change(self, graph: str) -> int:
-        return 0
-
-    def changes(self, after: int) -> Iterator[Changes]:
-        return iter(())
-
-
-NOTHING: ChangeSource = _Nothing()
-"""Nothing is kept."""
-
-
-class SyncTarget(Protocol):
-    """Where the graphs go: what was sent is seen by all that is asked afterwards. Called on the loop."""
-
-    @property
-    def generation(self) -> int:
-        """Another number whenever it holds nothing any more."""
-        ...
-
-    async def wait_drained(self) -> None:
-        """Return when little is on its way that was not taken yet."""
-        ...
-
-    def change(self, graphs: Mapping[str, str | None], edits: Sequence[Edit] = ()) -> None:
-        """Replace graphs, then do edits, as `MemoryStore.replace`. Raises Problem 503 and NotEnoughMemory."""
-        ...
-
-
 class HeldGraph(NamedTuple):
     """A graph as the target holds it.
 
@@ -136,7 +101,7 @@ class HeldGraph(NamedTuple):
 class TargetState:
     """What the target holds, by what it was sent since its start: nothing again once it has started anew."""
 
-    def __init__(self, target: SyncTarget, stores: int) -> None:
+    def __init__(self, target: QueryProcess, stores: int) -> None:
         self._target = target
         self._stores = stores
         self._forget()
@@ -228,7 +193,7 @@ class _Transfer:
 class StoredSync:
     """Brings what clients keep from its sources to the target. Belongs to one loop."""
 
-    def __init__(self, target: SyncTarget, state: TargetState, sources: Sequence[ChangeSource]) -> None:
+    def __init__(self, target: QueryProcess, state: TargetState, sources: Sequence[ChangeSource]) -> None:
         self._target = target
         self._state = state
         self._sources = sources
@@ -245,7 +210,9 @@ class StoredSync:
         return str(_Transfer(missing)) if missing >= _MUCH else None
 
     def _missing(self) -> int:
-        """How many changes of the first source the target was not sent yet."""
+        """Return the number of changes of the first source that the target has yet to be sent."""
+        if not self._sources:
+            return 0
         return self._sources[0].version - (0 if self._state.is_outdated else self._state.versions[0])
 
     async def run(self) -> None:
@@ -295,7 +262,7 @@ class StoredSync:
     @property
     def wanted_of_clients(self) -> Sequence[int]:
         """The version of what clients keep, and 0 for the other sources."""
-        return [self._sources[0].version, *(0 for _ in self._sources[1:])]
+        return [source.version if place == 0 else 0 for place, source in enumerate(self._sources)]
 
     def _due(self, wanted: Sequence[int]) -> Sequence[int]:
         """Return the places of the sources that are not as wanted."""

@@ -7,6 +7,7 @@ import pickle
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
+from math import inf
 from typing import BinaryIO, NamedTuple, Protocol
 
 from pyoxigraph import (
@@ -98,12 +99,12 @@ class AnswerWork(NamedTuple):
         with _reaching_others():
             found = self.query.results(store)
             limited = row_limit.limit_rows(output, self.media_type, isinstance(found, QueryTriples), self.limit)
-            counted = _never_stop if limited is not output else row_limit.RowCounter(_never_stop, self.limit).count
+            statements = inf if limited is not output else self.limit
             if not self.least:
-                results.write_results(found, self.media_type, limited, counted, self.query.base, self.unread)
+                results.write_results(found, self.media_type, limited, statements, self.query.base, self.unread)
                 return
             held = io.BytesIO()
-            results.write_results(found, self.media_type, held, _never_stop, self.query.base, self.unread)
+            results.write_results(found, self.media_type, held, inf, self.query.base, self.unread)
             if row_limit.count_rows(held.getvalue(), self.media_type) >= self.least:
                 limited.write(held.getvalue())
 
@@ -117,7 +118,7 @@ class TableWork(NamedTuple):
 
     def __call__(self, store: MemoryStore, output: BinaryIO) -> None:
         with _reaching_others():
-            table = results.result_rows(self.query.results(store), self.limit, _never_stop)
+            table = results.result_rows(self.query.results(store), self.limit)
             if len(table.rows) >= min(self.least, self.limit):
                 output.write(pickle.dumps(table))
 
@@ -131,10 +132,6 @@ def _reaching_others() -> Iterator[None]:
         raise
     except OSError as error:
         raise Problem(502, "Another endpoint that the query asks failed.", extra={AGENT_SAID: str(error)}) from error
-
-
-def _never_stop() -> None:
-    """Do nothing: a worker is killed at the deadline of its work."""
 
 
 class WhereWork(NamedTuple):

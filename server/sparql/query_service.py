@@ -7,7 +7,6 @@ import pickle
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import asynccontextmanager
 from typing import NamedTuple
 
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
@@ -22,8 +21,7 @@ from rosld.server.sparql.materializer import Materializer, SeenVersions
 from rosld.server.sparql.needs import Needs
 from rosld.server.sparql.past import PastSource
 from rosld.server.sparql.process.client import QueryProcess
-from rosld.server.sparql.process.work import AnswerWork, QueryWork, Work
-from rosld.server.sparql.process.work import TableWork as FirstRows
+from rosld.server.sparql.process.work import AnswerWork, QueryWork, TableWork, Work
 from rosld.server.sparql.protocol import QueryRequest
 from rosld.server.sparql.query_limits import DEFAULT_LIMITS, Limits, incomplete, out_of_time, too_many_queries
 from rosld.server.sparql.restricted import RestrictedDatasets
@@ -51,6 +49,17 @@ _GROWTH = 8
 """How many times more messages are read where those at an end were too few: in all a seventh more than needed."""
 _LONG = 8 * 1024
 """Characters of a query that is not read on the loop."""
+
+
+class _Run(NamedTuple):
+    """A request that is being answered; `until` is its deadline (monotonic)."""
+
+    request: QueryRequest
+    analysis: Analysis
+    permissions: Permissions
+    limits: Limits
+    until: float
+    disconnected: Disconnected | None
 
 
 class QueryService:
@@ -90,25 +99,21 @@ class QueryService:
         disconnected: Disconnected | None = None,
         permissions: Permissions = ALLOW_ALL,
     ) -> QueryAnswer:
-        """The results in the form that the client prefers, over what the agent may read; `disconnected` ends it early.
+        """Return the results in the preferred media type, over what the agent may read.
 
-        Raises Problems: 400 for what is no query (in the parser's words) or may not be asked, 406, 413, 503 when it
-        reaches a limit (its `reason` is time, memory or rows), too many are being answered, or the dataset is not there
-        yet, 500 where it ended the process that answered it.
+        Raises Problems: 400 for a malformed or forbidden query, 406, 413, 503 if the query reaches a limit (`reason` is
+        time, memory or rows), too many queries wait or the dataset is not ready, 500 if it crashed its worker.
         """
         limits, until = self._limits_of(request)
         analysis = await self._analyse(request.text, limits, until)
         media_type = results.choose_media_type(results.QUADS if request.quads else analysis.form, accept)
-        await self._process.wait_ready(until)
+
+        def work(query: QueryWork, least: int, unread: Mapping[str, str]) -> Work:
+            return AnswerWork(query, media_type, limits.rows, least, tuple(sorted(unread)))
+
         is_counted = row_limit.has_counter(media_type)
-        body: bytes | AsyncIterator[bytes] = b""
-        async for past, least in self._read_past(analysis, request, permissions, limits, until, is_counted):
-            async with self._sync(analysis, request, permissions, limits) as unread:
-                query = self._query(analysis, request, permissions, past)
-                work = AnswerWork(query, media_type, limits.rows, least, tuple(sorted(unread)))
-                body = await self._run_work(work, analysis, limits, until, disconnected, permissions)
-            if not least or (body := await _whole(body)):
-                break
+        run = _Run(request, analysis, permissions, limits, until, disconnected)
+        body, unread = await self._evaluate(run, work, is_counted)
         return QueryAnswer(media_type, body, unread)
 
     async def table(
@@ -118,19 +123,12 @@ class QueryService:
         disconnected: Disconnected | None = None,
         permissions: Permissions = ALLOW_ALL,
     ) -> ResultRows:
-        """At most `limit` rows of the results, as terms, for a page. Raises as `answer` does."""
+        """Return at most `limit` rows of the results, as terms, for a page. Raises as `answer` does."""
         limits, until = self._limits_of(request)
         analysis = await self._analyse(request.text, limits, until)
-        await self._process.wait_ready(until)
-        whole = b""
-        async for past, least in self._read_past(analysis, request, permissions, limits, until, True):
-            async with self._sync(analysis, request, permissions, limits) as unread:
-                query = self._query(analysis, request, permissions, past)
-                work = FirstRows(query, limit, least)
-                whole = await _whole(await self._run_work(work, analysis, limits, until, disconnected, permissions))
-            if whole:
-                break
-        table: ResultRows = pickle.loads(whole)  # from our own process
+        run = _Run(request, analysis, permissions, limits, until, disconnected)
+        body, unread = await self._evaluate(run, lambda query, least, _: TableWork(query, limit, least), True)
+        table: ResultRows = pickle.loads(await _whole(body))  # from our own process
         return table._replace(unread=unread)
 
     async def run_on_snapshot(
@@ -184,35 +182,47 @@ class QueryService:
         finally:
             self._long -= 1
 
-    @asynccontextmanager
-    async def _sync(
-        self, analysis: Analysis, request: QueryRequest, permissions: Permissions, limits: Limits
-    ) -> AsyncIterator[Mapping[str, str]]:
-        """Within it the dataset holds what the query needs, as far as the agent may read it.
+    async def _evaluate(
+        self, run: _Run, make_work: Callable[[QueryWork, int, Mapping[str, str]], Work], is_counted: bool
+    ) -> tuple[bytes | AsyncIterator[bytes], Mapping[str, str]]:
+        """Return what the work writes, and the documents that could not be read with the reasons.
 
-        It is given what could not be read, with the reasons. Raises Problem 503 for that unless the query takes a
-        partial answer.
+        Raises Problem 503 for such documents unless the client accepts a partial answer.
         """
+        request, analysis, permissions, limits, until, disconnected = run
+        await self._process.wait_ready(until)
         needs, scope, deadline = _needs(analysis, request), _scope(analysis, request), loop_time() + limits.seconds
-        async with self._materializer.materialize(needs, permissions, deadline=deadline, scope=scope) as unread:
-            if not request.partial:
-                _require_complete(unread)
-            yield unread
+        body: bytes | AsyncIterator[bytes] = b""
+        async for past, least in self._read_past(run, is_counted):
+            async with self._materializer.materialize(needs, permissions, deadline=deadline, scope=scope) as unread:
+                if not request.partial:
+                    _require_complete(unread)
+                work = make_work(self._query(analysis, request, permissions, past), least, unread)
+                dataset = await self._dataset_for(run)
+                try:
+                    body = await self._process.answer(work, limits, until, disconnected, dataset)
+                except QueryError as error:
+                    raise parse_problem(error, analysis.text) from error
+            if not least or (body := await _whole(body)):
+                break
+        return body, unread
 
-    async def _read_past(
-        self,
-        analysis: Analysis,
-        request: QueryRequest,
-        permissions: Permissions,
-        limits: Limits,
-        until: float,
-        is_counted: bool,
-    ) -> AsyncIterator[tuple[bytes | None, int]]:
-        """What is said of the recorded messages that a query asks for, None where it asks for none. Raises Problems.
+    async def _dataset_for(self, run: _Run) -> int:
+        """Return the number of the dataset that the agent may query."""
+        permissions = run.permissions
+        if permissions.is_unrestricted or (permissions.may_read_all and not run.analysis.finds_offers):
+            return 0
+        if self._restricted is None:
+            raise Problem(403, "Queries are for those who may read everything.")
+        return await self._restricted.dataset_for(permissions, run.limits, run.until)
 
-        Where only the newest or oldest matter, and rows can be counted (`is_counted`): of ever more of them, each time
-        with the rows that the answer must have for these to be enough; 0 with the last, which is of all.
+    async def _read_past(self, run: _Run, is_counted: bool) -> AsyncIterator[tuple[bytes | None, int]]:
+        """Yield N-Triples about the recorded messages that a query asks for, None if it asks for none. Raises Problems.
+
+        If only the newest or oldest matter and rows can be counted (`is_counted`), each text has more messages than the
+        one before, with the number of rows that makes it sufficient; the last text is complete, with 0 rows.
         """
+        request, analysis, permissions, limits, until, _ = run
         if analysis.past is None:
             yield None, 0
             return
@@ -246,35 +256,7 @@ class QueryService:
         if analysis.asks_age:
             ages = {topic: age for topic, age in self._ages().items() if permissions.may_read(topic)}
         base, prefixes = self._analyser.base, analysis.prefixes
-        return QueryWork(
-            analysis.text,
-            base,
-            prefixes,
-            default,
-            named,
-            ages,
-            analysis.functions,
-            past,
-        )
-
-    async def _run_work(
-        self,
-        work: Work,
-        analysis: Analysis,
-        limits: Limits,
-        until: float,
-        disconnected: Disconnected | None,
-        permissions: Permissions,
-    ) -> bytes | AsyncIterator[bytes]:
-        dataset = 0
-        if not (permissions.is_unrestricted or (permissions.may_read_all and not analysis.finds_offers)):
-            if self._restricted is None:
-                raise Problem(403, "Queries are for those who may read everything.")
-            dataset = await self._restricted.dataset_for(permissions, limits, until)
-        try:
-            return await self._process.answer(work, limits, until, disconnected, dataset)
-        except QueryError as error:
-            raise parse_problem(error, analysis.text) from error
+        return QueryWork(analysis.text, base, prefixes, default, named, ages, analysis.functions, past)
 
 
 async def _whole(body: bytes | AsyncIterator[bytes]) -> bytes:

@@ -11,33 +11,32 @@ from typing import NamedTuple, TypeAlias
 from rosld.server.dataset.base import Edit
 
 INITIAL_LIMIT = 100_000
-"""Graphs that may wait beyond those that the dataset has."""
+"""Maximum number of waiting graphs beyond those in the dataset."""
 _EDITS = 256 * 1024
-"""Characters of edits from which on their graph is told whole instead."""
+"""Characters of edits above which the whole graph is sent instead."""
 _ALL_EDITS = 8 * 1024 * 1024
-"""The same for all graphs together."""
+"""The same limit for all graphs together."""
 _GRAPH = 64 * 1024
-"""Characters of a graph that are remembered; a larger one is told whole."""
+"""Maximum characters of a remembered graph; a larger one is sent whole."""
 _ALL = 32 * 1024 * 1024
-"""Characters of all graphs that are remembered; the longest untold goes first."""
+"""Maximum characters of all remembered graphs; the one sent longest ago is forgotten first."""
 
 Entry: TypeAlias = tuple[Edit, ...] | None
-"""The edits of a graph in their order; None: the whole of it is to be told as it is by then, or that it is gone."""
+"""The edits of a graph in their order; None to send its content at that time, or its removal."""
 
 
 class PendingBatch(NamedTuple):
-    """Entries on their way, and the moment (`time.monotonic`) of the oldest change among them."""
+    """Entries being sent, and the time (`time.monotonic`) of the oldest change among them."""
 
     entries: Mapping[str, Entry]
     since: float
 
 
 class PendingChanges:
-    """Graphs whose changes are still to be sent, in the order of their changes. Thread-safe.
+    """Graphs with unsent changes, in the order of their changes. Thread-safe.
 
-    `limit`: graphs that may wait beyond those that the dataset has.
-
-    Where more wait than there may, all are forgotten, and `overflowed` says that everything is to be told anew.
+    `limit` is the maximum number of waiting graphs beyond those in the dataset. Above it all are forgotten and
+    `overflowed` is set: everything must be sent again.
     """
 
     def __init__(self, limit: int = INITIAL_LIMIT) -> None:
@@ -53,11 +52,11 @@ class PendingChanges:
 
     @property
     def since(self) -> float | None:
-        """No later than the oldest change that waits; None where none does."""
+        """A lower bound of the time of the oldest waiting change; None if none waits."""
         return self._since
 
     def add(self, graphs: Iterable[str], edits: Sequence[Edit] = ()) -> None:
-        """These graphs were replaced, and then these edits done."""
+        """Add replaced graphs, then edits."""
         with self._lock:
             for graph in graphs:
                 self._put(graph, None)
@@ -71,13 +70,13 @@ class PendingChanges:
                 self.overflowed = True
 
     def clear(self) -> None:
-        """Forget what waits: everything is about to be noted. What changes meanwhile is noted as ever."""
+        """Forget waiting changes, because `replace_all` follows; changes in between are added as usual."""
         with self._lock:
             self._forget()
             self.overflowed = False
 
     def replace_all(self, graphs: Collection[str]) -> None:
-        """These graphs, however many they are, and what was noted besides, are all that is to be told."""
+        """Add all of these graphs, and raise the limit accordingly."""
         with self._lock:
             self.limit = self._spare + len(graphs)
             for graph in graphs:
@@ -86,7 +85,7 @@ class PendingChanges:
                 self._since = time.monotonic()
 
     def take(self, limit: int) -> PendingBatch | None:
-        """The first of what waits, which waits no more; None where nothing does."""
+        """Remove and return the first waiting entries; None if nothing waits."""
         with self._lock:
             if not self._entries or self._since is None:
                 return None
@@ -98,7 +97,7 @@ class PendingChanges:
             return taken
 
     def give_back(self, taken: PendingBatch) -> None:
-        """It was not told after all: it waits again, before what came since."""
+        """Return unsent entries to the front."""
         with self._lock:
             if self.overflowed:
                 return
@@ -135,9 +134,9 @@ class ReplicaState:
         self._size = 0
 
     def difference(self, graph: str, text: str) -> Edit | None:
-        """The edit from a graph as it was sent last to what the text says; None where it must be sent whole.
+        """Return the edit from the last sent version of a graph to this text, None to send it whole.
 
-        The text is N-Triples, each triple on a line of its own and always written the same. It is remembered.
+        The text is remembered. It is N-Triples in a canonical form, one triple on each line.
         """
         before = self._texts.get(graph)
         self.forget(graph)
@@ -156,15 +155,15 @@ class ReplicaState:
         )
 
     def forget(self, graph: str) -> None:
-        """Forget the triples of a graph, which was sent something else or is gone."""
+        """Forget the triples of a graph that was changed otherwise or removed."""
         self._size -= len(self._texts.pop(graph, ""))
 
     def clear(self) -> None:
-        """It is not known any more what the store holds."""
+        """Forget all graphs."""
         self._texts.clear()
         self._size = 0
 
 
 def _lines(text: str) -> list[str]:
-    """Each with its end. Only a line feed ends one (RDF 1.1 N-Triples, 2): Python knows more."""
+    """Return the lines with their ends: only a line feed (RDF 1.1 N-Triples, 2), unlike `str.splitlines`."""
     return [f"{line}\n" for line in text.split("\n") if line]

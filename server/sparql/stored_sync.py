@@ -1,7 +1,7 @@
-"""Synchronisation of stored graphs with the query process: at once where little has changed, else part by part.
+"""Synchronisation of stored graphs with the query process: small changes at once, large ones in parts.
 
-As long as nothing changes it costs a query the comparison of two numbers. Where there is very much it is brought in the
-background, and queries that need it are told how far it is, and to come again.
+Without changes it costs a query the comparison of two numbers. Large changes are sent in the background; queries that
+need them wait, or fail with the progress and the time to retry.
 """
 
 from __future__ import annotations
@@ -31,24 +31,23 @@ Renderings: TypeAlias = Mapping[str, Callable[[], str] | None]
 """Functions that render graphs, by IRI; None for a graph that is removed."""
 
 _MUCH = 1000
-"""Changes that are not left for a query to find."""
+"""Number of changes that are sent before a query asks for them."""
 _POLL_SECONDS = 1.0
-"""Seconds between looks at how many there are, at most."""
+"""Maximum number of seconds between checks for changes."""
 _BATCH_SECONDS = 0.01
-"""Seconds for which changes are gathered that come one after the other: a batch costs less than they do alone."""
+"""Seconds for which successive changes are gathered: a batch costs less than single changes."""
 _ASKED_SECONDS = 10.0
-"""Seconds after a query for which few changes are brought, too: a write costs half as much where nobody asks."""
+"""Seconds after a query during which small changes are sent as well: without queries a write costs half as much."""
 _SHORT_OF_MEMORY = 30.0
-"""Seconds until what there was no memory for is tried again, unless a query asks for it."""
+"""Seconds until a retry after a lack of memory, unless a query asks earlier."""
 _LONGEST_RETRY = 60
 
 
 class Changes(NamedTuple):
-    """A part of what changed: graphs replaced by what they say then (None: gone), after these the edits of others.
+    """Part of the changes: graphs to replace (None: to remove), then edits of other graphs.
 
-    `size` is about how many characters it comes to. What `graphs` holds is called in any thread. `reached` is the
-    version up to which changes have been told with this part, as far as that is known. The graph that is `unfinished`
-    goes on in the next part.
+    `size` is the approximate number of characters. The functions in `graphs` are called in any thread. `reached` is the
+    version that this part completes, if known. The graph `unfinished` continues in the next part.
     """
 
     graphs: Mapping[str, Callable[[], str] | None]
@@ -59,11 +58,11 @@ class Changes(NamedTuple):
 
 
 class ChangeSource(Protocol):
-    """Graphs that clients keep. There may be very many, few of which change at a time. Called on the loop."""
+    """Stored graphs: possibly very many, of which few change at a time. Called on the loop."""
 
     @property
     def version(self) -> int:
-        """A number that rises with each change; 0 as long as there is nothing."""
+        """A number that rises with each change; 0 while there are no graphs."""
         ...
 
     def may_match(self, needs: Needs) -> bool:
@@ -71,24 +70,24 @@ class ChangeSource(Protocol):
         ...
 
     def last_change(self, graph: str) -> int:
-        """No less than the version of the last change of a graph; 0 for one that is certainly none of these."""
+        """Return an upper bound of the version of the last change of a graph; 0 if it is certainly not one of these."""
         ...
 
     def changes(self, after: int) -> Iterator[Changes]:
-        """What changed after a version, in parts that are found quickly each; the loop may have its turn in between.
+        """Yield the changes after a version, in parts that are quick to find; the loop may run in between.
 
-        All parts together bring the graphs from that version to the one that is in force when the first is asked for,
-        or to what the last has `reached`. Doing them to graphs that are newer than `after` already is no harm. An edit
-        counts only where it comes after the part that replaces its graph.
+        Together the parts bring the graphs to the version at the time of the first part, or to what the last has
+        `reached`. They may be applied to graphs newer than `after`. An edit counts only after the part that replaces
+        its graph.
         """
         ...
 
 
 class HeldGraph(NamedTuple):
-    """A graph as the target holds it.
+    """A graph in the target.
 
-    `token` is its own, `description` that of its description then, None for a graph without one. `number` is that of
-    the reading it is of, `size` is in characters of N-Triples.
+    `token` is the token of the graph, `description` that of its description (None without one), `number` that of the
+    reading it comes from, `size` its characters of N-Triples.
     """
 
     token: Hashable
@@ -99,7 +98,7 @@ class HeldGraph(NamedTuple):
 
 
 class TargetState:
-    """What the target holds, by what it was sent since its start: nothing again once it has started anew."""
+    """Contents of the target according to what was sent since its start; a restart empties it."""
 
     def __init__(self, target: QueryProcess, stores: int) -> None:
         self._target = target
@@ -108,42 +107,42 @@ class TargetState:
 
     def _forget(self) -> None:
         self.versions = [0] * self._stores
-        """The versions of what clients keep, by its place among the sources."""
+        """The versions of the stored graphs in the target, one for each source."""
         self.ahead: dict[str, int] = {}
-        """Graphs that clients keep which are newer than these versions."""
+        """Stored graphs that are newer than these versions, with their own."""
         self.held: dict[str, HeldGraph] = {}
-        """The graphs that come from the `GraphSource`."""
+        """The graphs from the `GraphSource`."""
         self.live: set[str] = set()
-        """Those of them that have values which change by themselves."""
+        """Held graphs with live values."""
         self.transient: set[str] = set()
-        """Those of them that are there for the queries that name them."""
+        """Held graphs that are present only for the queries that name them."""
         self.descriptions: Hashable = object()
-        """The revision of the descriptions that it holds."""
+        """The revision of the descriptions in the target."""
         self.generation = self._target.generation
-        """That of the target to which all this belongs; the last to be set, for those who look from another thread."""
+        """The generation of the target that this state describes; set last, because other threads read it."""
 
     @property
     def is_outdated(self) -> bool:
-        """Whether the target has started anew, and holds nothing of this."""
+        """Whether the target has restarted since."""
         return self.generation != self._target.generation
 
     def follow_restart(self) -> bool:
-        """Hold nothing where the target has started anew; whether it has."""
+        """Reset if the target has restarted; return whether it has."""
         is_new = self.is_outdated
         if is_new:
             self._forget()
         return is_new
 
     def require(self, generation: int) -> None:
-        """Raise Problem 503 where the target holds nothing any more that it was sent in this generation."""
+        """Raise Problem 503 if the target has restarted since this generation."""
         if not generation == self.generation == self._target.generation:
             raise process_restarting(1)
 
 
 def render_graphs(graphs: Renderings, slice: float | None = None) -> dict[str, str | None]:
-    """The N-Triples of graphs; None for those that go, and for those whose source fails, which is logged.
+    """Return the N-Triples of graphs; None for removed ones and (logged) for those whose source fails.
 
-    With a `slice` (seconds) it pauses for a tenth of that after each. Raises MemoryError.
+    With a `slice` (seconds) the thread sleeps for a tenth of it after each slice. Raises MemoryError.
     """
     texts: dict[str, str | None] = {}
     pause = None if slice is None else time.monotonic() + slice
@@ -156,7 +155,7 @@ def render_graphs(graphs: Renderings, slice: float | None = None) -> dict[str, s
 
 
 async def render_in_thread(graphs: Renderings) -> dict[str, str | None]:
-    """`render_graphs` in a thread which lets the loop have its turn. Raises MemoryError."""
+    """Run `render_graphs` in a thread that yields to the loop regularly. Raises MemoryError."""
     return await asyncio.to_thread(render_graphs, graphs, _SLICE)
 
 
@@ -171,7 +170,7 @@ def _render(iri: str, ntriples: Callable[[], str]) -> str | None:
 
 
 class _Transfer:
-    """What clients keep, on its way to the process. `total` counts changes."""
+    """Stored graphs on their way to the process. `total` is the number of changes."""
 
     def __init__(self, total: int) -> None:
         self.task: asyncio.Future[None] | None = None
@@ -181,7 +180,7 @@ class _Transfer:
 
     @property
     def seconds_left(self) -> float:
-        """About how long it will take."""
+        """Estimate of the remaining seconds."""
         passed = time.monotonic() - self.begun
         return passed * (self.total - self.done) / self.done if self.done else 0.0
 
@@ -191,7 +190,7 @@ class _Transfer:
 
 
 class StoredSync:
-    """Brings what clients keep from its sources to the target. Belongs to one loop."""
+    """Sends stored graphs from their sources to the target. Belongs to one loop."""
 
     def __init__(self, target: QueryProcess, state: TargetState, sources: Sequence[ChangeSource]) -> None:
         self._target = target
@@ -199,11 +198,11 @@ class StoredSync:
         self._sources = sources
         self._transfer: _Transfer | None = None
         self._asked = [float("-inf")] * len(sources)
-        """When a query wanted each of the sources last."""
+        """The time of the last query that needed each source."""
 
     @property
     def progress(self) -> str | None:
-        """How far what clients keep is on its way to the dataset, None where little is missing; from any thread."""
+        """The progress of a transfer in words, None if little is missing (thread-safe)."""
         if self._transfer is not None:
             return str(self._transfer)
         missing = self._missing()
@@ -216,7 +215,7 @@ class StoredSync:
         return self._sources[0].version - (0 if self._state.is_outdated else self._state.versions[0])
 
     async def run(self) -> None:
-        """Bring what changes, for ever: much at once, little only while queries come, which then find it there."""
+        """Send changes for ever: many at once, few only while queries arrive, which then need not wait."""
         pause = 0.0
         while True:
             await asyncio.sleep(pause)
@@ -243,14 +242,14 @@ class StoredSync:
         return [source.version if asked > since else 0 for source, asked in pairs]
 
     async def _sync(self) -> None:
-        """Bring what clients keep. Raises Problem 503 if the process starts anew meanwhile, and NotEnoughMemory."""
+        """Send the stored graphs. Raises NotEnoughMemory, and Problem 503 if the process restarts meanwhile."""
         self._state.follow_restart()
         transfer = self._transfer or self._start(self.wanted_of_clients)
         assert transfer.task is not None
         await asyncio.shield(transfer.task)
 
     def wanted(self, needs: Needs) -> Sequence[int]:
-        """Return the versions that a query is to see: those of now, 0 for a source of which it can match nothing."""
+        """Return the versions that a query must see: the current ones, 0 for a source that it cannot match."""
         now, found = time.monotonic(), []
         for place, source in enumerate(self._sources):
             is_wanted = source.may_match(needs)
@@ -270,7 +269,7 @@ class StoredSync:
         return [place for place, least in enumerate(wanted) if versions[place] < least]
 
     def is_current(self, scope: frozenset[str] | None, wanted: Sequence[int]) -> bool:
-        """Whether the target holds what clients keep in these graphs (None: in all) as of the versions wanted."""
+        """Whether these stored graphs (None: all) have at least the wanted versions in the target."""
         for source, version, least in zip(self._sources, self._state.versions, wanted, strict=True):
             if version >= least:
                 continue
@@ -301,7 +300,7 @@ class StoredSync:
                 await asyncio.sleep(0)  # it is put away by a callback, which may not have had its turn
 
     def _send_little(self, wanted: Sequence[int]) -> bool:
-        """Send here and now what is wanted, if that is little. False, with nothing sent, where it is not."""
+        """Send the wanted changes if they are small, else return False without sending any."""
         parts: list[Changes] = []
         versions = list(self._state.versions)
         for place in self._due(wanted):
@@ -319,7 +318,7 @@ class StoredSync:
         return True
 
     def _start(self, wanted: Sequence[int]) -> _Transfer:
-        """Begin to send what is wanted."""
+        """Begin to send the wanted versions."""
         due = self._due(wanted)
         transfer = self._transfer = _Transfer(sum(wanted[place] - self._state.versions[place] for place in due))
         task = asyncio.ensure_future(self._send(due, transfer))
@@ -333,7 +332,7 @@ class StoredSync:
             task.exception()  # whoever waits for it sees it too
 
     async def _send(self, places: Sequence[int], transfer: _Transfer) -> None:
-        """Send what changed by now in the sources of these places, part by part."""
+        """Send the changes of the sources at these places, part by part."""
         generation, done = self._state.generation, 0
         for place in places:
             source = self._sources[place]

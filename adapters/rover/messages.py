@@ -6,15 +6,14 @@ numpy's. The nodes of `tests/rover` convert it to the messages of their ROS.
 
 from __future__ import annotations
 
-import io
 import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple, TypeAlias, cast
 
 import numpy as np
-from PIL import Image
 
 from rosld.adapters.model import Encoding, FieldType, Message, MessageSchema, Nested, Primitive
+from rosld.adapters.rover import png
 from rosld.adapters.rover.drive import CAPACITY, CELLS, Motion, wheel_speeds
 from rosld.adapters.rover.navigation import Journey, JourneyEnd, Pose, remaining_length
 from rosld.adapters.rover.planner import RESOLUTION, grid_of
@@ -147,9 +146,8 @@ def raw_image(view: View) -> Fields:
 
 def compressed_image(view: View) -> Fields:
     """sensor_msgs/CompressedImage."""
-    file = io.BytesIO()
-    Image.fromarray(image(view.world, view.state.motion, view.state.has_lights)).save(file, "PNG", compress_level=1)
-    return {"header": _header(view.time_ns, CAMERA), "format": "png", "data": np.frombuffer(file.getbuffer(), np.uint8)}
+    file = png.encode(image(view.world, view.state.motion, view.state.has_lights))
+    return {"header": _header(view.time_ns, CAMERA), "format": "png", "data": np.frombuffer(file, np.uint8)}
 
 
 def camera_info(view: View) -> Fields:

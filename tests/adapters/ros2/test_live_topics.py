@@ -71,7 +71,7 @@ async def test_two_publishers_of_one_topic_are_both_read(ros: Any, opened: Any) 
         await session.until(lambda: "/shared" in session.graph.topics)
         await session.until(lambda: len(session.graph.topics["/shared"].publishers) == 2)
         subscription = await session.adapter.subscribe("/shared", depth=20)
-        await session.first(subscription, 10)
+        await session.until(lambda: len({bytes(each.data) for each in subscription.latest()}) == 2, "a word of both")
         texts = {(await session.decoded(each)).data for each in subscription.latest()}
         assert texts == {"castor", "pollux"}
         heard = {each.publisher for each in subscription.latest()}

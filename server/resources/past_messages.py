@@ -87,10 +87,10 @@ class RecordedPast:
         )
 
     def _may_read(self, recording: Recording, permissions: Permissions) -> bool:
+        """Whether an agent may read the recording and messages of it; of which topics is judged topic by topic."""
         space = self._session.space
-        return permissions.may_read(space.bag(recording.name)) and permissions.may_read(
-            space.bag_message(recording.name, recording.first)
-        )
+        messages = f"{space.bag_messages(recording.name)}{{index}}"
+        return permissions.may_read(space.bag(recording.name)) and permissions.may_template("GET", messages)
 
     def _require_recorded(
         self, selection: PastSelection, recordings: Sequence[Recording], permissions: Permissions

@@ -15,6 +15,7 @@ from pyoxigraph import BlankNode, RdfFormat, parse
 
 from tests.server.auth.conftest import token, tokens
 from tests.server.history.mcap_files import decode, read
+from tests.server.robots.made_up import MadeUp, Serving
 from tests.waiting import until
 
 pytestmark = pytest.mark.slow
@@ -180,6 +181,27 @@ def test_nobody_is_told_of_messages_that_they_may_not_read(driven: Driven) -> No
     assert len(ask(driven.http, senders)) > 1
     assert len(ask(driven.http, senders, Authorization=f"Bearer {token('guest')}")) == 1, "nodes are hidden"
     assert len(ask(driven.http, topics, Authorization=f"Bearer {token('stranger')}")) == 1, "recordings are hidden"
+
+
+def test_a_recording_whose_first_message_is_denied_tells_of_the_others(
+    robot: MadeUp, serving: Serving, tmp_path: Path
+) -> None:
+    (tmp_path / "auth.toml").write_text(RULES + tokens("anna", "guest"))
+    for name in ("/battery_state", "/open"):
+        robot.topic(name, "std_msgs/msg/String")
+    http = serving(auth=tmp_path / "auth.toml", history=("*",), data=tmp_path / "data")
+    anna, guest = ({"Authorization": f"Bearer {token(name)}"} for name in ("anna", "guest"))
+    query = "SELECT ?topic WHERE { ?topic ros:past ?message }"
+
+    def topics(agent: dict[str, str]) -> list[str]:
+        return [row[0].rpartition("/")[2] for row in ask(http, query, **agent)[1:]]
+
+    until(lambda: robot.subscribed() >= {"/battery_state", "/open"}, "the history")
+    robot.publishes("/battery_state", {"data": "first"})
+    until(lambda: topics(anna) == ["battery_state"], "the first message")
+    robot.publishes("/open", {"data": "second"})
+    until(lambda: len(topics(anna)) == 2, "the second message")
+    assert topics(guest) == ["open"]
 
 
 def test_what_cannot_be_asked_of_the_past_says_how_it_can(driven: Driven) -> None:

@@ -98,8 +98,11 @@ async def test_what_a_node_decides_by_itself_is_told(arm: RosSystem, opened: Ope
         ref, data = TypeRef("std_msgs/msg/String"), json.dumps({"speed": 1.5}).encode()
         data = len(data).to_bytes(4, "little") + data
         await session.publish("/arm/decide", ref, data)
-        await session.until(lambda: "/arm/speed" in session.told.parameters)
-        assert await value(session, "speed") == [1.5]
+        read: list[object] = []
+        while read != [1.5]:  # the first update may still be that of the 0.0 above
+            await session.until(lambda: "/arm/speed" in session.told.parameters)
+            session.told.parameters.clear()
+            read = await value(session, "speed")
 
 
 async def test_a_node_that_comes_later_and_goes_is_noticed(lone_ros: RosSystem, opened: Opening) -> None:

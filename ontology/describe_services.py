@@ -106,14 +106,14 @@ def call_outline(
         NamedNode(space.call(id)),
         (rdf.type, ros.Call),
         (ros.isCallOf, NamedNode(space.service(service))),
-        (ros.state, ros.terms()[state]),
+        (ros.state, ros.terms[state]),
         (prov.startedAtTime, date_time_literal(times_ns[0])),
         (prov.endedAtTime, date_time_literal(times_ns[1])),
         (ros.words, text(words)),
     )
 
 
-_TERMS: Mapping[GoalStatus, NamedNode] = {status: ros.terms()[status.value.capitalize()] for status in GoalStatus}
+_TERMS: Mapping[GoalStatus, NamedNode] = {status: ros.terms[status.value.capitalize()] for status in GoalStatus}
 
 
 def action_document(

@@ -3,9 +3,6 @@
 Everything is said twice, by triples for every syntax and by the compact JSON-LD that clients without RDF read.
 """
 
-# The attributes are spelt as the vocabularies spell them.
-# ruff: noqa: N801, N815
-
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
@@ -17,7 +14,7 @@ from pyoxigraph import Literal, NamedNode, Triple
 from rosld.ontology.document import Document
 from rosld.ontology.literals import date_time
 from rosld.ontology.triples import RDF_SOURCE, date_time_literal, statements, text, triples_about
-from rosld.ontology.vocab import Namespace, ldp, rdf, xsd
+from rosld.ontology.vocab import activity, ldp, notify, rdf, xsd
 
 Json: TypeAlias = Mapping[str, object]
 
@@ -25,37 +22,6 @@ CONTEXT = "https://www.w3.org/ns/solid/notifications-context/v1"
 ACTIVITY_CONTEXT = "https://www.w3.org/ns/activitystreams"
 KNOWN_CONTEXTS = frozenset({CONTEXT, "https://www.w3.org/ns/solid/notification/v1"})
 """The context of the protocol, and the name it has in the drafts of the channel types."""
-
-
-class notify(Namespace, iri="http://www.w3.org/ns/solid/notifications#"):
-    """Solid Notifications."""
-
-    subscription: NamedNode
-    channelType: NamedNode
-    feature: NamedNode
-    topic: NamedNode
-    receiveFrom: NamedNode
-    accept: NamedNode
-    endAt: NamedNode
-    rate: NamedNode
-    startAt: NamedNode
-    state: NamedNode
-    WebSocketChannel2023: NamedNode
-    StreamingHTTPChannel2023: NamedNode
-
-
-class activity(Namespace, iri="https://www.w3.org/ns/activitystreams#"):
-    """Activity Streams 2.0."""
-
-    Create: NamedNode
-    Update: NamedNode
-    Delete: NamedNode
-    Add: NamedNode
-    Remove: NamedNode
-    object: NamedNode
-    target: NamedNode
-    published: NamedNode
-
 
 DURATION = NamedNode(xsd.iri + "duration")
 FEATURES = (notify.accept, notify.endAt, notify.rate, notify.startAt, notify.state)

@@ -338,7 +338,7 @@ def _iri(term: object) -> str:
 
 _AUTHORIZATION = frozenset(
     {
-        rdf.type, acl.agent, acl.agentClass, acl.accessTo, acl.default_, acl.mode,
+        rdf.type, acl.agent, acl.agentClass, acl.accessTo, acl.default, acl.mode,
         ros.glob, ros.typeGlob, ros.deny,
     }
 )  # fmt: skip
@@ -361,7 +361,7 @@ def _authorization(graph: _Graph, node: _Node, base: str, called: Mapping[str, s
         modes.add(MODES[each])
     globs = [Glob(_text(each)) for each in graph.all(node, ros.glob)]
     globs += [Glob(_local(_iri(each), base)) for each in graph.all(node, acl.accessTo)]
-    globs += [Glob(_local(_iri(each), base).rstrip("/") + "/**") for each in graph.all(node, acl.default_)]
+    globs += [Glob(_local(_iri(each), base).rstrip("/") + "/**") for each in graph.all(node, acl.default)]
     deny = graph.all(node, ros.deny)
     if not agents or not modes or not globs:
         raise ValueError(f"the authorization {node} lacks an agent, a mode, or what it is about")

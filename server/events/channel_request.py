@@ -13,8 +13,8 @@ import orjson
 from pyoxigraph import Literal, NamedNode
 
 from rosld.ontology.body import BodyError, RdfBody, Subject, check_json_depth, parse_body
-from rosld.ontology.notifications import DEFINITIONS, KNOWN_CONTEXTS, notify, type_named
-from rosld.ontology.vocab import rdf
+from rosld.ontology.notifications import DEFINITIONS, KNOWN_CONTEXTS, type_named
+from rosld.ontology.vocab import notify, rdf
 from rosld.server.http.negotiation import choose_offer, parse_media_type
 from rosld.server.http.problem import Problem
 

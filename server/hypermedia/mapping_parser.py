@@ -48,7 +48,7 @@ LONGEST_READING = 5.0
 """Seconds that the conditions of a document may take to be read."""
 _WHEN = (mapping.writableWhen, mapping.availableWhen, mapping.existsWhen, mapping.atRestWhen)
 _TELLING = (mapping.name, mapping.member, mapping.service, mapping.target, mapping.call, mapping.publish)
-_TERMS = frozenset(mapping.terms().values())
+_TERMS = frozenset(mapping.terms.values())
 _NEUTRAL = frozenset(
     NamedNode(sh.iri + name)
     for name in (

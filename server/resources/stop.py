@@ -108,7 +108,7 @@ class StopResource(Resource):
         return stop_document(
             self.space,
             [
-                StepView(step.description, ros.terms()[step.status.value], step.words, step.affects, step.subscribers)
+                StepView(step.description, ros.terms[step.status.value], step.words, step.affects, step.subscribers)
                 for step in stops.steps
             ],
             by=None if stop_state is None else stop_state.stopped_by,

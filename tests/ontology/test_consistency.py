@@ -38,7 +38,7 @@ def told(robot: Site, most: int = 2) -> Iterable[Triple]:
 def all_robots() -> Graph:
     """The ontologies, an instance of each class, and what all robots say."""
     graph = ontologies()
-    own = [iri for name, iri in ros.terms().items() if name[0].isupper() and name not in WITHOUT_INSTANCES]
+    own = [iri for name, iri in ros.terms.items() if name[0].isupper() and name not in WITHOUT_INSTANCES]
     graph += of_triples(triples("".join(f"[] a <{iri.value}> . " for iri in own)))
     for name in ROBOTS:
         graph += of_triples(told(site(name)))

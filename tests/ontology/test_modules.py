@@ -21,10 +21,11 @@ from rosld.ontology.modules import (
     served_triples,
     term_url,
 )  # fmt: skip
-from rosld.ontology.vocab import PREFIXES, Namespace, av, dcterms, mapping, owl, rdf, rdfs, ros, xsd
+from rosld.ontology.vocab import PREFIXES, av, dcterms, mapping, owl, rdf, rdfs, ros, xsd
+from tests.ontology.vocab_stub import STUB, stub
 
 VANN, SKOS = "http://purl.org/vocab/vann/", "http://www.w3.org/2004/02/skos/core#"
-OURS: tuple[type[Namespace], ...] = (ros, mapping, av)
+OURS = (ros, mapping, av)
 
 
 def objects(name: str, subject: NamedNode, predicate: NamedNode) -> list[object]:
@@ -94,9 +95,13 @@ def test_a_module_that_defines_terms_declares_their_prefix() -> None:
 
 
 def test_every_term_is_a_constant_and_is_defined_once() -> None:
-    assert set(terms_of(*OWN)) == {term for space in OURS for term in space.terms().values()}
+    assert set(terms_of(*OWN)) == {term for space in OURS for term in space.terms.values()}
     defined = Counter(each.subject for each in every(*OWN) if each.predicate == rdfs.isDefinedBy)
     assert [term for term, times in defined.items() if times != 1] == []
+
+
+def test_the_stub_names_every_term() -> None:
+    assert STUB.read_text("utf-8") == stub(), "write it again: python tests/ontology/vocab_stub.py"
 
 
 def test_every_term_has_an_english_label_and_comment() -> None:
@@ -138,7 +143,7 @@ def test_domains_and_ranges_are_declared_classes_or_datatypes() -> None:
         classes = {each.subject for each in module_triples(name) if each.object == owl.Class}
         for triple in module_triples(name):
             if triple.predicate in (rdfs.domain, rdfs.range):
-                assert triple.object in classes | set(xsd.terms().values()), triple
+                assert triple.object in classes | set(xsd.terms.values()), triple
 
 
 def test_every_term_that_a_module_uses_is_declared_in_it() -> None:
@@ -254,4 +259,4 @@ def test_the_shape_of_mappings_speaks_of_every_term_and_of_no_other() -> None:
     triples = [quad.triple for quad in parse(text, format=RdfFormat.TURTLE, base_iri="http://x/")]
     named = {each.object for each in triples if isinstance(each.object, NamedNode)}
     spoken = {each for each in named if each.value.startswith(mapping.iri)}
-    assert spoken == set(mapping.terms().values())
+    assert spoken == set(mapping.terms.values())

@@ -407,7 +407,7 @@ def damaged(draw: st.DrawFn) -> RdfBody:
     """The aircraft's mapping with a few triples gone, changed or added."""
     triples = list(aircraft().triples)
     subjects = sorted({one.subject for one in triples}, key=str)
-    predicates = sorted({*(one.predicate for one in triples), *mapping.terms().values(), *sh.terms().values()}, key=str)
+    predicates = sorted({*(one.predicate for one in triples), *mapping.terms.values(), *sh.terms.values()}, key=str)
     objects: Sequence[object] = [
         *sorted({one.object for one in triples}, key=str),
         *(Literal(text) for text in ("", "/", "x", "/a/b/", "a\nb")),

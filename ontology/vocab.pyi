@@ -1,0 +1,772 @@
+# Written by tests/ontology/vocab_stub.py.
+# ruff: noqa: N801, N815
+from collections.abc import Iterable, Mapping
+
+from pyoxigraph import NamedNode
+
+PREFIXES: Mapping[str, str]
+
+def attribute(name: str) -> str: ...
+
+class Namespace:
+    iri: str
+    terms: Mapping[str, NamedNode]
+    def __init__(self, iri: str, names: str | Iterable[str]) -> None: ...
+
+class _ros(Namespace):
+    ComplexResource: NamedNode
+    robot: NamedNode
+    Graph: NamedNode
+    Bag: NamedNode
+    Node: NamedNode
+    Master: NamedNode
+    Message: NamedNode
+    MessageType: NamedNode
+    Service: NamedNode
+    Action: NamedNode
+    ServiceType: NamedNode
+    Call: NamedNode
+    Endpoint: NamedNode
+    Publisher: NamedNode
+    Subscriber: NamedNode
+    Field: NamedNode
+    fieldName: NamedNode
+    request: NamedNode
+    response: NamedNode
+    requestType: NamedNode
+    responseType: NamedNode
+    provides: NamedNode
+    provider: NamedNode
+    Topic: NamedNode
+    Parameter: NamedNode
+    Property: NamedNode
+    Goal: NamedNode
+    Hold: NamedNode
+    Write: NamedNode
+    namespace: NamedNode
+    touches: NamedNode
+    goalMessage: NamedNode
+    feedback: NamedNode
+    result: NamedNode
+    heldMessage: NamedNode
+    sentBy: NamedNode
+    readsFrom: NamedNode
+    recordedAt: NamedNode
+    received: NamedNode
+    invokes: NamedNode
+    requestShape: NamedNode
+    responseShape: NamedNode
+    bytes: NamedNode
+    ManagedNode: NamedNode
+    hasMaster: NamedNode
+    uri: NamedNode
+    runId: NamedNode
+    name: NamedNode
+    simulatedTime: NamedNode
+    publishes: NamedNode
+    publishedBy: NamedNode
+    subscribes: NamedNode
+    subscribedBy: NamedNode
+    sendsGoalsTo: NamedNode
+    client: NamedNode
+    hasParameter: NamedNode
+    hasMessageType: NamedNode
+    hasServiceType: NamedNode
+    hasActionType: NamedNode
+    conflictingType: NamedNode
+    hasEndpoint: NamedNode
+    isEndpointOf: NamedNode
+    ofNode: NamedNode
+    ofTopic: NamedNode
+    latched: NamedNode
+    Qos: NamedNode
+    QosMismatch: NamedNode
+    hasQos: NamedNode
+    reliability: NamedNode
+    durability: NamedNode
+    history: NamedNode
+    depth: NamedNode
+    deadline: NamedNode
+    lifespan: NamedNode
+    liveliness: NamedNode
+    lease: NamedNode
+    hasQosMismatch: NamedNode
+    qosMismatchCount: NamedNode
+    offeringNode: NamedNode
+    requestingNode: NamedNode
+    policy: NamedNode
+    offered: NamedNode
+    requested: NamedNode
+    latest: NamedNode
+    latestFrom: NamedNode
+    sequence: NamedNode
+    briefValue: NamedNode
+    rate: NamedNode
+    value: NamedNode
+    readOnly: NamedNode
+    parameterType: NamedNode
+    step: NamedNode
+    writesTo: NamedNode
+    writable: NamedNode
+    unreachable: NamedNode
+    unreadable: NamedNode
+    uncallable: NamedNode
+    unusable: NamedNode
+    mappingWarning: NamedNode
+    uriTemplate: NamedNode
+    OperationalState: NamedNode
+    GraphState: NamedNode
+    ManagedNodeState: NamedNode
+    PrimaryState: NamedNode
+    TransitionState: NamedNode
+    state: NamedNode
+    lifecycleState: NamedNode
+    lifecycleStateWord: NamedNode
+    lifecycleUnknown: NamedNode
+    transition: NamedNode
+    targetState: NamedNode
+    targetStateWord: NamedNode
+    staleSince: NamedNode
+    reason: NamedNode
+    Live: NamedNode
+    Stale: NamedNode
+    Unconfigured: NamedNode
+    Inactive: NamedNode
+    Active: NamedNode
+    Finalized: NamedNode
+    Configuring: NamedNode
+    CleaningUp: NamedNode
+    ShuttingDown: NamedNode
+    Activating: NamedNode
+    Deactivating: NamedNode
+    ErrorProcessing: NamedNode
+    ActionType: NamedNode
+    Constant: NamedNode
+    CallState: NamedNode
+    isCallOf: NamedNode
+    GoalStatus: NamedNode
+    isGoalOf: NamedNode
+    hasGoal: NamedNode
+    goalId: NamedNode
+    own: NamedNode
+    status: NamedNode
+    statusWord: NamedNode
+    words: NamedNode
+    Running: NamedNode
+    Succeeded: NamedNode
+    Failed: NamedNode
+    Refused: NamedNode
+    OutcomeUnknown: NamedNode
+    NotSent: NamedNode
+    Accepted: NamedNode
+    Executing: NamedNode
+    Canceling: NamedNode
+    Canceled: NamedNode
+    Aborted: NamedNode
+    Rejected: NamedNode
+    Lost: NamedNode
+    holds: NamedNode
+    heldBy: NamedNode
+    holder: NamedNode
+    publishRate: NamedNode
+    leaseTime: NamedNode
+    leaseUntil: NamedNode
+    interruptedHold: NamedNode
+    holdTime: NamedNode
+    then: NamedNode
+    atTheEnd: NamedNode
+    Stop: NamedNode
+    hasStop: NamedNode
+    stopped: NamedNode
+    stoppedBy: NamedNode
+    stoppedAt: NamedNode
+    stopStep: NamedNode
+    subscriberCount: NamedNode
+    warning: NamedNode
+    matched: NamedNode
+    duration: NamedNode
+    does: NamedNode
+    byteLength: NamedNode
+    digest: NamedNode
+    excerpt: NamedNode
+    withheld: NamedNode
+    BagTopic: NamedNode
+    Record: NamedNode
+    recordedIn: NamedNode
+    hasRecordedTopic: NamedNode
+    onTopic: NamedNode
+    recordedMessage: NamedNode
+    past: NamedNode
+    index: NamedNode
+    opensRecording: NamedNode
+    start: NamedNode
+    end: NamedNode
+    count: NamedNode
+    dropped: NamedNode
+    recordingProblem: NamedNode
+    recordsTopic: NamedNode
+    silentTopic: NamedNode
+    secondsBefore: NamedNode
+    secondsLong: NamedNode
+    recordingStatus: NamedNode
+    Moment: NamedNode
+    momentOf: NamedNode
+    momentTime: NamedNode
+    newestRecord: NamedNode
+    triggerCondition: NamedNode
+    triggerResource: NamedNode
+    triggerShape: NamedNode
+    triggerLimit: NamedNode
+    triggerCount: NamedNode
+    recordedBytes: NamedNode
+    recordedFile: NamedNode
+    Series: NamedNode
+    SeriesPoint: NamedNode
+    Plot: NamedNode
+    plots: NamedNode
+    seriesOf: NamedNode
+    seriesField: NamedNode
+    hasPoint: NamedNode
+    pointTime: NamedNode
+    pointValue: NamedNode
+    minimum: NamedNode
+    maximum: NamedNode
+    meanValue: NamedNode
+    Query: NamedNode
+    queryParameter: NamedNode
+    text: NamedNode
+    timeLimit: NamedNode
+    memoryLimit: NamedNode
+    rowLimit: NamedNode
+    pastLimit: NamedNode
+    concurrencyLimit: NamedNode
+    queueLimit: NamedNode
+    Mirror: NamedNode
+    hasMirror: NamedNode
+    store: NamedNode
+    revision: NamedNode
+    lag: NamedNode
+    pending: NamedNode
+    refusedGraphs: NamedNode
+    ServerStatus: NamedNode
+    hasServerStatus: NamedNode
+    longestPause: NamedNode
+    longestPauseEnd: NamedNode
+    longestPauseCode: NamedNode
+    longestWork: NamedNode
+    longestWorkCode: NamedNode
+    recentPause: NamedNode
+    storageProblem: NamedNode
+    Command: NamedNode
+    glob: NamedNode
+    typeGlob: NamedNode
+    deny: NamedNode
+    tokenDigest: NamedNode
+    FieldConstraintComponent: NamedNode
+    StepConstraintComponent: NamedNode
+    fieldPath: NamedNode
+    Cockpit: NamedNode
+    Panel: NamedNode
+    PlotPanel: NamedNode
+    PicturePanel: NamedNode
+    SpacePanel: NamedNode
+    ValuePanel: NamedNode
+    DrivePanel: NamedNode
+    ButtonPanel: NamedNode
+    QueryPanel: NamedNode
+    hasPanel: NamedNode
+    shows: NamedNode
+    gridColumn: NamedNode
+    gridRow: NamedNode
+    gridWidth: NamedNode
+    gridHeight: NamedNode
+    matchedBy: NamedNode
+    at: NamedNode
+    length: NamedNode
+    min: NamedNode
+    max: NamedNode
+    mean: NamedNode
+    age: NamedNode
+    Elided: NamedNode
+    elidedLength: NamedNode
+    dateTime: NamedNode
+    definition: NamedNode
+    md5: NamedNode
+    typeHash: NamedNode
+    variant: NamedNode
+    hasField: NamedNode
+    hasConstant: NamedNode
+    fieldType: NamedNode
+    position: NamedNode
+    arrayLength: NamedNode
+    arrayBound: NamedNode
+    stringBound: NamedNode
+    nestedType: NamedNode
+    goalType: NamedNode
+    resultType: NamedNode
+    feedbackType: NamedNode
+    shape: NamedNode
+    goalShape: NamedNode
+    resultShape: NamedNode
+    feedbackShape: NamedNode
+
+ros: _ros
+
+class _mapping(Namespace):
+    ComplexResource: NamedNode
+    path: NamedNode
+    property: NamedNode
+    action: NamedNode
+    link: NamedNode
+    existsWhen: NamedNode
+    MappedProperty: NamedNode
+    predicate: NamedNode
+    member: NamedNode
+    field: NamedNode
+    writableWhen: NamedNode
+    MappedAction: NamedNode
+    MappedLink: NamedNode
+    service: NamedNode
+    name: NamedNode
+    relation: NamedNode
+    target: NamedNode
+    availableWhen: NamedNode
+    stop: NamedNode
+    StopAction: NamedNode
+    atRestWhen: NamedNode
+    call: NamedNode
+    publish: NamedNode
+    content: NamedNode
+    about: NamedNode
+
+mapping: _mapping
+
+class _av(Namespace):
+    power: NamedNode
+    start: NamedNode
+    stop: NamedNode
+    engine: NamedNode
+    aircraft: NamedNode
+    speed: NamedNode
+    direction: NamedNode
+
+av: _av
+
+class _rdf(Namespace):
+    type: NamedNode
+    Property: NamedNode
+    List: NamedNode
+    first: NamedNode
+    rest: NamedNode
+    nil: NamedNode
+    value: NamedNode
+    langString: NamedNode
+    JSON: NamedNode
+
+rdf: _rdf
+
+class _rdfs(Namespace):
+    Class: NamedNode
+    label: NamedNode
+    comment: NamedNode
+    domain: NamedNode
+    range: NamedNode
+    seeAlso: NamedNode
+    isDefinedBy: NamedNode
+    subClassOf: NamedNode
+    subPropertyOf: NamedNode
+
+rdfs: _rdfs
+
+class _owl(Namespace):
+    Class: NamedNode
+    DatatypeProperty: NamedNode
+    ObjectProperty: NamedNode
+    NamedIndividual: NamedNode
+    Ontology: NamedNode
+
+owl: _owl
+
+class _sd(Namespace):
+    Service: NamedNode
+    Dataset: NamedNode
+    Graph: NamedNode
+    Function: NamedNode
+    endpoint: NamedNode
+    supportedLanguage: NamedNode
+    SPARQL11Query: NamedNode
+    SPARQL11Update: NamedNode
+    inputFormat: NamedNode
+    resultFormat: NamedNode
+    feature: NamedNode
+    UnionDefaultGraph: NamedNode
+    defaultDataset: NamedNode
+    defaultGraph: NamedNode
+    defaultEntailmentRegime: NamedNode
+    extensionFunction: NamedNode
+
+sd: _sd
+
+class _xsd(Namespace):
+    string: NamedNode
+    boolean: NamedNode
+    integer: NamedNode
+    decimal: NamedNode
+    float: NamedNode
+    double: NamedNode
+    byte: NamedNode
+    short: NamedNode
+    int: NamedNode
+    long: NamedNode
+    unsignedByte: NamedNode
+    unsignedShort: NamedNode
+    unsignedInt: NamedNode
+    unsignedLong: NamedNode
+    nonNegativeInteger: NamedNode
+    dateTime: NamedNode
+    base64Binary: NamedNode
+    hexBinary: NamedNode
+    anyURI: NamedNode
+
+xsd: _xsd
+
+class _ldp(Namespace):
+    Resource: NamedNode
+    RDFSource: NamedNode
+    NonRDFSource: NamedNode
+    Container: NamedNode
+    BasicContainer: NamedNode
+    DirectContainer: NamedNode
+    IndirectContainer: NamedNode
+    contains: NamedNode
+    member: NamedNode
+    MemberSubject: NamedNode
+    membershipResource: NamedNode
+    hasMemberRelation: NamedNode
+    isMemberOfRelation: NamedNode
+    insertedContentRelation: NamedNode
+    constrainedBy: NamedNode
+    Page: NamedNode
+    pageSequence: NamedNode
+
+ldp: _ldp
+
+class _xhv(Namespace):
+    first: NamedNode
+    last: NamedNode
+    next: NamedNode
+    prev: NamedNode
+
+xhv: _xhv
+
+class _dcterms(Namespace):
+    title: NamedNode
+    description: NamedNode
+    isPartOf: NamedNode
+    hasPart: NamedNode
+    created: NamedNode
+    modified: NamedNode
+    format: NamedNode
+
+dcterms: _dcterms
+
+class _spdx(Namespace):
+    Checksum: NamedNode
+    checksum: NamedNode
+    algorithm: NamedNode
+    checksumValue: NamedNode
+    checksumAlgorithm_sha256: NamedNode
+
+spdx: _spdx
+
+class _foaf(Namespace):
+    primaryTopic: NamedNode
+    Agent: NamedNode
+
+foaf: _foaf
+
+class _acl(Namespace):
+    Authorization: NamedNode
+    AuthenticatedAgent: NamedNode
+    Read: NamedNode
+    Write: NamedNode
+    Control: NamedNode
+    accessTo: NamedNode
+    agent: NamedNode
+    agentClass: NamedNode
+    default: NamedNode
+    mode: NamedNode
+
+acl: _acl
+
+class _sh(Namespace):
+    NodeShape: NamedNode
+    PropertyShape: NamedNode
+    ValidationReport: NamedNode
+    ValidationResult: NamedNode
+    ConstraintComponent: NamedNode
+    Violation: NamedNode
+    Warning: NamedNode
+    Info: NamedNode
+    IRI: NamedNode
+    BlankNode: NamedNode
+    Literal: NamedNode
+    BlankNodeOrIRI: NamedNode
+    BlankNodeOrLiteral: NamedNode
+    IRIOrLiteral: NamedNode
+    targetClass: NamedNode
+    targetNode: NamedNode
+    targetObjectsOf: NamedNode
+    property: NamedNode
+    path: NamedNode
+    name: NamedNode
+    description: NamedNode
+    defaultValue: NamedNode
+    order: NamedNode
+    group: NamedNode
+    datatype: NamedNode
+    node: NamedNode
+    nodeKind: NamedNode
+    class_: NamedNode
+    minCount: NamedNode
+    maxCount: NamedNode
+    minInclusive: NamedNode
+    maxInclusive: NamedNode
+    minExclusive: NamedNode
+    maxExclusive: NamedNode
+    lessThan: NamedNode
+    lessThanOrEquals: NamedNode
+    hasValue: NamedNode
+    in_: NamedNode
+    flags: NamedNode
+    message: NamedNode
+    severity: NamedNode
+    deactivated: NamedNode
+    minLength: NamedNode
+    maxLength: NamedNode
+    pattern: NamedNode
+    closed: NamedNode
+    ignoredProperties: NamedNode
+    and_: NamedNode
+    or_: NamedNode
+    not_: NamedNode
+    xone: NamedNode
+    inversePath: NamedNode
+    zeroOrMorePath: NamedNode
+    conforms: NamedNode
+    result: NamedNode
+    resultSeverity: NamedNode
+    resultMessage: NamedNode
+    resultPath: NamedNode
+    focusNode: NamedNode
+    value: NamedNode
+    sourceConstraintComponent: NamedNode
+    sourceShape: NamedNode
+
+sh: _sh
+
+class _td(Namespace):
+    Thing: NamedNode
+    PropertyAffordance: NamedNode
+    ActionAffordance: NamedNode
+    EventAffordance: NamedNode
+    hasPropertyAffordance: NamedNode
+    hasActionAffordance: NamedNode
+    hasEventAffordance: NamedNode
+    hasForm: NamedNode
+    name: NamedNode
+    isObservable: NamedNode
+    readProperty: NamedNode
+    writeProperty: NamedNode
+    observeProperty: NamedNode
+    invokeAction: NamedNode
+    cancelAction: NamedNode
+    subscribeEvent: NamedNode
+    queryAction: NamedNode
+    unobserveProperty: NamedNode
+    readAllProperties: NamedNode
+    hasUriTemplateSchema: NamedNode
+    title: NamedNode
+    description: NamedNode
+    hasLink: NamedNode
+    hasInputSchema: NamedNode
+    hasOutputSchema: NamedNode
+    hasSecurityConfiguration: NamedNode
+    definesSecurityScheme: NamedNode
+    hasInstanceConfiguration: NamedNode
+    isSafe: NamedNode
+    isIdempotent: NamedNode
+    isSynchronous: NamedNode
+
+td: _td
+
+class _js(Namespace):
+    NumberSchema: NamedNode
+    StringSchema: NamedNode
+    properties: NamedNode
+    propertyName: NamedNode
+    default: NamedNode
+    items: NamedNode
+    exclusiveMinimum: NamedNode
+    maximum: NamedNode
+
+js: _js
+
+class _hctl(Namespace):
+    Form: NamedNode
+    Link: NamedNode
+    hasTarget: NamedNode
+    hasOperationType: NamedNode
+    hasRelationType: NamedNode
+    forContentType: NamedNode
+    forSubProtocol: NamedNode
+    hintsAtMediaType: NamedNode
+
+hctl: _hctl
+
+class _wotsec(Namespace):
+    BasicSecurityScheme: NamedNode
+    BearerSecurityScheme: NamedNode
+    ComboSecurityScheme: NamedNode
+    NoSecurityScheme: NamedNode
+
+wotsec: _wotsec
+
+class _sosa(Namespace):
+    Observation: NamedNode
+    Platform: NamedNode
+    hasResult: NamedNode
+    hosts: NamedNode
+    hasSimpleResult: NamedNode
+    madeBySensor: NamedNode
+    observedProperty: NamedNode
+    resultTime: NamedNode
+
+sosa: _sosa
+
+class _tree(Namespace):
+    GreaterThanOrEqualToRelation: NamedNode
+    LessThanOrEqualToRelation: NamedNode
+    Node: NamedNode
+    Relation: NamedNode
+    member: NamedNode
+    node: NamedNode
+    path: NamedNode
+    relation: NamedNode
+    shape: NamedNode
+    value: NamedNode
+    view: NamedNode
+
+tree: _tree
+
+class _ldes(Namespace):
+    EventStream: NamedNode
+    timestampPath: NamedNode
+    versionOfPath: NamedNode
+
+ldes: _ldes
+
+class _memento(Namespace):
+    Memento: NamedNode
+    TimeMap: NamedNode
+    memento: NamedNode
+    mementoDatetime: NamedNode
+    original: NamedNode
+    timegate: NamedNode
+
+memento: _memento
+
+class _cora(Namespace):
+    Robot: NamedNode
+
+cora: _cora
+
+class _htv(Namespace):
+    Request: NamedNode
+    Response: NamedNode
+    methodName: NamedNode
+    requestURI: NamedNode
+    statusCodeValue: NamedNode
+
+htv: _htv
+
+class _prov(Namespace):
+    Activity: NamedNode
+    Agent: NamedNode
+    Association: NamedNode
+    Entity: NamedNode
+    Plan: NamedNode
+    agent: NamedNode
+    endedAtTime: NamedNode
+    generated: NamedNode
+    hadPlan: NamedNode
+    has_provenance: NamedNode
+    qualifiedAssociation: NamedNode
+    startedAtTime: NamedNode
+    used: NamedNode
+    wasAssociatedWith: NamedNode
+    wasInformedBy: NamedNode
+
+prov: _prov
+
+class _schema_org(Namespace):
+    domainIncludes: NamedNode
+    rangeIncludes: NamedNode
+    ItemList: NamedNode
+    ListItem: NamedNode
+    itemListElement: NamedNode
+    numberOfItems: NamedNode
+    position: NamedNode
+    item: NamedNode
+    name: NamedNode
+
+schema_org: _schema_org
+
+class _hydra(Namespace):
+    IriTemplate: NamedNode
+    IriTemplateMapping: NamedNode
+    BasicRepresentation: NamedNode
+    freetextQuery: NamedNode
+    mapping: NamedNode
+    property: NamedNode
+    required: NamedNode
+    search: NamedNode
+    template: NamedNode
+    variable: NamedNode
+    variableRepresentation: NamedNode
+
+hydra: _hydra
+
+class _qudt(Namespace):
+    hasUnit: NamedNode
+    hasQuantityKind: NamedNode
+
+qudt: _qudt
+
+class _notify(Namespace):
+    subscription: NamedNode
+    channelType: NamedNode
+    feature: NamedNode
+    topic: NamedNode
+    receiveFrom: NamedNode
+    accept: NamedNode
+    endAt: NamedNode
+    rate: NamedNode
+    startAt: NamedNode
+    state: NamedNode
+    WebSocketChannel2023: NamedNode
+    StreamingHTTPChannel2023: NamedNode
+
+notify: _notify
+
+class _activity(Namespace):
+    Create: NamedNode
+    Update: NamedNode
+    Delete: NamedNode
+    Add: NamedNode
+    Remove: NamedNode
+    object: NamedNode
+    target: NamedNode
+    published: NamedNode
+
+activity: _activity

@@ -101,7 +101,7 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
     authenticator = create_authenticator(services, notifications.channels)
     if authenticator is not None:
         authenticator.changed.watch(broadcasters.wake_all)
-        router.add({"acl": single_route(partial(AclResource, space.base, authenticator))})
+        router.add({"acl": single_route(partial(AclResource, space, authenticator))})
     triggers = RecordingTriggers(session, services.affordances, services.mappings, router.at, authenticator)
     router.add({"bags": partial(factory.bag_at, triggers=triggers)})
     near = partial(near_urls, space, session.adapter, services.affordances)

@@ -91,7 +91,7 @@ class OpenApiResource(Resource):
         instance_id: str,
         resolve: Callable[[str], Resource],
     ) -> None:
-        super().__init__(f"{session.space.base}openapi.json")
+        super().__init__(session.space, f"{session.space.base}openapi.json")
         self.session = session
         self.affordances = affordances
         self.workers = workers
@@ -164,7 +164,7 @@ class OpenApiResource(Resource):
 
     def _may(self, permissions: Permissions, method: str, path: str) -> bool:
         """Whether a method may be used at a path below the base, or at some that a template stands for."""
-        url = self.session.space.base.rstrip("/") + path
+        url = self.space.base.rstrip("/") + path
         place = permissions.locate(url)
         if permissions.is_unrestricted or "{" in path or place is None:
             return permissions.may_template(method, url)
@@ -201,7 +201,7 @@ class OpenApiResource(Resource):
         hides = capabilities.hidden_names and not hidden
         schemas = MessageSchemas(partial(_known_type, self.session.schemas), self.session.lifting)
         collector = PathCollector(
-            self.session.space,
+            self.space,
             listed_graph(graph, capabilities) if hides else graph,
             self.queries,
             self.recordings,
@@ -220,7 +220,7 @@ class OpenApiResource(Resource):
     def _writing(
         self, paths: Iterable[DescribedPath], schemas: Mapping[str, JsonSchema], hidden: bool
     ) -> Callable[[], bytes]:
-        title, base, query = f"rosld: {self.session.name}", self.session.space.base, _HIDDEN if hidden else ""
+        title, base, query = f"rosld: {self.session.name}", self.space.base, _HIDDEN if hidden else ""
         return partial(description, title, base, __version__, _ABOUT, paths, schemas, query=query)
 
     def _write(self, paths: Iterable[DescribedPath], schemas: Mapping[str, JsonSchema], hidden: bool) -> bytes:

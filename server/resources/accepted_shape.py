@@ -50,7 +50,7 @@ class AcceptedShape(Resource):
     is_cacheable = False
 
     def __init__(self, of: Resource, describe: Callable[[str], Awaitable[Document | None]]) -> None:
-        super().__init__(shape_query(of.url))
+        super().__init__(of.space, shape_query(of.url))
         self._of = of
         self._describe = describe
 

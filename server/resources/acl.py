@@ -34,19 +34,16 @@ class AclResource(Resource):
     """The rules: written in their file, read here."""
 
     kind = "Rights"
+    shape = "Authorization"
     title = "Rights"
     links = (RESOURCE, RDF_SOURCE)
 
-    def __init__(self, base: str, authenticator: Authenticator) -> None:
-        super().__init__(f"{base}{ACL}")
+    def __init__(self, space: Space, authenticator: Authenticator) -> None:
+        super().__init__(space, space.base + ACL)
         self._authenticator = authenticator
 
     def deny_reason(self, method: str) -> str:
         return "The rules are written in the file of --auth; it is read again whenever it changes."
-
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (f"{self.url.removesuffix(ACL)}shapes/documents#Authorization",)
 
     async def state(self) -> State:
         policy = self._authenticator.config.policy

@@ -62,10 +62,11 @@ class ActionResource(CommandResource):
     """One action."""
 
     kind = "Action"
+    shape = "Action"
     accepts: Mapping[str, Sequence[str]] = {"POST": (*RDF_BODIES, JSON)}
 
     def __init__(self, session: Session, limit_checks: LimitChecks, states: VersionCache[State], name: str) -> None:
-        super().__init__(session.space.action(name))
+        super().__init__(session.space, session.space.action(name))
         self.title = name
         self.session = session
         self.limit_checks = limit_checks
@@ -81,12 +82,12 @@ class ActionResource(CommandResource):
         found = graph.actions.get(self.name)
         if found is None:
             missing = Problem(404, f"There is no action {self.name}.")
-            raise redirect_to_namespace(self.session.space, graph, "actions", self.name) or missing
+            raise redirect_to_namespace(self.space, graph, "actions", self.name) or missing
         return found
 
     @property
     def is_absent(self) -> bool:
-        return is_absent(self.session.space, self.session.graph, "actions", self.name)
+        return is_absent(self.space, self.session.graph, "actions", self.name)
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         type = self.action.type
@@ -100,10 +101,6 @@ class ActionResource(CommandResource):
             query=STRICTNESS,
         )
         return PathItem(f"The action {self.name}", writes={"POST": send}, has_shape=type is not None)
-
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self.session.space.document_shape("Action"),)
 
     def methods(self) -> frozenset[str]:
         if self.session.settings.read_only or self.session.is_resources_only(self.name):
@@ -138,7 +135,7 @@ class ActionResource(CommandResource):
         graph = self.session.graph
         goals = [goal.id for goal in self.session.goals.of_action(self.name)]
         action = self._action_in(graph)
-        return action_document(action, self.session.space, graph, goals, takes_goals=self.takes_goals)
+        return action_document(action, self.space, graph, goals, takes_goals=self.takes_goals)
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
         await follow_action(self.session, self.name)
@@ -151,7 +148,7 @@ class ActionResource(CommandResource):
 
     async def accepted(self, url: str) -> Document | None:
         return await message_shape(
-            self.session.space, self.limit_checks, Kind.ACTION, self.name, (await self._schema()).goal, url, "#goal"
+            self.space, self.limit_checks, Kind.ACTION, self.name, (await self._schema()).goal, url, "#goal"
         )
 
     async def forms(self) -> Sequence[Form]:
@@ -172,7 +169,7 @@ class ActionResource(CommandResource):
         schema = await self._schema()
         message = await read_message(
             exchange,
-            self.session.space,
+            self.space,
             self.session.lifting,
             self.limit_checks,
             Kind.ACTION,
@@ -186,7 +183,7 @@ class ActionResource(CommandResource):
     async def send(self, exchange: Exchange, schema: ActionSchema, message: Message) -> CreatedAnswer:
         """Send a goal: 201 once it is accepted. Raises RosError and Problems where it is not."""
         sending = await self._submit(exchange, schema, message)
-        problem = _failure(self.session.space, self.name, sending)
+        problem = _failure(self.space, self.name, sending)
         if problem is not None or sending.goal is None:
             raise problem or Problem(502, f"{self.name} did not take the goal.")
         resource = GoalResource(self.session, self.states, sending.goal.id)
@@ -237,9 +234,10 @@ class GoalResource(Resource):
     """One goal of an action."""
 
     kind = "Goal"
+    shape = "Goal"
 
     def __init__(self, session: Session, states: VersionCache[State], id: str) -> None:
-        super().__init__(session.space.goal(id))
+        super().__init__(session.space, session.space.goal(id))
         try:
             self.title = session.goals.find(id).action
         except LookupError:
@@ -297,10 +295,6 @@ class GoalResource(Resource):
         is_closed = not goal.status.is_final and self.session.is_resources_only(goal.action)
         return not (self.session.settings.read_only or is_closed)
 
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self.session.space.document_shape("Goal"),)
-
     async def state(self) -> State:
         goal = self.goal
         if not goal.is_own and not goal.status.is_final:
@@ -320,7 +314,7 @@ class GoalResource(Resource):
         )
 
     def _make_state(self, goal: Goal) -> State:
-        shapes = () if goal.schema is None else self.session.space.shapes_of(goal.schema)
+        shapes = () if goal.schema is None else self.space.shapes_of(goal.schema)
         state = State(lambda: self.document(goal), lambda: self._plain(goal), shapes=shapes)
         if not goal.status.is_settled:
             return state
@@ -331,7 +325,7 @@ class GoalResource(Resource):
     def document(self, goal: Goal) -> Document:
         """Return the RDF of this goal as it stood."""
         return goal_document(
-            _view(goal, cancelable=goal.is_cancelable and self._is_open(goal)), self.session.space, self.session.lifting
+            _view(goal, cancelable=goal.is_cancelable and self._is_open(goal)), self.space, self.session.lifting
         )
 
     def _plain(self, goal: Goal) -> bytes:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from itertools import islice
 
 import orjson
@@ -49,13 +49,13 @@ class ActivityResource(Resource):
     """The receipt of one write. It never changes."""
 
     kind = "Activity"
+    shape = "Write"
 
     def __init__(
         self, space: Space, settings: Settings, states: VersionCache[State], receipts: Journal, id: str
     ) -> None:
-        super().__init__(space.activity(id))
+        super().__init__(space, space.activity(id))
         self.title = id
-        self.space = space
         self.settings = settings
         self.states = states
         self.receipts = receipts
@@ -66,10 +66,6 @@ class ActivityResource(Resource):
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem("The receipt of a write", plain=ANYTHING)
-
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self.space.document_shape("Write"),)
 
     async def state(self) -> State:
         try:
@@ -88,14 +84,14 @@ class ActivityContainer(Resource):
     """`/activity/`: the receipts that are kept, in pages where there are many."""
 
     kind = "Activity"
+    shape = "Container"
     title = TITLE
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
 
     def __init__(
         self, space: Space, states: VersionCache[State], receipts: Journal, place: PagePosition | None = None
     ) -> None:
-        super().__init__(space.container("activity"))
-        self.space = space
+        super().__init__(space, space.container("activity"))
         self.states = states
         self.receipts = receipts
         self._place = place
@@ -103,10 +99,6 @@ class ActivityContainer(Resource):
     @property
     def variant_key(self) -> PagePosition | None:
         return self._place
-
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self.space.document_shape("Container"),)
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """Return the page that `?page=` asks for, the first of many pages (303); as a stream, the newest receipt."""
@@ -184,17 +176,13 @@ class NewestReceipt(Resource):
     """
 
     kind = "Activity"
+    shape = "Write"
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
 
     def __init__(self, space: Space, receipts: Journal, permissions: Permissions) -> None:
-        super().__init__(space.container("activity"))
-        self.space = space
+        super().__init__(space, space.container("activity"))
         self.receipts = receipts
         self._permissions = permissions
-
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self.space.document_shape("Write"),)
 
     async def state(self) -> State:
         entries, may_read = self.receipts.newest_first(), self._permissions.may_read

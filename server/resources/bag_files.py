@@ -47,7 +47,7 @@ class BagFile(Resource):
     links = (RESOURCE,)
 
     def __init__(self, space: Space, recordings: Recordings, recording: Recording) -> None:
-        super().__init__(f"{space.bag(recording.name)}file")
+        super().__init__(space, f"{space.bag(recording.name)}file")
         self.recordings = recordings
         self.recording = recording
 
@@ -143,8 +143,7 @@ class BagUpload(Resource):
     def __init__(
         self, space: Space, settings: Settings, states: VersionCache[State], recordings: Recordings, name: str
     ) -> None:
-        super().__init__(space.url("bags", (name,)))
-        self.space = space
+        super().__init__(space, space.url("bags", (name,)))
         self.settings = settings
         self.states = states
         self.recordings = recordings
@@ -203,7 +202,7 @@ class UnreadableBag(Resource):
     is_cacheable = False
 
     def __init__(self, space: Space, settings: Settings, recordings: Recordings, name: str) -> None:
-        super().__init__(space.bag(name))
+        super().__init__(space, space.bag(name))
         self.settings = settings
         self.recordings = recordings
         self.name = name

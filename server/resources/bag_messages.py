@@ -58,6 +58,7 @@ class BagMessages(Resource):
     """The messages of a recording: a container in pages (`?page=N` from 0; without it, links only)."""
 
     kind = "Messages"
+    shape = "Container"
     is_cacheable = False
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
 
@@ -65,7 +66,7 @@ class BagMessages(Resource):
         self, session: Session, states: VersionCache[State], recording: Recording, page: int | None = None
     ) -> None:
         base = session.space.bag_messages(recording.name)
-        super().__init__(base if page is None else f"{base}?page={page}")
+        super().__init__(session.space, base if page is None else f"{base}?page={page}")
         self.session = session
         self.states = states
         self.recording = recording
@@ -74,19 +75,15 @@ class BagMessages(Resource):
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem(f"The messages of {self.recording.name}", query=(FORMAT, _PAGE, *PARAMETERS))
 
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self.session.space.document_shape("Container"),)
-
     async def state(self) -> State:
-        recording, space, page = self.recording, self.session.space, self.number
+        recording, space, page = self.recording, self.space, self.number
         version = recording.first, recording.count
         return self.states.get_or_make(
             self.url, version, lambda: State(lambda: bag_messages_document(recording, space, page, PAGE))
         )
 
     def navigation_links(self) -> tuple[SequenceLink, ...]:
-        base = self.session.space.bag_messages(self.recording.name)
+        base = self.space.bag_messages(self.recording.name)
         first, last = _pages(self.recording)
         if self.number is None:
             places = {"first": first, "last": last}
@@ -111,12 +108,13 @@ class BagMessage(Resource):
     """One message of a recording."""
 
     kind = "Recorded message"
+    shape = "Record"
     is_cacheable = False
 
     def __init__(
         self, session: Session, states: VersionCache[State], pictures: PictureCache, recording: Recording, index: int
     ) -> None:
-        super().__init__(session.space.bag_message(recording.name, index))
+        super().__init__(session.space, session.space.bag_message(recording.name, index))
         self.session = session
         self.states = states
         self.pictures = pictures
@@ -129,7 +127,7 @@ class BagMessage(Resource):
         """Return the messages before and after, first and last (RFC 8288)."""
         first, last = self.recording.first, self.recording.first + self.recording.count - 1
         places = {"first": first, "prev": self.index - 1, "next": self.index + 1, "last": last}
-        links = ((rel, self.session.space.bag_message(self.recording.name, at)) for rel, at in places.items())
+        links = ((rel, self.space.bag_message(self.recording.name, at)) for rel, at in places.items())
         there = {rel for rel, at in places.items() if first <= at <= last}
         return tuple(SequenceLink(rel, url) for rel, url in links if rel in there)
 
@@ -145,10 +143,6 @@ class BagMessage(Resource):
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem(f"A message of {self.recording.name}", FIELD_READS, ANYTHING, (FORMAT, FIELD))
 
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self.session.space.document_shape("Record"),)
-
     async def state(self) -> State:
         known = self.states.find(self.url, 0)
         if known is not None:
@@ -160,18 +154,18 @@ class BagMessage(Resource):
         def plain() -> bytes:
             if decoded.schema is None or decoded.message is None:
                 raise Problem(406, f"The message cannot be read: {decoded.reason}.")
-            return lift_sample(self.session.space, self.session.lifting, decoded).lifter.json(decoded.message, self.url)
+            return lift_sample(self.space, self.session.lifting, decoded).lifter.json(decoded.message, self.url)
 
         def describe() -> Document:
             return record_document(
-                self.session.space,
+                self.space,
                 self.session.lifting,
                 recording,
                 DecodedRecord(message, decoded),
                 simulated_time=self.session.graph.simulated_time,
             )
 
-        shapes = () if decoded.schema is None else self.session.space.shapes_of(decoded.schema)
+        shapes = () if decoded.schema is None else self.space.shapes_of(decoded.schema)
         return self.states.put(self.url, 0, State(describe, plain, shapes=shapes))
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
@@ -219,7 +213,7 @@ class BagMoment(BagSelection):
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self.session.space.document_shape("Moment"), self.session.space.document_shape("Record"))
+        return (self.space.document_shape("Moment"), self.space.document_shape("Record"))
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """At the time that the query names, of the topics that it names. Raises Problems."""
@@ -249,7 +243,7 @@ class BagMoment(BagSelection):
         return [each for each in found if each is not None]
 
     def _describe(self, messages: Sequence[RecordedMessage]) -> Document:
-        return bag_moment_document(self.recording, self.session.space, self.url, self._at_ns, messages)
+        return bag_moment_document(self.recording, self.space, self.url, self._at_ns, messages)
 
     def _json(self, records: Sequence[DecodedRecord]) -> bytes:
         messages = [self._json_of(one) for one in records]

@@ -50,6 +50,7 @@ class BagContainer(Resource):
     """`/bags/`: the recordings of this source, the history, and those that clients make or send."""
 
     kind = "Recordings"
+    shape = "Container"
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
     accepts: Mapping[str, Sequence[str]] = {"POST": MEDIA_TYPES}
 
@@ -61,7 +62,7 @@ class BagContainer(Resource):
         triggers: RecordingTriggers | None = None,
     ) -> None:
         """`triggers` follows what a recording may wait for; without it none can."""
-        super().__init__(session.space.container("bags"))
+        super().__init__(session.space, session.space.container("bags"))
         self.session = session
         self.states = states
         self.recordings = recordings
@@ -70,7 +71,7 @@ class BagContainer(Resource):
     async def forms(self) -> Sequence[Form]:
         if "POST" not in self.methods():
             return ()
-        space = self.session.space
+        space = self.space
         return (recording_form({name: space.topic(name) for name in self.session.graph.topics}),)
 
     def methods(self) -> frozenset[str]:
@@ -87,15 +88,11 @@ class BagContainer(Resource):
         return PathItem("The recordings", writes={"POST": post})
 
     @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self.session.space.document_shape("Container"),)
-
-    @property
     def constrained_by(self) -> str | None:
-        return self.session.space.shape("recording")
+        return self.space.shape("recording")
 
     async def state(self) -> State:
-        members = bag_urls(self.session.space, self.recordings)
+        members = bag_urls(self.space, self.recordings)
         version = members, tuple(self.session.graph.topics)  # the page has a form that names them
         return self.states.get_or_make(
             self.url, version, lambda: State(lambda: container_document(self.url, members, "Recordings"))
@@ -122,14 +119,14 @@ class BagContainer(Resource):
         slug = exchange.header("slug")
         if order.name is None and slug is not None and self.recordings.can_be_named(slug):
             order = replace(order, name=slug)
-        space = self.session.space
+        space = self.space
         exchange.audit.add_step(f"record {', '.join(order.topics)}", *urls_of(order, space))
         require_topics(order, exchange.permissions, space)
         return order
 
     async def _begin(self, order: RecordingOrder, exchange: Exchange) -> RunningBag | ArmedBag:
         """Return the recording that was begun, or that waits for its trigger. Raises RecordingRefused, OSError."""
-        space, settings = self.session.space, self.session.settings
+        space, settings = self.space, self.session.settings
         if order.trigger is None:
             may_record = partial(may_read_topic, space, exchange.permissions)
             return RunningBag(space, settings, self.states, self.recordings, self.recordings.begin(order, may_record))

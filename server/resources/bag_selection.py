@@ -121,7 +121,7 @@ class BagSelection(Resource):
         self._base = session.space.bag_messages(recording.name)
         self._query = query
         self.start = wanted.start
-        super().__init__(self._page_url(self.start))
+        super().__init__(session.space, self._page_url(self.start))
         self.title = f"Messages of {recording.name}"
         self.session = session
         self.recording = recording
@@ -132,7 +132,7 @@ class BagSelection(Resource):
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self.session.space.document_shape("Container"), self.session.space.document_shape("Record"))
+        return (self.space.document_shape("Container"), self.space.document_shape("Record"))
 
     async def prepare(self) -> None:
         """Read the page, because Link needs the position after it."""
@@ -151,7 +151,7 @@ class BagSelection(Resource):
             return State(describe, lambda: data, token=token)
         said = await asyncio.to_thread(
             record_triples,
-            self.session.space,
+            self.space,
             self.session.lifting,
             self.recording,
             records,
@@ -174,7 +174,7 @@ class BagSelection(Resource):
     def listing(self) -> MemberColumns | None:
         if self._page is None:
             return None
-        space, name = self.session.space, self.recording.name
+        space, name = self.space, self.recording.name
         cells: dict[str, tuple[Cell, ...]] = {
             space.bag_message(name, each.index): (
                 NamedNode(space.topic(each.topic)),
@@ -190,7 +190,7 @@ class BagSelection(Resource):
         return (first,) if after is None else (first, SequenceLink("next", self._page_url(after)))
 
     def _describe(self, messages: Sequence[RecordedMessage]) -> Document:
-        return bag_selection_document(self.recording, self.session.space, self.url, messages)
+        return bag_selection_document(self.recording, self.space, self.url, messages)
 
     async def _read(self) -> MessagePage:
         if self._page is None:
@@ -207,7 +207,7 @@ class BagSelection(Resource):
 
     def _json_of(self, one: DecodedRecord) -> dict[str, object]:
         message, decoded = one.message, one.decoded
-        url = self.session.space.bag_message(self.recording.name, message.index)
+        url = self.space.bag_message(self.recording.name, message.index)
         said: dict[str, object] = {
             "url": url,
             "index": message.index,
@@ -219,7 +219,7 @@ class BagSelection(Resource):
             return said | {"unreadable": decoded.reason}
         return said | {
             "message": orjson.Fragment(
-                lift_sample(self.session.space, self.session.lifting, decoded).lifter.json(decoded.message, url)
+                lift_sample(self.space, self.session.lifting, decoded).lifter.json(decoded.message, url)
             )
         }
 

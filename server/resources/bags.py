@@ -114,6 +114,7 @@ class BagResource(Resource):
     """One recording that can be read."""
 
     kind = "Recording"
+    shape = "Bag"
     is_cacheable = False
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
 
@@ -125,8 +126,7 @@ class BagResource(Resource):
         recordings: Recordings,
         recording: Recording,
     ) -> None:
-        super().__init__(space.bag(recording.name))
-        self.space = space
+        super().__init__(space, space.bag(recording.name))
         self.settings = settings
         self.states = states
         self.recordings = recordings
@@ -148,10 +148,6 @@ class BagResource(Resource):
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem(f"The recording {self.recording.name}")
-
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self.space.document_shape("Bag"),)
 
     async def state(self) -> State:
         recording, history = self.recording, self.recordings.history
@@ -229,13 +225,14 @@ _LOOK_SECONDS = 1.0
 class UnfinishedBag(Resource):
     """A recording that is not complete: PATCH ends it."""
 
+    shape = "Bag"
+
     is_cacheable = False
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
     accepts: Mapping[str, Sequence[str]] = {"PATCH": PATCHES}
 
     def __init__(self, space: Space, settings: Settings, name: str) -> None:
-        super().__init__(space.bag(name))
-        self.space = space
+        super().__init__(space, space.bag(name))
         self.settings = settings
         self.name = name
 
@@ -245,10 +242,6 @@ class UnfinishedBag(Resource):
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         ends: DataSchema = {"type": "object", "properties": {"status": {"const": "ended"}}, "required": ["status"]}
         return PathItem(f"The recording {self.name}", writes={"PATCH": WriteMethod("Ends it", sends=ends)})
-
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self.space.document_shape("Bag"),)
 
 
 class RunningBag(UnfinishedBag):

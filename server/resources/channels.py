@@ -202,7 +202,7 @@ class DescribedResource(Resource):
     """Base of these resources: a document, and the same as compact JSON-LD."""
 
     def __init__(self, notifications: Notifications, url: str) -> None:
-        super().__init__(url)
+        super().__init__(notifications.space, url)
         self.notifications = notifications
 
     def document(self) -> Document:
@@ -237,35 +237,29 @@ class StorageDescription(DescribedResource):
     """`/.well-known/solid`: which subscription services there are."""
 
     kind = "Storage description"
+    shape = "Subscriptions"
     title = "Notifications"
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem("Where the subscription services are", plain=OBJECT)
 
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self.notifications.space.document_shape("Subscriptions"),)
-
     def document(self) -> Document:
-        return description_document(self.url, self.notifications.space.base, self.notifications.services)
+        return description_document(self.url, self.space.base, self.notifications.services)
 
     def members(self) -> Json:
-        return description_members(self.url, self.notifications.space.base, self.notifications.services)
+        return description_members(self.url, self.space.base, self.notifications.services)
 
 
 class WellKnownContainer(DescribedResource):
     """`/.well-known/`: what is served below it. RFC 8615 3 asks for nothing there; the URLs below it lead up to it."""
 
     kind = "Well-known resources"
+    shape = "Container"
     title = "Well-known resources"
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem("What is well known here")
-
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self.notifications.space.document_shape("Container"),)
 
     def document(self) -> Document:
         described = self.notifications.description
@@ -276,15 +270,12 @@ class ServiceContainer(DescribedResource):
     """`/channels/`: the subscription services. The channels are listed nowhere: who knows one may use it."""
 
     kind = "Subscription services"
+    shape = "Container"
     title = "Subscription services"
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem("The subscription services")
-
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self.notifications.space.document_shape("Container"),)
 
     def document(self) -> Document:
         return container_document(self.url, [one.url for one in self.notifications.services], self.title)
@@ -294,6 +285,7 @@ class SubscriptionService(DescribedResource):
     """`/channels/TYPE`: makes channels of one type."""
 
     kind = "Subscription service"
+    shape = "SubscriptionService"
     accepts = {"POST": MEDIA_TYPES}  # noqa: RUF012
     takes_forms = False
 
@@ -310,10 +302,6 @@ class SubscriptionService(DescribedResource):
             shows=OBJECT,
         )
         return PathItem(f"Makes channels: {self._service.type}", plain=OBJECT, writes={"POST": subscribe})
-
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self.notifications.space.document_shape("SubscriptionService"),)
 
     def methods(self) -> frozenset[str]:
         return READ | {"POST"}
@@ -342,16 +330,13 @@ class ChannelResource(DescribedResource):
     """`/channels/TYPE/TOKEN`: one channel. Deleting it ends it."""
 
     kind = "Notification channel"
+    shape = "Channel"
     title = "Notification channel"
     is_cacheable = False
 
     def __init__(self, notifications: Notifications, channel: Channel) -> None:
         super().__init__(notifications, channel.terms.url)
         self._channel = channel
-
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self.notifications.space.document_shape("Channel"),)
 
     def methods(self) -> frozenset[str]:
         return READ | {"DELETE"}

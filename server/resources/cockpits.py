@@ -158,7 +158,7 @@ class ShownCockpit(_ShownPage, CockpitResource):
     async def forms(self) -> Sequence[Form]:
         if "PUT" not in self.methods():
             return ()
-        edit = EditForm(self._cockpit, self.documents.space.base, str(self.require_record().version))
+        edit = EditForm(self._cockpit, self.space.base, str(self.require_record().version))
         return (edit, DeleteForm("Delete this cockpit"))
 
     def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
@@ -188,7 +188,7 @@ class ShownCockpit(_ShownPage, CockpitResource):
         Raises a 409 Problem where it was changed after the form was drawn.
         """
         value = cast("Mapping[str, object]", json.loads(await exchange.body()))
-        cockpit = cockpit_of_form(value, self.documents.space.base)
+        cockpit = cockpit_of_form(value, self.space.base)
 
         async def changed(record: Record) -> Write:
             if value.get("version") != str(record.version):
@@ -236,7 +236,7 @@ class DefaultCockpit(Resource):
     links = (RESOURCE, RDF_SOURCE_LINK)
 
     def __init__(self, sources: CockpitSources) -> None:
-        super().__init__(sources.session.space.cockpit(DEFAULT))
+        super().__init__(sources.session.space, sources.session.space.cockpit(DEFAULT))
         self.documents = sources.documents
         self._sources = sources
 
@@ -245,12 +245,12 @@ class DefaultCockpit(Resource):
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        return (self.documents.space.document_shape("Source"), self.documents.space.shape("cockpit"))
+        return (self.space.document_shape("Source"), self.space.shape("cockpit"))
 
     def deny_reason(self, method: str) -> str:
         if self.documents.settings.read_only:
             return "This server is read-only."
-        container = self.documents.space.container("cockpit")
+        container = self.space.container("cockpit")
         return f"This cockpit is made from what the robot has: PUT one of another name to {container}NAME."
 
     async def select_variant(self, exchange: Exchange) -> Resource:
@@ -335,7 +335,7 @@ class CockpitContainer(ContainerResource):
     async def forms(self) -> Sequence[Form]:
         if self.documents.settings.read_only:
             return ()
-        return (CopyForm(self.documents.space.cockpit(DEFAULT)),)
+        return (CopyForm(self.space.cockpit(DEFAULT)),)
 
     def listing(self) -> MemberColumns:
         return MemberColumns(("title",), {url: (name,) for url, name in cockpit_tabs(self.documents)})
@@ -369,7 +369,7 @@ class CockpitContainer(ContainerResource):
 
     async def _source(self, url: str, permissions: Permissions) -> Cockpit:
         """Return the cockpit at a URL, with the panels that the agent may know of. Raises a 404 Problem."""
-        space = self.documents.space
+        space = self.space
         if url == space.cockpit(DEFAULT) and permissions.may_read(url):
             found = await DefaultCockpit(self._sources).cockpit()
         else:

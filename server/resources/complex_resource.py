@@ -67,6 +67,7 @@ class ComplexResource(CommandResource):
     """A complex resource: a namespace, or what a mapping says of a path."""
 
     kind = "Complex resource"
+    shape = "ComplexResource"
     accepts: Mapping[str, Sequence[str]] = {"PATCH": (MERGE_PATCH, SPARQL_UPDATE)}
 
     def __init__(
@@ -77,7 +78,7 @@ class ComplexResource(CommandResource):
         things: ThingDescriptions,
         path: str,
     ) -> None:
-        super().__init__(url_of(path, session.space))
+        super().__init__(session.space, url_of(path, session.space))
         self.title = path if path != "/" else "Resources"
         self.session = session
         self.affordances = affordances
@@ -95,19 +96,11 @@ class ComplexResource(CommandResource):
     def also_changes(self) -> Sequence[str]:
         tree = self.affordances.cached_tree() or self.affordances.last_tree
         plan = None if tree is None else tree.complex(self.path)
-        return (
-            ()
-            if plan is None
-            else [url_of(one.url_name or one.source.name, self.session.space) for one in plan.members]
-        )
-
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self.session.space.document_shape("ComplexResource"),)
+        return () if plan is None else [url_of(one.url_name or one.source.name, self.space) for one in plan.members]
 
     @property
     def constrained_by(self) -> str | None:
-        return self.session.space.shape("limits")
+        return self.space.shape("limits")
 
     async def prepare(self) -> None:
         await self._plan()
@@ -185,10 +178,10 @@ class ComplexResource(CommandResource):
         view = self.affordances.complex_view(plan, snapshot)
         own = tuple(member.reading for member in view.members)
         times = [one.read_ns for one in own if one.read_ns is not None and one.fresh_until is not None]
-        shapes = (shape_url(member.reading, member.field, self.session.space) for member in view.members)
+        shapes = (shape_url(member.reading, member.field, self.space) for member in view.members)
         return State(
             lambda: complex_document(
-                view, self.session.space, self.session.lifting, simulated_time=self.session.graph.simulated_time
+                view, self.space, self.session.lifting, simulated_time=self.session.graph.simulated_time
             ),
             lambda: complex_json(view, self.session.lifting),
             received_ns=min(times, default=None),
@@ -204,7 +197,7 @@ class ComplexResource(CommandResource):
         return state.redact(
             permissions,
             lambda: complex_document(
-                left, self.session.space, self.session.lifting, simulated_time=self.session.graph.simulated_time
+                left, self.space, self.session.lifting, simulated_time=self.session.graph.simulated_time
             ),
             lambda: complex_json(left, self.session.lifting),
         )
@@ -216,7 +209,7 @@ class ComplexResource(CommandResource):
             return tree, plan
         name = self.path[:-1]
         if tree.property(name) is not None or tree.action(name) is not None:
-            raise permanent_redirect(url_of(name, self.session.space))
+            raise permanent_redirect(url_of(name, self.space))
         raise Problem(404, f"There is no resource {self.path}.")
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
@@ -277,7 +270,7 @@ class ComplexResource(CommandResource):
         view = self.affordances.complex_view(plan, snapshot)
         if media_type == MERGE_PATCH:
             return changes_in_json(parse_json(data), plan, view)
-        before = complex_document(view, self.session.space, self.session.lifting.unelided)
+        before = complex_document(view, self.space, self.session.lifting.unelided)
         return changes_in_graph(
             apply_update(data, before.all_triples(), self.url, by_value=True), plan, view, self.session.lifting
         )

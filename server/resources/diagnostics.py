@@ -84,6 +84,7 @@ class DiagnosticsResource(Resource):
     """The states of all reporting parts, or of those of one name, as one agent may see them."""
 
     kind = "Diagnostics"
+    shape = "Source"
     title = "Diagnostics"
     links = (RESOURCE, RDF_SOURCE)
 
@@ -96,7 +97,7 @@ class DiagnosticsResource(Resource):
         permissions: Permissions = ALLOW_ALL,
     ) -> None:
         base = f"{session.space.base}diagnostics"
-        super().__init__(f"{base}?name={quote(name, safe='')}" if name else base)
+        super().__init__(session.space, f"{base}?name={quote(name, safe='')}" if name else base)
         self.session = session
         self.history = history
         self.level_times = level_times
@@ -107,10 +108,6 @@ class DiagnosticsResource(Resource):
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem("What the parts of the robot say of themselves", plain=_PLAIN, query=(_NAME, FORMAT))
-
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self.session.space.document_shape("Source"),)
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """Return the requested part, as the agent may see it."""
@@ -128,8 +125,7 @@ class DiagnosticsResource(Resource):
         return sorted(
             name
             for name, topic in graph.topics.items()
-            if any(ref.name == DIAGNOSTIC_ARRAY for ref in topic.types)
-            and permissions.may_read(self.session.space.topic(name))
+            if any(ref.name == DIAGNOSTIC_ARRAY for ref in topic.types) and permissions.may_read(self.space.topic(name))
         )
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:
@@ -146,11 +142,9 @@ class DiagnosticsResource(Resource):
             if not self.states:
                 raise Problem(404, f"No part called {self.name[:80]!r} has told of itself.")
             self._changes = await self._past(graph, self.states[0].topic)
-        states = [_part(each, self.session.space.topic(each.topic)) for each in self.states]
+        states = [_part(each, self.space.topic(each.topic)) for each in self.states]
         plain = _plain(states, self._changes)
-        return State(
-            partial(diagnostics_document, self.url, states, self.session.space.types), lambda: plain, digest(plain)
-        )
+        return State(partial(diagnostics_document, self.url, states, self.space.types), lambda: plain, digest(plain))
 
     async def _read(self, topic: str) -> Sequence[DiagnosticState]:
         view = await self.session.topics.read(topic)
@@ -194,7 +188,7 @@ class DiagnosticsResource(Resource):
                 self.name,
                 tuple(self.states),
                 tuple(self._changes),
-                tuple(self.session.space.topic(each) for each in sorted(topics or self._topics(self.session.graph))),
+                tuple(self.space.topic(each) for each in sorted(topics or self._topics(self.session.graph))),
                 tuple(notices),
             )
         )

@@ -46,6 +46,7 @@ class EntryResource(Resource):
     """The entry point, which links to everything else."""
 
     kind = "Robot"
+    shape = "Graph"
 
     def __init__(
         self,
@@ -54,7 +55,7 @@ class EntryResource(Resource):
         recordings: Recordings,
         problems: Callable[[], ServerProblems],
     ) -> None:
-        super().__init__(session.space.base)
+        super().__init__(session.space, session.space.base)
         self.session = session
         self.states = states
         self.recordings = recordings
@@ -67,7 +68,7 @@ class EntryResource(Resource):
         self.links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER, described, search, guide)
 
     def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
-        whole, space = self.session.graph, self.session.space
+        whole, space = self.session.graph, self.space
         graph = listed_graph(whole, self.session.adapter.capabilities)
         numbers = {
             "topics": _count_readable(graph.topics, space.topic, site),
@@ -103,16 +104,12 @@ class EntryResource(Resource):
     def _example(self, graph: Graph, site: Site) -> str | None:
         """Return the URL of a topic worth trying: a small one that somebody publishes."""
         topics = [topic for topic in graph.topics.values() if topic.publishers and topic.type is not None]
-        topics = [topic for topic in topics if site.may("GET", self.session.space.topic(topic.name))]
+        topics = [topic for topic in topics if site.may("GET", self.space.topic(topic.name))]
         topics.sort(key=lambda topic: (topic.name in RESERVED, len(topic.name), topic.name))
-        return self.session.space.topic(topics[0].name) if topics else None
+        return self.space.topic(topics[0].name) if topics else None
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem("The robot, with links to everything")
-
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self.session.space.document_shape("Graph"),)
 
     async def state(self) -> State:
         capabilities, problems = self.session.adapter.capabilities, self.problems()
@@ -120,7 +117,7 @@ class EntryResource(Resource):
         return self.states.get_or_make(
             self.url,
             (graph.revision, problems, self.session.name),
-            lambda: State(lambda: entry_document(graph, self.session.space, system, problems, name=self.session.name)),
+            lambda: State(lambda: entry_document(graph, self.space, system, problems, name=self.session.name)),
         )
 
 
@@ -134,7 +131,7 @@ class GuideResource(Resource):
     links = (RESOURCE, Link(f"{LDP}NonRDFSource", "type"))
 
     def __init__(self, space: Space, name: str, *, read_only: bool) -> None:
-        super().__init__(f"{space.base}llms.txt")
+        super().__init__(space, f"{space.base}llms.txt")
         self._data = guide_text(name, space, read_only=read_only).encode("utf-8")
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:

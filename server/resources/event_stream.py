@@ -103,7 +103,8 @@ class EventStreamResource(Resource):
         self._page = page
         self._profile = StreamProfile.RECORD
         self._suffix = query
-        super().__init__(_url(session.space, recording, page) + query)
+        super().__init__(session.space, _url(session.space, recording, page) + query)
+        self.shape = "EventStream" if page is None else "StreamPage"
         self.title = f"Messages of {recording.name}"
 
     @property
@@ -112,10 +113,6 @@ class EventStreamResource(Resource):
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem(f"The messages of {self.recording.name} as an event stream", query=(FORMAT, PROFILE))
-
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self.session.space.document_shape("EventStream" if self._page is None else "StreamPage"),)
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """The stream in the profile that the request prefers; one named in the query is in the URLs of all pages.
@@ -144,12 +141,12 @@ class EventStreamResource(Resource):
             return known
         members = await self._members(page) if page is not None and page.level == 0 else ()
         document = event_stream_document(
-            _url(self.session.space, recording) + self._suffix,
+            _url(self.space, recording) + self._suffix,
             self.url,
             self._profile,
             await asyncio.to_thread(self._links, first, beyond, settled),
             members,
-            self.session.space.document_shape("Record") if self._profile is StreamProfile.RECORD else None,
+            self.space.document_shape("Record") if self._profile is StreamProfile.RECORD else None,
         )
         age = f"max-age={_YEAR}, immutable" if is_immutable else f"max-age={_SHORT}"
         headers = {"cache-control": age, "vary": VARY_PROFILE, "content-profile": f"<{self._profile.value}>"}
@@ -170,7 +167,7 @@ class EventStreamResource(Resource):
         return [self._link(each, first, settled) for each in pages]
 
     def _link(self, page: PageNumber, first: int, settled: int) -> StreamLink:
-        url = _url(self.session.space, self.recording, page) + self._suffix
+        url = _url(self.space, self.recording, page) + self._suffix
         if page.end > settled and not self._is_finished:
             return StreamLink(url)
         times = self.recording.times_between(max(page.start, first), page.end)
@@ -190,7 +187,7 @@ class EventStreamResource(Resource):
         return found
 
     def _member(self, one: DecodedRecord, *, simulated_time: bool) -> Document:
-        space, lifting = self.session.space, self.session.lifting
+        space, lifting = self.space, self.session.lifting
         said = record_document(space, lifting, self.recording, one, simulated_time=simulated_time)
         if self._profile is StreamProfile.RECORD or one.decoded.message is None:
             return said.joined() if said.parts else Document(said.url, tuple(said.all_triples()))

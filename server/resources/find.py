@@ -116,8 +116,9 @@ class FindResource(Resource):
         *,
         subscribes: bool = False,
     ) -> None:
-        base = f"{session.space.base}find"
-        super().__init__(f"{base}?q={quote(query, safe='')}{'&values=true' if subscribes else ''}" if query else base)
+        asked = f"?q={quote(query, safe='')}{'&values=true' if subscribes else ''}" if query else ""
+        super().__init__(session.space, f"{session.space.base}find{asked}")
+        self.shape = "SearchResults" if query else "Source"
         self.title = query or "Search"
         self.session = session
         self.affordances = affordances
@@ -153,22 +154,18 @@ class FindResource(Resource):
             subscribes=subscribes,
         )
 
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self.session.space.document_shape("SearchResults" if self._text else "Source"),)
-
     async def state(self) -> State:
         if not self._text:
             return State(self.document, self._plain)
         hits, self._total = await self._finder.find(terms_of(self._text), self._permissions, MAX_RESULTS)
         self._results = await self._results_of(hits)
         plain = self._plain()
-        describe = partial(search_document, self.url, self._text, self._total, self._results, self.session.space)
+        describe = partial(search_document, self.url, self._text, self._total, self._results, self.space)
         return State(describe, lambda: plain, digest(plain))
 
     def document(self) -> Document:
         """Return the search itself, while nothing is searched for."""
-        return unasked_document(self.url, self.session.space)
+        return unasked_document(self.url, self.space)
 
     async def _results_of(self, hits: Sequence[Hit]) -> Sequence[SearchResult]:
         """Return the results, each with its latest value where that is at hand."""
@@ -224,7 +221,7 @@ class FindResource(Resource):
         """Return the results as plain JSON: as many as fit, with as many values as fit."""
         head = {"query": self._text, "total": self._total}
         if not self._text:
-            return orjson.dumps({**head, "template": search_template(self.session.space), "results": []})
+            return orjson.dumps({**head, "template": search_template(self.space), "results": []})
         room = MAX_BYTES - len(orjson.dumps({**head, "results": []}))
         texts = [_json(result, value=False) for result in self._results]
         while sum(map(len, texts)) + len(texts) > room:
@@ -239,7 +236,7 @@ class FindResource(Resource):
         return orjson.dumps({**head, "results": list(map(orjson.Fragment, texts))})
 
     def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
-        url = self.url if self._text else f"{self.session.space.base}find"
+        url = self.url if self._text else f"{self.space.base}find"
         found = tuple(self._results)
         return render_search(SearchPage(site, url, self._text, found, self._total, tuple(notices), self._pictures))
 

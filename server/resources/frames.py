@@ -60,14 +60,14 @@ class FramesResource(Resource):
     """The frames of the robot, as one agent may see them."""
 
     kind = "Frames"
+    shape = "Source"
     title = "Frames"
     links = (RESOURCE, RDF_SOURCE)
 
     def __init__(
         self, space: Space, adapter: AuditedAdapter, scene: Scene, permissions: Permissions = ALLOW_ALL
     ) -> None:
-        super().__init__(f"{space.base}frames")
-        self.space = space
+        super().__init__(space, f"{space.base}frames")
         self.adapter = adapter
         self.scene = scene
         self._permissions = permissions
@@ -75,10 +75,6 @@ class FramesResource(Resource):
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem("The frames of the robot, each with its parent", plain=_PLAIN)
-
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self.space.document_shape("Source"),)
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """The frames as the agent may see them. Raises a Problem where it may not see the transforms."""

@@ -91,6 +91,7 @@ class GraphResource(Resource):
     """The computation graph as a drawing, or a part of it, as one agent may see it."""
 
     kind = "Computation graph"
+    shape = "Source"
     title = "Graph"
     links = (RESOURCE, RDF_SOURCE)
 
@@ -100,7 +101,7 @@ class GraphResource(Resource):
         asked = {"below": quote(selection.below, safe="/"), "all": "true" if selection.everything else ""}
         query = "&".join(f"{name}={value}" for name, value in asked.items() if value)
         self._base = f"{session.space.base}graph"
-        super().__init__(f"{self._base}?{query}" if query else self._base)
+        super().__init__(session.space, f"{self._base}?{query}" if query else self._base)
         self.session = session
         self.instance_id = instance_id
         self._selection = selection
@@ -108,10 +109,6 @@ class GraphResource(Resource):
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem("Who talks to whom", (*OFFERS, *_DRAWINGS.values()), plain=_PLAIN, query=_PARAMETERS)
-
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self.session.space.document_shape("Source"),)
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """Return the part that the query asks for, as the agent may see it. Raises a 400 Problem."""
@@ -140,14 +137,14 @@ class GraphResource(Resource):
     def _describe(self, graph: Graph, diagram: Diagram) -> Document:
         views, urls = node_views(graph), frozenset(each.url for each in diagram.vertices)
         problems = [(each.url, words) for each, words in diagram.problems]
-        return edges_document(self.url, views, self.session.space, urls, problems)
+        return edges_document(self.url, views, self.space, urls, problems)
 
     def _graph(self) -> Graph:
         """Return the graph of now, as it is listed."""
         return listed_graph(self.session.graph, self.session.adapter.capabilities)
 
     def _diagram(self, graph: Graph) -> Diagram:
-        return draw_graph(graph, self.session.space, self._selection, self._traffic, self._permissions.may_read)
+        return draw_graph(graph, self.space, self._selection, self._traffic, self._permissions.may_read)
 
     def _traffic(self, topic: Topic) -> Traffic:
         """Return the observations of a topic, without subscribing; the rate has two digits to change rarely."""
@@ -182,7 +179,7 @@ class GraphResource(Resource):
         headers = {**resource_headers(self), "x-content-type-options": "nosniff"}
         if media_type == svg.MEDIA_TYPE:
             headers["content-security-policy"] = _POLICY
-            text = self._svg(fold(diagram, self._base), Site(self.session.space.base, "").href, alone=True)
+            text = self._svg(fold(diagram, self._base), Site(self.space.base, "").href, alone=True)
         else:
             text = dot.write_dot(diagram)
         data, name = text.encode("utf-8", "replace"), "svg" if media_type == svg.MEDIA_TYPE else "dot"

@@ -115,6 +115,7 @@ class GraphStore(Resource):
     """The graph store: it has no state but that of its graphs."""
 
     kind = "Graph store"
+    shape = "Dataset"
     links = ()
     takes_forms = False
     accepts: Mapping[str, Sequence[str]] = {
@@ -132,13 +133,12 @@ class GraphStore(Resource):
         resolve: Callable[[Scope], Resource],
         updates: UpdateRunner | None = None,
     ) -> None:
-        super().__init__(f"{space.base}graphs")
-        self._space = space
+        super().__init__(space, f"{space.base}graphs")
         self._settings = settings
         self._states = states
         self._resolve = resolve
-        self._default = DefaultGraphResource(f"{self.url}?default", service, self.methods())
-        self._all = DatasetResource(f"{self.url}?all", service, space.base, updates)
+        self._default = DefaultGraphResource(space, f"{self.url}?default", service, self.methods())
+        self._all = DatasetResource(space, f"{self.url}?all", service, updates)
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         of_a_graph = (_GRAPH, _DEFAULT, _ALL)
@@ -152,10 +152,6 @@ class GraphStore(Resource):
                 **dict.fromkeys(("POST", "PATCH", "DELETE"), WriteMethod(query=of_a_graph)),
             },
         )
-
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self._space.document_shape("Dataset"),)
 
     def methods(self) -> frozenset[str]:
         return READ if self._settings.read_only else READ | {"PUT", "POST", "PATCH", "DELETE"}
@@ -176,7 +172,7 @@ class GraphStore(Resource):
                 (dcterms.title, text("The graph store")),
                 (rdfs.comment, text(f"Every graph is here by its name: {self.url}?graph=URL. {_DIRECTLY}")),
                 (sd.defaultGraph, default),
-                (rdfs.seeAlso, NamedNode(f"{self._space.base}sparql")),
+                (rdfs.seeAlso, NamedNode(f"{self.space.base}sparql")),
                 (rdfs.seeAlso, NamedNode(self._all.url)),
             ),
             *triples_about(default, (rdfs.label, text("The default graph: all graphs together"))),
@@ -194,14 +190,14 @@ class GraphStore(Resource):
         if asked.default and (exchange.method in READ or self._settings.read_only):
             return self._default
         if asked.default:
-            document = self._space.base + self._settings.default_document
+            document = self.space.base + self._settings.default_document
             return await self._graph(exchange, document, asked.other_parameters)
         if asked.all:
             return self._all
         if asked.graph is not None:
             return await self._graph(exchange, asked.graph, asked.other_parameters)
         if exchange.method == "POST":  # the server is to find a name (Graph Store Protocol 5.5)
-            return await self._graph(exchange, self._space.container("data"), asked.other_parameters)
+            return await self._graph(exchange, self.space.container("data"), asked.other_parameters)
         if exchange.method in READ:
             return self
         raise Problem(
@@ -214,7 +210,7 @@ class GraphStore(Resource):
             enforcement.require_path(
                 exchange.permissions,
                 exchange.method,
-                enforcement.location_of(exchange.request.scope, self._space),
+                enforcement.location_of(exchange.request.scope, self.space),
             )
         resource = self._resolve(exchange.request.scope)
         if resource is self:
@@ -227,13 +223,13 @@ class GraphStore(Resource):
 
     def _scope(self, exchange: Exchange, graph: str, others: str) -> Scope:
         """The request as it would be at the graph's own URL. Raises Problems for graphs of other places."""
-        space = self._space
+        space = self.space
         if "#" in graph or not graph.startswith(space.base):
             raise self._elsewhere(exchange.method, graph)
         return {**exchange.request.scope, **_address(graph[len(space.base) :], space.path, others)}
 
     def _elsewhere(self, method: str, graph: str) -> Problem:
-        space, shown = self._space, f"<{graph[:200]}>"
+        space, shown = self.space, f"<{graph[:200]}>"
         if method in READ:
             return Problem(404, f"There is no graph {shown} here: the names of graphs are URLs below {space.base}")
         container = space.container("data")
@@ -279,8 +275,8 @@ class _Whole(Resource):
     form: str
     asked: QueryRequest
 
-    def __init__(self, url: str, service: QueryService) -> None:
-        super().__init__(url)
+    def __init__(self, space: Space, url: str, service: QueryService) -> None:
+        super().__init__(space, url)
         self._service = service
 
     async def custom_get(self, exchange: Exchange) -> Response:
@@ -299,8 +295,8 @@ class DefaultGraphResource(_Whole):
     form = "CONSTRUCT"
     asked = QueryRequest("CONSTRUCT { ?s ?p ?o } WHERE { ?s ?p ?o }")
 
-    def __init__(self, url: str, service: QueryService, methods: frozenset[str]) -> None:
-        super().__init__(url, service)
+    def __init__(self, space: Space, url: str, service: QueryService, methods: frozenset[str]) -> None:
+        super().__init__(space, url, service)
         self._methods = methods
 
     def methods(self) -> frozenset[str]:
@@ -316,9 +312,8 @@ class DatasetResource(_Whole):
     accepts: Mapping[str, Sequence[str]] = {"PUT": DATASET_BODIES, "POST": DATASET_BODIES}
     takes_forms = False
 
-    def __init__(self, url: str, service: QueryService, base: str, updates: UpdateRunner | None) -> None:
-        super().__init__(url, service)
-        self._base = base
+    def __init__(self, space: Space, url: str, service: QueryService, updates: UpdateRunner | None) -> None:
+        super().__init__(space, url, service)
         self._updates = updates
 
     def methods(self) -> frozenset[str]:
@@ -336,9 +331,9 @@ class DatasetResource(_Whole):
         assert self._updates is not None
         data, media_type = await exchange.body(), exchange.media_type
         graphs = await asyncio.to_thread(parse_dataset, data, media_type, self.url)
-        strange = next((name for name in graphs if not name.startswith(self._base)), None)
+        strange = next((name for name in graphs if not name.startswith(self.space.base)), None)
         if strange is not None:
-            container = f"{self._base}data/"
+            container = f"{self.space.base}data/"
             raise Problem(
                 403, f"No graph <{strange[:200]}> can be here: choose names below {container}. Nothing was done."
             )

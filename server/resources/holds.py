@@ -140,6 +140,7 @@ class HoldResource(Resource):
     """One hold of a topic."""
 
     kind = "Hold"
+    shape = "Hold"
     accepts: Mapping[str, Sequence[str]] = {"PATCH": (JSON, MERGE_PATCH, *RDF_BODIES)}
 
     def __init__(
@@ -151,7 +152,7 @@ class HoldResource(Resource):
         id: str,
         find: Find | None = None,
     ) -> None:
-        super().__init__(session.space.hold(id))
+        super().__init__(session.space, session.space.hold(id))
         self.title = id
         self.session = session
         self.limit_checks = limit_checks
@@ -197,10 +198,6 @@ class HoldResource(Resource):
     def methods(self) -> frozenset[str]:
         return READ if self.session.settings.read_only else READ | {"PATCH", "DELETE"}
 
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self.session.space.document_shape("Hold"),)
-
     async def state(self) -> State:
         return self.state_of(self.hold)
 
@@ -209,7 +206,7 @@ class HoldResource(Resource):
 
     def state_of(self, hold: Hold) -> State:
         """Return the state of this hold as it stood."""
-        shapes = self.session.space.shapes_of(hold.message.schema)
+        shapes = self.space.shapes_of(hold.message.schema)
         return self.states.get_or_make(
             self.url,
             IdentityKey(hold),
@@ -233,7 +230,7 @@ class HoldResource(Resource):
             is_timed=hold.is_timed,
             is_changeable=not self.session.settings.read_only,
         )
-        return hold_document(view, self.session.space, self.session.lifting)
+        return hold_document(view, self.space, self.session.lifting)
 
     def _plain(self, hold: Hold) -> bytes:
         """How it stands as JSON, its messages as ROS's own."""
@@ -293,7 +290,7 @@ class HoldResource(Resource):
         if "then" in exchange.query or (asked is not hold.message and then_asked == ZERO):
             words = exchange.query.get("then", then_asked)
             then, then_asked = await _then(
-                words, self.session, publishing, asked, _readable(self.session.space, self._find, exchange)
+                words, self.session, publishing, asked, _readable(self.space, self._find, exchange)
             )
         lease, is_timed = _lease(exchange, self.session) or (hold.lease, hold.is_timed)
         changed = replace(
@@ -308,7 +305,7 @@ class HoldResource(Resource):
         if asked is hold.message and not exchange.query:
             exchange.audit.mark_read_only()  # a sign of life, several a second: the receipt of the hold tells the rest
         what = f"hold {hold.topic} at {changed.rate:g} Hz, unrenewed for {changed.lease:g} s"
-        exchange.audit.add_step(what, self.session.space.topic(hold.topic))
+        exchange.audit.add_step(what, self.space.topic(hold.topic))
         expect_status(204)
         self.holds.renew(self.id, changed)
         return Response(status_code=204)
@@ -335,7 +332,7 @@ class HoldResource(Resource):
         """
         require_holder(exchange, self.hold)
         topic = self.hold.topic
-        exchange.audit.add_step(f"end the hold of {topic}", self.session.space.topic(topic))
+        exchange.audit.add_step(f"end the hold of {topic}", self.space.topic(topic))
         ended = self.holds.end(self.id, f"{exchange.agent.name} ended it")
         if ended is not None:
             await ended

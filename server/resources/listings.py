@@ -47,6 +47,8 @@ class ListedMember:
 class ListingResource(Resource):
     """`/NAME/`: a container of current members, the newest first; `changes` announces others."""
 
+    shape = "Container"
+
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
 
     def __init__(
@@ -59,10 +61,9 @@ class ListingResource(Resource):
         members: Callable[[], Iterable[ListedMember]],
         changes: Signal,
     ) -> None:
-        super().__init__(space.container(name))
+        super().__init__(space, space.container(name))
         self.kind = name.capitalize()
         self.title = self.kind
-        self._space = space
         self._states = states
         self._summary = summary
         self._columns = columns
@@ -71,10 +72,6 @@ class ListingResource(Resource):
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem(self._summary)
-
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self._space.document_shape("Container"),)
 
     async def state(self) -> State:
         """Return the state, which changes with that of each member because the page shows it."""

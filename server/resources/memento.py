@@ -117,22 +117,18 @@ class TimeMap(Resource):
     """The mementos of topics, one per message, a thousand at a time, from a number of the history on."""
 
     kind = "TimeMap"
+    shape = "TimeMap"
     is_cacheable = False
 
     def __init__(
         self, space: Space, history: History, original: str, name: str, topics: frozenset[str], start: int
     ) -> None:
-        super().__init__(_time_map_url(original, start))
-        self.space = space
+        super().__init__(space, _time_map_url(original, start))
         self.history = history
         self.title = f"Mementos of {name}"
         self._original = original
         self._topics = topics
         self._start = start
-
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self.space.document_shape("TimeMap"),)
 
     async def state(self) -> State:
         times, after = await self._page()

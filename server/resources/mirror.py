@@ -173,16 +173,11 @@ class ReplicationResource(Resource):
     kind = "Mirror"
 
     def __init__(self, space: Space, mirror: Mirror) -> None:
-        super().__init__(space.base + ROUTE)
+        super().__init__(space, space.base + ROUTE)
         self._mirror = mirror
-        self._shape = space.document_shape("Mirror")
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem("The mirror of the dataset in another store")
-
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self._shape,)
 
     async def state(self) -> State:
         status = self._mirror.status

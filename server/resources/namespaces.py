@@ -192,6 +192,7 @@ class NamespaceContainer(Resource):
     """A namespace of one kind of names: `/topics/`, `/topics/camera/`, ...; in pages where there are many."""
 
     kind = "Namespace"
+    shape = "Container"
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
 
     def __init__(
@@ -205,7 +206,7 @@ class NamespaceContainer(Resource):
         *,
         hidden: bool = False,
     ) -> None:
-        super().__init__(session.space.container(route, namespace))
+        super().__init__(session.space, session.space.container(route, namespace))
         self.title = names.join(namespace) if namespace else route.capitalize()
         self.session = session
         self.states = states
@@ -219,10 +220,6 @@ class NamespaceContainer(Resource):
     @property
     def variant_key(self) -> tuple[PagePosition | None, bool]:
         return self._place, self._hidden
-
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self.session.space.document_shape("Container"),)
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """Return the page that `?page=` asks for, the first of many pages (303)."""
@@ -273,7 +270,7 @@ class NamespaceContainer(Resource):
         self, now: ListedNamespace, told: Members, latest_of: Callable[[str], LatestValue | None]
     ) -> tuple[MemberOutline, ...]:
         things = things_of(now.graph, self.route)
-        return member_outlines(self.session.space, latest_of, things, self.route, self.namespace, told)
+        return member_outlines(self.space, latest_of, things, self.route, self.namespace, told)
 
     def _values_below(self) -> Sequence[tuple[str, LatestValue | None]]:
         """The values at hand of all topics below, which the page lists, too: it is another one when one of them is."""
@@ -285,8 +282,8 @@ class NamespaceContainer(Resource):
 
     def _document(self, now: ListedNamespace, members: Members, outlines: Sequence[MemberOutline]) -> Document:
         """Return the document of the namespace, with brief members."""
-        document = now.document(self.session.space, members)
-        told = (triple for outline in outlines for triple in member_triples(outline, self.session.space))
+        document = now.document(self.space, members)
+        told = (triple for outline in outlines for triple in member_triples(outline, self.space))
         return replace(document, triples=(*document.triples, *told))
 
     def _listed(self) -> ListedNamespace:
@@ -318,7 +315,7 @@ class NamespaceContainer(Resource):
     def listing(self) -> MemberColumns | None:
         """Return everything below on this page, with types and endpoints."""
         whole = self._hidden or names.is_hidden(names.join(self.namespace))
-        now, space = self._listed(), self.session.space
+        now, space = self._listed(), self.space
         graph, members = now.graph if whole else listed_graph(now.graph, now.capabilities), now.members
         if self.route == "topics":
             told, total = self._below(graph.topics, members)
@@ -363,6 +360,6 @@ class NamespaceContainer(Resource):
     def _missing(self, now: ListedNamespace) -> Problem:
         """308 where the name is a leaf, else 404."""
         if now.is_name:
-            leaf = self.session.space.url(self.route, self.namespace)
+            leaf = self.space.url(self.route, self.namespace)
             return permanent_redirect(leaf)
         return Problem(404, f"There is no namespace {names.join(self.namespace)} under /{self.route}/.")

@@ -41,10 +41,11 @@ class NodeResource(CommandResource):
     """One node."""
 
     kind = "Node"
+    shape = "Node"
     accepts: Mapping[str, Sequence[str]] = {"POST": (*RDF_BODIES, JSON)}
 
     def __init__(self, session: Session, limit_checks: LimitChecks, states: VersionCache[State], name: str) -> None:
-        super().__init__(session.space.node(name))
+        super().__init__(session.space, session.space.node(name))
         self.session = session
         self.limit_checks = limit_checks
         self.states = states
@@ -59,7 +60,7 @@ class NodeResource(CommandResource):
         found = node_views(graph).get(self.name)
         if found is None:
             missing = Problem(404, f"There is no node {self.name}.")
-            raise redirect_to_namespace(self.session.space, graph, "nodes", self.name) or missing
+            raise redirect_to_namespace(self.space, graph, "nodes", self.name) or missing
         return self.with_offers(found)
 
     def with_offers(self, found: NodeView) -> NodeView:
@@ -83,7 +84,7 @@ class NodeResource(CommandResource):
 
     @property
     def is_absent(self) -> bool:
-        return is_absent(self.session.space, self.session.graph, "nodes", self.name)
+        return is_absent(self.space, self.session.graph, "nodes", self.name)
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         if "POST" not in self.methods():
@@ -94,10 +95,6 @@ class NodeResource(CommandResource):
             done=(200, 204),
         )
         return PathItem(f"The node {self.name}", writes={"POST": transition})
-
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self.session.space.document_shape("Node"),)
 
     def methods(self) -> frozenset[str]:
         return self._methods_with(self.lifecycle)
@@ -123,7 +120,7 @@ class NodeResource(CommandResource):
         )
 
     async def state(self) -> State:
-        graph, space = self.session.graph, self.session.space
+        graph, space = self.session.graph, self.space
         view, simulated = self._view_in(graph), graph.simulated_time
         return self.states.get_or_make(
             self.url, (view, simulated), lambda: State(partial(node_document, view, space, simulated_time=simulated))
@@ -172,7 +169,7 @@ class NodeResource(CommandResource):
             schema = await self.session.schemas.service(ref or TypeRef("lifecycle_msgs/srv/ChangeState"))
             sent = {"transition": {"id": transition.id, "label": transition.label}}
             message = lowerer(schema.request, self.session.lifting).from_json(sent)
-            url = self.session.space.service(service)
+            url = self.space.service(service)
             await self.limit_checks.require_message(Kind.SERVICE, service, schema.request, message, url, "#request")
 
     def _refusal(self, error: Refused) -> Problem:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from rosld.ontology.document import Document
 from rosld.ontology.modules import CORE, MODULES, module_url, served_triples
 from rosld.ontology.urls import Location, Space
@@ -19,20 +17,16 @@ class OntologyResource(Resource):
     """A module of the ontology."""
 
     kind = "Ontology"
+    shape = "Ontology"
 
     def __init__(self, space: Space, states: VersionCache[State], name: str = CORE) -> None:
-        super().__init__(module_url(name, space.base))
+        super().__init__(space, module_url(name, space.base))
         self.title = "Ontology" if name == CORE else f"Ontology: {name}"
-        self.space = space
         self.states = states
         self.name = name
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem("The core of the ontology" if self.name == CORE else f"A module of the ontology: {self.name}")
-
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self.space.document_shape("Ontology"),)
 
     async def state(self) -> State:
         return self.states.get_or_make(self.url, 0, lambda: State(self.document))

@@ -78,8 +78,10 @@ _LOOK_AGAIN_SECONDS = 1.0
 class ParameterBase(CommandResource):
     """Base of the resources of a parameter and of a tree of them."""
 
+    shape = "Parameter"
+
     def __init__(self, session: Session, limit_checks: LimitChecks, name: str, url: str) -> None:
-        super().__init__(url)
+        super().__init__(session.space, url)
         self.title = name
         self.session = session
         self.limit_checks = limit_checks
@@ -97,7 +99,7 @@ class ParameterBase(CommandResource):
 
     @property
     def constrained_by(self) -> str | None:
-        return self.session.space.shape("limits")
+        return self.space.shape("limits")
 
     @property
     def changes_subtree(self) -> bool:
@@ -107,10 +109,6 @@ class ParameterBase(CommandResource):
         if self.session.settings.read_only or self.session.is_resources_only(self.name):
             return False
         return operation in self.session.adapter.allows(Ref(Kind.PARAMETER, self.name))
-
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self.session.space.document_shape("Parameter"),)
 
     async def _value(self) -> ParameterValue | None:
         deadline = loop_time() + self.session.settings.call_deadline

@@ -89,9 +89,7 @@ class ParameterContainer(ParameterBase):
             self._sequence,
             (plain, whole),
             lambda: State(
-                partial(
-                    parameter_container_document, self.namespace, tree, self.session.space, MAX_PAGE_SIZE, whole=whole
-                ),
+                partial(parameter_container_document, self.namespace, tree, self.space, MAX_PAGE_SIZE, whole=whole),
                 lambda: plain,
                 digest(plain),
                 weight=_TRIPLES_BYTES * len(plain),
@@ -104,7 +102,7 @@ class ParameterContainer(ParameterBase):
         return parameter_container_document(
             self.namespace,
             _outline(listed),
-            self.session.space,
+            self.space,
             MAX_PAGE_SIZE,
             whole=with_hidden(self.url) if listed.leaves_out else None,
         )
@@ -127,9 +125,7 @@ class ParameterContainer(ParameterBase):
 
         def make() -> State:
             return State(
-                lambda: page.add_to(
-                    parameter_container_document(self.namespace, held, self.session.space, MAX_PAGE_SIZE)
-                ),
+                lambda: page.add_to(parameter_container_document(self.namespace, held, self.space, MAX_PAGE_SIZE)),
                 lambda: self._plain(held),
                 digest(whole),
                 part=f"p{digest(page.token.encode())}",

@@ -90,7 +90,7 @@ class ParameterResource(ParameterBase):
         return super().constrained_by
 
     async def accepted(self, url: str) -> Document | None:
-        return await parameter_shape(self.session.space, self.session.adapter, self.limit_checks, self.name, url)
+        return await parameter_shape(self.space, self.session.adapter, self.limit_checks, self.name, url)
 
     def deny_reason(self, method: str) -> str:
         if self.session.settings.read_only or self.session.is_resources_only(self.name):
@@ -139,7 +139,7 @@ class ParameterResource(ParameterBase):
         return self.state_of(value)
 
     def _tree_url(self) -> str:
-        return self.session.space.container("parameters", names.segments(self.name))
+        return self.space.container("parameters", names.segments(self.name))
 
     def state_of(self, value: ParameterValue) -> State:
         """Return the state with this value, which is no tree. Raises Problem 406 for one that is nested too deep."""
@@ -147,8 +147,8 @@ class ParameterResource(ParameterBase):
         plain, descriptor, note = self._plain(value), descriptor_of(graph, self.name), self._note(graph)
 
         def described() -> Document:
-            document = parameter_document(self.name, value, self.session.space)
-            declared = () if descriptor is None else declared_triples(descriptor, self.url, self.session.space)
+            document = parameter_document(self.name, value, self.space)
+            declared = () if descriptor is None else declared_triples(descriptor, self.url, self.space)
             noted = triples_about(NamedNode(self.url), (rdfs.comment, text(note)))
             return replace(document, triples=(*document.triples, *declared, *noted))
 
@@ -227,7 +227,7 @@ class ParameterResource(ParameterBase):
             above = names.join(parts[:depth])
             if above in known:
                 words = f"{above} is a parameter with a value, so nothing can lie below it; DELETE it before."
-                raise Problem(409, words, about=(self.session.space.parameter(above),))
+                raise Problem(409, words, about=(self.space.parameter(above),))
 
     async def patch(self, exchange: Exchange) -> Answer:
         """Set what a patch makes of the value: 204, or 200 with the value where a node made another of it."""
@@ -238,7 +238,7 @@ class ParameterResource(ParameterBase):
         if exchange.media_type == MERGE_PATCH:
             value = lower_json(merge_patch(parse_json(parameter_json(before)), parse_json(data)))
         else:
-            document = parameter_document(self.name, before, self.session.space)
+            document = parameter_document(self.name, before, self.space)
             value = lower_parameter(apply_update(data, document.triples, self.url, by_value=True), self.url)
         _require_below(exchange, self.url, value)
         self._check_place(value, before)
@@ -360,7 +360,7 @@ class ParameterTree(ParameterContainer):
         for name in (*changed, *gone):
             known = graph.parameters.get(name)
             if known is not None and known.node != self.name:
-                about = () if known.node is None else (self.session.space.node(known.node),)
+                about = () if known.node is None else (self.space.node(known.node),)
                 words = f"{name} belongs to the node {known.node}: PATCH its own container."
                 raise Problem(409, words, about=about)
         for name in gone:

@@ -135,7 +135,7 @@ class PastMember(_PastResource, MemberResource):
         return replace(
             self._state_of(plan, snapshot),
             describe=lambda: property_document(
-                view, self.session.space, self.session.lifting, simulated_time=self.session.graph.simulated_time
+                view, self.space, self.session.lifting, simulated_time=self.session.graph.simulated_time
             ),
             plain=lambda: property_json(view, self.session.lifting),
             view=None,
@@ -164,7 +164,7 @@ class PastComplex(_PastResource, ComplexResource):
         return replace(
             self._state_of(plan, snapshot),
             describe=lambda: complex_document(
-                view, self.session.space, self.session.lifting, simulated_time=self.session.graph.simulated_time
+                view, self.space, self.session.lifting, simulated_time=self.session.graph.simulated_time
             ),
             plain=lambda: complex_json(view, self.session.lifting),
             view=view,
@@ -194,7 +194,7 @@ class _TimeGate(Resource):
         """Return the state at `?at=TIME` or Accept-Datetime, or the `?timemap`."""
         if asks_for_time_map(self.history, exchange):
             topics = _recorded_topics(self.history, await self._sources())
-            return time_map_of(self.session.space, self.history, self.url, self._name, topics, exchange)
+            return time_map_of(self.space, self.history, self.url, self._name, topics, exchange)
         asked = asked_time(self.history, self.url, exchange)
         return await super().select_variant(exchange) if asked is None else self._memento(*asked)
 

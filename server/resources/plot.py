@@ -144,6 +144,7 @@ class PlotResource(Resource):
     """The plot of some numbers; without any, a form to choose them."""
 
     kind = "Plot"
+    shape = "Plot"
     links = (RESOURCE, RDF_SOURCE)
     is_cacheable = False
 
@@ -157,7 +158,7 @@ class PlotResource(Resource):
         permissions: Permissions = ALLOW_ALL,
     ) -> None:
         self.references = tuple(references)
-        super().__init__(f"{session.space.base}plot{plot_query(references)}")
+        super().__init__(session.space, f"{session.space.base}plot{plot_query(references)}")
         self.session = session
         self.affordances = affordances
         self.history = history
@@ -180,10 +181,6 @@ class PlotResource(Resource):
         return PlotResource(
             self.session, self.affordances, self.history, self._broadcasters, references, exchange.permissions
         )
-
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self.session.space.document_shape("Plot"),)
 
     def document(self) -> Document:
         """Return the document without a selection."""

@@ -101,7 +101,7 @@ class MemberResource(CommandResource):
         states: VersionCache[State],
         name: str,
     ) -> None:
-        super().__init__(url_of(name, session.space))
+        super().__init__(session.space, url_of(name, session.space))
         self.title = name
         self.session = session
         self.affordances = affordances
@@ -218,9 +218,7 @@ class MemberResource(CommandResource):
         action, plan = tree.action(self.name), tree.property(self.name)
         if action is not None and action.request is not None:
             kind, node = (Kind.ACTION, "#goal") if action.sends_goals else (Kind.SERVICE, "#request")
-            return await message_shape(
-                self.session.space, self.limit_checks, kind, action.service, action.request, url, node
-            )
+            return await message_shape(self.space, self.limit_checks, kind, action.service, action.request, url, node)
         return (
             None
             if plan is None
@@ -231,7 +229,7 @@ class MemberResource(CommandResource):
     def conforms_to(self) -> Sequence[str]:
         tree = self._tree
         is_property = tree is None or tree.property(self.name) is not None
-        return (self.session.space.document_shape("Property" if is_property else "ActionResource"),)
+        return (self.space.document_shape("Property" if is_property else "ActionResource"),)
 
     # Reading
 
@@ -260,10 +258,10 @@ class MemberResource(CommandResource):
 
     def _state_of(self, plan: PropertyPlan, snapshot: Snapshot) -> State:
         view = self.affordances.property_view(plan, snapshot)
-        shape = shape_url(view.reading, view.field, self.session.space)
+        shape = shape_url(view.reading, view.field, self.space)
         return State(
             lambda: property_document(
-                view, self.session.space, self.session.lifting, simulated_time=self.session.graph.simulated_time
+                view, self.space, self.session.lifting, simulated_time=self.session.graph.simulated_time
             ),
             lambda: property_json(view, self.session.lifting),
             received_ns=view.reading.read_ns,
@@ -274,19 +272,19 @@ class MemberResource(CommandResource):
 
     def _shown_action(self, plan: ActionPlan, snapshot: Snapshot) -> State:
         view = self.affordances.action_view(plan, snapshot)
-        return State(lambda: action_document(view, self.session.space, self.session.lifting), view=view)
+        return State(lambda: action_document(view, self.space, self.session.lifting), view=view)
 
     def _missing(self, tree: ResourceTree) -> Problem:
         """308 to the complex resource of that name, or to the property that a mapping calls so here; else 404."""
         instead = tree.replacement(self.name)
         if instead is not None:
-            return Problem(404, f"{self.name} is offered as {url_of(instead, self.session.space)}")
+            return Problem(404, f"{self.name} is offered as {url_of(instead, self.space)}")
         path = f"{self.name}/"
         if path in tree.paths:
-            return permanent_redirect(url_of(path, self.session.space))
+            return permanent_redirect(url_of(path, self.space))
         elsewhere = tree.remapped_property(self.name)
         if elsewhere is not None:
-            return permanent_redirect(url_of(elsewhere, self.session.space))
+            return permanent_redirect(url_of(elsewhere, self.space))
         return Problem(404, f"There is no resource {self.name}.")
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:
@@ -343,7 +341,7 @@ class MemberResource(CommandResource):
         written = await carry_out(self.session, planned)
         if written is WriteOutcome.OTHERWISE:
             return ShownAnswer(self, await self.state())
-        return write_response(exchange, self.session.space, planned, written)
+        return write_response(exchange, self.space, planned, written)
 
     async def _write(
         self, tree: ResourceTree, plan: PropertyPlan, content: object, *, defaults: bool = False
@@ -351,7 +349,7 @@ class MemberResource(CommandResource):
         """Plan the write of a value, if it may be written now; nothing moves."""
         if plan.is_conditional or plan.member.field is not None:
             snapshot = await read_fresh_state(self.affordances, tree, plan.reads)
-            require_writable(self.session.space, self.affordances, plan, snapshot)
+            require_writable(self.space, self.affordances, plan, snapshot)
             content = self._whole(plan, snapshot, content)
         return await plan_property_write(self.session, self.limit_checks, plan.source, content, defaults=defaults)
 
@@ -384,7 +382,7 @@ class MemberResource(CommandResource):
         data = await exchange.body()
         async with self.affordances.lock(tree, self.name, modified=(plan.source.name,)):
             snapshot = await read_fresh_state(self.affordances, tree, plan.reads)
-            require_writable(self.session.space, self.affordances, plan, snapshot)
+            require_writable(self.space, self.affordances, plan, snapshot)
             content = self._whole(plan, snapshot, await self._patch(exchange, plan, snapshot, data))
             written = await plan_property_write(self.session, self.limit_checks, plan.source, content)
             return await self._answer(exchange, written)
@@ -413,7 +411,7 @@ class MemberResource(CommandResource):
     async def _content_of(self, plan: PropertyPlan, body: RdfBody) -> object:
         """Return the value that RDF states: by rdf:value, or by the relation of a mapping."""
         subject, predicate = NamedNode(self.url), rdf.value
-        home = NamedNode(url_of(plan.parent, self.session.space))
+        home = NamedNode(url_of(plan.parent, self.space))
         if plan.mapped is not None and body.objects(home, plan.mapped.predicate):
             subject, predicate = home, plan.mapped.predicate
         await require_property_text(self.session, self.affordances, self.limit_checks, plan, body, subject, predicate)
@@ -427,7 +425,7 @@ class MemberResource(CommandResource):
             raise Problem(409, detail, extra={ROBOT_SAID: view.reading.words}, about=view.reading.about)
         if exchange.media_type == MERGE_PATCH:
             return merge_patch(parse_json(property_json(view, self.session.lifting.unelided)), parse_json(data))
-        before = property_document(view, self.session.space, self.session.lifting.unelided)
+        before = property_document(view, self.space, self.session.lifting.unelided)
         return await self._content_of(plan, apply_update(data, before.all_triples(), self.url, by_value=True))
 
     async def post(self, exchange: Exchange) -> Answer:
@@ -444,19 +442,19 @@ class MemberResource(CommandResource):
         if not isinstance(plan.schema, ServiceSchema):
             raise Problem(409, f"{self.name} cannot be invoked: the type of the service is not known.")
         request = await read_request(
-            exchange, self.session.space, self.session.lifting, self.limit_checks, plan.service, plan.schema, self.url
+            exchange, self.space, self.session.lifting, self.limit_checks, plan.service, plan.schema, self.url
         )
-        url = self.session.space.service(plan.service)
+        url = self.space.service(plan.service)
         await self.limit_checks.require_message(
             Kind.SERVICE, plan.service, plan.schema.request, request, url, "#request"
         )
         async with self.affordances.lock(tree, self.name):
             require_offered(
-                self.session.space, self.affordances, plan, await read_fresh_state(self.affordances, tree, plan.reads)
+                self.space, self.affordances, plan, await read_fresh_state(self.affordances, tree, plan.reads)
             )
             expect_status(200)
             outcome = await call_service(exchange, self.session, plan.service, plan.schema, request)
-        problem = call_problem(self.session.space, outcome) or refusal_problem(self.session.space, outcome)
+        problem = call_problem(self.space, outcome) or refusal_problem(self.space, outcome)
         if problem is not None:
             raise problem
         return await self._after(plan.parent, outcome)
@@ -467,7 +465,7 @@ class MemberResource(CommandResource):
         schema, goal = await action.read_goal(exchange, self.url)
         async with self.affordances.lock(tree, self.name):
             require_offered(
-                self.session.space, self.affordances, plan, await read_fresh_state(self.affordances, tree, plan.reads)
+                self.space, self.affordances, plan, await read_fresh_state(self.affordances, tree, plan.reads)
             )
             return await action.send(exchange, schema, goal)
 
@@ -486,7 +484,7 @@ class MemberResource(CommandResource):
 
     async def _after(self, path: str, outcome: CallOutcome) -> ShownAnswer:
         """The complex resource as it is after an action; the one above where the action has ended its own."""
-        call = Link(self.session.space.call(outcome.call.id), ros.Call.value)
+        call = Link(self.space.call(outcome.call.id), ros.Call.value)
         while True:
             resource = ComplexResource(self.session, self.affordances, self.limit_checks, self.things, path)
             try:

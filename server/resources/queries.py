@@ -210,9 +210,8 @@ class ShippedQueryResource(Resource):
     def __init__(
         self, space: Space, settings: Settings, states: VersionCache[State], query: StoredQuery, runner: QueryRunner
     ) -> None:
-        super().__init__(space.query(query.name))
+        super().__init__(space, space.query(query.name))
         self.title = query.name
-        self.space = space
         self.settings = settings
         self.states = states
         self._query = query
@@ -396,7 +395,7 @@ class QueryContainer(ContainerResource):
             records = [
                 one for member in members if (one := self.documents.records.get(member.path)) and one.blob is not None
             ]
-        return [(self.documents.space.base + one.path, self.queries.outline(one)) for one in records]
+        return [(self.space.base + one.path, self.queries.outline(one)) for one in records]
 
 
 def _shipped(documents: Documents, queries: StoredQueries) -> dict[str, str]:

@@ -41,8 +41,8 @@ class MappedCondition(Resource):
 
     kind = "Condition"
 
-    def __init__(self, affordances: AffordanceService[State], condition: Condition) -> None:
-        super().__init__(condition.iri)
+    def __init__(self, space: Space, affordances: AffordanceService[State], condition: Condition) -> None:
+        super().__init__(space, condition.iri)
         self._affordances = affordances
         self.condition = condition
 
@@ -265,7 +265,7 @@ def _mapped_condition(
     condition = _condition(mappings, iri)
     if not permissions.may_read(url_of(condition.about, space)):
         raise Problem(403, f"You may not read {condition.about}, so you may not wait for it.")
-    return MappedCondition(affordances, condition)
+    return MappedCondition(space, affordances, condition)
 
 
 def _condition(mappings: Mappings, iri: str) -> Condition:

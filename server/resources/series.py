@@ -49,19 +49,15 @@ class SeriesResource(Resource):
     """A series of a topic."""
 
     kind = "Series"
+    shape = "Series"
     links = (RESOURCE,)
 
     def __init__(self, space: Space, history: History, topic: str, field: str, wanted: SeriesRange, query: str) -> None:
-        super().__init__(f"{space.topic(topic)}?{query}")
-        self.space = space
+        super().__init__(space, f"{space.topic(topic)}?{query}")
         self.history = history
         self.topic = topic
         self.field = field
         self.wanted = wanted
-
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self.space.document_shape("Series"),)
 
     async def state(self) -> State:
         found = await self._read()

@@ -45,10 +45,11 @@ class ServiceResource(CommandResource):
     """One service."""
 
     kind = "Service"
+    shape = "Service"
     accepts: Mapping[str, Sequence[str]] = {"POST": (*RDF_BODIES, JSON)}
 
     def __init__(self, session: Session, limit_checks: LimitChecks, states: VersionCache[State], name: str) -> None:
-        super().__init__(session.space.service(name))
+        super().__init__(session.space, session.space.service(name))
         self.title = name
         self.session = session
         self.limit_checks = limit_checks
@@ -62,12 +63,12 @@ class ServiceResource(CommandResource):
         found = graph.services.get(self.name)
         if found is None:
             missing = Problem(404, f"There is no service {self.name}.")
-            raise redirect_to_namespace(self.session.space, graph, "services", self.name) or missing
+            raise redirect_to_namespace(self.space, graph, "services", self.name) or missing
         return found
 
     @property
     def is_absent(self) -> bool:
-        return is_absent(self.session.space, self.session.graph, "services", self.name)
+        return is_absent(self.space, self.session.graph, "services", self.name)
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         type = self.service.type
@@ -81,10 +82,6 @@ class ServiceResource(CommandResource):
             query=STRICTNESS,
         )
         return PathItem(f"The service {self.name}", writes={"POST": call}, has_shape=type is not None)
-
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self.session.space.document_shape("Service"),)
 
     def methods(self) -> frozenset[str]:
         if self.session.settings.read_only or self.session.is_resources_only(self.name):
@@ -102,7 +99,7 @@ class ServiceResource(CommandResource):
         return f"A service is called with POST; it does not answer {method}."
 
     async def state(self) -> State:
-        service, space = self.service, self.session.space
+        service, space = self.service, self.space
         # The graph is read when the document is made: a state is cached, and would keep a whole graph in memory.
         return self.states.get_or_make(
             self.url, IdentityKey(service), lambda: State(lambda: service_document(service, space, self.session.graph))
@@ -115,9 +112,7 @@ class ServiceResource(CommandResource):
 
     async def accepted(self, url: str) -> Document | None:
         request = (await self._schema()).request
-        return await message_shape(
-            self.session.space, self.limit_checks, Kind.SERVICE, self.name, request, url, "#request"
-        )
+        return await message_shape(self.space, self.limit_checks, Kind.SERVICE, self.name, request, url, "#request")
 
     async def forms(self) -> Sequence[Form]:
         if "POST" not in self.methods():
@@ -135,11 +130,11 @@ class ServiceResource(CommandResource):
         """
         schema = await self._schema()
         request = await read_request(
-            exchange, self.session.space, self.session.lifting, self.limit_checks, self.name, schema, self.url
+            exchange, self.space, self.session.lifting, self.limit_checks, self.name, schema, self.url
         )
         await self.limit_checks.require_message(Kind.SERVICE, self.name, schema.request, request, self.url, "#request")
         outcome = await call_service(exchange, self.session, self.name, schema, request)
-        problem = call_problem(self.session.space, outcome)
+        problem = call_problem(self.space, outcome)
         if problem is not None:
             raise problem
         resource = CallResource(self.session, self.states, outcome.call.id)
@@ -159,9 +154,10 @@ class CallResource(Resource):
     """One call of a service."""
 
     kind = "Call"
+    shape = "Call"
 
     def __init__(self, session: Session, states: VersionCache[State], id: str) -> None:
-        super().__init__(session.space.call(id))
+        super().__init__(session.space, session.space.call(id))
         try:
             self.title = session.calls.find(id).service
         except LookupError:
@@ -194,10 +190,6 @@ class CallResource(Resource):
         except KeyError as error:
             raise Problem(404, f"There is no call {self.id}.") from error
 
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self.session.space.document_shape("Call"),)
-
     async def state(self) -> State:
         call = self.call
         return self.states.get_or_make(self.url, IdentityKey(call), lambda: self.state_of(call))
@@ -216,7 +208,7 @@ class CallResource(Resource):
     def _state(self, call: Call, plain: Callable[[Call], bytes], part: str = "") -> State:
         has_ended = call.state not in (CallState.RUNNING, CallState.UNKNOWN)
         kind = EndedState if has_ended else State
-        shapes = self.session.space.shapes_of(call.schema)
+        shapes = self.space.shapes_of(call.schema)
         return kind(lambda: self.document(call), lambda: plain(call), shapes=shapes, part=part)
 
     def _response_json(self, call: Call) -> bytes:
@@ -242,7 +234,7 @@ class CallResource(Resource):
 
     def document(self, call: Call) -> Document:
         """Return the RDF of this call as it stood."""
-        return call_document(_view(call), self.session.space, self.session.lifting)
+        return call_document(_view(call), self.space, self.session.lifting)
 
     async def forms(self) -> Sequence[Form]:
         return (DeleteForm("Forget the call", "Forget"),) if "DELETE" in self.methods() else ()

@@ -180,6 +180,7 @@ class SpaceResource(Resource):
     """A view of the requested topics, or of all that can be drawn, as one agent may see them."""
 
     kind = "View of space"
+    shape = "Source"
     title = "Space"
     links = (RESOURCE, RDF_SOURCE_LINK)
     is_cacheable = False
@@ -200,7 +201,7 @@ class SpaceResource(Resource):
         self.frame = frame
         self.references = tuple(references)
         self.is_3d = is_3d
-        super().__init__(f"{session.space.base}space{space_query(frame, references, is_3d=is_3d)}")
+        super().__init__(session.space, f"{session.space.base}space{space_query(frame, references, is_3d=is_3d)}")
         self.session = session
         self.scene = scene
         self.history = history
@@ -213,10 +214,6 @@ class SpaceResource(Resource):
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem("What is in space", (*OFFERS, EVENT_STREAM), _PLAIN, query=_PARAMETERS, streams=False)
-
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self.session.space.document_shape("Source"),)
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """Return the view that `frame` and `show` ask for, as far as the agent may see it. Raises Problems."""
@@ -258,7 +255,7 @@ class SpaceResource(Resource):
         self._frames = tuple(buffer.names)
         topics = []
         for name, each in zip(names, drawn, strict=True):
-            url, kind = self.session.space.topic(name), _kind(graph, name)
+            url, kind = self.space.topic(name), _kind(graph, name)
             if each is None:
                 topics.append(SpaceTopic(url, kind, "", None, "No message has come yet"))
                 continue
@@ -292,7 +289,7 @@ class SpaceResource(Resource):
 
     async def _sent_goals(self) -> tuple[Sequence[Mapping[str, object]], float | None]:
         """Return the targets of poses, as references relative to the host, and the time for their headers."""
-        space = self.session.space
+        space = self.space
         found = await self._goals.offered(self._permissions)
         targets = [_target_json(each, space.path + each.url.removeprefix(space.base)) for each in found]
         return targets, self._goals.now
@@ -324,12 +321,12 @@ class SpaceResource(Resource):
 
     @property
     def _may_read_frames(self) -> bool:
-        space = self.session.space
+        space = self.space
         return all(self._permissions.may_read(space.topic(each)) for each in TOPICS)
 
     def _model(self, graph: Graph) -> str:
         """Return the source of the robot's model: a topic (ROS 2) or a parameter (ROS 1), or empty."""
-        space = self.session.space
+        space = self.space
         topic, url = graph.topics.get(_MODEL), space.topic(_MODEL)
         if (
             topic is not None
@@ -345,7 +342,7 @@ class SpaceResource(Resource):
 
     def _all(self, graph: Graph) -> list[str]:
         """Return the topics that can be drawn and that the agent may read, what is drawn first first."""
-        space, topics = self.session.space, listed_graph(graph, self.session.adapter.capabilities).topics
+        space, topics = self.space, listed_graph(graph, self.session.adapter.capabilities).topics
         found = [
             (PLACED_TYPES.index(topic.type.name), name)
             for name, topic in topics.items()
@@ -358,7 +355,7 @@ class SpaceResource(Resource):
         return [self._topic_of(graph, each) for each in self.references]
 
     def _topic_of(self, graph: Graph, reference: str) -> str:
-        space = self.session.space
+        space = self.space
         if len(reference) > _MAX_REFERENCE:
             raise Problem(400, f"?show={reference[:60]}... is too long.")
         url = space.absolute(reference)
@@ -381,7 +378,7 @@ class SpaceResource(Resource):
 
     def _shown_topic(self, graph: Graph, name: str) -> ShownTopic:
         """Return a topic for the stream."""
-        space, url = self.session.space, self.session.space.topic(name)
+        space, url = self.space, self.space.topic(name)
         topic = graph.topics.get(name)
         type_name = topic.type.name if topic is not None and topic.type is not None else ""
         href = space.path + url.removeprefix(space.base)

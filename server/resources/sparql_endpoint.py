@@ -220,6 +220,7 @@ class SparqlResource(Resource):
     """The endpoint."""
 
     kind = "SPARQL"
+    shape = "SparqlEndpoint"
     takes_forms = False
     passes_unknown_parameters = frozenset({"GET", "HEAD"})  # clients send some of other endpoints
 
@@ -233,8 +234,7 @@ class SparqlResource(Resource):
         examples: Callable[[], Sequence[StoredQueryLink]],
         updates: UpdateRunner | None = None,
     ) -> None:
-        super().__init__(f"{space.base}sparql")
-        self.space = space
+        super().__init__(space, f"{space.base}sparql")
         self.settings = settings
         self.states = states
         self._service = service
@@ -262,10 +262,6 @@ class SparqlResource(Resource):
             query=(_QUERY, *_OF_BOTH, *_OF_CLIENTS, TIMEOUT, PARTIAL, *(_OF_UPDATES if updates else ())),
         )
         return PathItem("The SPARQL endpoint", RESULTS, ANYTHING, (_QUERY, *_OF_BOTH, TIMEOUT, PARTIAL), {"POST": post})
-
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self.space.document_shape("SparqlEndpoint"),)
 
     def methods(self) -> frozenset[str]:
         return READ | {"POST"}

@@ -29,7 +29,7 @@ class FileResource(Resource):
     links = (RESOURCE, Link(f"{LDP}NonRDFSource", "type"))
 
     def __init__(self, space: Space, name: str, data: bytes, media_type: str, summary: str) -> None:
-        super().__init__(space.base + name)
+        super().__init__(space, space.base + name)
         self._data = data
         self._media_type = media_type
         self._summary = summary

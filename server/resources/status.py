@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import orjson
 from pyoxigraph import NamedNode
@@ -27,6 +27,7 @@ class StatusResource(Resource):
     """The pauses of the event loop, the state of the robot's graph, and the problems of storage."""
 
     kind = "Server status"
+    shape = "ServerStatus"
 
     def __init__(
         self,
@@ -35,8 +36,7 @@ class StatusResource(Resource):
         problems: Callable[[], ServerProblems],
         watchdog: Watchdog,
     ) -> None:
-        super().__init__(space.base + ROUTE)
-        self._space = space
+        super().__init__(space, space.base + ROUTE)
         self._graph = graph
         self._problems = problems
         self._watchdog = watchdog
@@ -57,14 +57,10 @@ class StatusResource(Resource):
         summary = "How promptly the server itself answers, whether it sees the robot, what is wrong with its storage"
         return PathItem(summary, plain={"type": "object", "properties": told})
 
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self._space.document_shape("ServerStatus"),)
-
     async def state(self) -> State:
         pauses, problems, graph = self._watchdog.pauses, self._problems(), self._graph()
         return State(
-            lambda: status_document(self._space, pauses, graph, problems), lambda: _plain(pauses, graph, problems)
+            lambda: status_document(self.space, pauses, graph, problems), lambda: _plain(pauses, graph, problems)
         )
 
 

@@ -44,13 +44,13 @@ class StopResource(Resource):
     """The stop of the whole robot."""
 
     kind = "Stop"
+    shape = "Stop"
     title = "Stop"
     accepts: Mapping[str, Sequence[str]] = {"POST": (JSON,)}
     passes_unknown_parameters = frozenset({"POST"})  # a typing error must not refuse a stop
 
     def __init__(self, space: Space, states: VersionCache[State], software_stop: SoftwareStop) -> None:
-        super().__init__(space.stop)
-        self.space = space
+        super().__init__(space, space.stop)
         self.states = states
         self.software_stop = software_stop
 
@@ -72,10 +72,6 @@ class StopResource(Resource):
         )
         release = WriteMethod("Lets writes reach the robot again.", done=(204,), query=(_CONFIRM,))
         return PathItem("The stop of the whole robot", plain=plain, writes={"POST": stop, "DELETE": release})
-
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self.space.document_shape("Stop"),)
 
     def methods(self) -> frozenset[str]:
         return READ | {"POST", "DELETE"} if self.software_stop.unusable_reason is None else READ

@@ -242,8 +242,7 @@ class RobotThing(Resource):
     links = (RESOURCE,)
 
     def __init__(self, space: Space, affordances: AffordanceService[State], things: ThingDescriptions) -> None:
-        super().__init__(f"{space.base}.well-known/wot")
-        self.space = space
+        super().__init__(space, f"{space.base}.well-known/wot")
         self.affordances = affordances
         self.things = things
 

@@ -79,6 +79,7 @@ class TopicResource(CommandResource):
     """One topic."""
 
     kind = "Topic"
+    shape = "Topic"
     accepts: Mapping[str, Sequence[str]] = {
         "PUT": (*RDF_BODIES, JSON),
         "PATCH": (MERGE_PATCH, SPARQL_UPDATE),
@@ -97,7 +98,7 @@ class TopicResource(CommandResource):
         find: Callable[[str], Resource] | None = None,
     ) -> None:
         """`find` gives the resource at a path below the base, where a request may name one."""
-        super().__init__(session.space.topic(name))
+        super().__init__(session.space, session.space.topic(name))
         self._find = find
         self.title = name
         self.session = session
@@ -170,7 +171,7 @@ class TopicResource(CommandResource):
         graph = self.session.graph
         if self._allowed is None or self._allowed[0] is not graph:
             refusal = write_refusal(self.session, self.name)
-            methods = topic_methods(self.session.space, graph, self.name, can_write=refusal is None)
+            methods = topic_methods(self.space, graph, self.name, can_write=refusal is None)
             self._allowed = (graph, methods, refusal)
         return self._allowed
 
@@ -182,7 +183,7 @@ class TopicResource(CommandResource):
 
     @property
     def deny_about(self) -> Sequence[str]:
-        return () if self.topic is None else [self.session.space.node(each.node) for each in self.topic.publishers]
+        return () if self.topic is None else [self.space.node(each.node) for each in self.topic.publishers]
 
     async def state(self) -> State:
         view = self.session.topics.find_view(self.name)
@@ -194,7 +195,7 @@ class TopicResource(CommandResource):
 
     def _missing(self) -> Problem:
         """Why nothing can be read where there is no topic of this name (now)."""
-        return redirect_to_namespace(self.session.space, self.session.graph, "topics", self.name) or Problem(
+        return redirect_to_namespace(self.space, self.session.graph, "topics", self.name) or Problem(
             404, f"There is no topic {self.name}."
         )
 
@@ -249,24 +250,18 @@ class TopicResource(CommandResource):
         if len(topic.types) > 1:
             return ()
         schemas = (one.schema for one in decoded)
-        return tuple(dict.fromkeys(self.session.space.shape(one.ref.name) for one in schemas if one is not None))
+        return tuple(dict.fromkeys(self.space.shape(one.ref.name) for one in schemas if one is not None))
 
     def _document(
         self, topic: Topic, view: TopicView, decoded: Sequence[DecodedSample], hold: str | None, *, holdable: bool
     ) -> Document:
         """The RDF of this topic; that the graph is read late keeps the state, which is cached, from holding one."""
-        found = [
-            lift_sample(self.session.space, self.session.lifting, one) for one in decoded if one.message is not None
-        ]
+        found = [lift_sample(self.space, self.session.lifting, one) for one in decoded if one.message is not None]
         reason = next((one.reason for one in decoded if one.reason), topic.unreadable)
         return topic_document(
-            topic, self.session.space, self.session.graph, view.rate, found, unreadable=reason,
+            topic, self.space, self.session.graph, view.rate, found, unreadable=reason,
             holdable=holdable, hold=hold,
         )  # fmt: skip
-
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self.session.space.document_shape("Topic"),)
 
     @property
     def constrained_by(self) -> str | None:
@@ -278,9 +273,7 @@ class TopicResource(CommandResource):
         if topic is None or topic.type is None:
             return None
         schema = await self.session.schemas.message(topic.type)
-        return await message_shape(
-            self.session.space, self.limit_checks, Kind.TOPIC, self.name, schema, url, "#message"
-        )
+        return await message_shape(self.space, self.limit_checks, Kind.TOPIC, self.name, schema, url, "#message")
 
     async def forms(self) -> Sequence[Form]:
         methods, topic = self.methods(), self.topic
@@ -324,17 +317,15 @@ class TopicResource(CommandResource):
             if asks_the_past and self.topic is None and not is_recorded(self.history, self.name):
                 raise self._missing()
             if "series" in query:
-                return series_of(self.session.space, self.history, self.name, exchange)
+                return series_of(self.space, self.history, self.name, exchange)
             if "timemap" in query:
                 require_history(self.history, self.name)
                 topics = frozenset({self.name})
-                return time_map_of(self.session.space, self.history, self.url, self.name, topics, exchange)
+                return time_map_of(self.space, self.history, self.url, self.name, topics, exchange)
             if "at" in query:
                 return await self._past(query["at"])
             if "accept-datetime" in exchange.headers and is_recorded(self.history, self.name):
-                raise await negotiate_topic(
-                    self.session.space, self.history, self.name, exchange.headers["accept-datetime"]
-                )
+                raise await negotiate_topic(self.space, self.history, self.name, exchange.headers["accept-datetime"])
         return await super().select_variant(exchange)
 
     async def _past(self, text: str) -> Resource:

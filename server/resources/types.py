@@ -63,16 +63,13 @@ class TypeResource(Resource):
     """One message, service or action type; `?hash=` asks for one of several definitions."""
 
     kind = "Type"
+    shape = "Type"
 
     def __init__(self, session: Session, states: VersionCache[State], name: str, hash: str | None = None) -> None:
-        super().__init__(session.space.type(TypeRef(name, hash)))
+        super().__init__(session.space, session.space.type(TypeRef(name, hash)))
         self.session = session
         self.states = states
         self.ref = TypeRef(name, hash)
-
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self.session.space.document_shape("Type"),)
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         hash = exchange.query.get("hash")
@@ -90,7 +87,7 @@ class TypeResource(Resource):
         return self.states.get_or_make(
             self.url,
             (IdentityKey(schema), variants),
-            lambda: State(lambda: type_document(schema, self.session.space, variants)),
+            lambda: State(lambda: type_document(schema, self.space, variants)),
         )
 
 
@@ -100,8 +97,7 @@ class ShapeResource(Resource):
     kind = "Shape"
 
     def __init__(self, space: Space, schemas: Schemas, states: VersionCache[State], name: str) -> None:
-        super().__init__(space.shape(name))
-        self.space = space
+        super().__init__(space, space.shape(name))
         self.schemas = schemas
         self.states = states
         self.name = name
@@ -136,7 +132,7 @@ class ShapesGraphResource(Resource):
         states: VersionCache[State],
         name: str,
     ) -> None:
-        super().__init__(session.space.shape(name))
+        super().__init__(session.space, session.space.shape(name))
         self.session = session
         self.affordances = affordances
         self.limit_checks = limit_checks
@@ -147,7 +143,7 @@ class ShapesGraphResource(Resource):
         return PathItem(_SUMMARIES[self.title])
 
     def deny_reason(self, method: str) -> str:
-        return _deny_reason(self.session.space, self.session.settings, self.url, method)
+        return _deny_reason(self.space, self.session.settings, self.url, method)
 
     async def current_methods(self) -> frozenset[str]:
         return await self.methods_if_there()
@@ -178,6 +174,7 @@ class TypeContainer(Resource):
     """`/types/` and `/shapes/`, their packages and kinds."""
 
     kind = "Types"
+    shape = "Container"
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
 
     def __init__(
@@ -188,8 +185,7 @@ class TypeContainer(Resource):
         route: str,
         namespace: tuple[str, ...],
     ) -> None:
-        super().__init__(space.container(route, namespace))
-        self.space = space
+        super().__init__(space, space.container(route, namespace))
         self.adapter = adapter
         self.states = states
         self.route = route
@@ -198,10 +194,6 @@ class TypeContainer(Resource):
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         of = ("", " of a package", " of a kind")[len(self.namespace)]
         return PathItem(f"{self.route.capitalize()}{of}")
-
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self.space.document_shape("Container"),)
 
     async def state(self) -> State:
         listed = sorted({ref.name for ref in known_types(self.adapter)})
@@ -278,8 +270,7 @@ class PackageRedirect(Resource):
     is_cacheable = False
 
     def __init__(self, space: Space, settings: Settings, name: str) -> None:
-        super().__init__(space.shape(name))
-        self.space = space
+        super().__init__(space, space.shape(name))
         self.settings = settings
 
     def deny_reason(self, method: str) -> str:
@@ -319,7 +310,7 @@ class LimitsContainer(ContainerResource):
 
     async def state(self) -> State:
         kept = await super().state()
-        listed = _generate(self.documents.space, self.adapter)
+        listed = _generate(self.space, self.adapter)
         is_here = self._parts.containment and (self._place is None or self._place.after == 0)
         more = tuple(one for one in listed.triples if _is_of(one, containment=is_here, minimal=self._parts.minimal))
 
@@ -336,7 +327,7 @@ class LimitsContainer(ContainerResource):
         self, record: Record, triples: Sequence[Triple], expected: int | None, said: Set[Triple] = frozenset()
     ) -> Put:
         require_small(triples)
-        own = set(_generate(self.documents.space, self.adapter).triples)
+        own = set(_generate(self.space, self.adapter).triples)
         return await super().with_triples(record, [one for one in triples if one not in own], expected, said)
 
 

@@ -17,6 +17,7 @@ from starlette.responses import Response
 from rosld.adapters.base import Watch
 from rosld.adapters.model import RosError
 from rosld.ontology.describe_graph import SECTIONS
+from rosld.ontology.urls import Space
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.dataset.base import TripleChanges
 from rosld.server.html.forms import Form
@@ -80,6 +81,8 @@ class Resource:
     """Base of all resources: readable, nothing else."""
 
     kind = "Resource"
+    shape = ""
+    """The name of the shape of its documents, in `/shapes/documents`."""
     links: tuple[Link, ...] = (RESOURCE, RDF_SOURCE)
     accepts: Mapping[str, Sequence[str]] = {}
     """The media types that PUT, POST and PATCH take, by method."""
@@ -96,7 +99,8 @@ class Resource:
     _permissions = ALLOW_ALL
     """The permissions that the state was made for; ALLOW_ALL if `redact` removes from it what an agent may not see."""
 
-    def __init__(self, url: str) -> None:
+    def __init__(self, space: Space, url: str) -> None:
+        self.space = space
         self.url = url
 
     @property
@@ -197,8 +201,8 @@ class Resource:
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        """The URLs of the shapes of the document: that of the class, and those of its messages."""
-        return ()
+        """The URLs of the shapes of the document."""
+        return (self.space.document_shape(self.shape),) if self.shape else ()
 
     @property
     def constrained_by(self) -> str | None:

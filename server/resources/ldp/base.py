@@ -116,7 +116,7 @@ class StoredResource(Resource):
     passes_unknown_parameters = frozenset({"GET", "HEAD"})  # browsers add some to bypass caches
 
     def __init__(self, documents: Documents, path: str) -> None:
-        super().__init__(documents.space.base + path)
+        super().__init__(documents.space, documents.space.base + path)
         self.documents = documents
         self.path = path
         self.title = "/" + path
@@ -143,7 +143,7 @@ class StoredResource(Resource):
     @property
     def constrained_by(self) -> str | None:
         permissions = self.documents.validator_of(self.path)
-        return self.documents.space.shape("data" if permissions is None else permissions.shape)
+        return self.space.shape("data" if permissions is None else permissions.shape)
 
     def require_record(self) -> Record:
         """Return the record; a 404 or 410 Problem where there is none."""
@@ -175,7 +175,7 @@ class StoredResource(Resource):
                 return
             except Conflict as error:
                 if error.cause is not ConflictCause.CHANGED or exchange.is_conditional:
-                    raise conflict_problem(self.documents.space, error) from error
+                    raise conflict_problem(self.space, error) from error
                 if time.monotonic() > until:
                     words = f"{self.url} was changed by others all the time for {patience:g} s; nothing was done."
                     raise Problem(503, words, headers={"Retry-After": "1"}) from error

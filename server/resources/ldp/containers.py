@@ -143,6 +143,7 @@ class ContainerResource(RdfSourceResource):
     """A container (LDP 5): POST creates a member; many members are listed in pages."""
 
     kind = "Container"
+    shape = "Container"
     writes = frozenset({"PUT", "PATCH", "POST", "DELETE"})
     in_turn = frozenset({"PUT", "PATCH"})
     takes_forms = False
@@ -165,10 +166,6 @@ class ContainerResource(RdfSourceResource):
         summary = _SUMMARIES.get(self.path, "A container")
         post = WriteMethod(is_body_required=False)
         return PathItem(summary, is_paged=True, writes={"POST": post, "DELETE": DELETES})
-
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self.documents.space.document_shape("Container"),)
 
     def methods(self) -> frozenset[str]:
         is_root = self.path.count("/") == 1
@@ -237,7 +234,7 @@ class ContainerResource(RdfSourceResource):
                 return await create_resource(self.documents, path, model, exchange, blob, unused=True)
             except Conflict as error:
                 if error.path != path or error.cause not in _NAMED_MEANWHILE:
-                    raise conflict_problem(self.documents.space, error) from error
+                    raise conflict_problem(self.space, error) from error
 
 
 def resource_of(documents: Documents, path: str, model: Model) -> StoredResource:

@@ -81,7 +81,7 @@ class RdfSourceResource(StoredResource):
     @property
     def conforms_to(self) -> Sequence[str]:
         validator = self.documents.validator_of(self.path)
-        return (self.documents.space.document_shape("Source"), *(() if validator is None else validator.conforms_to))
+        return (self.space.document_shape("Source"), *(() if validator is None else validator.conforms_to))
 
     async def state(self) -> State:
         state = state_of(self.documents, self.require_record())
@@ -215,7 +215,7 @@ class RdfSourceResource(StoredResource):
     @property
     def _subject(self) -> str:
         """The subject of server-managed triples."""
-        return self.documents.space.base + self.path
+        return self.space.base + self.path
 
     async def with_triples(
         self, record: Record, triples: Sequence[Triple], expected: int | None, said: Set[Triple] = frozenset()
@@ -278,7 +278,7 @@ class DescriptionResource(RdfSourceResource):
     @property
     def conforms_to(self) -> Sequence[str]:
         validator = self.documents.validator_of(self.path)
-        return (self.documents.space.document_shape("File"), *(() if validator is None else validator.conforms_to))
+        return (self.space.document_shape("File"), *(() if validator is None else validator.conforms_to))
 
     async def forms(self) -> Sequence[Form]:
         return ()

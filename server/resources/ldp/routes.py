@@ -157,7 +157,7 @@ class AbsentResource(StoredResource):
             return await create_resource(self.documents, self.path, model, exchange, blob)
         except Conflict as error:
             if error.path != self.path or error.cause is not ConflictCause.THERE:
-                raise conflict_problem(self.documents.space, error) from error
+                raise conflict_problem(self.space, error) from error
         if exchange.is_conditional:
             raise Problem(412, f"{self.url} was made by another request meanwhile; nothing was done.")
         return await self._once_more(exchange, blob)
@@ -183,7 +183,7 @@ class AbsentResource(StoredResource):
         except Conflict as error:
             # The preconditions of a conditional request were checked while nothing was here, so it is not tried again.
             if error.path != self.path or error.cause is not ConflictCause.THERE or exchange.is_conditional:
-                raise conflict_problem(self.documents.space, error) from error
+                raise conflict_problem(self.space, error) from error
             return await self._patch_there(exchange)
         assert record is not None
         made = resource_of(self.documents, self.path, record.model)

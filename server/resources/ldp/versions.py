@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable
 from dataclasses import replace
 
 from starlette.responses import Response
@@ -40,7 +40,7 @@ class FormerDocument(Resource):
     is_cacheable = False
 
     def __init__(self, documents: Documents, record: Record, at_ns: int, text: str) -> None:
-        super().__init__(documents.space.base + record.path)
+        super().__init__(documents.space, documents.space.base + record.path)
         self.links = (RESOURCE, RDF_SOURCE, *timegate_links(self.url))
         self.title = "/" + record.path
         self.documents = documents
@@ -67,18 +67,15 @@ class DocumentTimeMap(Resource):
     """The mementos of a document."""
 
     kind = "TimeMap"
+    shape = "TimeMap"
     is_cacheable = False
 
     def __init__(self, documents: Documents, path: str) -> None:
         self._original = documents.space.base + path
-        super().__init__(f"{self._original}?timemap")
+        super().__init__(documents.space, f"{self._original}?timemap")
         self.title = f"Mementos of /{path}"
         self.documents = documents
         self._path = path
-
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self.documents.space.document_shape("TimeMap"),)
 
     async def state(self) -> State:
         times = memento_times(self.documents.records, self._path)

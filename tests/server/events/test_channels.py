@@ -13,6 +13,7 @@ import pytest
 
 from rosld.adapters.base import Watch
 from rosld.ontology.describe_graph import container_document
+from rosld.ontology.urls import Space
 from rosld.server.events import notification_channels
 from rosld.server.events.broadcaster import Broadcasters
 from rosld.server.events.channel_request import ChannelRequest
@@ -32,7 +33,7 @@ class Things(Resource):
     links = (BASIC_CONTAINER,)
 
     def __init__(self) -> None:
-        super().__init__(URL)
+        super().__init__(Space("http://127.0.0.1/"), URL)
         self.members: tuple[str, ...] = ()
         self.problem: Problem | None = None
         self.looks = 0

@@ -12,6 +12,7 @@ import pytest
 from rosld.adapters.base import Watch
 from rosld.adapters.model import TypeRef, Unreachable
 from rosld.ontology.document import Document
+from rosld.ontology.urls import Space
 from rosld.server.events import broadcaster, event_stream
 from rosld.server.events.event_stream import KEEP_ALIVE_COMMENT
 from rosld.server.http.problem import Problem
@@ -216,7 +217,7 @@ class Made(Resource):
     """A resource that is made of something else each time it is looked at."""
 
     def __init__(self) -> None:
-        super().__init__("http://127.0.0.1/made")
+        super().__init__(Space("http://127.0.0.1/"), "http://127.0.0.1/made")
         self.sources: list[Signal] = []
         self.fails = False
 

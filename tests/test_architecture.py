@@ -223,14 +223,6 @@ def test_every_part_of_the_server_is_in_a_folder() -> None:
     assert {path.parent.name for path in (ROOT / "server").glob("*/__init__.py")} | {"app", "settings"} == set(LAYERS)
 
 
-def test_every_folder_with_an_init_is_packaged() -> None:
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
-    folders = {
-        module_of(f"rosld/{path.relative_to(ROOT)}") for room in ROOMS for path in (ROOT / room).rglob("__init__.py")
-    }
-    assert {"rosld", *folders} == set(project["tool"]["setuptools"]["packages"])
-
-
 def test_each_folder_is_linked_into_the_import_package_and_tests_are_no_package() -> None:
     for room in ROOMS:
         assert (ROOT / "rosld" / room).readlink() == Path("..") / room

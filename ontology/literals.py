@@ -103,6 +103,11 @@ def wire_length(value: str) -> int:
     return len(value) if value.isascii() else len(wire_bytes(value))
 
 
+def base64_length(octets: int | None) -> int | None:
+    """Return the number of characters of the base64 of octets: four for each three begun; None stays None."""
+    return None if octets is None else (octets + 2) // 3 * 4
+
+
 def base64_text(value: bytes) -> str:
     """Return the base64 of octets (of anything that has a buffer)."""
     return b64encode(value).decode("ascii")

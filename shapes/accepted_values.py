@@ -126,7 +126,7 @@ class AcceptedValues:
         if LIST not in self._written:
             self._written.add(LIST)
             write_list_shape(self._writer)
-        return [(sh.node, list_of(self._writer, elements, kind.length, kind.bound))]
+        return [(sh.node, list_of(self._writer, elements, kind))]
 
     def bounds(
         self, kind: Primitive, bounds: Bounds, datatype: NamedNode | None = None

@@ -32,7 +32,7 @@ from rosld.ontology.coercion import RANGES
 from rosld.ontology.describe_types import constant_value, definition_text
 from rosld.ontology.document import Document
 from rosld.ontology.json_leaves import stated_default
-from rosld.ontology.literals import DATATYPES, OCTETS, STRINGS
+from rosld.ontology.literals import DATATYPES, OCTETS, STRINGS, base64_length
 from rosld.ontology.triples import RDF_SOURCE, Statement, Value, boolean, integer, statements, text, triples_about
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import rdf, rdfs, ros, sh, xsd
@@ -209,7 +209,7 @@ class _Said:
         return self._or_elided(self._writer.blank(*said))
 
     def messages(self, kind: Array, name: str) -> Sequence[Statement]:
-        return self._or_elided(list_of(self._writer, self.nested(name), kind.length, kind.bound))
+        return self._or_elided(list_of(self._writer, self.nested(name), kind))
 
     def message(self, kind: MessageType) -> Sequence[Statement]:
         ignored = self._writer.list_of(SERVER_MANAGED)
@@ -228,17 +228,12 @@ def _default(field: Field) -> Literal | None:
 
 
 def _octets(kind: Array) -> list[Statement]:
-    """Return an array of octets: one base64 literal, four characters for each three octets begun."""
-    longest = kind.length if kind.length is not None else kind.bound
+    """Return an array of octets: one base64 literal."""
     return [
         (sh.datatype, xsd.base64Binary),
-        (sh.minLength, integer(None if kind.length is None else _base64_length(kind.length))),
-        (sh.maxLength, integer(None if longest is None else _base64_length(longest))),
+        (sh.minLength, integer(base64_length(kind.length))),
+        (sh.maxLength, integer(base64_length(kind.most))),
     ]
-
-
-def _base64_length(octets: int) -> int:
-    return (octets + 2) // 3 * 4
 
 
 def _json(kind: Array, element: Primitive) -> list[Statement]:

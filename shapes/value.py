@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
-from typing import TypeAlias, TypeVar
+from typing import ClassVar, TypeAlias, TypeVar
 
 from pyoxigraph import Literal, NamedNode
 
@@ -81,6 +81,7 @@ class MessageShape:
     schema: MessageSchema
     fields: tuple[str, ...]
     bounds: Mapping[str, Bounds] = field(default_factory=dict, hash=False)
+    measure: ClassVar[Measure] = NO_MEASURE
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,6 +8,7 @@ from itertools import count
 
 from pyoxigraph import BlankNode, NamedNode, Triple
 
+from rosld.adapters.model import Array
 from rosld.ontology.triples import Statement, Value, integer, triples_about
 from rosld.ontology.vocab import rdf, sh
 
@@ -69,10 +70,8 @@ def write_list_shape(writer: ShapesWriter) -> None:
     writer.add(cells, (sh.path, _rests(writer)), (sh.hasValue, rdf.nil), writer.either([end, cell]))
 
 
-def list_of(
-    writer: ShapesWriter, elements: Sequence[Statement], length: int | None = None, bound: int | None = None
-) -> BlankNode:
-    """Return the shape of a list of exactly `length`, or at most `bound`, elements that fulfil `elements`.
+def list_of(writer: ShapesWriter, elements: Sequence[Statement], kind: Array) -> BlankNode:
+    """Return the shape of a list of as many elements as an array may have, which fulfil `elements`.
 
     Equal literals are one value node (SHACL 2.3.1), so the cells are counted, including rdf:nil, not the elements.
     """
@@ -80,10 +79,9 @@ def list_of(
     shape = writer.blank(
         (sh.node, writer.node(LIST)), (sh.property, writer.blank((sh.path, path), *elements))
     )  # fmt: skip
-    most = length if length is not None else bound
-    if most is not None:
-        least = None if length is None else integer(length + 1)
-        counted = writer.blank((sh.path, _rests(writer)), (sh.minCount, least), (sh.maxCount, integer(most + 1)))
+    if kind.most is not None:
+        least = None if kind.length is None else integer(kind.length + 1)
+        counted = writer.blank((sh.path, _rests(writer)), (sh.minCount, least), (sh.maxCount, integer(kind.most + 1)))
         writer.add(shape, (sh.property, counted))
     return shape
 

@@ -74,8 +74,7 @@ def read_default(kind: FieldType, text: str) -> Default:
         raise ValueError(f"{text} is no array: it stands in brackets")
     element = kind.element
     values = tuple(_scalar(element, each) for each in _elements(text[1:-1], element))
-    most = kind.length if kind.length is not None else kind.bound
-    if (most is not None and len(values) > most) or (kind.length is not None and len(values) < kind.length):
+    if (kind.most is not None and len(values) > kind.most) or (kind.length is not None and len(values) < kind.length):
         raise ValueError(f"{len(values)} elements are not as many as there may be")
     return values
 

@@ -80,6 +80,11 @@ class Array:
     length: int | None = None
     bound: int | None = None
 
+    @property
+    def most(self) -> int | None:
+        """The greatest number of elements; None for any number."""
+        return self.bound if self.length is None else self.length
+
 
 FieldType: TypeAlias = Primitive | Nested | Array
 

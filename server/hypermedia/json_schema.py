@@ -1,16 +1,43 @@
-"""JSON Schema 2020-12 (as in OpenAPI 3.1) from data schemas (WoT Thing Description 1.1) and message types. Pure."""
+"""JSON Schemas of values and messages, for Thing Descriptions (data schemas: WoT TD 1.1, 5.3.2) and OpenAPI 3.1. Pure.
+
+They describe JSON as rosld writes it: integers that a double might not hold are strings of digits; NaN, INF and -INF
+are strings; octets are base64; an array that may be too large to be written is an object with the URL of its bytes
+then. Of a string that is too large, or not UTF-8, and of a value that is not there (null) they say nothing, so that
+plain values keep plain schemas. What is sent is a command: its floats are numbers, those of a velocity have a range.
+"""
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from typing import TypeAlias, cast
 
-from rosld.adapters.model import ActionSchema, MessageSchema, Schema, ServiceSchema, TypeRef
-from rosld.ontology.lift import LiftSettings
-from rosld.server.hypermedia.data_schema import DataSchema, Json, message_schema
+from pyoxigraph import Literal
 
-JsonSchema: TypeAlias = DataSchema
+from rosld.adapters.model import (
+    ActionSchema,
+    Array,
+    Field,
+    FieldType,
+    MessageSchema,
+    Nested,
+    Primitive,
+    Schema,
+    ServiceSchema,
+    TypeRef,
+)
+from rosld.ontology.coercion import RANGES, is_octets
+from rosld.ontology.json_leaves import stated_default, zero_value
+from rosld.ontology.lift import LiftSettings
+from rosld.ontology.literals import SAFE_INTEGER, STRINGS, base64_length, special_float, wide_integer_json
+from rosld.ontology.vocab import xsd
+from rosld.shapes.command_numbers import LARGEST_VELOCITY, is_any_number_meant, largest_number
+from rosld.shapes.terms import number
+from rosld.shapes.value import UNBOUNDED, Bounds, MessageShape, ScalarShape, ValueShape
+
+Json: TypeAlias = "bool | int | float | str | list[Json] | dict[str, Json] | None"
+JsonSchema: TypeAlias = dict[str, Json]
 
 ANYTHING: JsonSchema = {}
 TEXT: JsonSchema = {"type": "string"}
@@ -19,30 +46,60 @@ URI: JsonSchema = {"type": "string", "format": "uri"}
 OBJECT: JsonSchema = {"type": "object"}
 NOTHING: JsonSchema = {"type": "null"}
 JSON_LD: JsonSchema = {"anyOf": [{"type": "object"}, {"type": "array", "items": {}}]}
-_OF_THINGS = {"unit": "x-unit"}
-"""What only Thing Descriptions have words for, and the extensions that stand for it."""
+
+_MAX_NODES = 2000
+_DEEPEST = 32
+_FLOATS = frozenset({"float32", "float64"})
+_VELOCITIES: JsonSchema = {"minimum": -LARGEST_VELOCITY, "maximum": LARGEST_VELOCITY}
+_SPECIALS: JsonSchema = {"type": "string", "enum": ["NaN", "INF", "-INF"]}
+_DIGITS: JsonSchema = {"type": "string", "pattern": "^-?[0-9]{16,20}$"}
+_ELIDED: JsonSchema = {
+    "type": "object",
+    "properties": {
+        "elided": {"type": "boolean", "const": True},
+        "length": {"type": "integer", "minimum": 0},
+        "href": {"type": "string"},
+    },
+    "required": ["elided", "length", "href"],
+    "readOnly": True,
+}
+_SETTINGS = LiftSettings()
 
 
-def read_schema(schema: DataSchema) -> JsonSchema:
-    """Return the schema of a value that the server writes."""
-    return cast(JsonSchema, _rename(schema))
+def value_schema(
+    shape: ValueShape, lifting: LiftSettings = _SETTINGS, *, read: bool = True, sent: bool = False, unit: str = "unit"
+) -> JsonSchema:
+    """Return the schema of a property's value that is read, sent, or both.
+
+    Of a value that may be sent, fields have defaults and may be left out. `unit` is the keyword for the unit.
+    """
+    if isinstance(shape, MessageShape):
+        fields = [field for field in shape.schema.type.fields if field.name in shape.fields]
+        return _Schemas(shape.schema, shape.bounds, lifting, read, sent).fields(fields)
+    kind = shape.kind if isinstance(shape, ScalarShape) else None
+    if isinstance(shape, ScalarShape) and shape.is_parameter:
+        found = _parameter_schema(shape.kind, shape.bounds)
+    else:
+        found = _scalar(kind, shape.bounds, is_finite=sent)
+    return found if shape.measure.unit is None else {**found, unit: shape.measure.unit.value}
 
 
-def write_schema(schema: DataSchema) -> JsonSchema:
-    """Return the schema of a value that a client writes: without what only the server says (`readOnly`)."""
-    return cast(JsonSchema, _rename(_without_read_only(schema)))
+def message_schema(
+    schema: MessageSchema, lifting: LiftSettings = _SETTINGS, *, read: bool = True, sent: bool = False
+) -> JsonSchema:
+    """Return the schema of a message, the object of its fields; of one that may be sent, these may be left out."""
+    return _Schemas(schema, {}, lifting, read, sent).fields(schema.type.fields)
 
 
-def patch_schema(schema: DataSchema) -> JsonSchema:
+def patch_schema(schema: JsonSchema) -> JsonSchema:
     """Return the schema of a JSON merge patch of a value (RFC 7396): any members of an object, else the whole value."""
-    return _part(write_schema(schema))
-
-
-def _part(schema: JsonSchema) -> JsonSchema:
     members = schema.get("properties")
     if not isinstance(members, dict):
         return {name: each for name, each in schema.items() if name != "default"}  # what is left out stays as it is
-    return {"type": "object", "properties": {name: _part(cast(JsonSchema, each)) for name, each in members.items()}}
+    return {
+        "type": "object",
+        "properties": {name: patch_schema(cast(JsonSchema, each)) for name, each in members.items()},
+    }
 
 
 def nullable(schema: JsonSchema) -> JsonSchema:
@@ -50,32 +107,183 @@ def nullable(schema: JsonSchema) -> JsonSchema:
     return {"anyOf": [schema, NOTHING]} if schema else schema
 
 
-def _rename(value: Json) -> Json:
-    if isinstance(value, list):
-        return [_rename(each) for each in value]
-    if not isinstance(value, dict):
-        return value
-    # The names of properties are the robot's: no keyword is among them.
-    return {
-        _OF_THINGS.get(key, key): {name: _rename(one) for name, one in each.items()}
-        if key == "properties" and isinstance(each, dict)
-        else _rename(each)
-        for key, each in value.items()
-    }
+class _Schemas:
+    """The schemas of one message type. Types come from robots, so what is written of one is bounded."""
+
+    def __init__(
+        self, schema: MessageSchema, bounds: Mapping[str, Bounds], lifting: LiftSettings, read: bool, sent: bool
+    ) -> None:
+        self._types = schema.types
+        self._bounds = bounds
+        self._read = read
+        self._limit = lifting.inline_limit
+        self._sent = sent
+        self._range = _VELOCITIES if sent and largest_number(schema) == LARGEST_VELOCITY else {}
+        self._left = _MAX_NODES
+
+    def fields(self, fields: Iterable[Field], path: tuple[str, ...] = ()) -> JsonSchema:
+        """Return an object of fields."""
+        properties: dict[str, Json] = {}
+        for field in fields:
+            inner = (*path, field.name)
+            is_finite = self._sent and not is_any_number_meant(field)
+            properties[field.name] = self._field(field.type, inner, is_finite=is_finite) | (
+                self._default(field, inner) if self._sent else {}
+            )
+        return {"type": "object", "properties": properties, **({} if self._sent else {"required": list(properties)})}
+
+    def _default(self, field: Field, path: tuple[str, ...]) -> JsonSchema:
+        """What a field is that is left out: told of scalars, of arrays without a length and of what a type states.
+
+        What its bounds might refuse is not told.
+        """
+        stated, kind = stated_default(field), field.type
+        if self._bounds.get(".".join(path), UNBOUNDED) != UNBOUNDED:
+            return {}
+        if stated is not None:
+            return {"default": list(stated) if isinstance(stated, list) else stated}
+        if isinstance(kind, Primitive):
+            return {"default": zero_value(kind)}
+        if isinstance(kind, Array) and kind.length is None:
+            return {"default": "" if is_octets(kind) else []}
+        return {}
+
+    def _field(self, kind: FieldType, path: tuple[str, ...], *, is_finite: bool) -> JsonSchema:
+        self._left -= 1
+        if isinstance(kind, Array):
+            return self._array(kind, path)
+        if isinstance(kind, Primitive):
+            found = _scalar(kind, self._bounds.get(".".join(path), UNBOUNDED), is_finite=is_finite)
+            return self._range | found if kind.name in _FLOATS else found
+        if self._left < 0 or len(path) >= _DEEPEST:
+            return {"type": "object"}
+        return self.fields(self._types[kind.name].fields, path)
+
+    def _array(self, kind: Array, path: tuple[str, ...]) -> JsonSchema:
+        least, most = kind.length, kind.most
+        if is_octets(kind):
+            lengths = _without_none(minLength=base64_length(least), maxLength=base64_length(most))
+            found: JsonSchema = {"type": "string", "contentEncoding": "base64", **lengths}
+        else:
+            lengths = _without_none(minItems=least, maxItems=most)
+            found = {"type": "array", "items": self._element(kind.element, path), **lengths}
+        return {"oneOf": [found, _ELIDED]} if self._read and self._may_be_elided(kind) else found
+
+    def _element(self, kind: Primitive | Nested, path: tuple[str, ...]) -> JsonSchema:
+        if isinstance(kind, Nested):
+            return self._field(kind, path, is_finite=self._sent)
+        if kind.name in _FLOATS:
+            specials: list[Json] = ["-0.0"] if self._sent else ["NaN", "INF", "-INF", "-0.0"]
+            return {"oneOf": [{"type": "number"}, {"type": "string", "enum": specials}]}
+        return _scalar(kind, UNBOUNDED)
+
+    def _may_be_elided(self, kind: Array) -> bool:
+        """Whether it may take more bytes than are written; eight an element is the most of a number."""
+        is_plain = isinstance(kind.element, Primitive) and kind.element.name not in STRINGS
+        return not is_plain or kind.most is None or kind.most * 8 > self._limit
 
 
-def _without_read_only(value: Json) -> Json:
-    if isinstance(value, list):
-        return [_without_read_only(each) for each in value]
-    if not isinstance(value, dict):
-        return value
-    choices = value.get("oneOf")
-    if isinstance(choices, list):
-        left = [one for one in choices if not (isinstance(one, dict) and one.get("readOnly") is True)]
-        if len(left) == 1 and len(left) < len(choices):
-            rest = {key: each for key, each in value.items() if key != "oneOf"}
-            return _without_read_only({**rest, **cast("dict[str, Json]", left[0])})
-    return {key: _without_read_only(each) for key, each in value.items()}
+# Scalars
+
+
+def _scalar(kind: Primitive | None, bounds: Bounds, *, is_finite: bool = False) -> JsonSchema:
+    """One scalar: of a primitive or, without one, of any type, within bounds; a float may have to be finite."""
+    if bounds.choices:
+        choices = {(type(value), value): value for value in map(_choice, bounds.choices)}
+        return {**_type(kind), "enum": list(choices.values())}
+    if kind is not None and kind.name in STRINGS:
+        longest = [count for count in (bounds.max_length, kind.bound) if count is not None]
+        return {
+            "type": "string",
+            **_without_none(
+                minLength=bounds.min_length,
+                maxLength=min(longest, default=None),
+                pattern=None if bounds.pattern is None else _ecma(bounds.pattern),
+            ),
+        }
+    limits = _limits(bounds)
+    if kind is None:
+        return {"type": "number", **limits} if limits else {}
+    if kind.name == "bool":
+        return {"type": "boolean"}
+    if kind.name in RANGES:
+        return _integer(kind, limits)
+    return {"type": "number", **limits} if limits or is_finite else {"oneOf": [{"type": "number"}, _SPECIALS]}
+
+
+def _parameter_schema(kind: Primitive, bounds: Bounds) -> JsonSchema:
+    """Return the scalar of a parameter, whose numbers are JSON's."""
+    if bounds.choices or kind.name in STRINGS or kind.name == "bool":
+        return _scalar(kind, bounds)
+    limits, step = _limits(bounds), _number(bounds.step)
+    ends = (limits.get("minimum"), limits.get("maximum"))
+    even = isinstance(step, int) and all(isinstance(each, int) and each % step == 0 for each in ends)
+    type = "integer" if kind.name in RANGES else "number"
+    return {"type": type, **limits, **_without_none(multipleOf=step if even else None)}
+
+
+def _type(kind: Primitive | None) -> JsonSchema:
+    """The type of what is one of several values; floats and wide integers may be strings too."""
+    if kind is None or kind.name.startswith("float") or kind.name.endswith("64"):
+        return {}
+    return {"type": "string" if kind.name in STRINGS else "boolean" if kind.name == "bool" else "integer"}
+
+
+def _integer(kind: Primitive, limits: JsonSchema) -> JsonSchema:
+    """Return an integer of a primitive's range; beyond what a double holds it is its digits."""
+    least, greatest = RANGES[kind.name]
+    if not limits.keys() & {"minimum", "exclusiveMinimum"}:
+        limits = {**limits, "minimum": max(least, -SAFE_INTEGER)}
+    if not limits.keys() & {"maximum", "exclusiveMaximum"}:
+        limits = {**limits, "maximum": min(greatest, SAFE_INTEGER)}
+    found: JsonSchema = {"type": "integer", **limits}
+    is_wide = limits.get("minimum") == -SAFE_INTEGER or limits.get("maximum") == SAFE_INTEGER
+    return {"oneOf": [found, _DIGITS]} if is_wide else found
+
+
+def _limits(bounds: Bounds) -> JsonSchema:
+    """Return the ends of a range of numbers."""
+    return _without_none(
+        minimum=_number(bounds.minimum),
+        maximum=_number(bounds.maximum),
+        exclusiveMinimum=_number(bounds.exclusive_minimum),
+        exclusiveMaximum=_number(bounds.exclusive_maximum),
+    )
+
+
+def _number(literal: Literal | None) -> int | float | None:
+    """Return a bound as JSON's number; None for what is no number, or none that JSON has."""
+    value = None if literal is None else number(literal)
+    if value is None or isinstance(value, int):
+        return None if value is None or abs(value) > SAFE_INTEGER else value
+    return float(value) if math.isfinite(value) else None
+
+
+def _choice(literal: Literal) -> bool | int | float | str:
+    """Return the plain JSON of a choice."""
+    if literal.datatype == xsd.boolean:
+        return literal.value in ("true", "1")
+    value = number(literal)
+    if value is None or isinstance(value, int):
+        return literal.value if value is None else wide_integer_json(value)
+    return float(value) if math.isfinite(value) else special_float(float(value))
+
+
+def _without_none(**keywords: int | float | str | None) -> JsonSchema:
+    """The keywords that have a value."""
+    return {name: value for name, value in keywords.items() if value is not None}
+
+
+_ESCAPE = r"\\[dDwWsSnrt.\\()\[\]{}+*?^$|]"
+_OF_ECMA = re.compile(rf"(?:[^\\(\[\]{{]|{_ESCAPE}|\((?!\?[^:])|\{{(?!,)|\[(?:[^\\\[\]]|\\-|{_ESCAPE})*\])*", re.DOTALL)
+
+
+def _ecma(pattern: str) -> str | None:
+    """Return the pattern (XPath's) if it means the same in ECMAScript (ECMA-262 22.2), else None.
+
+    Subtraction, flags, and the escapes of names, blocks and common letters are not ECMAScript's.
+    """
+    return pattern if _OF_ECMA.fullmatch(pattern) else None
 
 
 _NOT_IN_A_KEY = re.compile(r"[^A-Za-z0-9._-]")
@@ -89,7 +297,7 @@ class MessageSchemas:
 
     def __init__(self, find: Callable[[TypeRef], Schema | None], lifting: LiftSettings) -> None:
         self.lifting = lifting
-        self.by_key: dict[str, DataSchema] = {}
+        self.by_key: dict[str, JsonSchema] = {}
         """The schemas that `#/components/schemas/KEY` refers to."""
         self._find = find
         self._keys: dict[TypeRef, str] = {}
@@ -109,21 +317,25 @@ class MessageSchemas:
         found = None if ref is None else self._find(ref)
         return found if isinstance(found, ActionSchema) else None
 
-    def read(self, schema: MessageSchema | None) -> DataSchema:
+    def read(self, schema: MessageSchema | None) -> JsonSchema:
         """Return a reference to the schema of a message when read."""
         if schema is None:
             return OBJECT
         key = self._key(schema.ref)
-        return self._shared(key, lambda: read_schema(message_schema(schema, self.lifting)))
+        return self._shared(key, lambda: message_schema(schema, self.lifting))
 
-    def write(self, schema: MessageSchema | None) -> DataSchema:
+    def write(self, schema: MessageSchema | None) -> JsonSchema:
         """Return a reference to the schema of a message when sent, in which members with defaults are optional."""
         if schema is None:
             return OBJECT
         key = f"{self._key(schema.ref)}.sent"
-        return self._shared(key, lambda: write_schema(message_schema(schema, self.lifting, sent=True)))
+        return self._shared(key, lambda: message_schema(schema, self.lifting, read=False, sent=True))
 
-    def _shared(self, key: str, make: Callable[[], DataSchema]) -> DataSchema:
+    def value(self, shape: ValueShape, *, sent: bool = False) -> JsonSchema:
+        """Return the schema of a property's value when read, or when sent."""
+        return value_schema(shape, self.lifting, read=not sent, sent=sent, unit="x-unit")
+
+    def _shared(self, key: str, make: Callable[[], JsonSchema]) -> JsonSchema:
         if key not in self.by_key:
             self.by_key[key] = make()
         return {"$ref": f"#/components/schemas/{key}"}

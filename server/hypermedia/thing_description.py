@@ -17,9 +17,8 @@ from pyoxigraph import NamedNode
 from rosld.ontology.describe_holds import CONFIRM, CONFIRM_PARAMETER, HOLD, MAX_LEASE, MAX_RATE, MEANINGS, PARAMETERS
 from rosld.ontology.lift import LiftSettings
 from rosld.ontology.vocab import mapping, qudt, ros
-from rosld.server.hypermedia.data_schema import DataSchema, message_schema, value_schema
+from rosld.server.hypermedia.json_schema import message_schema, value_schema
 from rosld.server.hypermedia.views import ActionAffordance, PropertyAffordance
-from rosld.shapes.value import NO_MEASURE, OpenShape, ScalarShape
 
 MEDIA_TYPE = "application/td+json"
 
@@ -104,17 +103,16 @@ def _property(one: PropertyAffordance, lifting: LiftSettings) -> orjson.Fragment
         # The content type is that of what each event carries.
         *([_form(one.url, _OBSERVE, "GET", subprotocol="sse")] if observable else ()),
     ]
-    measure = one.shape.measure if isinstance(one.shape, ScalarShape | OpenShape) else NO_MEASURE
     return _fragment(
         {
             **_without_none(title=one.title, description=one.description),
-            **value_schema(one.shape, lifting, sent=one.write),
+            **value_schema(one.shape, lifting, read=one.read, sent=one.write),
             "readOnly": not one.write,
             "writeOnly": not one.read,
             "observable": observable,
             **_led_to("map:predicate", one.predicate),
-            **_led_to("qudt:hasUnit", measure.unit),
-            **_led_to("qudt:hasQuantityKind", measure.quantity_kind),
+            **_led_to("qudt:hasUnit", one.shape.measure.unit),
+            **_led_to("qudt:hasQuantityKind", one.shape.measure.quantity_kind),
             "forms": forms,
         }
     )
@@ -128,9 +126,8 @@ def _action(one: ActionAffordance, lifting: LiftSettings) -> orjson.Fragment:
     feedback and result are properties.
     """
     assert one.request is not None
-    schema: DataSchema | None = None
-    if one.request.type.fields:
-        schema = message_schema(one.request, lifting, sent=True)
+    has_input = bool(one.request.type.fields)
+    schema = message_schema(one.request, lifting, read=False, sent=True) if has_input else None
     return _fragment(
         {
             **_without_none(title=one.title, input=schema),
@@ -153,7 +150,7 @@ def _hold(one: PropertyAffordance, lifting: LiftSettings) -> orjson.Fragment:
             "title": f"Hold {one.name}",
             "description": HOLD,
             "uriVariables": _HOLD_VARIABLES,
-            "input": value_schema(one.shape, lifting, sent=True),
+            "input": value_schema(one.shape, lifting, read=False, sent=True),
             "output": {"type": "object"},
             "safe": False,
             "idempotent": False,

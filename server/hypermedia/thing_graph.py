@@ -16,7 +16,7 @@ from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 from rosld.ontology.document import Document
 from rosld.ontology.triples import boolean, integer
 from rosld.ontology.vocab import hctl, htv, js, mapping, qudt, rdf, ros, td, wotsec, xsd
-from rosld.server.hypermedia.data_schema import Json
+from rosld.server.hypermedia.json_schema import Json
 
 _Node: TypeAlias = NamedNode | BlankNode
 _Object: TypeAlias = "dict[str, Json]"

@@ -49,8 +49,7 @@ def is_bulky(schema: MessageSchema) -> bool:
 def _is_many(kind: object) -> bool:
     if not isinstance(kind, Array) or not isinstance(kind.element, Primitive):
         return False
-    longest = kind.length if kind.length is not None else kind.bound
-    return kind.element.name in _OCTETS if longest is None else longest > _MAX_NUMBERS
+    return kind.element.name in _OCTETS if kind.most is None else kind.most > _MAX_NUMBERS
 
 
 MAX_ELEMENTS = 64
@@ -98,8 +97,7 @@ def _widest(schema: MessageSchema, name: str, known: dict[str, float]) -> float:
 def _repeated(schema: MessageSchema, field: Field, known: dict[str, float]) -> float:
     kind, times = field.type, 1.0
     if isinstance(kind, Array):
-        length = kind.bound if kind.length is None else kind.length
-        kind, times = kind.element, inf if length is None else max(length, 1)
+        times, kind = inf if kind.most is None else max(kind.most, 1), kind.element
     return times * _widest(schema, kind.name, known) if isinstance(kind, Nested) else times
 
 

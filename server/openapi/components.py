@@ -16,8 +16,7 @@ from rosld.server.events.query_params import (
     MIN_RATE,
 )
 from rosld.server.http.problem import AGENT_SAID, ROBOT_SAID
-from rosld.server.hypermedia.data_schema import Json
-from rosld.server.hypermedia.json_schema import ANYTHING, JSON_LD, OBJECT, TEXT, URI, JsonSchema
+from rosld.server.hypermedia.json_schema import ANYTHING, JSON_LD, OBJECT, TEXT, URI, Json, JsonSchema
 from rosld.server.rest.formats import HTML, JSON, RDF_BODIES
 from rosld.server.rest.path_item import FIELD_READS, OF_EVERY_WRITE
 

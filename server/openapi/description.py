@@ -10,8 +10,7 @@ from itertools import chain, count
 import orjson
 
 from rosld.server.events.query_params import EVENT_STREAM
-from rosld.server.hypermedia.data_schema import Json
-from rosld.server.hypermedia.json_schema import JsonSchema
+from rosld.server.hypermedia.json_schema import Json, JsonSchema
 from rosld.server.openapi.components import Components, body_content, content, headers, or_plan, reference
 from rosld.server.openapi.description_parts import sections
 from rosld.server.openapi.path_collector import DescribedPath

@@ -34,8 +34,7 @@ from rosld.ontology.urls import Space
 from rosld.server.html.forms import DeleteForm, Form, MessageForm
 from rosld.server.http.fields import to_uri
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.data_schema import DataSchema
-from rosld.server.hypermedia.json_schema import TEXT, URI, MessageSchemas, nullable
+from rosld.server.hypermedia.json_schema import TEXT, URI, JsonSchema, MessageSchemas, nullable
 from rosld.server.resources.accepted_shape import CommandResource, message_shape, shape_query
 from rosld.server.resources.limit_checks import STRICTNESS, LimitChecks
 from rosld.server.resources.namespaces import is_absent, redirect_to_namespace
@@ -399,12 +398,12 @@ async def follow_action(session: Session, action: str) -> None:
         pass  # its goals cannot be read now; what is known is told
 
 
-def _goal_schema(schemas: MessageSchemas, schema: ActionSchema | None) -> DataSchema:
+def _goal_schema(schemas: MessageSchemas, schema: ActionSchema | None) -> JsonSchema:
     """Return the JSON schema of a goal's state."""
     parts = {} if schema is None else {"goal": schema.goal, "feedback": schema.feedback, "result": schema.result}
     told = {name: nullable(schemas.read(part)) for name, part in parts.items()}
-    status: DataSchema = {"type": "string", "enum": [status.value for status in GoalStatus]}
-    words: DataSchema = {
+    status: JsonSchema = {"type": "string", "enum": [status.value for status in GoalStatus]}
+    words: JsonSchema = {
         "id": TEXT, "url": URI, "action": TEXT, "sentBy": nullable(TEXT), "ended": nullable(TEXT), "status": status,
         "words": nullable(TEXT),
     }  # fmt: skip

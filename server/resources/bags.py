@@ -23,8 +23,7 @@ from rosld.server.html.page import Csrf, Notice, NoticeLevel, Page, SequenceLink
 from rosld.server.html.site import Site
 from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.data_schema import DataSchema
-from rosld.server.hypermedia.json_schema import MessageSchemas
+from rosld.server.hypermedia.json_schema import JsonSchema, MessageSchemas
 from rosld.server.patches.n3patch import apply_patch, read_patch
 from rosld.server.patches.patch import apply_update
 from rosld.server.rest.exchange import Exchange
@@ -240,7 +239,7 @@ class UnfinishedBag(Resource):
         return READ if self.settings.read_only else READ | {"PATCH", "DELETE"}
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        ends: DataSchema = {"type": "object", "properties": {"status": {"const": "ended"}}, "required": ["status"]}
+        ends: JsonSchema = {"type": "object", "properties": {"status": {"const": "ended"}}, "required": ["status"]}
         return PathItem(f"The recording {self.name}", writes={"PATCH": WriteMethod("Ends it", sends=ends)})
 
 

@@ -38,8 +38,7 @@ from rosld.server.http.fields import Link
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.origin import OriginPolicy, normalize_authority
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.data_schema import DataSchema
-from rosld.server.hypermedia.json_schema import OBJECT, TEXT, URI, MessageSchemas
+from rosld.server.hypermedia.json_schema import OBJECT, TEXT, URI, JsonSchema, MessageSchemas
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, OFFERS
 from rosld.server.rest.path_item import PathItem, WriteMethod
@@ -64,7 +63,7 @@ STORAGE_DESCRIPTION = "http://www.w3.org/ns/solid/terms#storageDescription"
 Resolve: TypeAlias = Callable[[Scope], Resource]
 Route: TypeAlias = Callable[[Location], Resource]
 
-_SUBSCRIPTION: DataSchema = {
+_SUBSCRIPTION: JsonSchema = {
     "type": "object",
     "properties": {
         "@context": {},

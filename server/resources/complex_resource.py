@@ -20,8 +20,13 @@ from rosld.server.http.fields import Link
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import AffordanceService, Snapshot
 from rosld.server.hypermedia.conditions import url_of
-from rosld.server.hypermedia.data_schema import DataSchema, Json, value_schema
-from rosld.server.hypermedia.json_schema import MessageSchemas, nullable, patch_schema, read_schema
+from rosld.server.hypermedia.json_schema import (
+    Json,
+    JsonSchema,
+    MessageSchemas,
+    nullable,
+    patch_schema,
+)
 from rosld.server.hypermedia.resource_tree import ComplexPlan, ResourceTree
 from rosld.server.hypermedia.thing_description import MEDIA_TYPE
 from rosld.server.hypermedia.value import shape_url
@@ -114,13 +119,13 @@ class ComplexResource(CommandResource):
         described = () if plan is None else plan.members
         for one in described:
             shown = offers.member_affordance(one, write=True)
-            value, taken = (value_schema(shown.shape, schemas.lifting, sent=each) for each in (False, True))
+            value, taken = schemas.value(shown.shape), schemas.value(shown.shape, sent=True)
             if len(described) > _MANY_MEMBERS and "properties" in value:
                 value = taken = {"type": "object", "description": f"As {shown.url} has it."}
-            members[one.name], read[one.name] = shown.url, nullable(read_schema(value))
+            members[one.name], read[one.name] = shown.url, nullable(value)
             if offers.is_writable(one.source):
                 sent[one.name] = patch_schema(taken)
-        patch: DataSchema = {"type": "object", "properties": sent, "additionalProperties": False}
+        patch: JsonSchema = {"type": "object", "properties": sent, "additionalProperties": False}
         return PathItem(
             f"The resource {self.path}",
             (*OFFERS, MEDIA_TYPE),

@@ -22,8 +22,7 @@ from rosld.server.html.render import render_diagnostics
 from rosld.server.html.site import Site
 from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.data_schema import DataSchema
-from rosld.server.hypermedia.json_schema import TEXT, URI, MessageSchemas
+from rosld.server.hypermedia.json_schema import TEXT, URI, JsonSchema, MessageSchemas
 from rosld.server.resources.memento import is_recorded
 from rosld.server.resources.messages import decode
 from rosld.server.rest.exchange import Exchange
@@ -51,7 +50,7 @@ _MAX_MESSAGES = 4000
 _MAX_CHANGES = 100
 _MAX_NAME = 500
 _NAME = QueryParameter("name", "The name of a part: it alone, with what it said before as far as that is recorded.")
-_STATE: DataSchema = {
+_STATE: JsonSchema = {
     "type": "object",
     "properties": {
         "topic": URI,
@@ -65,12 +64,12 @@ _STATE: DataSchema = {
     },
     "required": ["topic", "name", "level", "message"],
 }
-_CHANGE: DataSchema = {
+_CHANGE: JsonSchema = {
     "type": "object",
     "properties": {"time": TEXT, "level": TEXT, "message": TEXT},
     "required": ["time", "level", "message"],
 }
-_PLAIN: DataSchema = {
+_PLAIN: JsonSchema = {
     "type": "object",
     "properties": {
         "states": {"type": "array", "items": _STATE},

@@ -31,8 +31,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.brief_value import LatestValue, LatestValues, brief_json
 from rosld.server.hypermedia.catalogue import ParameterSource, Property, TopicSource
-from rosld.server.hypermedia.data_schema import DataSchema, Json
-from rosld.server.hypermedia.json_schema import TEXT, URI, MessageSchemas
+from rosld.server.hypermedia.json_schema import TEXT, URI, Json, JsonSchema, MessageSchemas
 from rosld.server.hypermedia.property_reader import PropertyReader
 from rosld.server.hypermedia.type_inference import is_light
 from rosld.server.hypermedia.value import Reading
@@ -68,7 +67,7 @@ _CLASSES: Mapping[EntryKind, NamedNode] = {
 _KEPT = frozenset({EntryKind.QUERY, EntryKind.MAPPING, EntryKind.DOCUMENT})
 """What has a path and no name of ROS."""
 NOTHING_AT_HAND = LatestValue(None)
-_RESULTS: DataSchema = {
+_RESULTS: JsonSchema = {
     "type": "object",
     "properties": {
         "query": TEXT,

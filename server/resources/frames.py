@@ -18,8 +18,7 @@ from rosld.server.html.page import Csrf, FramesPage, Notice
 from rosld.server.html.render import render_frames
 from rosld.server.html.site import Site
 from rosld.server.http.conditional import digest
-from rosld.server.hypermedia.data_schema import DataSchema
-from rosld.server.hypermedia.json_schema import TEXT, URI, MessageSchemas, nullable
+from rosld.server.hypermedia.json_schema import TEXT, URI, JsonSchema, MessageSchemas, nullable
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource
@@ -31,8 +30,8 @@ from rosld.server.space.drawing import pose_json
 from rosld.server.space.frame_buffer import TOPICS, FrameNode, frame_tree
 
 _LOOK_SECONDS = 1.0
-_NUMBERS: DataSchema = {"anyOf": [{"type": "array", "items": {"type": "number"}}, {"type": "null"}]}
-_PLAIN: DataSchema = {
+_NUMBERS: JsonSchema = {"anyOf": [{"type": "array", "items": {"type": "number"}}, {"type": "null"}]}
+_PLAIN: JsonSchema = {
     "type": "object",
     "properties": {
         "frames": {

@@ -23,8 +23,7 @@ from rosld.server.html.site import Site
 from rosld.server.http.conditional import ETag, digest
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.data_schema import DataSchema
-from rosld.server.hypermedia.json_schema import TEXT, URI, MessageSchemas
+from rosld.server.hypermedia.json_schema import TEXT, URI, JsonSchema, MessageSchemas
 from rosld.server.resources.namespaces import listed_graph
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import FORMATS, OFFERS
@@ -53,7 +52,7 @@ _PARAMETERS = (
         "format", "The representation wanted, before Accept.", {"type": "string", "enum": [*FORMATS, *_DRAWINGS]}
     ),
 )
-_PLAIN: DataSchema = {
+_PLAIN: JsonSchema = {
     "type": "object",
     "properties": {
         "vertices": {

@@ -39,8 +39,7 @@ from rosld.server.html.forms import DeleteForm, Form, HoldForm, HoldTerms
 from rosld.server.html.inputs import Json
 from rosld.server.http.fields import parse_decimal
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.data_schema import DataSchema
-from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, URI, MessageSchemas, nullable
+from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, URI, JsonSchema, MessageSchemas, nullable
 from rosld.server.patches.patch import merge_patch
 from rosld.server.resources.limit_checks import STRICTNESS, LimitChecks
 from rosld.server.resources.publisher import Publisher
@@ -93,7 +92,7 @@ async def create_hold(
     return CreatedAnswer(resource.url, resource, resource.state_of(begun))
 
 
-_POSITIVE: DataSchema = {"type": "number", "minimum": MIN_OF_HOLDS}
+_POSITIVE: JsonSchema = {"type": "number", "minimum": MIN_OF_HOLDS}
 _KEEP = QueryParameter("keep", "Whether the event stream that is asked for keeps the hold.", {"type": "boolean"})
 
 
@@ -108,12 +107,12 @@ def hold_parameters(longest: float, required: str = "") -> tuple[QueryParameter,
     )
 
 
-def hold_schema(schemas: MessageSchemas, schema: MessageSchema | None) -> DataSchema:
+def hold_schema(schemas: MessageSchemas, schema: MessageSchema | None) -> JsonSchema:
     """Return the JSON schema of a hold's state for messages of a type."""
-    number: DataSchema = {"type": "number"}
-    words: DataSchema = {"id": TEXT, "url": URI, "topic": TEXT, "holder": TEXT, "rate": number, "lease": number}
+    number: JsonSchema = {"type": "number"}
+    words: JsonSchema = {"id": TEXT, "url": URI, "topic": TEXT, "holder": TEXT, "rate": number, "lease": number}
     message = ANYTHING if schema is None else schemas.read(schema)
-    rest: DataSchema = {"for": nullable(number), "then": TEXT, "kept": {"type": "boolean"}, "trouble": nullable(TEXT)}
+    rest: JsonSchema = {"for": nullable(number), "then": TEXT, "kept": {"type": "boolean"}, "trouble": nullable(TEXT)}
     return {"type": "object", "properties": {**words, **rest, "message": message}}
 
 

@@ -23,8 +23,7 @@ from rosld.server.http.conditional import digest
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
 from rosld.server.http.token_redaction import redact_tokens
-from rosld.server.hypermedia.data_schema import DataSchema
-from rosld.server.hypermedia.json_schema import ANYTHING, OBJECT, MessageSchemas
+from rosld.server.hypermedia.json_schema import ANYTHING, OBJECT, JsonSchema, MessageSchemas
 from rosld.server.patches.patch import apply_update, merge_patch
 from rosld.server.resources.accepted_shape import has_parameter_shape, parameter_shape, shape_query
 from rosld.server.resources.limit_checks import LimitChecks
@@ -67,10 +66,10 @@ def parameter_form(value: Json, descriptor: Descriptor | None, note: str | None)
 
 _AT_START = "Kept by the parameter server: nodes may read it only when they start."
 _MAX_SLUG = 100
-_VALUES: tuple[DataSchema, ...] = (
+_VALUES: tuple[JsonSchema, ...] = (
     {"type": "string"}, {"type": "number"}, {"type": "boolean"}, {"type": "array", "items": {}},
 )  # fmt: skip
-_NEW_VALUE: DataSchema = {"anyOf": [*_VALUES, {"type": "object"}]}
+_NEW_VALUE: JsonSchema = {"anyOf": [*_VALUES, {"type": "object"}]}
 
 
 class ParameterResource(ParameterBase):

@@ -31,8 +31,7 @@ from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.catalogue import TopicSource
-from rosld.server.hypermedia.data_schema import DataSchema
-from rosld.server.hypermedia.json_schema import TEXT, URI, MessageSchemas
+from rosld.server.hypermedia.json_schema import TEXT, URI, JsonSchema, MessageSchemas
 from rosld.server.resources.memento import is_recorded
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import OFFERS
@@ -124,7 +123,7 @@ _PARAMETERS = (
     ),
     FORMAT,
 )
-_PLAIN: DataSchema = {
+_PLAIN: JsonSchema = {
     "type": "object",
     "properties": {
         "y": {

@@ -22,15 +22,12 @@ from rosld.server.http.fields import Link
 from rosld.server.http.problem import ROBOT_SAID, Problem
 from rosld.server.hypermedia.affordance_service import AffordanceService, Snapshot
 from rosld.server.hypermedia.conditions import url_of
-from rosld.server.hypermedia.data_schema import value_schema
 from rosld.server.hypermedia.json_schema import (
     ANYTHING,
     OBJECT,
     MessageSchemas,
     nullable,
     patch_schema,
-    read_schema,
-    write_schema,
 )
 from rosld.server.hypermedia.property_writer import (
     PlannedWrite,
@@ -126,7 +123,7 @@ class MemberResource(CommandResource):
         value = sent = None
         if plan is not None:
             shape = self.affordances.member_affordance(plan.member, write=True).shape
-            value, sent = (value_schema(shape, schemas.lifting, sent=each) for each in (False, True))
+            value, sent = schemas.value(shape), schemas.value(shape, sent=True)
         sends_goals = action is not None and action.sends_goals
         invoke = WriteMethod(
             _SENDS_A_GOAL if sends_goals else _INVOKES,
@@ -139,13 +136,11 @@ class MemberResource(CommandResource):
         return PathItem(
             f"The {'action' if value is None else 'property'} {self.name}",
             FIELD_READS,
-            None if value is None else nullable(read_schema(value)),
+            None if value is None else nullable(value),
             (FORMAT, FIELD, *PAST),
             {
                 "DELETE": WriteMethod(_CANCELS, done=(202,), query=(_OTHERS,)),
-                "PUT": WriteMethod(
-                    sends=ANYTHING if sent is None else write_schema(sent), done=(200, 202, 204), query=STRICTNESS
-                ),
+                "PUT": WriteMethod(sends=ANYTHING if sent is None else sent, done=(200, 202, 204), query=STRICTNESS),
                 "PATCH": WriteMethod(sends=ANYTHING if sent is None else patch_schema(sent), done=(200, 202, 204)),
                 "POST": invoke,
             },

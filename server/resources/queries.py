@@ -33,8 +33,7 @@ from rosld.server.http.body import parse_content_length
 from rosld.server.http.conditional import ETag, check_preconditions, digest
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.data_schema import DataSchema
-from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, MessageSchemas
+from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, JsonSchema, MessageSchemas
 from rosld.server.policies.stored_queries import ROUTE, StoredQueries, query_triples
 from rosld.server.resources.ldp.base import Documents
 from rosld.server.resources.ldp.bodies import require_small
@@ -85,12 +84,12 @@ _ANYTHING = {"iri": "/", "string": "", "integer": "0", "double": "0"}
 _TITLE = "Queries"
 
 _LONGEST_SUMMARY = 300
-_IRI: DataSchema = {
+_IRI: JsonSchema = {
     "type": "string",
     "pattern": r"""^(/|[A-Za-z][A-Za-z0-9+.-]*:)([^\x00-\x20\x7f<>"{}|\\^`%\[\]]|%[0-9A-Fa-f]{2})*$""",
 }
 """An absolute IRI, or a path below the base."""
-_TYPES: Mapping[ParameterType, DataSchema] = {
+_TYPES: Mapping[ParameterType, JsonSchema] = {
     ParameterType.IRI: _IRI,
     ParameterType.STRING: TEXT,
     ParameterType.INTEGER: {"type": "integer"},

@@ -18,8 +18,7 @@ from rosld.ontology.vocab import ros
 from rosld.server.history.recording_orders import RecordingOrder, Trigger
 from rosld.server.html.forms import MessageForm, NameChoices
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.data_schema import DataSchema
-from rosld.server.hypermedia.json_schema import TEXT
+from rosld.server.hypermedia.json_schema import TEXT, JsonSchema
 from rosld.server.rest.formats import JSON
 
 _FIELDS = """string name
@@ -74,8 +73,8 @@ MAX_TOPICS = 1000
 _MAX_NAME = 1000
 _MAX_SECONDS = 30 * 86400.0
 MAX_TRIGGERED = 100
-_SECONDS: DataSchema = {"type": "number", "minimum": 0, "maximum": _MAX_SECONDS}
-_TRIGGER: DataSchema = {
+_SECONDS: JsonSchema = {"type": "number", "minimum": 0, "maximum": _MAX_SECONDS}
+_TRIGGER: JsonSchema = {
     "type": "object",
     "description": "It begins as a condition comes to hold.",
     "properties": {
@@ -93,7 +92,7 @@ _TRIGGER: DataSchema = {
     },
     "required": ["condition"],
 }
-SCHEMA: DataSchema = {
+SCHEMA: JsonSchema = {
     "type": "object",
     "properties": {
         "name": {**TEXT, "description": "What it is called, /bags/NAME/; else by the time at which it begins."},

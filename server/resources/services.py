@@ -15,8 +15,7 @@ from rosld.ontology.lift import lifter
 from rosld.ontology.literals import date_time
 from rosld.server.html.forms import DeleteForm, Form, MessageForm
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.data_schema import DataSchema
-from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, URI, MessageSchemas, nullable
+from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, URI, JsonSchema, MessageSchemas, nullable
 from rosld.server.resources.accepted_shape import CommandResource, message_shape, shape_query
 from rosld.server.resources.limit_checks import STRICTNESS, LimitChecks
 from rosld.server.resources.namespaces import is_absent, redirect_to_namespace
@@ -31,7 +30,7 @@ from rosld.server.robot.session import Session
 from rosld.server.robot.write_policy import resources_only_reason
 from rosld.server.runtime.version_cache import IdentityKey, VersionCache
 
-_CALL: DataSchema = {
+_CALL: JsonSchema = {
     "type": "object",
     "properties": {
         **dict.fromkeys(("id", "service", "state"), TEXT),

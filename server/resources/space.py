@@ -30,8 +30,7 @@ from rosld.server.html.render import render_space
 from rosld.server.html.site import Site
 from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.data_schema import DataSchema
-from rosld.server.hypermedia.json_schema import TEXT, URI, MessageSchemas
+from rosld.server.hypermedia.json_schema import TEXT, URI, JsonSchema, MessageSchemas
 from rosld.server.pictures.form import OCCUPANCY_GRID
 from rosld.server.resources.memento import is_recorded
 from rosld.server.resources.namespaces import listed_graph
@@ -138,7 +137,7 @@ _PARAMETERS = (
     ),
     FORMAT,
 )
-_PLAIN: DataSchema = {
+_PLAIN: JsonSchema = {
     "type": "object",
     "properties": {
         "frame": {"type": ["string", "null"]},

@@ -13,8 +13,7 @@ from rosld.ontology.document import Document
 from rosld.ontology.triples import RDF_SOURCE, date_time_literal, double, text, triples_about
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import rdf, ros
-from rosld.server.hypermedia.data_schema import DataSchema
-from rosld.server.hypermedia.json_schema import TEXT, MessageSchemas, nullable
+from rosld.server.hypermedia.json_schema import TEXT, JsonSchema, MessageSchemas, nullable
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import Resource
 from rosld.server.rest.state import State
@@ -42,8 +41,8 @@ class StatusResource(Resource):
         self._watchdog = watchdog
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        seconds: DataSchema = {"type": "number", "minimum": 0}
-        told: DataSchema = dict.fromkeys(("longestPause", "longestWork", "recentPause"), seconds)
+        seconds: JsonSchema = {"type": "number", "minimum": 0}
+        told: JsonSchema = dict.fromkeys(("longestPause", "longestWork", "recentPause"), seconds)
         told = {**told, **dict.fromkeys(("longestPauseEnd", "longestPauseCode", "longestWorkCode"), nullable(TEXT))}
         told["robot"] = {
             "type": "object",

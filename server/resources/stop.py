@@ -19,8 +19,7 @@ from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.html.forms import DeleteForm, Form
 from rosld.server.http.problem import Problem
 from rosld.server.http.token_redaction import redact_tokens
-from rosld.server.hypermedia.data_schema import DataSchema
-from rosld.server.hypermedia.json_schema import TEXT, MessageSchemas, nullable
+from rosld.server.hypermedia.json_schema import TEXT, JsonSchema, MessageSchemas, nullable
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON
 from rosld.server.rest.path_item import PathItem, QueryParameter, WriteMethod
@@ -55,13 +54,13 @@ class StopResource(Resource):
         self.software_stop = software_stop
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        count: DataSchema = {"type": "integer", "minimum": 0}
-        words: DataSchema = {"does": TEXT, "state": TEXT, "subscribers": nullable(count), "words": nullable(TEXT)}
-        step: DataSchema = {"type": "object", "properties": words}
-        who: DataSchema = dict.fromkeys(("by", "since", "reason", "warning"), nullable(TEXT))
-        told: DataSchema = {"stopped": {"type": "boolean"}, **who, "steps": {"type": "array", "items": step}}
-        plain: DataSchema = {"type": "object", "properties": told}
-        reason: DataSchema = {"type": "string", "maxLength": 500}
+        count: JsonSchema = {"type": "integer", "minimum": 0}
+        words: JsonSchema = {"does": TEXT, "state": TEXT, "subscribers": nullable(count), "words": nullable(TEXT)}
+        step: JsonSchema = {"type": "object", "properties": words}
+        who: JsonSchema = dict.fromkeys(("by", "since", "reason", "warning"), nullable(TEXT))
+        told: JsonSchema = {"stopped": {"type": "boolean"}, **who, "steps": {"type": "array", "items": step}}
+        plain: JsonSchema = {"type": "object", "properties": told}
+        reason: JsonSchema = {"type": "string", "maxLength": 500}
         stop = WriteMethod(
             "Publishes zero on velocity topics, ends holds, cancels goals, does what mappings say, refuses writes "
             "(423).",

@@ -7,8 +7,7 @@ from collections.abc import Mapping
 
 from rosld.adapters.model import Graph, Kind, MessageSchema, Operation, Ref, Topic
 from rosld.ontology.urls import Space
-from rosld.server.hypermedia.data_schema import message_schema
-from rosld.server.hypermedia.json_schema import OBJECT, MessageSchemas, patch_schema
+from rosld.server.hypermedia.json_schema import OBJECT, MessageSchemas, message_schema, patch_schema
 from rosld.server.resources.holds import hold_parameters, hold_schema
 from rosld.server.resources.limit_checks import STRICTNESS
 from rosld.server.resources.namespaces import is_absent
@@ -75,7 +74,7 @@ def topic_writes(
         "PUT": WriteMethod(publishes, sent, done=(200, 201, 202, 204), query=(*STRICTNESS, _LATCH)),
         "PATCH": WriteMethod(
             "Publishes the latest message with changes.",
-            OBJECT if schema is None else patch_schema(message_schema(schema, schemas.lifting, sent=True)),
+            OBJECT if schema is None else patch_schema(message_schema(schema, schemas.lifting, read=False, sent=True)),
             done=(200, 202, 204),
             query=(_LATCH,),
         ),

@@ -13,7 +13,6 @@ from openapi_spec_validator import OpenAPIV31SpecValidator
 from rosld.adapters.base import AdapterOptions
 from rosld.adapters.registry import adapter_for
 from rosld.server.app import create_app
-from rosld.server.hypermedia.json_schema import JsonSchema, patch_schema, write_schema
 from rosld.server.openapi.description import description
 from rosld.server.openapi.path_collector import DescribedPath
 from rosld.server.resources.static_assets import FILES
@@ -205,22 +204,6 @@ def test_messages_and_parameters_of_queries_are_described_by_the_schemas_of_thei
     own = {one["name"]: one["schema"] for one in parameters if one.get("in") == "query"}
     assert own.items() >= {"seconds": {"type": "number"}}.items()
     assert own.keys() == {"seconds", "format", "partial", "timeout"}
-
-
-def test_what_only_the_server_says_is_not_to_be_sent() -> None:
-    elided = {"type": "object", "readOnly": True}
-    schema: JsonSchema = {
-        "type": "object",
-        "properties": {"unit": {"oneOf": [{"type": "array"}, elided]}, "speed": {"type": "number", "unit": "u"}},
-        "required": ["unit", "speed"],
-    }
-    assert write_schema(schema) == {
-        "type": "object",
-        "properties": {"unit": {"type": "array"}, "speed": {"type": "number", "x-unit": "u"}},
-        "required": ["unit", "speed"],
-    }
-    assert patch_schema(schema)["properties"] == write_schema(schema)["properties"]
-    assert "required" not in patch_schema(schema)
 
 
 def test_places_come_in_the_order_of_their_paths_and_operations_have_names_of_their_own() -> None:

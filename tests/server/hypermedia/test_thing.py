@@ -25,7 +25,7 @@ from rosld.adapters.model.library import TypeLibrary
 from rosld.ontology.coercion import RANGES
 from rosld.ontology.lift import LiftSettings
 from rosld.ontology.vocab import av, xsd
-from rosld.server.hypermedia.data_schema import DataSchema, message_schema, value_schema
+from rosld.server.hypermedia.json_schema import JsonSchema, MessageSchemas, message_schema, patch_schema, value_schema
 from rosld.server.hypermedia.thing_description import ThingLink, thing_description
 from rosld.server.hypermedia.value import MessageValue, plain_json
 from rosld.server.hypermedia.views import ActionAffordance, PropertyAffordance
@@ -170,7 +170,7 @@ def test_what_can_only_be_read_or_only_be_written_says_so_and_the_rest_is_left_o
     assert elided["required"] == ["elided", "length", "href"]
 
 
-SCALARS: list[tuple[ValueShape, DataSchema]] = (
+SCALARS: list[tuple[ValueShape, JsonSchema]] = (
     [
         (scalar("bool"), {"type": "boolean"}),
         (scalar("uint8"), {"type": "integer", "minimum": 0, "maximum": 255}),
@@ -220,6 +220,21 @@ def test_a_part_of_a_message_is_the_object_of_that_part_with_its_limits() -> Non
     assert json.loads(found)["required"] == ["pose"]
     assert '"x": {"type": "number", "minimum": 0, "maximum": 9}' in found
     assert "header" not in found
+
+
+def test_what_only_the_server_says_is_not_to_be_sent() -> None:
+    octets = {"type": "string", "contentEncoding": "base64"}
+    schemas, image = (
+        MessageSchemas(lambda ref: None, LiftSettings()),
+        MessageShape(schema_of("sensor_msgs/msg/Image"), ("data",)),
+    )
+    read, sent = schemas.value(image), schemas.value(image, sent=True)
+    assert read["required"] == ["data"]
+    assert '"readOnly": true' in json.dumps(read)
+    assert sent == {"type": "object", "properties": {"data": {**octets, "default": ""}}}
+    assert patch_schema(sent) == {"type": "object", "properties": {"data": octets}}
+    speed = ScalarShape(Primitive("float64"), measure=Measure(KMH))
+    assert schemas.value(speed, sent=True) == {"type": "number", "x-unit": KMH.value}
 
 
 def recursive(breadth: int) -> MessageSchema:

@@ -59,7 +59,6 @@ def topic_document(
     return Document(url, tuple(triples), named, graph.simulated_time)
 
 
-@lru_cache(maxsize=4096)
 def _described_hold(topic: Topic, space: Space) -> tuple[Triple, ...]:
     """Return the affordance of holding the topic."""
     name = None if topic.type is None else topic.type.name

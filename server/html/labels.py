@@ -23,7 +23,6 @@ _WORDS = {
 }
 
 
-@lru_cache(maxsize=4096)
 def local_name(iri: str) -> str:
     """Return the part of an IRI after the last `#`, `/` or `:`, trailing ones ignored."""
     return re.split(r"[#/:]", iri.rstrip("#/:"))[-1] or iri
@@ -66,7 +65,6 @@ _PART = re.compile(rf"({'|'.join(_PREFIXES)})?([A-Z][A-Z_]*)([2-9])?")
 _POWERS = dict(zip("23456789", "²³⁴⁵⁶⁷⁸⁹", strict=True))
 
 
-@lru_cache(maxsize=1024)
 def unit_symbol(iri: str) -> str:
     """Return the symbol of a unit of QUDT; the last part of the IRI for one that is not known here."""
     name = local_name(iri)

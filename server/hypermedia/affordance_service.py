@@ -11,7 +11,6 @@ import contextlib
 from collections.abc import AsyncIterator, Callable, Iterable, Mapping, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Generic, TypeVar
 
 from rosld.adapters.base import Watch
@@ -418,7 +417,6 @@ def is_observable(found: Property) -> bool:
     return bool(found.readers) and isinstance(found.readers[0], TopicSource | GoalSource)
 
 
-@lru_cache(maxsize=4096)
 def _unread(name: str) -> Reading:
     """Return the reading of a property that was not read: the same each time, as readings are compared by identity."""
     return Reading(name, None)

@@ -141,7 +141,6 @@ def _action(one: ActionAffordance, lifting: LiftSettings) -> orjson.Fragment:
     )
 
 
-@lru_cache(maxsize=4096)
 def _hold(one: PropertyAffordance, lifting: LiftSettings) -> orjson.Fragment:
     """Return the action that holds the topic behind a property, for as long as the hold that it makes is renewed."""
     assert one.hold is not None
@@ -168,7 +167,6 @@ def _goal_forms(one: ActionAffordance) -> Iterator[Members]:
         yield _form(one.url, "cancelaction", "DELETE")
 
 
-@lru_cache(maxsize=4)
 def _stop(url: str) -> orjson.Fragment:
     """The action that stops the whole robot: invoked to stop, queried for how that stands, canceled to release."""
     reason = {"type": "object", "properties": {"reason": {"type": "string", "maxLength": 500}}}

@@ -67,7 +67,6 @@ def property_json(view: PropertyView, lifting: LiftSettings) -> bytes:
     return _json(view.reading, view.field, lifting)
 
 
-@lru_cache(maxsize=4096)
 def _property(
     affordance: PropertyAffordance,
     name: str | None,
@@ -163,7 +162,6 @@ def complex_json(view: ComplexView, lifting: LiftSettings) -> bytes:
     return b"{" + b",".join(pairs) + b"}"
 
 
-@lru_cache(maxsize=1024)
 def _complex(url: str, path: str, title: str | None, arranged_by: str | None, parent: str | None) -> tuple[Triple, ...]:
     """Return the triples of a complex resource that do not depend on its state."""
     name = path.rstrip("/") or "/"
@@ -263,7 +261,6 @@ def _property_affordance(one: PropertyAffordance, document: NamedNode, node: str
     return (Triple(document, td.hasPropertyAffordance, subject), *triples)
 
 
-@lru_cache(maxsize=4096)
 def _hold_affordance(one: PropertyAffordance, space: Space) -> tuple[Triple, ...]:
     """Return the affordance of holding the topic of a property: publishing while the hold is renewed."""
     if one.hold is None:

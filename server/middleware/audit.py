@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from functools import lru_cache
 from urllib.parse import quote
 
 from starlette.responses import Response
@@ -104,7 +103,6 @@ def _with_receipt(location: bytes, id: str) -> bytes:
     return location + (b"&" if b"?" in location else b"?") + f"receipt={id}".encode("ascii")
 
 
-@lru_cache(maxsize=4096)
 def _path(raw: bytes, root: int) -> str:
     """Return the path below the base, percent-encoded for use in a URL."""
     return quote(raw[root:], safe="/%:@!$&'()*+,;=~")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from difflib import get_close_matches
-from functools import lru_cache
 
 from rosld.adapters.model import RosError
 from rosld.ontology.body import BodyError
@@ -120,7 +119,6 @@ class KnownParameters:
         self._accepted.add(request)
 
 
-@lru_cache(maxsize=256)
 def _names(query_string: bytes) -> tuple[str, ...]:
     """Return the names of the parameters of a query string. Raises a 400 Problem."""
     return tuple(name for name, _ in query_pairs(query_string))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Sequence
 
 import orjson
 from starlette.responses import Response
@@ -14,38 +14,34 @@ from rosld.adapters.model import (
     Action,
     ActionSchema,
     GoalStatus,
-    Graph,
     Kind,
     Message,
     MessageSchema,
     NotFound,
     Operation,
-    Ref,
     Refused,
     RosError,
     Sent,
-    UnknownType,
+    TypeRef,
 )
 from rosld.ontology.describe_services import GoalView, action_document, goal_document
 from rosld.ontology.document import Document, Envelope
 from rosld.ontology.lift import lifter
 from rosld.ontology.literals import date_time
 from rosld.ontology.urls import Space
-from rosld.server.html.forms import DeleteForm, Form, MessageForm
+from rosld.server.html.forms import DeleteForm, Form
 from rosld.server.http.fields import to_uri
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import TEXT, URI, JsonSchema, MessageSchemas, nullable
-from rosld.server.resources.accepted_shape import CommandResource, message_shape, shape_query
-from rosld.server.resources.limit_checks import STRICTNESS, LimitChecks
-from rosld.server.resources.namespaces import is_absent, redirect_to_namespace
-from rosld.server.resources.service_request import read_message, sender_of
+from rosld.server.resources.limit_checks import STRICTNESS
+from rosld.server.resources.named_resource import READ_ONLY, KeptResource
+from rosld.server.resources.services import InvocableResource, sender_of
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.formats import JSON, RDF_BODIES
 from rosld.server.rest.path_item import PathItem, WriteMethod
-from rosld.server.rest.resource import READ, Answer, CreatedAnswer, Resource
+from rosld.server.rest.resource import READ, Answer, CreatedAnswer
 from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import EndedState, State
-from rosld.server.robot.calls import Gone, IdempotencyKeyReused
+from rosld.server.robot.calls import IdempotencyKeyReused
 from rosld.server.robot.goal_store import Goal
 from rosld.server.robot.goals import GoalSubmission
 from rosld.server.robot.session import Session
@@ -54,42 +50,30 @@ from rosld.server.runtime.dry_run import DryRunEnded, expect_status
 from rosld.server.runtime.tasks import loop_time
 from rosld.server.runtime.version_cache import IdentityKey, VersionCache
 
-_READ_ONLY = "This server is read-only."
 
-
-class ActionResource(CommandResource):
+class ActionResource(InvocableResource[Action, ActionSchema]):
     """One action."""
 
-    kind = "Action"
-    shape = "Action"
-    accepts: Mapping[str, Sequence[str]] = {"POST": (*RDF_BODIES, JSON)}
+    kind = shape = "Action"
+    ros_kind = Kind.ACTION
+    url_of = Space.action
+    operation = Operation.SEND_GOAL
+    node = "#goal"
+    usage = "Goals are sent to an action"
+    cannot = "No goal can be sent to {}"
+    form = ("Send a goal", "Send")
 
-    def __init__(self, session: Session, limit_checks: LimitChecks, states: VersionCache[State], name: str) -> None:
-        super().__init__(session.space, session.space.action(name))
-        self.title = name
-        self.session = session
-        self.limit_checks = limit_checks
-        self.states = states
-        self.name = name
+    def find_schema(self, type: TypeRef) -> Awaitable[ActionSchema]:
+        return self.session.schemas.action(type)
 
-    @property
-    def action(self) -> Action:
-        """The action in the computation graph; a 404 Problem where there is none."""
-        return self._action_in(self.session.graph)
+    def part(self, schema: ActionSchema) -> MessageSchema:
+        return schema.goal
 
-    def _action_in(self, graph: Graph) -> Action:
-        found = graph.actions.get(self.name)
-        if found is None:
-            missing = Problem(404, f"There is no action {self.name}.")
-            raise redirect_to_namespace(self.space, graph, "actions", self.name) or missing
-        return found
-
-    @property
-    def is_absent(self) -> bool:
-        return is_absent(self.space, self.session.graph, "actions", self.name)
+    def unusable(self, found: Action) -> str | None:
+        return found.unusable
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        type = self.action.type
+        type = self.require().type
         schema = schemas.action(type)
         send = WriteMethod(
             "Sends a goal; the goal is a resource, and `Idempotency-Key` makes it once only.",
@@ -101,21 +85,6 @@ class ActionResource(CommandResource):
         )
         return PathItem(f"The action {self.name}", writes={"POST": send}, has_shape=type is not None)
 
-    def methods(self) -> frozenset[str]:
-        if self.session.settings.read_only or self.session.is_resources_only(self.name):
-            return READ
-        allowed = Operation.SEND_GOAL in self.session.adapter.allows(Ref(Kind.ACTION, self.name))
-        return READ | {"POST"} if allowed else READ
-
-    def deny_reason(self, method: str) -> str:
-        if self.session.settings.read_only:
-            return _READ_ONLY
-        if method == "POST" and self.session.is_resources_only(self.name):
-            return resources_only_reason(self.name)
-        if method == "POST":
-            return self.action.unusable or f"No goal can be sent to {self.name}."
-        return f"Goals are sent to an action with POST; it does not answer {method}."
-
     @property
     def takes_goals(self) -> bool:
         """Whether a goal can be sent here now."""
@@ -123,7 +92,7 @@ class ActionResource(CommandResource):
 
     async def state(self) -> State:
         graph = self.session.graph
-        action = self._action_in(graph)
+        action = self.require(graph)
         await follow_action(self.session, self.name)
         goals = tuple(goal.id for goal in self.session.goals.of_action(self.name))
         version = (IdentityKey(action), goals, self.takes_goals, graph.revision)
@@ -133,51 +102,17 @@ class ActionResource(CommandResource):
         """The RDF of this action now; that it is made late keeps the state, which is cached, from holding a graph."""
         graph = self.session.graph
         goals = [goal.id for goal in self.session.goals.of_action(self.name)]
-        action = self._action_in(graph)
+        action = self.require(graph)
         return action_document(action, self.space, graph, goals, takes_goals=self.takes_goals)
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
         await follow_action(self.session, self.name)
         return self.session.goals.watch(self.name, wake)
 
-    @property
-    def constrained_by(self) -> str | None:
-        found = self.session.graph.actions.get(self.name)
-        return None if found is None or found.type is None else shape_query(self.url)
-
-    async def accepted(self, url: str) -> Document | None:
-        return await message_shape(
-            self.space, self.limit_checks, Kind.ACTION, self.name, (await self._schema()).goal, url, "#goal"
-        )
-
-    async def forms(self) -> Sequence[Form]:
-        if "POST" not in self.methods():
-            return ()
-        try:
-            return (MessageForm((await self._schema()).goal, "POST", "Send a goal", "Send"),)
-        except (Problem, RosError):
-            return ()
-
     async def post(self, exchange: Exchange) -> Answer:
         """Send the goal in the body: 201 once it is accepted, with the goal (paper, Table 2)."""
-        schema, message = await self.read_goal(exchange, self.url)
-        return await self.send(exchange, schema, message)
-
-    async def read_goal(self, exchange: Exchange, url: str) -> tuple[ActionSchema, Message]:
-        """Return the goal in a request to a URL, within the limits. Raises LoweringError, and Problems."""
-        schema = await self._schema()
-        message = await read_message(
-            exchange,
-            self.space,
-            self.session.lifting,
-            self.limit_checks,
-            Kind.ACTION,
-            self.name,
-            schema.goal,
-            url,
-        )
-        await self.limit_checks.require_message(Kind.ACTION, self.name, schema.goal, message, self.url, "#goal")
-        return schema, message
+        schema = await self.schema()
+        return await self.send(exchange, schema, await self.read_message(exchange, self.url, schema))
 
     async def send(self, exchange: Exchange, schema: ActionSchema, message: Message) -> CreatedAnswer:
         """Send a goal: 201 once it is accepted. Raises RosError and Problems where it is not."""
@@ -218,50 +153,19 @@ class ActionResource(CommandResource):
         except IdempotencyKeyReused as error:
             raise Problem(422, f"The Idempotency-Key {key!r} came before with another goal.") from error
 
-    async def _schema(self) -> ActionSchema:
-        action = self.action
-        if action.type is None:
-            why = action.unusable or "its type is not known"
-            raise Problem(409, f"No goal can be sent to {self.name}: {why}.")
-        try:
-            return await self.session.schemas.action(action.type)
-        except UnknownType as error:
-            raise Problem(409, f"No goal can be sent to {self.name}: {error.sentence}") from error
 
-
-class GoalResource(Resource):
+class GoalResource(KeptResource[Goal]):
     """One goal of an action."""
 
-    kind = "Goal"
-    shape = "Goal"
+    kind = shape = "Goal"
 
     def __init__(self, session: Session, states: VersionCache[State], id: str) -> None:
-        super().__init__(session.space, session.space.goal(id))
-        try:
-            self.title = session.goals.find(id).action
-        except LookupError:
-            self.title = id
-        self.session = session
-        self.states = states
-        self.id = id
+        super().__init__(session, states, session.space.goal(id), id)
+        with contextlib.suppress(LookupError):
+            self.title = self.find().action
 
-    @property
-    def goal(self) -> Goal:
-        """The goal; a 404 or 410 Problem where it is not kept."""
-        try:
-            return self.session.goals.find(self.id)
-        except Gone as error:
-            raise Problem(410, f"The goal {self.id} was deleted or has become too old.") from error
-        except KeyError as error:
-            raise Problem(404, f"There is no goal {self.id}.") from error
-
-    @property
-    def is_absent(self) -> bool:
-        try:
-            _ = self.goal
-        except Problem:
-            return True
-        return False
+    def find(self) -> Goal:
+        return self.session.goals.find(self.id)
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         cancel = WriteMethod("Cancels a goal that is pursued (202), forgets one that has ended (204).", done=(202, 204))
@@ -274,15 +178,15 @@ class GoalResource(Resource):
 
     def methods(self) -> frozenset[str]:
         try:
-            goal = self.goal
-        except Problem:
+            goal = self.find()
+        except LookupError:
             return READ
         return READ | {"DELETE"} if self._is_open(goal) and goal.status is not GoalStatus.CANCELING else READ
 
     def deny_reason(self, method: str) -> str:
         if self.session.settings.read_only:
-            return _READ_ONLY
-        goal = self.goal
+            return READ_ONLY
+        goal = self.require()
         if method != "DELETE":
             return f"A goal is canceled with DELETE; it does not answer {method}."
         if goal.status is GoalStatus.CANCELING:
@@ -295,13 +199,13 @@ class GoalResource(Resource):
         return not (self.session.settings.read_only or is_closed)
 
     async def state(self) -> State:
-        goal = self.goal
+        goal = self.require()
         if not goal.is_own and not goal.status.is_final:
             await follow_action(self.session, goal.action)
-        return self.state_of(self.goal)
+        return self.state_of(self.require())
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
-        goal = self.goal
+        goal = self.require()
         if not goal.is_own and not goal.status.is_final:
             await follow_action(self.session, goal.action)
         return self.session.goals.watch(goal.action, wake, self.id)
@@ -357,7 +261,7 @@ class GoalResource(Resource):
     async def forms(self) -> Sequence[Form]:
         if "DELETE" not in self.methods():
             return ()
-        if self.goal.status.is_final:
+        if self.require().status.is_final:
             return (DeleteForm("Forget the goal", "Forget"),)
         return (DeleteForm("Cancel the goal", "Cancel"),)
 
@@ -366,7 +270,7 @@ class GoalResource(Resource):
 
         Raises a 409 Problem where the action server refuses to cancel it.
         """
-        goal, goals = self.goal, self.session.goals
+        goal, goals = self.require(), self.session.goals
         if goal.status.is_final:
             goals.delete(self.id)
             return Response(status_code=204)

@@ -213,7 +213,7 @@ class PanelReader:
         found = self._find(url)
         if not isinstance(found, TopicResource):
             raise Problem(404, f"{url} is no topic.")
-        if found.topic is None:
+        if found.found is None:
             raise Problem(404, f"There is no topic {found.name} now.")
         return found
 

@@ -42,6 +42,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, URI, JsonSchema, MessageSchemas, nullable
 from rosld.server.patches.patch import merge_patch
 from rosld.server.resources.limit_checks import STRICTNESS, LimitChecks
+from rosld.server.resources.named_resource import READ_ONLY, KeptResource
 from rosld.server.resources.publisher import Publisher
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH, RDF_BODIES
@@ -49,7 +50,7 @@ from rosld.server.rest.path_item import FORMAT, PathItem, QueryParameter, WriteM
 from rosld.server.rest.resource import READ, Answer, CreatedAnswer, Resource
 from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import State
-from rosld.server.robot.hold_store import HeldMessage, Hold, HoldEnded, Holds, held_message, new_hold
+from rosld.server.robot.hold_store import HeldMessage, Hold, Holds, held_message, new_hold
 from rosld.server.robot.session import Session
 from rosld.server.robot.velocity import passes_stop, zero_message
 from rosld.server.robot.write_policy import PublishLimiter
@@ -135,11 +136,10 @@ def hold_form(
     )
 
 
-class HoldResource(Resource):
+class HoldResource(KeptResource[Hold]):
     """One hold of a topic."""
 
-    kind = "Hold"
-    shape = "Hold"
+    kind = shape = "Hold"
     accepts: Mapping[str, Sequence[str]] = {"PATCH": (JSON, MERGE_PATCH, *RDF_BODIES)}
 
     def __init__(
@@ -151,32 +151,16 @@ class HoldResource(Resource):
         id: str,
         find: Find | None = None,
     ) -> None:
-        super().__init__(session.space, session.space.hold(id))
-        self.title = id
-        self.session = session
+        super().__init__(session, states, session.space.hold(id), id)
         self.limit_checks = limit_checks
-        self.states = states
         self.holds = holds
-        self.id = id
         self._find = find
 
-    @property
-    def hold(self) -> Hold:
-        """The hold; a 404 or 410 Problem where there is none."""
-        try:
-            return self.holds.find(self.id)
-        except HoldEnded as error:
-            raise Problem(410, f"The hold {self.id} has ended: {error}.") from error
-        except KeyError as error:
-            raise Problem(404, f"There is no hold {self.id}.") from error
+    def find(self) -> Hold:
+        return self.holds.find(self.id)
 
-    @property
-    def is_absent(self) -> bool:
-        try:
-            _ = self.hold
-        except Problem:
-            return True
-        return False
+    def gone_words(self, error: LookupError) -> str:
+        return f"has ended: {error}"
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         renew = WriteMethod(
@@ -198,7 +182,7 @@ class HoldResource(Resource):
         return READ if self.session.settings.read_only else READ | {"PATCH", "DELETE"}
 
     async def state(self) -> State:
-        return self.state_of(self.hold)
+        return self.state_of(self.require())
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
         return self.holds.changes.watch(wake, lambda about: about == self.id)
@@ -251,8 +235,8 @@ class HoldResource(Resource):
     async def forms(self) -> Sequence[Form]:
         if "DELETE" not in self.methods():
             return ()
-        last = f"What it was told to say last is then published on {self.hold.topic}."
-        renewed = f"It goes on for {self.hold.lease:g} s from then."
+        last = f"What it was told to say last is then published on {self.require().topic}."
+        renewed = f"It goes on for {self.require().lease:g} s from then."
         return (
             DeleteForm("End the hold", "End", last),
             DeleteForm("Renew the hold", "Renew", renewed, method="PATCH"),
@@ -266,9 +250,9 @@ class HoldResource(Resource):
         if not exchange.query_flag("keep"):
             return contextlib.nullcontext()
         if self.session.settings.read_only:
-            raise Problem(403, "This server is read-only.")
-        require_holder(exchange, self.hold)
-        return self._keep(exchange, min(self.hold.lease, MAX_LEASE))
+            raise Problem(403, READ_ONLY)
+        require_holder(exchange, self.require())
+        return self._keep(exchange, min(self.require().lease, MAX_LEASE))
 
     @contextlib.contextmanager
     def _keep(self, exchange: Exchange, lease: float) -> Iterator[float]:
@@ -281,7 +265,7 @@ class HoldResource(Resource):
 
         Raises a 403 Problem for anybody but its holder.
         """
-        hold = self.hold
+        hold = self.require()
         require_holder(exchange, hold)
         publishing = Publisher(self.session, self.limit_checks, hold.topic)
         asked = await self._changed_message(exchange, publishing, hold)
@@ -293,7 +277,7 @@ class HoldResource(Resource):
             )
         lease, is_timed = _lease(exchange, self.session) or (hold.lease, hold.is_timed)
         changed = replace(
-            self.hold,
+            self.require(),
             message=asked,
             rate=_rate(exchange, self.session.limiter) or hold.rate,
             lease=lease,
@@ -329,8 +313,8 @@ class HoldResource(Resource):
 
         Raises a 403 Problem for anybody but its holder.
         """
-        require_holder(exchange, self.hold)
-        topic = self.hold.topic
+        require_holder(exchange, self.require())
+        topic = self.require().topic
         exchange.audit.add_step(f"end the hold of {topic}", self.space.topic(topic))
         ended = self.holds.end(self.id, f"{exchange.agent.name} ended it")
         if ended is not None:

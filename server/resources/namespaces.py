@@ -173,19 +173,12 @@ def members_from_keys(ends: Sequence[str]) -> Members:
     return Members(leaves, tuple(sorted(decode_segment(end[:-1]) for end in ends if end.endswith("/"))))
 
 
-def is_absent(space: Space, graph: Graph, route: str, name: str) -> bool:
-    """Whether nothing in the computation graph has this name, nor is it a namespace."""
-    things: Mapping[str, object] = getattr(graph, route)
-    return name not in things and redirect_to_namespace(space, graph, route, name) is None
-
-
 def redirect_to_namespace(space: Space, graph: Graph, route: str, name: str) -> Problem | None:
     """308 to the container where a name is a namespace and nothing else; None where it is none."""
     path = names.segments(name)
     if path not in namespaces(graph, route):
         return None
-    url = space.container(route, path)
-    return permanent_redirect(url)
+    return permanent_redirect(space.container(route, path))
 
 
 class NamespaceContainer(Resource):

@@ -9,59 +9,42 @@ from functools import partial
 from pyoxigraph import Literal, NamedNode, Triple
 from starlette.responses import Response
 
-from rosld.adapters.model import Graph, Kind, Lifecycle, Operation, Ref, Refused, Transition, TypeRef
+from rosld.adapters.model import Graph, Kind, Lifecycle, Node, Operation, Ref, Refused, Transition, TypeRef
 from rosld.ontology.body import parse_body, parse_json
 from rosld.ontology.describe_graph import NodeView, node_document, node_views
 from rosld.ontology.lower import lowerer
+from rosld.ontology.urls import Space
 from rosld.ontology.violations import LoweringError, Violation
 from rosld.ontology.vocab import ros
 from rosld.server.html.forms import ChoiceForm, Form
 from rosld.server.http.problem import Problem, one_line
 from rosld.server.hypermedia.json_schema import TEXT, MessageSchemas
-from rosld.server.resources.accepted_shape import CommandResource
-from rosld.server.resources.limit_checks import LimitChecks
-from rosld.server.resources.namespaces import is_absent, redirect_to_namespace
+from rosld.server.resources.named_resource import READ_ONLY, NamedResource
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, RDF_BODIES
 from rosld.server.rest.path_item import PathItem, WriteMethod
 from rosld.server.rest.resource import READ, Answer
 from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import State
-from rosld.server.robot.session import Session
 from rosld.server.robot.write_policy import resources_only_reason
 from rosld.server.runtime.dry_run import expect_status
 from rosld.server.runtime.tasks import loop_time
-from rosld.server.runtime.version_cache import VersionCache
 
 TRANSITION = "transition"
 """The member of a JSON body, and the field of a form, that names a transition."""
 
 
-class NodeResource(CommandResource):
+class NodeResource(NamedResource[Node]):
     """One node."""
 
-    kind = "Node"
-    shape = "Node"
+    kind = shape = "Node"
+    ros_kind = Kind.NODE
+    url_of = Space.node
     accepts: Mapping[str, Sequence[str]] = {"POST": (*RDF_BODIES, JSON)}
 
-    def __init__(self, session: Session, limit_checks: LimitChecks, states: VersionCache[State], name: str) -> None:
-        super().__init__(session.space, session.space.node(name))
-        self.session = session
-        self.limit_checks = limit_checks
-        self.states = states
-        self.name = self.title = name
-
-    @property
-    def view(self) -> NodeView:
-        """The node and what it takes part in; a 404 Problem where there is none."""
-        return self._view_in(self.session.graph)
-
     def _view_in(self, graph: Graph) -> NodeView:
-        found = node_views(graph).get(self.name)
-        if found is None:
-            missing = Problem(404, f"There is no node {self.name}.")
-            raise redirect_to_namespace(self.space, graph, "nodes", self.name) or missing
-        return self.with_offers(found)
+        self.require(graph)
+        return self.with_offers(node_views(graph)[self.name])
 
     def with_offers(self, found: NodeView) -> NodeView:
         """The view of this node with what is on offer here now."""
@@ -74,17 +57,13 @@ class NodeResource(CommandResource):
         return self._lifecycle_in(self.session.graph)
 
     def _lifecycle_in(self, graph: Graph) -> Lifecycle | None:
-        found = graph.nodes.get(self.name)
+        found = self.found_in(graph)
         return None if found is None else found.lifecycle
 
     def _offers(self, lifecycle: Lifecycle) -> bool:
         """Whether a transition can be requested here now."""
         allowed = self.session.adapter.allows(Ref(Kind.NODE, self.name))
         return "POST" in self._methods_with(lifecycle) - self.withheld and Operation.CHANGE_STATE in allowed
-
-    @property
-    def is_absent(self) -> bool:
-        return is_absent(self.space, self.session.graph, "nodes", self.name)
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         if "POST" not in self.methods():
@@ -111,7 +90,7 @@ class NodeResource(CommandResource):
     def deny_reason(self, method: str) -> str:
         lifecycle = self.lifecycle
         if self.session.settings.read_only:
-            return "This server is read-only."
+            return READ_ONLY
         if method != "POST" or lifecycle is None:
             return f"{self.name} has no lifecycle: it does not answer {method}."
         name = self._closed(lifecycle)

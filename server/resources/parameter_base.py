@@ -7,15 +7,14 @@ from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Se
 from starlette.responses import Response
 
 from rosld.adapters.base import Watch
-from rosld.adapters.model import Descriptor, Graph, Kind, Operation, ParameterValue, Ref
+from rosld.adapters.model import Descriptor, Graph, Kind, Parameter, ParameterValue
 from rosld.ontology.parameters import parameter_json
+from rosld.ontology.urls import Space
 from rosld.server.http.problem import Problem
-from rosld.server.resources.accepted_shape import CommandResource
-from rosld.server.resources.limit_checks import LimitChecks
+from rosld.server.resources.named_resource import NamedResource
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.resource import Answer, ShownAnswer
 from rosld.server.robot.audited_adapter import has_other_values
-from rosld.server.robot.session import Session
 from rosld.server.robot.write_policy import parameter_denied_reason, resources_only_reason
 from rosld.server.runtime.tasks import call_every, combine_watches, loop_time
 
@@ -75,27 +74,20 @@ _LOOK_AGAIN_SECONDS = 1.0
 """How often a parameter that is watched is read again: not every kind of robot tells of all changes."""
 
 
-class ParameterBase(CommandResource):
+class ParameterBase(NamedResource[Parameter]):
     """Base of the resources of a parameter and of a tree of them."""
 
     shape = "Parameter"
-
-    def __init__(self, session: Session, limit_checks: LimitChecks, name: str, url: str) -> None:
-        super().__init__(session.space, url)
-        self.title = name
-        self.session = session
-        self.limit_checks = limit_checks
-        self.name = name
+    ros_kind = Kind.PARAMETER
+    url_of = Space.parameter
+    is_absent = False
 
     async def current_methods(self) -> frozenset[str]:
         return await self.methods_if_there()
 
     def deny_reason(self, method: str) -> str:
-        if self.session.settings.read_only:
-            return "This server is read-only."
-        if self.session.is_resources_only(self.name):
-            return resources_only_reason(self.name)
-        return f"The parameters of this {self.session.adapter.capabilities.system} do not answer {method} here."
+        system = self.session.adapter.capabilities.system
+        return self.closed_reason or f"The parameters of this {system} do not answer {method} here."
 
     @property
     def constrained_by(self) -> str | None:
@@ -104,11 +96,6 @@ class ParameterBase(CommandResource):
     @property
     def changes_subtree(self) -> bool:
         return bool(names_below(self.name, self.session.graph))
-
-    def _is_allowed(self, operation: Operation) -> bool:
-        if self.session.settings.read_only or self.session.is_resources_only(self.name):
-            return False
-        return operation in self.session.adapter.allows(Ref(Kind.PARAMETER, self.name))
 
     async def _value(self) -> ParameterValue | None:
         deadline = loop_time() + self.session.settings.call_deadline

@@ -56,8 +56,8 @@ class ParameterContainer(ParameterBase):
         *,
         hidden: bool = False,
     ) -> None:
-        super().__init__(session, limit_checks, names.join(namespace), session.space.container("parameters", namespace))
-        self.states = states
+        super().__init__(session, limit_checks, states, names.join(namespace))
+        self.url = session.space.container("parameters", namespace)
         self.namespace = namespace
         self._place = place
         self._hidden = hidden

@@ -26,7 +26,6 @@ from rosld.server.http.token_redaction import redact_tokens
 from rosld.server.hypermedia.json_schema import ANYTHING, OBJECT, JsonSchema, MessageSchemas
 from rosld.server.patches.patch import apply_update, merge_patch
 from rosld.server.resources.accepted_shape import has_parameter_shape, parameter_shape, shape_query
-from rosld.server.resources.limit_checks import LimitChecks
 from rosld.server.resources.namespaces import LISTING_PARAMETERS, count_members
 from rosld.server.resources.parameter_base import (
     ParameterBase,
@@ -42,11 +41,9 @@ from rosld.server.rest.paging import parse_named_position, require_page
 from rosld.server.rest.path_item import PathItem, WriteMethod
 from rosld.server.rest.resource import READ, Answer, CreatedAnswer, Plan, Resource, RobotWrite, permanent_redirect
 from rosld.server.rest.state import State
-from rosld.server.robot.session import Session
 from rosld.server.robot.write_policy import parameter_denied_reason
 from rosld.server.runtime.dry_run import DryRunEnded, end_dry_run, expect_status
 from rosld.server.runtime.tasks import loop_time
-from rosld.server.runtime.version_cache import VersionCache
 from rosld.shapes.parameter import choice_words, declared_shape, declared_triples, require_form
 from rosld.shapes.value import OpenShape
 
@@ -78,10 +75,6 @@ class ParameterResource(ParameterBase):
     kind = "Parameter"
     accepts: Mapping[str, Sequence[str]] = {"PUT": (*RDF_BODIES, JSON), "PATCH": (MERGE_PATCH, SPARQL_UPDATE)}
 
-    def __init__(self, session: Session, limit_checks: LimitChecks, states: VersionCache[State], name: str) -> None:
-        super().__init__(session, limit_checks, name, session.space.parameter(name))
-        self.states = states
-
     @property
     def constrained_by(self) -> str | None:
         if has_parameter_shape(self.session.graph, self.name):
@@ -92,10 +85,8 @@ class ParameterResource(ParameterBase):
         return await parameter_shape(self.space, self.session.adapter, self.limit_checks, self.name, url)
 
     def deny_reason(self, method: str) -> str:
-        if self.session.settings.read_only or self.session.is_resources_only(self.name):
-            return super().deny_reason(method)
         words = parameter_denied_reason(self.session.graph, self.name, delete=method == "DELETE")
-        return words or super().deny_reason(method)
+        return self.closed_reason or words or super().deny_reason(method)
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem(
@@ -123,9 +114,9 @@ class ParameterResource(ParameterBase):
 
     def methods(self) -> frozenset[str]:
         methods = READ
-        if self._is_allowed(Operation.SET_PARAMETER):
+        if self.allows(Operation.SET_PARAMETER):
             methods |= {"PUT", "PATCH"}
-        if self._is_allowed(Operation.DELETE_PARAMETER):
+        if self.allows(Operation.DELETE_PARAMETER):
             methods |= {"DELETE"}
         return methods
 
@@ -274,16 +265,16 @@ class ParameterTree(ParameterContainer):
         if not self.session.adapter.capabilities.parameter_trees:
             return READ | {"POST", "PATCH"} if self._can_change_node() else READ
         methods = READ
-        if self._is_allowed(Operation.SET_PARAMETER) or (not self.namespace and self._may_create()):
+        if self.allows(Operation.SET_PARAMETER) or (not self.namespace and self._may_create()):
             methods |= {"POST", "PATCH"}
-        if self.namespace and self._is_allowed(Operation.DELETE_PARAMETER):
+        if self.namespace and self.allows(Operation.DELETE_PARAMETER):
             methods |= {"DELETE"}
         return methods
 
     def _can_change_node(self) -> bool:
         """Whether this is the container of a node whose parameters can be set."""
-        settings, allows = self.session.settings, self.session.adapter.allows
-        return not (settings.read_only or self.session.is_resources_only(self.name)) and any(
+        allows = self.session.adapter.allows
+        return self.closed_reason is None and any(
             one.node == self.name and Operation.SET_PARAMETER in allows(Ref(Kind.PARAMETER, one.name))
             for one in self.session.graph.parameters.values()
         )

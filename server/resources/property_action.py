@@ -61,7 +61,7 @@ from rosld.server.resources.property_writes import (
     with_field,
     write_response,
 )
-from rosld.server.resources.service_request import call_problem, call_service, read_request, refusal_problem
+from rosld.server.resources.services import ServiceResource, call_problem, refusal_problem
 from rosld.server.resources.things import ThingDescriptions
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH, RDF_BODIES, SPARQL_UPDATE
@@ -436,19 +436,14 @@ class MemberResource(CommandResource):
             return await self._send_goal(exchange, tree, plan)
         if not isinstance(plan.schema, ServiceSchema):
             raise Problem(409, f"{self.name} cannot be invoked: the type of the service is not known.")
-        request = await read_request(
-            exchange, self.space, self.session.lifting, self.limit_checks, plan.service, plan.schema, self.url
-        )
-        url = self.space.service(plan.service)
-        await self.limit_checks.require_message(
-            Kind.SERVICE, plan.service, plan.schema.request, request, url, "#request"
-        )
+        service = ServiceResource(self.session, self.limit_checks, self.states, plan.service)
+        request = await service.read_message(exchange, self.url, plan.schema)
         async with self.affordances.lock(tree, self.name):
             require_offered(
                 self.space, self.affordances, plan, await read_fresh_state(self.affordances, tree, plan.reads)
             )
             expect_status(200)
-            outcome = await call_service(exchange, self.session, plan.service, plan.schema, request)
+            outcome = await service.call(exchange, plan.schema, request)
         problem = call_problem(self.space, outcome) or refusal_problem(self.space, outcome)
         if problem is not None:
             raise problem
@@ -457,7 +452,8 @@ class MemberResource(CommandResource):
     async def _send_goal(self, exchange: Exchange, tree: ResourceTree, plan: ActionPlan) -> Answer:
         """Send a goal to the action of ROS that the mapping names: what is made is the goal."""
         action = ActionResource(self.session, self.limit_checks, self.states, plan.service)
-        schema, goal = await action.read_goal(exchange, self.url)
+        schema = await action.schema()
+        goal = await action.read_message(exchange, self.url, schema)
         async with self.affordances.lock(tree, self.name):
             require_offered(
                 self.space, self.affordances, plan, await read_fresh_state(self.affordances, tree, plan.reads)

@@ -2,32 +2,53 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from contextlib import suppress
+from typing import Generic, TypeVar
 
 import orjson
 from starlette.responses import Response
 
 from rosld.adapters.base import Watch
-from rosld.adapters.model import Kind, Operation, Ref, RosError, Service, ServiceSchema, UnknownType
+from rosld.adapters.model import (
+    Action,
+    ActionSchema,
+    Kind,
+    Message,
+    MessageSchema,
+    Operation,
+    Refused,
+    RosError,
+    Sent,
+    Service,
+    ServiceSchema,
+    TypeRef,
+    UnknownType,
+)
+from rosld.ontology.body import parse_body, parse_json
 from rosld.ontology.describe_services import CallView, call_document, service_document
 from rosld.ontology.document import Document
 from rosld.ontology.lift import lifter
 from rosld.ontology.literals import date_time
+from rosld.ontology.lower import lowerer
+from rosld.ontology.urls import Space
 from rosld.server.html.forms import DeleteForm, Form, MessageForm
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, URI, JsonSchema, MessageSchemas, nullable
-from rosld.server.resources.accepted_shape import CommandResource, message_shape, shape_query
-from rosld.server.resources.limit_checks import STRICTNESS, LimitChecks
-from rosld.server.resources.namespaces import is_absent, redirect_to_namespace
-from rosld.server.resources.service_request import call_problem, call_service, read_request
+from rosld.server.hypermedia.value import refusal_text
+from rosld.server.receipts.audit_context import Sender
+from rosld.server.resources.accepted_shape import message_shape, shape_query
+from rosld.server.resources.limit_checks import STRICTNESS, is_strict
+from rosld.server.resources.named_resource import KeptResource, NamedResource
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, RDF_BODIES
 from rosld.server.rest.path_item import PathItem, WriteMethod
-from rosld.server.rest.resource import READ, Answer, CreatedAnswer, Resource
+from rosld.server.rest.resource import READ, Answer, CreatedAnswer
+from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import EndedState, State
-from rosld.server.robot.calls import Call, CallState, Gone
+from rosld.server.robot.calls import Call, CallOutcome, CallState, IdempotencyKeyReused
 from rosld.server.robot.session import Session
-from rosld.server.robot.write_policy import resources_only_reason
+from rosld.server.runtime.tasks import loop_time
 from rosld.server.runtime.version_cache import IdentityKey, VersionCache
 
 _CALL: JsonSchema = {
@@ -40,37 +61,114 @@ _CALL: JsonSchema = {
 }
 
 
-class ServiceResource(CommandResource):
+Schema = TypeVar("Schema", bound=ServiceSchema | ActionSchema)
+Thing = TypeVar("Thing", bound=Service | Action)
+
+
+class InvocableResource(NamedResource[Thing], Generic[Thing, Schema]):
+    """Base of services and actions: a POST sends the robot a message, a request or a goal."""
+
+    accepts: Mapping[str, Sequence[str]] = {"POST": (*RDF_BODIES, JSON)}
+    operation: Operation
+    node: str
+    """The fragment of the node in RDF bodies that is the message."""
+    usage: str
+    """What POST does, for a 405 to another method."""
+    cannot: str
+    """That nothing can be sent to a name now."""
+    form: tuple[str, str]
+    """The title and the button of the form."""
+
+    def find_schema(self, type: TypeRef) -> Awaitable[Schema]:
+        """Return the schema of a type. Raises UnknownType."""
+        raise NotImplementedError
+
+    def part(self, schema: Schema) -> MessageSchema:
+        """Return the schema of the message that is sent."""
+        raise NotImplementedError
+
+    def unusable(self, found: Thing) -> str | None:
+        """Return why nothing can be sent, in a sentence, or None."""
+        raise NotImplementedError
+
+    def methods(self) -> frozenset[str]:
+        return READ | {"POST"} if self.allows(self.operation) else READ
+
+    def deny_reason(self, method: str) -> str:
+        if method != "POST" and not self.session.settings.read_only:
+            return f"{self.usage} with POST; it does not answer {method}."
+        return self.closed_reason or self.unusable(self.require()) or f"{self.cannot.format(self.name)}."
+
+    @property
+    def constrained_by(self) -> str | None:
+        found = self.found
+        return None if found is None or found.type is None else shape_query(self.url)
+
+    async def accepted(self, url: str) -> Document | None:
+        schema = self.part(await self.schema())
+        return await message_shape(self.space, self.limit_checks, self.ros_kind, self.name, schema, url, self.node)
+
+    async def forms(self) -> Sequence[Form]:
+        if "POST" not in self.methods():
+            return ()
+        try:
+            return (MessageForm(self.part(await self.schema()), "POST", *self.form),)
+        except (Problem, RosError):
+            return ()
+
+    async def schema(self) -> Schema:
+        """Return the schema of the type. Raises a 409 Problem if it is unknown."""
+        found, cannot = self.require(), self.cannot.format(self.name)
+        if found.type is None:
+            raise Problem(409, f"{cannot}: {self.unusable(found) or 'its type is not known'}.")
+        try:
+            return await self.find_schema(found.type)
+        except UnknownType as error:
+            raise Problem(409, f"{cannot}: {error.sentence}") from error
+
+    async def read_message(self, exchange: Exchange, url: str, schema: Schema) -> Message:
+        """Return the request or the goal in a body sent to `url`, which is within the limits.
+
+        No body is a message without fields: for one that has some, `{}` asks for its defaults, and a body that got lost
+        does not move the robot. Raises BodyError, LoweringError, and Problems.
+        """
+        data, sent, node = await exchange.body(), self.part(schema), self.node
+        lowering = lowerer(sent, self.session.lifting)
+        if not data.strip():
+            message = lowering.from_json({}, defaults=exchange.query_flag("defaults"))
+        elif exchange.media_type == JSON:
+            message = lowering.from_json(parse_json(data), defaults=not is_strict(exchange))
+        else:
+            body = parse_body(data, exchange.media_type, url)
+            await self.limit_checks.require_text(self.ros_kind, self.name, sent, body, self.url, node)
+            message = lowering.from_body(body, url, node)
+        await self.limit_checks.require_message(self.ros_kind, self.name, sent, message, self.url, node)
+        return message
+
+
+class ServiceResource(InvocableResource[Service, ServiceSchema]):
     """One service."""
 
-    kind = "Service"
-    shape = "Service"
-    accepts: Mapping[str, Sequence[str]] = {"POST": (*RDF_BODIES, JSON)}
+    kind = shape = "Service"
+    ros_kind = Kind.SERVICE
+    url_of = Space.service
+    operation = Operation.CALL
+    node = "#request"
+    usage = "A service is called"
+    cannot = "{} cannot be called"
+    form = ("Call the service", "Call")
 
-    def __init__(self, session: Session, limit_checks: LimitChecks, states: VersionCache[State], name: str) -> None:
-        super().__init__(session.space, session.space.service(name))
-        self.title = name
-        self.session = session
-        self.limit_checks = limit_checks
-        self.states = states
-        self.name = name
+    def find_schema(self, type: TypeRef) -> Awaitable[ServiceSchema]:
+        return self.session.schemas.service(type)
 
-    @property
-    def service(self) -> Service:
-        """The service in the computation graph; a 404 Problem where there is none."""
-        graph = self.session.graph
-        found = graph.services.get(self.name)
-        if found is None:
-            missing = Problem(404, f"There is no service {self.name}.")
-            raise redirect_to_namespace(self.space, graph, "services", self.name) or missing
-        return found
+    def part(self, schema: ServiceSchema) -> MessageSchema:
+        return schema.request
 
-    @property
-    def is_absent(self) -> bool:
-        return is_absent(self.space, self.session.graph, "services", self.name)
+    def unusable(self, found: Service) -> str | None:
+        return found.uncallable
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        type = self.service.type
+        type = self.require().type
         schema = schemas.service(type)
         call = WriteMethod(
             "Calls the service; the call is a resource, and `Idempotency-Key` makes it once only.",
@@ -82,96 +180,53 @@ class ServiceResource(CommandResource):
         )
         return PathItem(f"The service {self.name}", writes={"POST": call}, has_shape=type is not None)
 
-    def methods(self) -> frozenset[str]:
-        if self.session.settings.read_only or self.session.is_resources_only(self.name):
-            return READ
-        allowed = Operation.CALL in self.session.adapter.allows(Ref(Kind.SERVICE, self.name))
-        return READ | {"POST"} if allowed else READ
-
-    def deny_reason(self, method: str) -> str:
-        if self.session.settings.read_only:
-            return "This server is read-only."
-        if method == "POST" and self.session.is_resources_only(self.name):
-            return resources_only_reason(self.name)
-        if method == "POST":
-            return self.service.uncallable or f"{self.name} cannot be called."
-        return f"A service is called with POST; it does not answer {method}."
-
     async def state(self) -> State:
-        service, space = self.service, self.space
+        service, space = self.require(), self.space
         # The graph is read when the document is made: a state is cached, and would keep a whole graph in memory.
         return self.states.get_or_make(
             self.url, IdentityKey(service), lambda: State(lambda: service_document(service, space, self.session.graph))
         )
-
-    @property
-    def constrained_by(self) -> str | None:
-        found = self.session.graph.services.get(self.name)
-        return None if found is None or found.type is None else shape_query(self.url)
-
-    async def accepted(self, url: str) -> Document | None:
-        request = (await self._schema()).request
-        return await message_shape(self.space, self.limit_checks, Kind.SERVICE, self.name, request, url, "#request")
-
-    async def forms(self) -> Sequence[Form]:
-        if "POST" not in self.methods():
-            return ()
-        try:
-            request = (await self._schema()).request
-            return (MessageForm(request, "POST", "Call the service", "Call"),)
-        except (Problem, RosError):
-            return ()
 
     async def post(self, exchange: Exchange) -> Answer:
         """Call the service with the request in the body: 201 with the call, which has the response (paper, Table 2).
 
         A repetition with the same `Idempotency-Key` gets the first outcome.
         """
-        schema = await self._schema()
-        request = await read_request(
-            exchange, self.space, self.session.lifting, self.limit_checks, self.name, schema, self.url
-        )
-        await self.limit_checks.require_message(Kind.SERVICE, self.name, schema.request, request, self.url, "#request")
-        outcome = await call_service(exchange, self.session, self.name, schema, request)
+        schema = await self.schema()
+        request = await self.read_message(exchange, self.url, schema)
+        outcome = await self.call(exchange, schema, request)
         problem = call_problem(self.space, outcome)
         if problem is not None:
             raise problem
         resource = CallResource(self.session, self.states, outcome.call.id)
         return CreatedAnswer(resource.url, resource, resource.response_state_of(outcome.call))
 
-    async def _schema(self) -> ServiceSchema:
-        service = self.service
-        if service.type is None:
-            raise Problem(409, f"{self.name} cannot be called: {service.uncallable or 'its type is not known'}.")
+    async def call(self, exchange: Exchange, schema: ServiceSchema, request: Message) -> CallOutcome:
+        """Call the service, once only for each Idempotency-Key. Raises a 422 Problem for a key of another request."""
+        deadline = loop_time() + self.session.settings.call_deadline
+        key, sender, calls = exchange.header("idempotency-key"), sender_of(exchange), self.session.calls
+        if key is None:
+            return await calls.call(self.name, schema, request, deadline=deadline, sender=sender)
         try:
-            return await self.session.schemas.service(service.type)
-        except UnknownType as error:
-            raise Problem(409, f"{self.name} cannot be called: {error.sentence}") from error
+            return await calls.call_idempotent(
+                key, self.name, schema, request, await exchange.body(), deadline=deadline, sender=sender
+            )
+        except IdempotencyKeyReused as error:
+            raise Problem(422, f"The Idempotency-Key {key!r} came before with another request.") from error
 
 
-class CallResource(Resource):
+class CallResource(KeptResource[Call]):
     """One call of a service."""
 
-    kind = "Call"
-    shape = "Call"
+    kind = shape = "Call"
 
     def __init__(self, session: Session, states: VersionCache[State], id: str) -> None:
-        super().__init__(session.space, session.space.call(id))
-        try:
-            self.title = session.calls.find(id).service
-        except LookupError:
-            self.title = id
-        self.session = session
-        self.states = states
-        self.id = id
+        super().__init__(session, states, session.space.call(id), id)
+        with suppress(LookupError):
+            self.title = self.find().service
 
-    @property
-    def is_absent(self) -> bool:
-        try:
-            _ = self.call
-        except Problem:
-            return True
-        return False
+    def find(self) -> Call:
+        return self.session.calls.find(self.id)
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem("A call of a service", plain=_CALL, writes={"DELETE": WriteMethod(done=(204,))})
@@ -179,18 +234,8 @@ class CallResource(Resource):
     def methods(self) -> frozenset[str]:
         return READ if self.session.settings.read_only else READ | {"DELETE"}
 
-    @property
-    def call(self) -> Call:
-        """The call; a 404 or 410 Problem where it is not kept."""
-        try:
-            return self.session.calls.find(self.id)
-        except Gone as error:
-            raise Problem(410, f"The call {self.id} was deleted or has become too old.") from error
-        except KeyError as error:
-            raise Problem(404, f"There is no call {self.id}.") from error
-
     async def state(self) -> State:
-        call = self.call
+        call = self.require()
         return self.states.get_or_make(self.url, IdentityKey(call), lambda: self.state_of(call))
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
@@ -243,7 +288,7 @@ class CallResource(Resource):
 
         Raises a 404 Problem where there is none.
         """
-        _ = self.call
+        self.require()
         self.session.calls.delete(self.id)
         return Response(status_code=204)
 
@@ -262,3 +307,39 @@ def _view(call: Call) -> CallView:
         call.words,
         None if call.sender is None else call.sender.receipt,
     )
+
+
+def sender_of(exchange: Exchange) -> Sender:
+    """Return the sender of a request: its agent and its receipt."""
+    return Sender(exchange.agent.name, exchange.audit.receipt_id())
+
+
+def call_problem(space: Space, outcome: CallOutcome) -> Problem | None:
+    """Return the Problem of a call that did not succeed, with the URL of the call; None where an answer came."""
+    error = outcome.error
+    if error is None:
+        return None
+    url = space.call(outcome.call.id)
+    problem = problem_of(error)
+    problem.about += (space.service(outcome.call.service),)
+    problem.extra |= {"call": url, "state": outcome.call.state.value}
+    if isinstance(error, Refused) and not error.words:
+        problem.detail = f"{outcome.call.service} refused the call: {error.sentence}"
+    elif problem.status == 503 and error.sent is not Sent.NO:
+        problem.detail += " It may have been carried out."
+    problem.headers["Location"] = url
+    return problem
+
+
+def refusal_problem(space: Space, outcome: CallOutcome) -> Problem | None:
+    """Return the Problem of a call whose answer says `bool success` false: a refusal in the robot's words."""
+    call = outcome.call
+    if call.response is None:
+        return None
+    words = refusal_text(call.schema.response, call.response)
+    if words is None:
+        return None
+    problem = problem_of(Refused(f"{call.service} refused", words=words or None, sent=Sent.YES))
+    problem.about += (space.service(call.service),)
+    problem.extra |= {"call": space.call(call.id)}
+    return problem

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import time
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import replace
@@ -13,23 +14,24 @@ from pyoxigraph import Triple
 from starlette.responses import Response
 
 from rosld.adapters.base import Watch
-from rosld.adapters.model import Graph, Kind, MessageSchema, RosError, Sample, Topic
+from rosld.adapters.model import Graph, Kind, MessageSchema, Operation, RosError, Sample, Topic
 from rosld.ontology.body import parse_json
 from rosld.ontology.describe_topics import topic_document
 from rosld.ontology.document import Document
 from rosld.ontology.lift import lifter
 from rosld.ontology.literals import date_time
+from rosld.ontology.urls import Space
 from rosld.server.history.history import History
 from rosld.server.html.forms import DeleteForm, Form, MessageForm
 from rosld.server.html.inputs import Json
 from rosld.server.http.conditional import digest, require_if_match
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.json_schema import ANYTHING, MessageSchemas, nullable
+from rosld.server.hypermedia.json_schema import ANYTHING, OBJECT, MessageSchemas, message_schema, nullable, patch_schema
 from rosld.server.pictures.form import can_draw
 from rosld.server.pictures.picture_cache import PictureCache
-from rosld.server.resources.accepted_shape import CommandResource, message_shape, shape_query
-from rosld.server.resources.holds import create_hold, hold_form
-from rosld.server.resources.limit_checks import LimitChecks
+from rosld.server.resources.accepted_shape import message_shape, shape_query
+from rosld.server.resources.holds import create_hold, hold_form, hold_parameters, hold_schema
+from rosld.server.resources.limit_checks import STRICTNESS, LimitChecks
 from rosld.server.resources.memento import (
     SETTLED_NS,
     TIMEMAP,
@@ -42,7 +44,7 @@ from rosld.server.resources.memento import (
     timegate_links,
 )
 from rosld.server.resources.messages import DecodedSample, decode, field_response, lift_sample
-from rosld.server.resources.namespaces import redirect_to_namespace
+from rosld.server.resources.named_resource import NamedResource
 from rosld.server.resources.pictures import (
     CLOUD_PARAMETERS,
     MOTION,
@@ -60,10 +62,9 @@ from rosld.server.resources.pictures import (
 )
 from rosld.server.resources.publisher import Publisher
 from rosld.server.resources.series import PARAMETERS, read_time, require_history, series_of
-from rosld.server.resources.topic_methods import topic_methods, topic_writes, write_refusal
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH, RDF_BODIES, SPARQL_UPDATE
-from rosld.server.rest.path_item import FIELD, FIELD_READS, FORMAT, PathItem
+from rosld.server.rest.path_item import FIELD, FIELD_READS, FORMAT, PathItem, QueryParameter, WriteMethod
 from rosld.server.rest.resource import READ, Answer, Motion, Plan, Resource, RobotWrite
 from rosld.server.rest.state import MessageState, State
 from rosld.server.robot.hold_store import Holds
@@ -71,15 +72,21 @@ from rosld.server.robot.publication import publish
 from rosld.server.robot.session import Session
 from rosld.server.robot.topic_view import TopicView
 from rosld.server.robot.velocity import is_velocity_topic
+from rosld.server.robot.write_policy import RESERVED, denied_reason
 from rosld.server.runtime.tasks import combine_watches
 from rosld.server.runtime.version_cache import IdentityKey, VersionCache
 
+_LEGAL = re.compile(r"(/[A-Za-z][A-Za-z0-9_]*)+")
+"""The names of topics that both ROS 1 and ROS 2 allow."""
+_LATCH = QueryParameter("latch", "Whether subscribers that come later get the message.", {"type": "boolean"})
 
-class TopicResource(CommandResource):
+
+class TopicResource(NamedResource[Topic]):
     """One topic."""
 
-    kind = "Topic"
-    shape = "Topic"
+    kind = shape = "Topic"
+    ros_kind = Kind.TOPIC
+    url_of = Space.topic
     accepts: Mapping[str, Sequence[str]] = {
         "PUT": (*RDF_BODIES, JSON),
         "PATCH": (MERGE_PATCH, SPARQL_UPDATE),
@@ -98,23 +105,13 @@ class TopicResource(CommandResource):
         find: Callable[[str], Resource] | None = None,
     ) -> None:
         """`find` gives the resource at a path below the base, where a request may name one."""
-        super().__init__(session.space, session.space.topic(name))
+        super().__init__(session, limit_checks, states, name)
         self._find = find
-        self.title = name
-        self.session = session
-        self.limit_checks = limit_checks
-        self.states = states
         self.history = history
         self.holds = holds
         self.pictures = pictures
-        self.name = name
         self._publishing = Publisher(session, limit_checks, name)
         self._allowed: tuple[Graph, frozenset[str], str | None] | None = None
-
-    @property
-    def topic(self) -> Topic | None:
-        """The topic in the computation graph, None where there is none of that name."""
-        return self._publishing.topic
 
     async def prepare(self) -> None:
         """One that is recorded is its own TimeGate, and says so."""
@@ -122,7 +119,7 @@ class TopicResource(CommandResource):
         self.links = (*type(self).links, *gate)
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        topic = self.topic
+        topic = self.found
         schema = None if topic is None else schemas.message(topic.type)
         methods = self.methods()
         return PathItem(
@@ -132,7 +129,7 @@ class TopicResource(CommandResource):
             (PICTURE_FORMAT, FIELD, *PARAMETERS, *TIMEMAP, *PICTURE_PARAMETERS)
             if self.is_picture
             else (*(CLOUD_PARAMETERS if self.is_cloud else (FORMAT,)), FIELD, *PARAMETERS, *TIMEMAP),
-            topic_writes(
+            _writes(
                 topic,
                 schema,
                 schemas,
@@ -154,7 +151,7 @@ class TopicResource(CommandResource):
     @property
     def _takes_zero(self) -> bool:
         """Whether it is a velocity topic."""
-        topic = self.topic
+        topic = self.found
         return topic is not None and is_velocity_topic(topic, self.session.graph, self.session.settings.stop_zero)
 
     @property
@@ -170,10 +167,28 @@ class TopicResource(CommandResource):
         """The verbs and the refusal in the graph as it is: found once a graph."""
         graph = self.session.graph
         if self._allowed is None or self._allowed[0] is not graph:
-            refusal = write_refusal(self.session, self.name)
-            methods = topic_methods(self.space, graph, self.name, can_write=refusal is None)
-            self._allowed = (graph, methods, refusal)
+            refusal = self._refusal(graph)
+            methods = READ if refusal is not None else READ | _writing_methods(graph, self.name)
+            is_missing = super().is_absent
+            self._allowed = (graph, methods - {"GET", "HEAD"} if is_missing else methods, refusal)
         return self._allowed
+
+    def _refusal(self, graph: Graph) -> str | None:
+        """Return why nothing may be published, in a sentence; None where it may, and the topic may be made."""
+        name, permitted, found = self.name, self.session.settings.allow_publish, self.found_in(graph)
+        if self.closed_reason is not None:
+            return self.closed_reason
+        if not self.allows(Operation.PUBLISH):
+            return f"Nothing can be published on {name} of a {self.session.adapter.capabilities.system}."
+        if found is not None:
+            return denied_reason(found, graph, permitted)
+        if name in RESERVED and name not in permitted:
+            return f"{name} belongs to ROS itself."
+        return None if _LEGAL.fullmatch(name) else f"{name!r} is no legal name for a new topic."
+
+    @property
+    def is_absent(self) -> bool:
+        return False  # a PUT may make it
 
     def deny_reason(self, method: str) -> str:
         reason = self.unwritable_reason()
@@ -183,21 +198,15 @@ class TopicResource(CommandResource):
 
     @property
     def deny_about(self) -> Sequence[str]:
-        return () if self.topic is None else [self.space.node(each.node) for each in self.topic.publishers]
+        return () if self.found is None else [self.space.node(each.node) for each in self.found.publishers]
 
     async def state(self) -> State:
         view = self.session.topics.find_view(self.name)
         if view is None:
             if self.name not in self.session.graph.topics:
-                raise self._missing()
+                raise self.missing()
             view = await self.session.topics.read(self.name)
         return await self.state_of(view)  # in the graph of after the wait: its publishers belong to the values
-
-    def _missing(self) -> Problem:
-        """Why nothing can be read where there is no topic of this name (now)."""
-        return redirect_to_namespace(self.space, self.session.graph, "topics", self.name) or Problem(
-            404, f"There is no topic {self.name}."
-        )
 
     async def state_of(self, view: TopicView) -> State:
         """Return the state with these values; at once where the types of their messages are at hand."""
@@ -265,18 +274,18 @@ class TopicResource(CommandResource):
 
     @property
     def constrained_by(self) -> str | None:
-        topic = self.topic
+        topic = self.found
         return None if topic is None or topic.type is None else shape_query(self.url)
 
     async def accepted(self, url: str) -> Document | None:
-        topic = self.topic
+        topic = self.found
         if topic is None or topic.type is None:
             return None
         schema = await self.session.schemas.message(topic.type)
         return await message_shape(self.space, self.limit_checks, Kind.TOPIC, self.name, schema, url, "#message")
 
     async def forms(self) -> Sequence[Form]:
-        methods, topic = self.methods(), self.topic
+        methods, topic = self.methods(), self.found
         forms: list[Form] = []
         if "PUT" in methods and topic is not None and topic.type is not None:
             with contextlib.suppress(RosError):
@@ -314,8 +323,8 @@ class TopicResource(CommandResource):
         if exchange.method in ("GET", "HEAD"):
             query = exchange.query if exchange.request.scope["query_string"] else {}
             asks_the_past = not query.keys().isdisjoint(("series", "timemap", "at"))
-            if asks_the_past and self.topic is None and not is_recorded(self.history, self.name):
-                raise self._missing()
+            if asks_the_past and self.found is None and not is_recorded(self.history, self.name):
+                raise self.missing()
             if "series" in query:
                 return series_of(self.space, self.history, self.name, exchange)
             if "timemap" in query:
@@ -341,13 +350,13 @@ class TopicResource(CommandResource):
     @property
     def is_picture(self) -> bool:
         """Whether its messages can be drawn."""
-        topic = self.topic
+        topic = self.found
         return topic is not None and any(can_draw(ref.name) for ref in topic.types)
 
     @property
     def is_cloud(self) -> bool:
         """Whether its messages are point clouds."""
-        topic = self.topic
+        topic = self.found
         return topic is not None and any(is_cloud(ref.name) for ref in topic.types)
 
     async def custom_get(self, exchange: Exchange) -> Response | Motion | None:
@@ -362,17 +371,17 @@ class TopicResource(CommandResource):
             return await self._picture(exchange, wanted)
         if b"field=" not in exchange.request.scope["query_string"] or "field" not in exchange.query:
             return None
-        if self.topic is None:
-            raise self._missing()
+        if self.found is None:
+            raise self.missing()
         view = await self.session.topics.read(self.name, wait_for_publisher=True)
         if view.newest is None:
             raise Problem(404, f"{self.name} has no message yet, so no field {exchange.query['field']!r}.")
         return await field_response(self.session.schemas, view.newest, exchange.query["field"])
 
     async def _picture(self, exchange: Exchange, wanted: str) -> Response | Motion:
-        if self.topic is None:
-            raise self._missing()
-        require_picture(self.name, self.topic.types)
+        if self.found is None:
+            raise self.missing()
+        require_picture(self.name, self.found.types)
         view = await self.session.topics.read(self.name, wait_for_publisher=True)
         if wanted == MOTION:
             return await picture_motion(self.session, self.pictures, self.name, view.newest, exchange)
@@ -383,9 +392,9 @@ class TopicResource(CommandResource):
         )
 
     async def _cloud(self, exchange: Exchange) -> Response:
-        if self.topic is None:
-            raise self._missing()
-        require_cloud(self.name, self.topic.types)
+        if self.found is None:
+            raise self.missing()
+        require_cloud(self.name, self.found.types)
         view = await self.session.topics.read(self.name, wait_for_publisher=True)
         if view.newest is None:
             raise Problem(404, f"{self.name} has no message yet, so no points.")
@@ -480,3 +489,50 @@ class PastTopic(TopicResource):
         if "field" not in exchange.query:
             return None
         return await field_response(self.session.schemas, self._sample, exchange.query["field"])
+
+
+def _writing_methods(graph: Graph, name: str) -> frozenset[str]:
+    topic = graph.topics.get(name)
+    if topic is None:
+        return frozenset({"PUT"})
+    is_advertised = any(endpoint.node == graph.own_node for endpoint in topic.publishers)
+    methods = frozenset({"PUT", "PATCH"} if topic.type is None else {"PUT", "PATCH", "POST"})
+    return methods | {"DELETE"} if is_advertised else methods
+
+
+def _writes(
+    topic: Topic | None,
+    schema: MessageSchema | None,
+    schemas: MessageSchemas,
+    *,
+    commands_velocity: bool,
+    hold_time: float,
+) -> Mapping[str, WriteMethod]:
+    """What each method that writes to a topic does and takes, for the description of the API.
+
+    `topic` is None for one that is not there, `schema` where the type of its messages is not known; `hold_time` is the
+    longest that a hold may be asked to last.
+    """
+    sent = schemas.write(schema)
+    publishes = "Publishes a message."
+    if topic is None:
+        publishes = "Makes a topic that is not there yet: RDF that states the type of the message."
+    return {
+        "PUT": WriteMethod(publishes, sent, done=(200, 201, 202, 204), query=(*STRICTNESS, _LATCH)),
+        "PATCH": WriteMethod(
+            "Publishes the latest message with changes.",
+            OBJECT if schema is None else patch_schema(message_schema(schema, schemas.lifting, read=False, sent=True)),
+            done=(200, 202, 204),
+            query=(_LATCH,),
+        ),
+        "POST": WriteMethod(
+            "Holds the topic: publishes the message `rate` times a second while the lease is renewed, or `for` a time.",
+            sent,
+            done=(201,),
+            shows=hold_schema(schemas, schema),
+            query=(*STRICTNESS, *hold_parameters(hold_time, "" if commands_velocity else "rate")),
+        ),
+        "DELETE": WriteMethod(
+            "Stops to advertise the topic; 405 while this server does not advertise it.", done=(204,)
+        ),
+    }

@@ -1,0 +1,111 @@
+"""Bases of what the computation graph has by a ROS name, and of what is kept for a while by an identifier."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import ClassVar, Generic, TypeVar
+
+from rosld.adapters.model import Graph, Kind, Operation, Ref
+from rosld.ontology.urls import Space
+from rosld.server.http.problem import Problem
+from rosld.server.resources.accepted_shape import CommandResource
+from rosld.server.resources.limit_checks import LimitChecks
+from rosld.server.resources.namespaces import redirect_to_namespace
+from rosld.server.rest.resource import Resource
+from rosld.server.rest.state import State
+from rosld.server.robot.session import Session
+from rosld.server.robot.write_policy import resources_only_reason
+from rosld.server.runtime.version_cache import VersionCache
+
+READ_ONLY = "This server is read-only."
+T = TypeVar("T")
+
+
+class NamedResource(CommandResource, Generic[T]):
+    """Base of nodes, topics, services, actions and parameters."""
+
+    ros_kind: Kind
+    url_of: ClassVar[Callable[[Space, str], str]]
+
+    def __init__(self, session: Session, limit_checks: LimitChecks, states: VersionCache[State], name: str) -> None:
+        super().__init__(session.space, type(self).url_of(session.space, name))
+        self.session = session
+        self.limit_checks = limit_checks
+        self.states = states
+        self.name = self.title = name
+        self._route = f"{self.ros_kind.value}s"
+
+    @property
+    def found(self) -> T | None:
+        """The entry of the computation graph, or None."""
+        return self.found_in(self.session.graph)
+
+    def found_in(self, graph: Graph) -> T | None:
+        """Return the entry of a graph."""
+        things: Mapping[str, T] = getattr(graph, self._route)
+        return things.get(self.name)
+
+    def require(self, graph: Graph | None = None) -> T:
+        """Return the entry of a graph, by default the current one. Raises a 404 Problem, or 308 for a namespace."""
+        found = self.found_in(self.session.graph if graph is None else graph)
+        if found is None:
+            raise self.missing()
+        return found
+
+    def missing(self) -> Problem:
+        """Return the Problem of a name that does not exist: 308 for a namespace, else 404."""
+        return self._redirect() or Problem(404, f"There is no {self.ros_kind.value} {self.name}.")
+
+    @property
+    def is_absent(self) -> bool:
+        return self.found is None and self._redirect() is None
+
+    def _redirect(self) -> Problem | None:
+        return redirect_to_namespace(self.space, self.session.graph, self._route, self.name)
+
+    @property
+    def closed_reason(self) -> str | None:
+        """Why this server lets nothing be written here, in a sentence, or None."""
+        if self.session.settings.read_only:
+            return READ_ONLY
+        return resources_only_reason(self.name) if self.session.is_resources_only(self.name) else None
+
+    def allows(self, operation: Operation) -> bool:
+        """Whether both this server and the robot allow an operation."""
+        return self.closed_reason is None and operation in self.session.adapter.allows(Ref(self.ros_kind, self.name))
+
+
+class KeptResource(Resource, Generic[T]):
+    """Base of calls, goals and holds: `find` raises KeyError for an unknown one, another LookupError for a former."""
+
+    def __init__(self, session: Session, states: VersionCache[State], url: str, id: str) -> None:
+        super().__init__(session.space, url)
+        self.session = session
+        self.states = states
+        self.id = self.title = id
+
+    def find(self) -> T:
+        """Return the current state of the call, goal or hold. Raises LookupError."""
+        raise NotImplementedError
+
+    def require(self) -> T:
+        """Return the current state of the call, goal or hold. Raises a 404 or 410 Problem."""
+        what = f"{self.kind.lower()} {self.id}"
+        try:
+            return self.find()
+        except KeyError as error:
+            raise Problem(404, f"There is no {what}.") from error
+        except LookupError as error:
+            raise Problem(410, f"The {what} {self.gone_words(error)}.") from error
+
+    def gone_words(self, error: LookupError) -> str:
+        """Say why it is gone, after its name."""
+        return "was deleted or has become too old"
+
+    @property
+    def is_absent(self) -> bool:
+        try:
+            self.find()
+        except LookupError:
+            return True
+        return False

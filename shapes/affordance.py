@@ -12,7 +12,7 @@ from rosld.ontology.literals import DATATYPES
 from rosld.ontology.triples import Statement, Value, integer, statements, text, triples_about
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import qudt, rdf, ros, sh, xsd
-from rosld.shapes.value import NO_MEASURE, UNBOUNDED, Bounds, Measure, MessageShape, ScalarShape, ValueShape, narrow
+from rosld.shapes.value import UNBOUNDED, Bounds, MessageShape, OpenShape, ScalarShape, ValueShape, narrow
 from rosld.shapes.writer import within
 
 
@@ -28,28 +28,18 @@ def value_shape_triples(shape: ValueShape, node: NamedNode, path: NamedNode, spa
     )
     if isinstance(shape, MessageShape):
         return triples + _message(shape, value, space)
-    if isinstance(shape, ScalarShape):
-        datatype = _datatype(shape.kind, is_parameter=shape.is_parameter)
-        return triples + _scalar(value, shape.kind, shape.bounds, shape.measure, datatype)
-    return triples + _scalar(value, None, shape.bounds, shape.measure)
+    return triples + _scalar(value, shape)
 
 
-def _datatype(kind: Primitive, *, is_parameter: bool = False) -> NamedNode:
-    """Return the datatype of a primitive; all integers of parameters are xsd:integer."""
-    return xsd.integer if is_parameter and kind.name in RANGES else NamedNode(xsd.iri + DATATYPES[kind.name])
-
-
-def _scalar(
-    node: NamedNode,
-    kind: Primitive | None,
-    bounds: Bounds,
-    measure: Measure = NO_MEASURE,
-    datatype: NamedNode | None = None,
-) -> list[Triple]:
+def _scalar(node: NamedNode, shape: ScalarShape | OpenShape) -> list[Triple]:
     """Return the constraints on a literal: the datatype of its primitive, its range and bounds."""
-    least, greatest = RANGES.get(kind.name, (None, None)) if kind is not None else (None, None)
-    longest = kind.bound if kind is not None else None
-    bounds = narrow(bounds, Bounds(integer(least), integer(greatest), max_length=longest))
+    kind, bounds, measure = shape.kind, shape.bounds, shape.measure
+    datatype = None
+    if kind is not None:
+        least, greatest = RANGES.get(kind.name, (None, None))
+        bounds = narrow(bounds, Bounds(integer(least), integer(greatest), max_length=kind.bound))
+        is_integer = shape.is_parameter and least is not None  # all integers of parameters are xsd:integer
+        datatype = xsd.integer if is_integer else NamedNode(xsd.iri + DATATYPES[kind.name])
     triples = triples_about(
         node,
         (sh.datatype, datatype),
@@ -74,10 +64,10 @@ def _message(shape: MessageShape, node: NamedNode, space: Space) -> list[Triple]
     """What a message must be: all that its type's shape says or, of a part of its fields, what that says of each."""
     kind = shape.schema.type
     type_shape = space.shape(kind.name)
-    if {field.name for field in kind.fields} <= set(shape.fields):
+    if shape.fields == kind.fields:
         said: list[Statement] = [(sh.class_, NamedNode(space.class_of(kind.name))), (sh.node, NamedNode(type_shape))]
     else:
-        parts = [within(NamedNode(type_shape), field.name) for field in kind.fields if field.name in shape.fields]
+        parts = [within(NamedNode(type_shape), field.name) for field in shape.fields]
         said = [(sh.nodeKind, sh.BlankNodeOrIRI), *statements(sh.property, parts)]
     return triples_about(node, *said) + _bounds_triples(node, kind.name, shape.schema, _tree(shape.bounds), space)
 
@@ -122,9 +112,10 @@ def _bounds_triples(node: NamedNode, kind: str, schema: MessageSchema, tree: _Bo
         if isinstance(element, Nested):
             triples += _bounds_triples(inner, element.name, schema, tree[field.name], space)
         else:
-            primitive = element if isinstance(element, Primitive) else None
-            datatype = None if primitive is None else _datatype(primitive)
-            triples += _scalar(inner, primitive, tree[field.name].bounds, datatype=datatype)
+            bounds = tree[field.name].bounds
+            triples += _scalar(
+                inner, ScalarShape(element, bounds) if isinstance(element, Primitive) else OpenShape(bounds)
+            )
     return triples
 
 

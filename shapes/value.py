@@ -11,7 +11,7 @@ from typing import ClassVar, TypeAlias, TypeVar
 
 from pyoxigraph import Literal, NamedNode
 
-from rosld.adapters.model import MessageSchema, Primitive
+from rosld.adapters.model import Field, MessageSchema, Primitive
 from rosld.shapes.terms import number
 
 
@@ -74,25 +74,34 @@ class ScalarShape:
 class MessageShape:
     """A value that is a message.
 
-    `fields` are the names of those that belong to the value (all of the type's, as a rule), `bounds` those of single
-    scalars by their dotted path (`linear.x`).
+    `fields` are those that belong to the value (all of the type's, as a rule), `bounds` those of single scalars by
+    their dotted path (`linear.x`).
     """
 
     schema: MessageSchema
-    fields: tuple[str, ...]
+    fields: tuple[Field, ...]
     bounds: Mapping[str, Bounds] = field(default_factory=dict, hash=False)
     measure: ClassVar[Measure] = NO_MEASURE
 
 
 @dataclass(frozen=True, slots=True)
 class OpenShape:
-    """A value of any kind: a parameter's, for which ROS declares no type."""
+    """A value of any kind: a parameter's without a declared type, or a topic's whose type is not known."""
 
+    kind: ClassVar[None] = None
     bounds: Bounds = UNBOUNDED
     measure: Measure = NO_MEASURE
+    is_parameter: ClassVar[bool] = False
 
 
 ValueShape: TypeAlias = ScalarShape | MessageShape | OpenShape
+
+
+def value_shape(schema: MessageSchema, fields: tuple[Field, ...]) -> ScalarShape | MessageShape:
+    """Return the shape of a value that is these fields of a message: one primitive is a scalar, all else a message."""
+    if len(fields) == 1 and isinstance(fields[0].type, Primitive):
+        return ScalarShape(fields[0].type)
+    return MessageShape(schema, fields)
 
 
 _K = TypeVar("_K", bound=Hashable)

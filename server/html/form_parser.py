@@ -87,7 +87,7 @@ def parse_value(shape: ValueShape, pairs: Iterable[tuple[str, str]]) -> JsonValu
     """
     match shape:
         case MessageShape(schema, fields):
-            return _parse_message(schema, (each for each in schema.type.fields if each.name in fields), pairs)
+            return _parse_message(schema, fields, pairs)
         case ScalarShape(kind, bounds):
             return _parse_one(pairs, _reader(kind), "" if kind.name == "bool" and not bounds.choices else None)
         case OpenShape(bounds) if bounds.choices:

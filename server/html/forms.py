@@ -101,7 +101,8 @@ class MessageForm:
     @property
     def controls(self) -> tuple[Control, ...]:
         """Its inputs: those of the message, and those of the query, with names beginning with `?`."""
-        return controls(self.schema, self.value, _filling(self.submitted, self.violations))
+        filling = _filling(self.submitted, self.violations)
+        return controls(self.schema, self.schema.type.fields, self.value, filling)
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,7 +147,7 @@ class HoldForm:
         """Its inputs: the message's, and those of the query, whose names begin with a question mark."""
         filling, terms = replace(_filling(self.submitted, self.violations), bounds=self.bounds), self.terms
         return (
-            *controls(self.schema, self.value, filling),
+            *controls(self.schema, self.schema.type.fields, self.value, filling),
             _query_number("?rate", "rate", terms.rate, terms.max_rate, "Hz", filling),
             _query_number("?for", "for", terms.time, terms.max_time, "s", filling),
             Input("?then", "at the end", "select", filling.text("?then", terms.then), options=("zero", "none")),
@@ -224,7 +225,7 @@ class ValueForm:
         match self.shape:
             case MessageShape(schema, fields, bounds):
                 filling = replace(_filling(self.submitted, self.violations), bounds=bounds)
-                return controls(schema, self.value, filling, fields)
+                return controls(schema, fields, self.value, filling)
             case ScalarShape(kind, bounds, measure):
                 filling = self._of_one(bounds)
                 return (scalar_input(kind, self.label, VALUE_FIELD, self.value, filling, _symbol(measure)),)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Container, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import isfinite
 from typing import ClassVar, TypeAlias
@@ -114,19 +114,9 @@ class InputValues:
 
 
 def controls(
-    schema: MessageSchema, value: Json, filling: InputValues, only: Container[str] | None = None
+    schema: MessageSchema, fields: Iterable[Field], value: Json, filling: InputValues, prefix: str = ""
 ) -> tuple[Control, ...]:
-    """Return the inputs for a message of `schema`; `value` is plain JSON, and defaults stand where it has nothing.
-
-    `only` names the fields of the message itself that are asked for; None is all of them.
-    """
-    fields = tuple(each for each in schema.type.fields if only is None or each.name in only)
-    return _controls(schema, fields, "", value, filling)
-
-
-def _controls(
-    schema: MessageSchema, fields: Iterable[Field], prefix: str, value: Json, filling: InputValues
-) -> tuple[Control, ...]:
+    """Return the inputs for fields of a message; `value` is plain JSON, and defaults stand where it has nothing."""
     values = value if isinstance(value, Mapping) else {}
     return tuple(_control(schema, each, f"{prefix}{each.name}", values.get(each.name), filling) for each in fields)
 
@@ -134,7 +124,7 @@ def _controls(
 def _control(schema: MessageSchema, each: Field, path: str, value: Json, filling: InputValues) -> Control:
     if is_fieldset(schema, each.type):
         assert isinstance(each.type, Nested)
-        inner = _controls(schema, schema.types[each.type.name].fields, f"{path}.", value, filling)
+        inner = controls(schema, schema.types[each.type.name].fields, value, filling, f"{path}.")
         is_folded = each.type.name == HEADER or each.name in _FOLDED
         return Fieldset(
             path, each.name, each.type.name, inner, filling.error(path), is_folded and not filling.error_below(path)

@@ -22,7 +22,7 @@ from rosld.server.hypermedia.catalogue import GoalSource, ParameterSource, Prope
 from rosld.server.hypermedia.conditions import ConditionResults, url_of
 from rosld.server.hypermedia.conventions import CONVENTIONS, Conventions, catalogue, needed_types
 from rosld.server.hypermedia.mapping import Condition, MappingSet
-from rosld.server.hypermedia.mapping_check import field_shape, value_shape, with_descriptor
+from rosld.server.hypermedia.mapping_check import field_shape, limited_shape, with_descriptor
 from rosld.server.hypermedia.mappings import Mappings
 from rosld.server.hypermedia.property_reader import PropertyReader
 from rosld.server.hypermedia.property_writer import current_writer
@@ -308,7 +308,7 @@ class AffordanceService(Generic[T]):
         own, mapped, session = plan.source, plan.mapped, self._session
         url = url_of(plan.url_name or own.name, session.space)
         measure = mapped.measure if mapped else NO_MEASURE
-        shape = value_shape(own.kind, self._limits(), url, measure)
+        shape = limited_shape(own.shape, self._limits(), url, measure)
         declared = self._declared_descriptor(own)
         if declared is not None:
             shape = with_descriptor(shape, declared)

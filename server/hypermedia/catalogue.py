@@ -12,9 +12,10 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import TypeAlias
 
-from rosld.adapters.model import ActionSchema, Field, MessageSchema, Primitive, ServiceSchema
+from rosld.adapters.model import ActionSchema, Field, MessageSchema, ServiceSchema
 from rosld.ontology.names import Members
 from rosld.ontology.urls import Space
+from rosld.shapes.value import ValueShape
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,39 +90,16 @@ def source_url(way: Reader | Writer, space: Space) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class ScalarKind:
-    """The value is one scalar, and where there are `choices` one of these strings."""
-
-    primitive: Primitive
-    choices: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class MessageKind:
-    """The value is the `fields` of a message of `schema`: that of the first reader, else of the first writer."""
-
-    schema: MessageSchema
-    fields: tuple[Field, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class OpenKind:
-    """The value may be anything: a parameter's, or that of a topic whose type is not known."""
-
-
-ValueKind: TypeAlias = ScalarKind | MessageKind | OpenKind
-
-
-@dataclass(frozen=True, slots=True)
 class Property:
     """A resource with a value, by its full name (`/aircraft/engine/speed`).
 
-    `readers` and `writers` are in the order in which they are tried: topic, getter, parameter, goal; setter, parameter,
-    topic. A writer is what could write by its kind; whether it may now is asked when it comes to that.
+    `shape` is that of the first reader, else of the first writer. `readers` and `writers` are in the order in which
+    they are tried: topic, getter, parameter, goal; setter, parameter, topic. A writer is what could write by its kind;
+    whether it may now is asked when it comes to that.
     """
 
     name: str
-    kind: ValueKind
+    shape: ValueShape
     readers: tuple[Reader, ...] = ()
     writers: tuple[Writer, ...] = ()
 

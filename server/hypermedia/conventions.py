@@ -20,6 +20,8 @@ from functools import lru_cache
 from types import MappingProxyType
 from typing import TypeAlias, TypeVar
 
+from pyoxigraph import Literal
+
 from rosld.adapters.model import Action as RosAction
 from rosld.adapters.model import (
     ActionSchema,
@@ -43,17 +45,15 @@ from rosld.server.hypermedia.catalogue import (
     Getter,
     GoalPart,
     GoalSource,
-    OpenKind,
     ParameterSource,
     Property,
     Reader,
-    ScalarKind,
     Setter,
     TopicSource,
-    ValueKind,
     Writer,
 )
-from rosld.server.hypermedia.type_inference import is_convertible, value_fields, value_kind
+from rosld.server.hypermedia.type_inference import is_convertible, value_fields
+from rosld.shapes.value import Bounds, OpenShape, ScalarShape, ValueShape, value_shape
 
 SchemaOf: TypeAlias = Callable[[TypeRef], "Schema | None"]
 
@@ -253,18 +253,21 @@ def _is_of_actionlib(topic: Topic, graph: Graph) -> bool:
     return ending is not None and action in graph.actions and all(ref.name.endswith(ending) for ref in topic.types)
 
 
+_STATUSES = tuple(map(Literal, (IDLE, *(status.value for status in GoalStatus))))
+
+
 def _parts(action: str, schema: ActionSchema | None) -> Iterator[Property]:
     """The properties below an action's name: how its goal stands and, where its type is known, what is told of it."""
     yield Property(
         f"{action}/{GoalPart.STATUS.value}",
-        ScalarKind(Primitive("string"), (IDLE, *(status.value for status in GoalStatus))),
+        ScalarShape(Primitive("string"), Bounds(choices=_STATUSES)),
         (GoalSource(action, GoalPart.STATUS, None),),
     )
     if schema is not None:
         halves = {GoalPart.GOAL: schema.goal, GoalPart.FEEDBACK: schema.feedback, GoalPart.RESULT: schema.result}
         for part, half in halves.items():
-            kind = value_kind(half, half.type.fields)
-            yield Property(f"{action}/{part.value}", kind, (GoalSource(action, part, half),))
+            shape = value_shape(half, half.type.fields)
+            yield Property(f"{action}/{part.value}", shape, (GoalSource(action, part, half),))
 
 
 def _schemas(
@@ -322,26 +325,26 @@ def _property(
     A topic and a getter that differ are two things of one name (`/map`, an image, and `/get_map`, its file name): who
     reads the property must know which of them the value is, so the topic keeps it. A parameter has no type to differ.
     """
-    kind: ValueKind = OpenKind()
+    shape: ValueShape = OpenShape()
     if topic is not None and topic.schema is not None:
-        kind = value_kind(topic.schema, topic.schema.type.fields)
-    getter = next((one for one in getters if is_convertible(value_kind(one.schema.response, one.fields), kind)), None)
-    if getter is not None and isinstance(kind, OpenKind):
-        kind = value_kind(getter.schema.response, getter.fields)
-    setter = next((one for one in setters if is_convertible(kind, _requested_kind(one))), None)
-    if setter is not None and isinstance(kind, OpenKind):
-        kind = _requested_kind(setter)
+        shape = value_shape(topic.schema, topic.schema.type.fields)
+    getter = next((one for one in getters if is_convertible(value_shape(one.schema.response, one.fields), shape)), None)
+    if getter is not None and isinstance(shape, OpenShape):
+        shape = value_shape(getter.schema.response, getter.fields)
+    setter = next((one for one in setters if is_convertible(shape, _requested_shape(one))), None)
+    if setter is not None and isinstance(shape, OpenShape):
+        shape = _requested_shape(setter)
     writable = topic if topic is not None and topic.schema is not None else None
     readers: tuple[Reader | None, ...] = (topic, getter, parameter)
     writers: tuple[Writer | None, ...] = (setter, parameter, writable)
     return Property(
         name,
-        kind,
+        shape,
         tuple(one for one in readers if one is not None),
         tuple(one for one in writers if one is not None),
     )
 
 
-def _requested_kind(setter: Setter) -> ValueKind:
+def _requested_shape(setter: Setter) -> ValueShape:
     request = setter.schema.request
-    return value_kind(request, request.type.fields)
+    return value_shape(request, request.type.fields)

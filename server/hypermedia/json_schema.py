@@ -74,13 +74,11 @@ def value_schema(
     Of a value that may be sent, fields have defaults and may be left out. `unit` is the keyword for the unit.
     """
     if isinstance(shape, MessageShape):
-        fields = [field for field in shape.schema.type.fields if field.name in shape.fields]
-        return _Schemas(shape.schema, shape.bounds, lifting, read, sent).fields(fields)
-    kind = shape.kind if isinstance(shape, ScalarShape) else None
+        return _Schemas(shape.schema, shape.bounds, lifting, read, sent).fields(shape.fields)
     if isinstance(shape, ScalarShape) and shape.is_parameter:
         found = _parameter_schema(shape.kind, shape.bounds)
     else:
-        found = _scalar(kind, shape.bounds, is_finite=sent)
+        found = _scalar(shape.kind, shape.bounds, is_finite=sent)
     return found if shape.measure.unit is None else {**found, unit: shape.measure.unit.value}
 
 

@@ -10,10 +10,7 @@ from dataclasses import replace
 from difflib import get_close_matches
 from typing import TYPE_CHECKING
 
-from pyoxigraph import Literal
-
 from rosld.adapters.model import Array, Descriptor, MessageSchema, Nested, Primitive
-from rosld.server.hypermedia.catalogue import MessageKind, ScalarKind, ValueKind
 from rosld.server.hypermedia.mapping import ComplexResource, MappedAction, MappedProperty
 from rosld.shapes.parameter import declared_shape
 from rosld.shapes.value import UNBOUNDED, Bounds, Measure, MessageShape, OpenShape, ScalarShape, ValueShape, narrow
@@ -23,17 +20,11 @@ if TYPE_CHECKING:
     from rosld.shapes.limits import Limits
 
 
-def value_shape(kind: ValueKind, limits: Limits, url: str, measure: Measure) -> ValueShape:
-    """Return the shape of the value of the property at `url`, for reads and writes."""
-    bounds = limits.bounds_of_resource(url)
-    match kind:
-        case ScalarKind(primitive=primitive, choices=choices):
-            return ScalarShape(primitive, narrow(bounds, Bounds(choices=tuple(map(Literal, choices)))), measure)
-        case MessageKind():
-            names = tuple(field.name for field in kind.fields)
-            return MessageShape(kind.schema, names, limits.bounds_of_message(kind.schema))
-        case _:
-            return OpenShape(bounds, measure)
+def limited_shape(shape: ValueShape, limits: Limits, url: str, measure: Measure) -> ValueShape:
+    """Return the shape of the value of the property at `url` within its limits, for reads and writes."""
+    if isinstance(shape, MessageShape):
+        return replace(shape, bounds=limits.bounds_of_message(shape.schema))
+    return replace(shape, bounds=narrow(limits.bounds_of_resource(url), shape.bounds), measure=measure)
 
 
 def with_descriptor(shape: ValueShape, descriptor: Descriptor) -> ValueShape:
@@ -45,12 +36,12 @@ def with_descriptor(shape: ValueShape, descriptor: Descriptor) -> ValueShape:
     return replace(declared if isinstance(shape, OpenShape) else shape, bounds=bounds)
 
 
-def has_scalar(kind: ValueKind, path: str) -> bool:
+def has_scalar(shape: ValueShape, path: str) -> bool:
     """Whether a value may have a scalar at a dotted path; where its type is not known it may have any."""
-    match kind:
-        case ScalarKind():
+    match shape:
+        case ScalarShape():
             return "." not in path
-        case MessageKind(schema=schema, fields=fields):
+        case MessageShape(schema, fields):
             return path.partition(".")[0] in {one.name for one in fields} and _primitive(schema, path) is not None
     return True
 
@@ -104,7 +95,7 @@ def _of_property(mapped: MappedProperty, tree: ResourceTree) -> Iterator[str]:
     found = properties.get(mapped.member)
     if found is None:
         yield f"map:member {mapped.member}: nothing of this name has a value" + _near(mapped.member, properties)
-    elif mapped.field is not None and not has_scalar(found.kind, mapped.field):
+    elif mapped.field is not None and not has_scalar(found.shape, mapped.field):
         yield f"map:field {mapped.field}: {mapped.member} has no such scalar"
     elif mapped.writable_when and not found.writers:
         yield f"map:writableWhen of {mapped.member}: nothing writes it"

@@ -29,13 +29,10 @@ from rosld.ontology.parameters import lower_json, lower_term
 from rosld.ontology.violations import LoweringError, Violation, brief_value
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.catalogue import (
-    MessageKind,
     ParameterSource,
     Property,
-    ScalarKind,
     Setter,
     TopicSource,
-    ValueKind,
     Writer,
     source_url,
 )
@@ -48,6 +45,7 @@ from rosld.server.robot.write_policy import denied_reason, parameter_denied_reas
 from rosld.server.runtime.tasks import loop_time
 from rosld.server.settings import Settings
 from rosld.shapes.parameter import require_form
+from rosld.shapes.value import MessageShape, ScalarShape, ValueShape
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,20 +162,20 @@ def plan_write(session: Session, property: Property, content: object, *, default
             parameter = session.graph.parameters.get(writer.name)
             if isinstance(content, Literal):
                 require_form(None if parameter is None else parameter.descriptor, content)
-            return PlannedWrite(property.name, writer, StoredValue(_parameter_value(property.kind, content)))
+            return PlannedWrite(property.name, writer, StoredValue(_parameter_value(property.shape, content)))
         case _:
             reason = not_writable_reason(session.adapter, session.settings, property)
             raise Problem(405, reason, about=not_writable_about(session, property))
 
 
-def _parameter_value(kind: ValueKind, content: object) -> ParameterValue:
+def _parameter_value(shape: ValueShape, content: object) -> ParameterValue:
     """Return the value of a parameter. ROS declares no type for it, but what reads the property may have one."""
     value = lower_term(content) if isinstance(content, Literal) else lower_json(content)
-    match kind:
-        case ScalarKind(primitive=primitive):
-            fitted = _fit(primitive, content)
+    match shape:
+        case ScalarShape(kind):
+            fitted = _fit(kind, content)
             return fitted if isinstance(fitted, bool | int | float) else value
-        case MessageKind(schema=schema, fields=fields):
+        case MessageShape(schema, fields):
             lowerer(select_fields(schema, fields)).from_json(content)
     return value
 

@@ -12,7 +12,7 @@ from math import inf
 
 from rosld.adapters.model import Array, Field, MessageSchema, Nested, Primitive, ServiceSchema
 from rosld.ontology.literals import STRINGS
-from rosld.server.hypermedia.catalogue import MessageKind, OpenKind, ScalarKind, ValueKind
+from rosld.shapes.value import MessageShape, OpenShape, ScalarShape, ValueShape
 
 _OCTETS = frozenset({"byte", "char", "octet", "int8", "uint8", "int16", "uint16"})
 """Numbers of which an array without a bound is a picture, a cloud, a map or a sound."""
@@ -101,25 +101,18 @@ def _repeated(schema: MessageSchema, field: Field, known: dict[str, float]) -> f
     return times * _widest(schema, kind.name, known) if isinstance(kind, Nested) else times
 
 
-def value_kind(schema: MessageSchema, fields: tuple[Field, ...]) -> ScalarKind | MessageKind:
-    """Return the kind of value that these fields of a message are: one primitive is a scalar, all else a message."""
-    if len(fields) == 1 and isinstance(fields[0].type, Primitive):
-        return ScalarKind(fields[0].type)
-    return MessageKind(schema, fields)
-
-
-def is_convertible(value: ValueKind, into: ValueKind) -> bool:
-    """Whether a value of one kind can be sent as another: the same fields, or one scalar each of one family.
+def is_convertible(value: ValueShape, into: ValueShape) -> bool:
+    """Whether a value of one shape can be sent as another: the same fields, or one scalar each of one family.
 
     An integer can be sent as a float, but not a float as an integer. Ranges and lengths are checked per value. An open
-    kind is convertible to any other.
+    shape is convertible to any other.
     """
-    if isinstance(value, OpenKind) or isinstance(into, OpenKind):
+    if isinstance(value, OpenShape) or isinstance(into, OpenShape):
         return True
-    if isinstance(value, ScalarKind) and isinstance(into, ScalarKind):
-        families = _family(value.primitive), _family(into.primitive)
+    if isinstance(value, ScalarShape) and isinstance(into, ScalarShape):
+        families = _family(value.kind), _family(into.kind)
         return families[0] == families[1] or families == ("integer", "float")
-    if isinstance(value, MessageKind) and isinstance(into, MessageKind):
+    if isinstance(value, MessageShape) and isinstance(into, MessageShape):
         return _tree(value.fields) == _tree(into.fields) and all(
             _tree(value.schema.types[name].fields) == _tree(into.schema.types[name].fields)
             for name in _nested_types(value)
@@ -140,14 +133,14 @@ def _tree(fields: tuple[Field, ...]) -> dict[str, object]:
     return {field.name: field.type for field in fields}
 
 
-def _nested_types(kind: MessageKind) -> Iterator[str]:
+def _nested_types(shape: MessageShape) -> Iterator[str]:
     """Yield the types that a value holds, outermost first, each once."""
     seen: set[str] = set()
-    waiting = list(kind.fields)
+    waiting = list(shape.fields)
     while waiting:
         found = waiting.pop().type
         element = found.element if isinstance(found, Array) else found
         if isinstance(element, Nested) and element.name not in seen:
             seen.add(element.name)
             yield element.name
-            waiting.extend(kind.schema.types[element.name].fields)
+            waiting.extend(shape.schema.types[element.name].fields)

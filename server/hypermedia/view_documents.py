@@ -37,7 +37,7 @@ from rosld.ontology.vocab import dcterms, ldp, mapping, qudt, rdf, rdfs, ros, td
 from rosld.server.hypermedia.value import MessageValue, Reading, field_json, lift_value, plain_json, value_literal
 from rosld.server.hypermedia.views import ActionAffordance, ActionView, ComplexView, PropertyAffordance, PropertyView
 from rosld.shapes.affordance import value_shape_triples
-from rosld.shapes.value import NO_MEASURE, MessageShape, OpenShape, ScalarShape
+from rosld.shapes.value import MessageShape
 
 VALUE = "#value"
 """The node of a property's value, where that is a message."""
@@ -237,7 +237,6 @@ def fragment_of(*parts: str) -> str:
 def _property_affordance(one: PropertyAffordance, document: NamedNode, node: str, space: Space) -> tuple[Triple, ...]:
     """A property affordance of the thing that `document` describes, with a form for each thing that may be done now."""
     subject, shape = NamedNode(document.value + node), NamedNode(f"{document.value}{node}/shape")
-    measure = one.shape.measure if isinstance(one.shape, ScalarShape | OpenShape) else NO_MEASURE
     observable = one.read and one.observe
     triples = triples_about(
         subject,
@@ -247,8 +246,8 @@ def _property_affordance(one: PropertyAffordance, document: NamedNode, node: str
         (dcterms.description, text(one.description)),
         (mapping.predicate, one.predicate),
         (td.isObservable, boolean(observable)),
-        (qudt.hasUnit, measure.unit),
-        (qudt.hasQuantityKind, measure.quantity_kind),
+        (qudt.hasUnit, one.shape.measure.unit),
+        (qudt.hasQuantityKind, one.shape.measure.quantity_kind),
         (ros.shape, shape),
     )
     if one.read:

@@ -20,7 +20,7 @@ from rosld.ontology.urls import Location, Space
 from rosld.ontology.vocab import rdf, ros
 from rosld.server.auth.permissions import Permissions
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.catalogue import MessageKind, Property, TopicSource
+from rosld.server.hypermedia.catalogue import Property, TopicSource
 from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.resource_tree import ComplexPlan, MemberPlan, ResourceTree
 from rosld.server.hypermedia.type_inference import is_bulky
@@ -37,6 +37,7 @@ from rosld.server.runtime.tasks import loop_time
 from rosld.server.runtime.version_cache import IdentityKey
 from rosld.server.sparql.materializer import GraphEntry, LiveDocument, LiveGraphs
 from rosld.server.sparql.needs import Constants, Needs, StatedTerms
+from rosld.shapes.value import MessageShape
 
 _KEPT = 256
 """Needs whose documents are remembered."""
@@ -384,7 +385,7 @@ def _terms_of_property(own: Property, space: Space) -> StatedTerms:
     if any(isinstance(reader, TopicSource) and reader.schema is None for reader in own.readers):
         return _ANYTHING
     terms = StatedTerms(_PROPERTY, frozenset())
-    return terms | _terms_of_messages(own.kind.schema, space) if isinstance(own.kind, MessageKind) else terms
+    return terms | _terms_of_messages(own.shape.schema, space) if isinstance(own.shape, MessageShape) else terms
 
 
 def _is_bulky(own: Property) -> bool:

@@ -35,17 +35,14 @@ from rosld.ontology.lower import lowerer
 from rosld.server.hypermedia.catalogue import (
     Catalogue,
     Getter,
-    MessageKind,
-    OpenKind,
     ParameterSource,
     Property,
-    ScalarKind,
     Setter,
     TopicSource,
-    ValueKind,
 )
 from rosld.server.hypermedia.conventions import CONVENTIONS, Conventions, catalogue, needed_types
-from rosld.server.hypermedia.type_inference import is_convertible, is_small, value_fields, value_kind
+from rosld.server.hypermedia.type_inference import is_convertible, is_small, value_fields
+from rosld.shapes.value import MessageShape, OpenShape, ScalarShape, ValueShape, value_shape
 
 _V = TypeVar("_V")
 
@@ -256,7 +253,7 @@ class TestTopics:
     def test_a_topic_of_no_known_type_can_only_be_read(self) -> None:
         for types in ((), ("nowhere/msg/X",), (FLOAT, "std_msgs/msg/String"), ("std_srvs/srv/Empty",)):
             one = found({"/x": types}).properties["/x"]
-            assert one == Property("/x", OpenKind(), (TopicSource("/x", None),), ())
+            assert one == Property("/x", OpenShape(), (TopicSource("/x", None),), ())
 
     def test_a_getter_joins_a_topic_of_its_kind_alone(self) -> None:
         listing = found(
@@ -264,7 +261,7 @@ class TestTopics:
         )
         assert sources(listing.properties["/t"])[0] == ["topic /t", "getter /get_t"]
         assert sources(listing.properties["/x"]) == (["topic /x", "getter /get_x"], ["setter /set_x", "topic /x"])
-        assert listing.properties["/x"].kind == ScalarKind(Primitive("float64"))
+        assert listing.properties["/x"].shape == ScalarShape(Primitive("float64"))
         others = {
             "turtlesim/msg/Pose": "GetFloat",
             FLOAT: "GetText",
@@ -439,13 +436,13 @@ def test_whatever_a_property_is_read_as_can_be_written_to_all_that_write_it(whol
     for one in catalogue(whole, known).properties.values():
         for reader in one.readers:
             if isinstance(reader, Getter):
-                assert is_convertible(value_kind(reader.schema.response, reader.fields), one.kind)
+                assert is_convertible(value_shape(reader.schema.response, reader.fields), one.shape)
         for writer in one.writers:
             if isinstance(writer, ParameterSource):
                 continue
             target = writer.schema.request if isinstance(writer, Setter) else writer.schema
             assert target is not None
-            lowerer(target).from_json(_sample(one.kind, target))
+            lowerer(target).from_json(_sample(one.shape, target))
 
 
 SAMPLES = {
@@ -453,12 +450,12 @@ SAMPLES = {
 }  # fmt: skip
 
 
-def _sample(kind: ValueKind, target: MessageSchema) -> object:
+def _sample(kind: ValueShape, target: MessageSchema) -> object:
     """A value of a kind as the JSON of a message that is to take it."""
-    if isinstance(kind, ScalarKind):
+    if isinstance(kind, ScalarShape):
         (field,) = target.type.fields
-        return {field.name: SAMPLES[kind.primitive.name]}
-    assert isinstance(kind, MessageKind)
+        return {field.name: SAMPLES[kind.kind.name]}
+    assert isinstance(kind, MessageShape)
     default = lowerer(kind.schema).from_json({}, defaults=True)
     whole = json.loads(lifter(kind.schema).json(default, "http://127.0.0.1/"))
     return {field.name: whole[field.name] for field in kind.fields}

@@ -17,13 +17,14 @@ from rosld.adapters.model.library import TypeLibrary
 from rosld.ontology.lift import LiftSettings
 from rosld.ontology.lower import lowerer
 from rosld.ontology.urls import Space
-from rosld.server.hypermedia.catalogue import Getter, OpenKind, Property
+from rosld.server.hypermedia.catalogue import Getter, Property
 from rosld.server.hypermedia.property_reader import PropertyReader
 from rosld.server.hypermedia.type_inference import value_fields
 from rosld.server.hypermedia.value import Reading, plain_json
 from rosld.server.robot.goals import Goals
 from rosld.server.robot.live_topics import LiveSettings, LiveTopics
 from rosld.server.robot.schemas import Schemas
+from rosld.shapes.value import OpenShape
 
 SPACE = Space("http://127.0.0.1:8080/")
 LIFTING = LiftSettings()
@@ -89,7 +90,7 @@ class Bench:
         self.topics = LiveTopics(adapter, schemas, LiveSettings(first_value=0.0))
         goals = Goals(adapter, lambda _: None, limit=10, age=60.0, idle=10.0)
         self.readings = PropertyReader(adapter, self.topics, goals, schemas, SPACE, freshness=60.0, patience=10.0)
-        self.property = Property("/robot/x", OpenKind(), (Getter("/robot/get_x", GET, value_fields(GET)),))
+        self.property = Property("/robot/x", OpenShape(), (Getter("/robot/get_x", GET, value_fields(GET)),))
 
     async def read(self, *, refresh: bool = False) -> Reading:
         deadline = asyncio.get_running_loop().time() + 5.0

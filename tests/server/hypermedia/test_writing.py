@@ -34,10 +34,8 @@ from rosld.ontology.violations import LoweringError
 from rosld.ontology.vocab import xsd
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.catalogue import (
-    OpenKind,
     ParameterSource,
     Property,
-    ScalarKind,
     Setter,
     TopicSource,
     Writer,
@@ -49,11 +47,11 @@ from rosld.server.hypermedia.property_writer import (
     not_writable_reason,
     plan_write,
 )
-from rosld.server.hypermedia.type_inference import value_kind
 from rosld.server.hypermedia.value import StoredValue
 from rosld.server.robot.calls import UnreadableResponse
 from rosld.server.robot.session import Session
 from rosld.server.settings import Settings
+from rosld.shapes.value import OpenShape, ScalarShape, value_shape
 
 T = TypeVar("T")
 
@@ -127,7 +125,7 @@ def robot(
 
 
 def writable(*writers: Writer) -> Property:
-    return Property(X, OpenKind(), (), writers or (SETTER, ParameterSource(X), TOPIC))
+    return Property(X, OpenShape(), (), writers or (SETTER, ParameterSource(X), TOPIC))
 
 
 def test_the_first_writer_that_may_write_now_does() -> None:
@@ -140,7 +138,7 @@ def test_the_first_writer_that_may_write_now_does() -> None:
     assert writer_of(robot(WHOLE_GRAPH, {Operation.PUBLISH})[0], everything) is TOPIC
     assert writer_of(robot(WHOLE_GRAPH, {Operation.PUBLISH}, allow_publish=())[0], everything) is None
     assert writer_of(robot(Graph(1))[0], everything) is None
-    assert writer_of(robot()[0], Property(X, OpenKind())) is None
+    assert writer_of(robot()[0], Property(X, OpenShape())) is None
 
 
 def test_why_nothing_writes_is_told_of_every_writer() -> None:
@@ -159,7 +157,7 @@ def test_why_nothing_writes_is_told_of_every_writer() -> None:
     with pytest.raises(Problem) as caught:
         plan_write(robot(Graph(1))[0], writable(), 1)
     assert (caught.value.status, "/robot/set_x" in caught.value.detail) == (405, True)
-    assert reason_of(robot()[0], Property(X, OpenKind())) == (
+    assert reason_of(robot()[0], Property(X, OpenShape())) == (
         "/robot/x has no setter, no parameter and no topic that could be written."
     )
 
@@ -205,7 +203,7 @@ def test_a_message_that_nobody_heard_is_told() -> None:
 
 def test_a_parameter_beside_something_typed_keeps_to_that_type() -> None:
     own = robot()[0]
-    typed = Property(X, ScalarKind(Primitive("float64")), (), (ParameterSource(X),))
+    typed = Property(X, ScalarShape(Primitive("float64")), (), (ParameterSource(X),))
     for content, stored in ((5, 5.0), (Literal(5), 5.0), (Literal("INF", datatype=xsd.double), math.inf)):
         plan = plan_write(own, typed, content)
         assert isinstance(plan.value, StoredValue)
@@ -213,7 +211,7 @@ def test_a_parameter_beside_something_typed_keeps_to_that_type() -> None:
     with pytest.raises(LoweringError, match="expected a float64"):
         plan_write(own, typed, "fast")
     point = message_schema("float64 x\nfloat64 y")
-    whole = Property(X, value_kind(point, point.type.fields), (), (ParameterSource(X),))
+    whole = Property(X, value_shape(point, point.type.fields), (), (ParameterSource(X),))
     plan = plan_write(own, whole, {"x": 1, "y": 2})
     assert isinstance(plan.value, StoredValue)
     assert plan.value.value == {"x": 1, "y": 2}

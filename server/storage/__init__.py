@@ -1,1 +1,1 @@
-"""Records: what clients have put, kept whole and durably. The RDF dataset is its index, never its only copy."""
+"""Durable storage of the resources that clients write. The RDF dataset is an index of these records."""

@@ -1,11 +1,11 @@
-"""An archive: all records and their blobs as one compressed tar file, which people can read and other programs too.
+"""Archive of all records and their blobs: one compressed tar file, readable by people and by other programs.
 
     rosld.json      the format, and the base URL that the records belong to
-    records.jsonl   one record a line, containers before their members
-    gone.jsonl      the paths of what was removed, one a line
+    records.jsonl   one record per line, containers before their members
+    gone.jsonl      the paths of removed records, one per line
     blobs/ID        the bytes of the non-RDF sources
 
-`pack` writes the records of one moment, whatever is written meanwhile; `ArchiveReader` reads and checks everything.
+`pack` writes a consistent snapshot, even while a server writes; `ArchiveReader` checks everything that it reads.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class ArchiveCounts(NamedTuple):
 
 
 def pack(folder: Path, file: IO[bytes], base: str) -> ArchiveCounts:
-    """Write the records of a folder, whether a server runs on it or not. Raises ValueError, OSError, StorageError."""
+    """Write the records of a folder, which a server may be using. Raises ValueError, OSError, StorageError."""
     if not (folder / DATABASE).is_file():
         raise ValueError(f"{folder} holds no records ({DATABASE} is missing)")
     blobs = Blobs(folder / BLOBS, durable=True)
@@ -80,7 +80,7 @@ def pack(folder: Path, file: IO[bytes], base: str) -> ArchiveCounts:
             if entry.record.blob is not None:
                 ids.append(entry.record.blob.id)
         about = {"format": FORMAT, "base": base, "records": count, "blobs": len(ids)}
-        # No times and no names of this machine: the same records give the same bytes.
+        # Without times and host names, so that the same records give the same bytes.
         with (
             gzip.GzipFile("", "wb", _COMPRESSION, file, mtime=0) as compressed,
             tarfile.open(fileobj=cast("IO[bytes]", compressed), mode="w|", format=tarfile.PAX_FORMAT) as tar,
@@ -95,7 +95,7 @@ def pack(folder: Path, file: IO[bytes], base: str) -> ArchiveCounts:
 
 
 def _snapshot(folder: Path, gone: IO[bytes]) -> Iterator[NumberedRecord]:
-    """All entries as they are at one moment; at the end the paths of what is gone then are in `gone`."""
+    """Yield all entries from one snapshot; at the end write the paths of the removed records to `gone`."""
     try:
         with contextlib.closing(connect(folder)) as connection:
             table = RecordTable(connection)
@@ -109,10 +109,10 @@ def _snapshot(folder: Path, gone: IO[bytes]) -> Iterator[NumberedRecord]:
 
 
 class ArchiveReader:
-    """Reads an archive from its beginning: `base` is known at once, then `restore_into` restores the records."""
+    """Reader of an archive: `base` is available at once, and `restore_into` restores the records."""
 
     def __init__(self, file: IO[bytes]) -> None:
-        """Raise ValueError for what is no archive of this format."""
+        """Raise ValueError if the file is not an archive of this format."""
         with _sound():
             self._file = gzip.GzipFile(fileobj=file, mode="rb")
             self._tar = tarfile.open(  # noqa: SIM115 - it is read as long as this lives
@@ -129,11 +129,12 @@ class ArchiveReader:
         """The base URL that the records belong to."""
 
     def restore_into(self, folder: Path, base: str) -> tuple[ArchiveCounts, list[str]]:
-        """Put what the archive holds in place of all records of a folder, in one transaction.
+        """Replace all records of a folder with those of the archive, in one transaction.
 
-        Where the base is another one every IRI is rewritten. A server may run on the folder: it notices. Returns the
-        ids of the blobs that nothing refers to any more, to be removed when nobody reads them. Raises ValueError where
-        the archive is not sound, OSError or StorageError where it cannot be kept, with nothing changed.
+        If `base` differs from the archive's, every IRI is rewritten. A server may be using the folder: it notices the
+        change. Returns the ids of the blobs that are no longer referenced, to be removed once nobody reads them. Raises
+        ValueError if the archive is damaged, and OSError or StorageError if it cannot be stored; then nothing has
+        changed.
         """
         blobs = Blobs(folder / BLOBS, durable=True)
         new = dict[str, str]()
@@ -167,7 +168,7 @@ class ArchiveReader:
         return count, sizes, [_path(json.loads(line)) for line in self._member(_GONE)]
 
     def _member(self, name: str) -> IO[bytes]:
-        """Return the next member of the archive, which must be this one."""
+        """Return the next member of the archive, which must have this name."""
         member = self._tar.next()
         file = self._tar.extractfile(member) if member is not None and member.name == name and member.isreg() else None
         if file is None:
@@ -175,19 +176,19 @@ class ArchiveReader:
         return file
 
     def _blobs(self, sizes: Mapping[str, int], new: dict[str, str], blobs: Blobs) -> None:
-        """Write every blob under a new id; `new` has them by their old ids."""
+        """Store every blob under a new id, and add it to `new`, by its old id."""
         for id, size in sizes.items():
             file = self._member(f"blobs/{id}")
             new[id] = blobs.add(file, size)
         if self._tar.next() is not None:
             raise ValueError("something follows its last file")
-        while self._file.read(_SMALL):  # to its end, where its checksum is
+        while self._file.read(_SMALL):  # read to the end, where the checksum is
             pass
         blobs.sync()
 
 
 class _Moved:
-    """Entries with their blobs' new ids, and where the base is another one with its IRIs rewritten."""
+    """Rewrites the blob ids of entries, and their IRIs if the base URL differs."""
 
     def __init__(self, old: str, new: str, blobs: Mapping[str, str]) -> None:
         self._blobs = blobs
@@ -220,7 +221,7 @@ class _Moved:
 
 
 def _replace_all(connection: sqlite3.Connection, entries: Iterable[NumberedRecord], gone: Iterable[str]) -> list[str]:
-    """Put entries in place of all records; the blobs set free."""
+    """Replace all records with these entries; return the ids of the blobs that are no longer referenced."""
     table = RecordTable(connection)
     try:
         table.begin()
@@ -253,7 +254,7 @@ def _entry_json(entry: NumberedRecord) -> dict[str, object]:
 
 
 def _entry(line: bytes) -> NumberedRecord:
-    """Return the entry on a line. Raises what reading something else raises: ValueError, KeyError, TypeError."""
+    """Return the entry on a line. Raises ValueError, KeyError or TypeError for anything else."""
     told = json.loads(line)
     number, created, modified = told["number"], told["created"], told["modified"]
     if not all(type(value) is int and 0 < value < _MAX_NUMBER for value in (number, created, modified)):
@@ -297,7 +298,7 @@ def _membership(told: Mapping[str, object]) -> Membership:
 
 
 def _check(record: Record, sizes: dict[str, int]) -> None:
-    """Raise ValueError for a record that cannot be; notes the size of its blob."""
+    """Raise ValueError if a record is invalid; add the size of its blob to `sizes`."""
     check_write(Put(record.path, record.model, blob=record.blob, membership=record.membership))
     if not container_of(record.path) and record.model is not Model.BASIC_CONTAINER:
         raise ValueError(f"{record.path} is in no container")
@@ -335,7 +336,7 @@ def _add(tar: tarfile.TarFile, name: str, file: IO[bytes]) -> None:
 
 @contextlib.contextmanager
 def _sound() -> Iterator[None]:
-    """Turns what reading a broken archive raises into a ValueError that says so."""
+    """Raise a ValueError with a message instead of the errors of reading a damaged archive."""
     try:
         yield
     except (tarfile.TarError, EOFError, zlib.error, gzip.BadGzipFile, KeyError, TypeError, AttributeError) as error:

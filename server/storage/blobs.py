@@ -1,7 +1,7 @@
 """Blobs: a folder of files, each named by a random id, written once and never changed.
 
-A file is there whole and durably before a record refers to it, and is removed only after no record that a crash could
-bring back refers to it. Whoever reads a snapshot of the records keeps all files still meanwhile.
+A file is complete and durable before a record refers to it. It is removed only when no record refers to it that a crash
+could restore. Readers of a snapshot of the records prevent the removal of files meanwhile.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from rosld.server.storage.record import Blob, StorageError
 ID = re.compile(r"[0-9a-f]{32}")
 _PART = ".part"
 _AT_ONCE = 256 * 1024
-"""Bytes up to which a file is written without asking another thread."""
+"""Maximum size in bytes of a file that is written without another thread."""
 
 
 class Blobs:
-    """The files in a folder. `durable`: what `receive` returns survives a crash of the machine."""
+    """The files in a folder. With `durable`, the files that `receive` returns survive a crash of the machine."""
 
     def __init__(self, folder: Path, *, durable: bool) -> None:
         folder.mkdir(parents=True, exist_ok=True)
@@ -95,11 +95,11 @@ class Blobs:
         return id
 
     def sync(self) -> None:
-        """The names of all files are durable."""
+        """Make the names of all files durable."""
         sync_folder(self._folder)
 
     def remove(self, ids: Collection[str]) -> bool:
-        """Remove files, unless somebody keeps them still; whether that was so."""
+        """Remove files unless a process holds them (`hold_files`); return whether they were removed."""
         with self.try_removal_lock() as free:
             if free:
                 for id in ids:
@@ -121,7 +121,7 @@ class Blobs:
 
     @contextmanager
     def try_removal_lock(self) -> Iterator[bool]:
-        """Within it no other process reads or replaces all records, where it yields True."""
+        """Prevent other processes from reading or replacing all records; yield False if one does so already."""
         if self._lock is None:
             yield True
             return
@@ -134,7 +134,7 @@ class Blobs:
 
     @contextmanager
     def hold_files(self) -> Iterator[None]:
-        """Within it no process removes a file. Waits while one does."""
+        """Prevent all processes from removing files; wait for a removal in progress."""
         if self._lock is None:
             yield
             return
@@ -145,7 +145,7 @@ class Blobs:
             self._lock.release()
 
     def close(self) -> None:
-        """Let go of the folder."""
+        """Release the folder."""
         if self._lock is not None:
             self._lock.close()
 
@@ -159,7 +159,7 @@ def storage_error(error: OSError) -> StorageError:
 
 @contextmanager
 def _disk_errors() -> Iterator[None]:
-    """Turns what the disk refuses into a StorageError."""
+    """Raise the StorageError for an error of the disk."""
     try:
         yield
     except OSError as error:
@@ -167,7 +167,7 @@ def _disk_errors() -> Iterator[None]:
 
 
 async def _fill(file: int, chunks: AsyncIterator[bytes], limit: int) -> int:
-    """Write what comes; its size. What `chunks` raises is raised as it is."""
+    """Write the chunks; return the size in bytes. Exceptions of `chunks` are propagated."""
     size, held, waiting = 0, 0, list[bytes]()
     async for chunk in chunks:
         size += len(chunk)
@@ -196,7 +196,7 @@ async def _finish(work: Callable[..., None], *arguments: object) -> None:
         except OSError:
             break
     if cancelled is not None:
-        doing.exception()  # looked at, so that nobody complains of it
+        doing.exception()  # retrieved, so that asyncio does not report it as lost
         raise cancelled
     doing.result()
 
@@ -213,9 +213,9 @@ def _unlink(path: Path) -> None:
 
 
 class ReceivedBlobs:
-    """Receives blobs and discards those that no write has referred to after `keep_seconds`. Belongs to one loop.
+    """Receives blobs, and discards those that no write refers to within `keep_seconds`. Belongs to one event loop.
 
-    They are in the folder that `use` was given, or in a private one, made when it is first needed.
+    Files are in the folder given to `use`, or else in a temporary folder, created when it is needed.
     """
 
     def __init__(self, keep_seconds: float) -> None:
@@ -226,7 +226,7 @@ class ReceivedBlobs:
         self._closed = False
 
     def use(self, blobs: Blobs) -> None:
-        """Keep the blobs in this folder."""
+        """Store the blobs in this folder."""
         self._blobs = blobs
 
     def folder(self) -> Blobs:
@@ -239,18 +239,18 @@ class ReceivedBlobs:
         return self._blobs
 
     async def receive(self, chunks: AsyncIterator[bytes], media_type: str, limit: int) -> Blob:
-        """Keep what comes as a blob for a while. Raises ValueError beyond `limit` bytes, StorageError."""
+        """Store the chunks as a blob, for `keep_seconds`. Raises StorageError, and ValueError beyond `limit` bytes."""
         id, size = await self.folder().receive(chunks, limit)
         self.keep((id,))
         return Blob(id, size, media_type)
 
     def keep(self, ids: Iterable[str]) -> None:
-        """Keep blobs for a while, until a write refers to them."""
+        """Discard blobs after `keep_seconds` unless a write refers to them."""
         loop = asyncio.get_running_loop()
         self._timers.update({id: loop.call_later(self._keep_seconds, self.discard, id) for id in ids})
 
     def claim(self, ids: Iterable[str]) -> list[str]:
-        """Keep these blobs, because a write refers to them; return those that were waiting to be discarded."""
+        """Stop the timers of blobs, because a write refers to them; return those that had one."""
         taken = []
         for id in ids:
             timer = self._timers.pop(id, None)
@@ -272,7 +272,7 @@ class ReceivedBlobs:
             self.discard(id)
 
     def close(self) -> None:
-        """Let go of the folder."""
+        """Release the folder."""
         self._closed = True
         if self._blobs is not None:
             self._blobs.close()

@@ -9,14 +9,14 @@ from pathlib import Path
 
 
 class FileLock:
-    """An open file that may be locked."""
+    """Lock on a file, which is open as long as the lock exists."""
 
     def __init__(self, path: Path) -> None:
         self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
         _open.add(self)
 
     def acquire(self, *, shared: bool = False, wait: bool = False) -> bool:
-        """Lock it, against all others or with others who share; whether that was possible."""
+        """Lock the file, exclusively or shared; return whether it was possible."""
         kind = fcntl.LOCK_SH if shared else fcntl.LOCK_EX
         try:
             fcntl.flock(self._file, kind if wait else kind | fcntl.LOCK_NB)
@@ -25,20 +25,20 @@ class FileLock:
         return True
 
     def release(self) -> None:
-        """Unlock it."""
+        """Unlock the file."""
         fcntl.flock(self._file, fcntl.LOCK_UN)
 
     def read(self) -> str:
-        """Return the text that the holder wrote into the file."""
+        """Return the text of the file, as written by the holder of the lock."""
         return os.pread(self._file, 100, 0).decode("utf-8", "replace").strip()
 
     def write(self, text: str) -> None:
-        """Write into the file, in place of what it held."""
+        """Replace the text of the file."""
         os.ftruncate(self._file, 0)
         os.pwrite(self._file, text.encode(), 0)
 
     def close(self) -> None:
-        """Unlock it for good. Idempotent."""
+        """Close the file, which unlocks it. Idempotent."""
         file, self._file = self._file, -1
         if file >= 0:
             os.close(file)
@@ -52,12 +52,12 @@ def _close_all() -> None:
         lock.close()
 
 
-# A child that was forked would hold the locks for as long as it lives.
+# A forked child would hold the locks for as long as it lives.
 os.register_at_fork(after_in_child=_close_all)
 
 
 def sync_folder(folder: Path) -> None:
-    """Make the names in a folder durable."""
+    """Make the names of the files in a folder durable."""
     handle = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
     try:
         os.fsync(handle)
@@ -66,7 +66,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def write_note(path: Path, data: bytes) -> None:
-    """Write a file, in the place of the one that is there. Raises OSError, and leaves that one as it was."""
+    """Write or replace a file atomically. Raises OSError; then the old file is unchanged."""
     draft = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         with draft.open("wb") as file:
@@ -81,7 +81,7 @@ def write_note(path: Path, data: bytes) -> None:
 
 
 def remove_note(path: Path) -> None:
-    """Remove a file durably, if it is there. Raises OSError."""
+    """Remove a file durably, if it exists. Raises OSError."""
     try:
         path.unlink()
     except FileNotFoundError:
@@ -90,7 +90,7 @@ def remove_note(path: Path) -> None:
 
 
 LOW_BYTES = 1024 * 1024
-"""Bytes left on the disk at which it is taken for full."""
+"""Free bytes below which the disk counts as full."""
 
 
 def free_bytes(folder: Path) -> int:

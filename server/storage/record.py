@@ -1,4 +1,4 @@
-"""A record: one resource that a client has made, as a value; and the writes that change records."""
+"""A record: one resource that a client has created, as a value; and the writes that change records."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ class Model(Enum):
 
     def __init__(self, name: str) -> None:
         self.is_container = name.endswith("Container")
-        """Whether resources are made in it."""
+        """Whether resources can be created in it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Blob:
-    """The bytes of a non-RDF source: the `id` under which they are kept, how many, and their exact media type."""
+    """The bytes of a non-RDF source: `id` in the blob storage, size in bytes, and the exact media type."""
 
     id: str
     size: int
@@ -51,7 +51,7 @@ class Membership:
 
 
 NO_MEMBER = ""
-"""What stands in membership triples for a member of an Indirect container that does not say yet what it is."""
+"""Member IRI of a member of an Indirect container that has not stated its member yet."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +81,7 @@ class Record:
 
 @dataclass(frozen=True, slots=True)
 class Member:
-    """A member of a container: `number` orders members by creation, and never changes.
+    """A member of a container. `number` orders members by creation, and never changes.
 
     `member` is that of its record: None means its own URL, `NO_MEMBER` none.
     """
@@ -108,13 +108,13 @@ class Difference:
 
 @dataclass(frozen=True, slots=True)
 class Put:
-    """Creation or replacement of a record. `expected` is the version it must have; 0: it must not exist; None: any.
+    """Creation or replacement of a record. `expected` is its current version, 0 if it must not exist, None for any.
 
     A new record is listed in its container, which is the path up to its last segment and must exist. Its model never
-    changes. `member` None keeps that of an existing record; everything else is replaced, so a non-RDF source that keeps
-    its bytes repeats its blob. `only_if_absent` leaves an existing record unchanged. `unused` requires that no record
-    of its path was ever removed: a server-assigned name is never reused (LDP 5.2.3.11). `difference` is the change, if
-    it is known and small.
+    changes. `member` None leaves that of an existing record unchanged; everything else is replaced, so repeat the blob
+    of a non-RDF source to keep its bytes. `only_if_absent` leaves an existing record unchanged. `unused` requires that
+    no record of its path was ever removed: a server-assigned name is never reused (LDP 5.2.3.11). `difference` is the
+    change, if it is known and small.
     """
 
     path: str
@@ -131,9 +131,9 @@ class Put:
 
 @dataclass(frozen=True, slots=True)
 class Remove:
-    """Remove a record; that it was there is remembered until it is made again. A container must be empty.
+    """Removal of a record, which leaves a tombstone until the path is created again. A container must be empty.
 
-    `with_versions`: its former versions go, too.
+    `with_versions` deletes its former versions, too.
     """
 
     path: str
@@ -145,32 +145,32 @@ Write: TypeAlias = Put | Remove
 
 
 class ConflictCause(Enum):
-    """Why a write cannot be done as things are."""
+    """Reason why a write conflicts with the current state."""
 
     THERE = "there"
-    """It is there, and was expected not to be."""
+    """The record exists, but the write expects none."""
     MISSING = "missing"
-    """It is not there, and was expected to be."""
+    """The record does not exist, but the write expects it."""
     GONE = "gone"
-    """It was removed."""
+    """The record was removed."""
     CHANGED = "changed"
-    """It has another version than expected."""
+    """The record has another version than the write expects."""
     MODEL = "model"
-    """It has another interaction model, which never changes."""
+    """The record has another interaction model, which never changes."""
     CONTAINER = "container"
-    """Its container is not there."""
+    """The container of the record does not exist."""
     NAME = "name"
-    """A container of its name is there, or where it is a container something else of that name."""
+    """The same name exists as the other kind (container or not)."""
     NOT_EMPTY = "not empty"
-    """It is a container that has members."""
+    """The container has members."""
     ROOT = "root"
-    """It is a container that is always there."""
+    """The container always exists."""
     BLOB = "blob"
-    """The bytes it refers to are not kept, or belong to another record."""
+    """The blob does not exist, or belongs to another record."""
 
 
 class Conflict(Exception):
-    """A write that cannot be done as things are; nothing of its batch was done. `path` is whose."""
+    """A write that conflicts with the current state of `path`. None of the writes of its batch is done."""
 
     def __init__(self, path: str, words: str, cause: ConflictCause) -> None:
         super().__init__(f"{path}: {words}")
@@ -180,9 +180,9 @@ class Conflict(Exception):
 
 
 class StorageError(Exception):
-    """A failure of the disk or the database, in a sentence: nothing was done.
+    """A failure of the disk or the database, as a sentence. Nothing was written.
 
-    `full`: there is no space left. `final`: every write is refused until the process is started again.
+    `full`: the disk is full. `final`: every later write fails until the process is restarted.
     """
 
     def __init__(self, sentence: str, *, full: bool = False, final: bool = False) -> None:
@@ -193,7 +193,7 @@ class StorageError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class RecordChange:
-    """A path whose record, or whose list of members, changed after some version; `is_removed`: it was removed."""
+    """A path whose record or list of members has changed; `is_removed`: the record was removed."""
 
     path: str
     version: int
@@ -204,7 +204,7 @@ _DIRECT = (Model.DIRECT_CONTAINER, Model.INDIRECT_CONTAINER)
 
 
 def container_of(path: str) -> str:
-    """Return the path of the container a record is in: `data/` of `data/a` and of `data/a/`; empty for a root."""
+    """Return the path of a record's container: `data/` for `data/a` and for `data/a/`; empty for a root."""
     return path[: path.rfind("/", 0, -1) + 1]
 
 
@@ -235,12 +235,12 @@ MODEL_TYPES: Mapping[Model, tuple[NamedNode, ...]] = {
 
 
 def rdf_types(model: Model) -> tuple[NamedNode, ...]:
-    """Return the classes that a resource of this model is said to be of in its RDF (LDP 4.3.1.2, 5.2.1.2)."""
+    """Return the classes that a resource of this model has in its RDF (LDP 4.3.1.2, 5.2.1.2)."""
     return MODEL_TYPES[model]
 
 
 def database_error(error: sqlite3.Error) -> StorageError:
-    """Return the exception that an error of SQLite is raised as."""
+    """Return the StorageError for an error of SQLite."""
     words = str(error)
     if "locked" in words or "busy" in words:
         return StorageError("Another process is writing to these records: try again.")
@@ -250,5 +250,5 @@ def database_error(error: sqlite3.Error) -> StorageError:
 
 
 def is_disk_full(error: Exception) -> bool:
-    """Whether SQLite says that there is no space left."""
+    """Whether SQLite reports that the disk is full."""
     return "full" in str(error)

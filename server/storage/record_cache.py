@@ -1,4 +1,4 @@
-"""Caches of records: those read lately, and the differences of recent writes."""
+"""Caches of records: recently read records, and the differences of recent writes."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from rosld.server.storage.record import Difference, Put, Record
 
 MAX_WEIGHT = 64 * 1024 * 1024
 _EACH = 1024
-"""About what a record takes beside its triples, in bytes."""
+"""Approximate bytes of a record without its triples."""
 
 
 class RecordCache:
-    """Cache of records by path: the same objects come back, until they are dropped or evicted."""
+    """Cache of records by path, which returns the same object until it is dropped or evicted."""
 
     __slots__ = ("_kept", "_limit", "_weight")
 
@@ -33,11 +33,11 @@ class RecordCache:
         return found
 
     def peek(self, path: str) -> Record | None:
-        """Return a cached record, or None, from any thread; it is evicted no later."""
+        """Return a cached record, or None, from any thread; does not defer its eviction."""
         return self._kept.get(path)
 
     def put(self, record: Record) -> None:
-        """Add a record, and evict the longest unused above the limit."""
+        """Add a record, and evict the least recently used ones above the limit."""
         self.drop(record.path)
         self._kept[record.path] = record
         self._weight += _EACH + len(record.triples)
@@ -57,9 +57,9 @@ class RecordCache:
 
 
 MAX_BYTES = 16 * 1024
-"""Bytes of N-Triples in the difference of one write; what changes more is told whole."""
+"""Maximum bytes of N-Triples in the difference of one write; larger differences are not stored."""
 _WRITES = 64
-"""Writes of one record, and records, whose differences are kept: the oldest go first."""
+"""Maximum number of writes per record, and of records, whose differences are stored."""
 
 
 class RecordWrite(NamedTuple):
@@ -71,7 +71,7 @@ class RecordWrite(NamedTuple):
 
 
 class RecentWrites:
-    """The differences of the last writes, by record."""
+    """Differences of the latest writes, by record."""
 
     def __init__(self) -> None:
         self._steps: OrderedDict[str, list[RecordWrite]] = OrderedDict()

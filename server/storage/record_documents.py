@@ -1,7 +1,7 @@
-"""Documents of records (LDP 4.2, 5.2), and the compression of large N-Triples. Pure.
+"""Documents of records (LDP 4.2, 5.2), and the compression of large N-Triples. No I/O.
 
-A million triples of one kind are some hundred megabytes of N-Triples, and three packed. What is small stays as it is,
-byte for byte. Packing and unpacking what is large take a second or so: worker processes do that.
+A million similar triples are some hundred megabytes of N-Triples, and three megabytes compressed. Small ones are stored
+as they are. Compressing large ones takes about a second, which is left to worker processes.
 """
 
 from __future__ import annotations
@@ -21,42 +21,42 @@ from rosld.ontology.vocab import dcterms, ldp, rdf, ros
 from rosld.server.storage.record import Model, Record, rdf_types
 
 LARGE_BYTES = 256 * 1024
-"""Bytes of N-Triples from which they are packed: some 2,500 triples, which a parser takes 5 ms for."""
+"""Minimum bytes of N-Triples that are compressed: some 2,500 triples, which take 5 ms to parse."""
 MAX_BYTES = 2 * 1024 * 1024 * 1024
-"""Bytes of N-Triples that may be packed at the most."""
+"""Maximum bytes of N-Triples that can be compressed."""
 _MARK = b"\x00z1"
-"""What packed bytes begin with, and N-Triples never do."""
+"""First bytes of compressed N-Triples; plain N-Triples never begin with them."""
 _HEAD = struct.Struct("<3sQ")
 _LEVEL = 1
-"""The quickest: lines of N-Triples are much alike."""
+"""The fastest level is enough: lines of N-Triples are very similar."""
 
 
 def pack_triples(ntriples: bytes) -> bytes:
-    """N-Triples as stored: packed if they are large."""
+    """Return N-Triples as stored: compressed if they are large."""
     if len(ntriples) < LARGE_BYTES:
         return ntriples
     return _HEAD.pack(_MARK, len(ntriples)) + zlib.compress(ntriples, _LEVEL)
 
 
 def unpack_triples(kept: bytes) -> bytes:
-    """Return the N-Triples in packed or plain form."""
+    """Return the plain form of N-Triples, compressed or not."""
     return zlib.decompress(memoryview(kept)[_HEAD.size :], bufsize=unpacked_size(kept)) if is_packed(kept) else kept
 
 
 def unpack_prefix(kept: bytes, size: int) -> bytes:
-    """Return the first `size` bytes of the N-Triples, without unpacking the rest."""
+    """Return the first `size` bytes of the N-Triples, without decompressing the rest."""
     if not is_packed(kept):
         return kept[:size]
     return zlib.decompressobj().decompress(memoryview(kept)[_HEAD.size :], size)
 
 
 def is_packed(kept: bytes) -> bool:
-    """Whether N-Triples are packed."""
+    """Whether N-Triples are compressed."""
     return kept[: len(_MARK)] == _MARK
 
 
 def unpacked_size(kept: bytes) -> int:
-    """Return the size of N-Triples when unpacked."""
+    """Return the size in bytes of the plain N-Triples."""
     return int(_HEAD.unpack_from(kept)[1]) if is_packed(kept) else len(kept)
 
 
@@ -68,15 +68,15 @@ def is_large(record: Record) -> bool:
 MEMBERSHIP = frozenset(
     {ldp.membershipResource, ldp.hasMemberRelation, ldp.isMemberOfRelation, ldp.insertedContentRelation}
 )
-"""What a container says its membership triples are made of: a client says it once, the server from then on."""
+"""Predicates that configure membership triples (LDP 5.2.1): stated by the client on creation, then by the server."""
 TIMES = (dcterms.created, dcterms.modified)
 _SPELT_TIMES = tuple(f"{predicate} ".encode() for predicate in TIMES)
 FILE_PROPERTIES = frozenset({dcterms.format, ros.byteLength})
-"""What the server says of the bytes of a non-RDF source."""
+"""Server-managed properties of the bytes of a non-RDF source."""
 META = ".meta"
-"""What the URL of a non-RDF source's description ends in."""
+"""Suffix of the URL of a non-RDF source's description."""
 MAX_TIME_BYTES = 1000
-"""Bytes of a line that says when a resource was created or modified, beside its URL."""
+"""Maximum bytes, without the URL, of the line that states when a resource was created or modified."""
 
 
 def record_document(record: Record, url: str, members: Sequence[str], membership: Sequence[Triple]) -> Document:
@@ -112,9 +112,9 @@ def _is_new(record: Record) -> bool:
 
 
 class ClientTimes(NamedTuple):
-    """When a resource was created and modified as its first writer says: lines of N-Triples, empty where it does not.
+    """Creation and modification time stated by a resource's first writer: lines of N-Triples, empty if not stated.
 
-    What a record says begins with them.
+    The triples of a record begin with these lines.
     """
 
     created: bytes
@@ -138,7 +138,7 @@ def client_times(record: Record, url: str) -> ClientTimes:
 
 
 def client_ntriples(record: Record, url: str) -> bytes:
-    """Return all else that clients say of a resource, as N-Triples."""
+    """Return the client's statements about a resource, without its times, as N-Triples."""
     return _beside(client_times(record, url), record)
 
 
@@ -152,7 +152,7 @@ def without_statements(record: Record, url: str) -> Record:
 
 
 def parse_ntriples(ntriples: bytes) -> tuple[Triple, ...]:
-    """Return the distinct triples in their original spelling."""
+    """Return the distinct triples, with literals in their original spelling."""
     quads = parse(ntriples, RdfFormat.N_TRIPLES) if ntriples else ()
     return tuple(dict.fromkeys(quad.triple for quad in quads))
 
@@ -164,13 +164,13 @@ def _of_file(record: Record) -> Iterable[Statement]:
 
 
 def remove_managed(triples: Iterable[Triple], url: str, model: Model) -> list[Triple]:
-    """Return the triples that are not the server's to say of what is at `url`."""
+    """Return the triples without those about `url` that the server manages."""
     subject = NamedNode(url)
     return [each for each in triples if each.subject != subject or not is_managed(each.predicate, each.object, model)]
 
 
 def is_managed(predicate: NamedNode, value: object, model: Model | None = None) -> bool:
-    """Whether what is said by a predicate is the server's to say, of a resource of this model or of any (None)."""
+    """Whether the server manages triples with this predicate, for a resource of this model (None: of any model)."""
     if predicate == rdf.type:
         return value in _CLASSES
     if predicate in FILE_PROPERTIES:
@@ -186,10 +186,10 @@ _SIGN = re.compile("|".join(map(re.escape, _SIGNS)).encode())
 
 
 def may_be_managed(ntriples: bytes) -> bool:
-    """Whether the server may manage any of the triples that `to_ntriples` wrote; by the bytes, with false positives."""
+    """Whether the output of `to_ntriples` may contain server-managed triples. Has false positives."""
     return _SIGN.search(ntriples) is not None
 
 
 def to_ntriples(triples: Iterable[Triple]) -> bytes:
-    """Return triples as stored."""
+    """Return triples as stored N-Triples, not compressed."""
     return "".join([f"{triple} .\n" for triple in triples]).encode()

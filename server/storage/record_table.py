@@ -1,7 +1,7 @@
-"""The records of one SQLite connection: what is asked of them and what changes them, in its statements.
+"""Queries and writes of records on one SQLite connection.
 
-Knows no loop and no file. Transactions are begun and ended by `begin`, `commit` and `rollback`; a version is only used
-when its transaction is committed.
+Independent of files and of the event loop. `begin`, `commit` and `rollback` delimit transactions; the versions of a
+transaction become used when it is committed.
 """
 
 from __future__ import annotations
@@ -46,23 +46,23 @@ from rosld.server.storage.tables import (
 from rosld.server.storage.transactions import Effects, MemberList, with_list
 
 OPENING = 1 << 20
-"""Versions begin anew at a multiple of this when records are opened."""
+"""Interval of versions: opening the records continues at the next multiple."""
 
 _GREATEST = (1 << 63) - 1
 
 
 class NumberedRecord(NamedTuple):
-    """A record with its number among the members of its container, by which entries are ordered."""
+    """A record with its number among the members of its container. Entries are ordered by number."""
 
     number: int
     record: Record
 
 
 class RecordTable:
-    """The records of a database whose tables are there. Belongs to one thread at a time.
+    """The records of a database that has its tables. Used by one thread at a time.
 
-    `known` gives a record without asking the database; it may be out of date. Methods raise StorageError; those that
-    give ids, records or paths of all records, sqlite3.Error.
+    `known` returns a cached record, which may be outdated. Methods raise StorageError; `blob_ids`, `all_records`,
+    `tombstones` and `restore` raise sqlite3.Error.
     """
 
     def __init__(
@@ -76,14 +76,14 @@ class RecordTable:
         self.identity = str(self._execute("SELECT value FROM property WHERE name = 'identity'").fetchone()[0])
         latest = self._latest()
         self.version = (latest // OPENING + 1) * OPENING if latest else 0
-        """The last version that was used."""
+        """The last version used."""
 
     def close(self) -> None:
         """Close the connection. Idempotent."""
         self._connection.close()
 
     def find(self, path: str) -> Record | None:
-        """Return the record at a path, None where there is none."""
+        """Return the record at a path, or None."""
         try:
             row = self._execute(SELECT_RECORD, (path,)).fetchone()
         except sqlite3.Error as error:
@@ -98,21 +98,21 @@ class RecordTable:
             raise database_error(error) from error
 
     def version_at(self, path: str, time_ns: int) -> Record | None:
-        """Return the version that a document had at a time (ns after the epoch), None where it is not a former one."""
+        """Return the former version of a document at a time (ns since the epoch), or None."""
         try:
             return former_version_at(self._connection, path, time_ns)
         except sqlite3.Error as error:
             raise database_error(error) from error
 
     def is_tombstone(self, path: str) -> bool:
-        """Whether there was a record at a path that was removed."""
+        """Whether the record at a path was removed."""
         try:
             return self._execute("SELECT 1 FROM gone WHERE path = ?", (path,)).fetchone() is not None
         except sqlite3.Error as error:
             raise database_error(error) from error
 
     def members(self, path: str, after: int, limit: int) -> list[Member]:
-        """At most `limit` members of a container, after the number `after`, by number."""
+        """Return at most `limit` members of a container with numbers above `after`, in the order of numbers."""
         try:
             rows = self._execute(SELECT_MEMBERS, (path, after, limit)).fetchall()
         except sqlite3.Error as error:
@@ -120,7 +120,7 @@ class RecordTable:
         return [Member(number, name, MODELS[model], member) for number, name, model, member in rows]
 
     def last_member_numbers(self, path: str, up_to: int | None, limit: int) -> list[int]:
-        """The numbers of the last `limit` members of a container up to a number (None: of all), the newest first."""
+        """Return the last `limit` numbers of members of a container, newest first, up to a number (None: all)."""
         try:
             rows = self._execute(SELECT_LAST_NUMBERS, (path, _GREATEST if up_to is None else up_to, limit)).fetchall()
         except sqlite3.Error as error:
@@ -128,7 +128,7 @@ class RecordTable:
         return [row[0] for row in rows]
 
     def changes_since(self, after: int, limit: int) -> list[RecordChange]:
-        """Return the first `limit` changes after a version, each path once, by version."""
+        """Return the first `limit` changes after a version, in the order of versions."""
         try:
             rows = self._execute(SELECT_CHANGES, (after, limit)).fetchall()
         except sqlite3.Error as error:
@@ -144,11 +144,11 @@ class RecordTable:
         return (NumberedRecord(row[0], record_of_row(row[1], row[2:])) for row in self._execute(SELECT_ALL))
 
     def tombstones(self) -> Iterator[str]:
-        """The paths of all records that were removed."""
+        """Return the paths of all removed records."""
         return (row[0] for row in self._execute("SELECT path FROM gone ORDER BY path"))
 
     def changed_elsewhere(self) -> bool:
-        """Whether another process has changed something since this was asked last."""
+        """Whether another process has changed the database since the last call."""
         seen, self._seen = self._seen, self._data_version()
         if seen == self._seen:
             return False
@@ -156,7 +156,7 @@ class RecordTable:
         return True
 
     def begin(self) -> bool:
-        """Begin a transaction that writes; return whether another process has changed something."""
+        """Begin a write transaction; return whether another process has changed the database."""
         try:
             self._execute("BEGIN IMMEDIATE")
             foreign = self.changed_elsewhere()
@@ -175,19 +175,19 @@ class RecordTable:
         self.version = self._next
 
     def rollback(self) -> None:
-        """Undo the writes since `begin`; do nothing where a failure has rolled back already."""
+        """Undo the writes since `begin`. Does nothing if a failure has rolled them back already."""
         if self._connection.in_transaction:
             self._execute("ROLLBACK")
 
     def create_root(self, path: str, now: int) -> None:
-        """Make a container that is in no other, unless it is there; between `begin` and `commit`."""
+        """Create a container without a parent, unless it exists; between `begin` and `commit`."""
         if self._present(path) is None:
             self._insert(Put(path, Model.BASIC_CONTAINER), 0, now)
 
     def apply(self, writes: Sequence[Write], received: Sequence[str], now: int) -> Effects | Conflict:
-        """Do these writes between `begin` and `commit`, all or none: what they did, or why they cannot be done.
+        """Apply all of these writes or none, between `begin` and `commit`; return their effects, or the conflict.
 
-        `received` are blobs that no record refers to yet. After a StorageError nothing but `rollback` is possible.
+        `received` are the ids of blobs that no record refers to yet. After a StorageError only `rollback` is possible.
         """
         applied, several, version = Effects(received), len(writes) > 1, self._next
         try:
@@ -197,7 +197,7 @@ class RecordTable:
                 for write in writes:
                     self._apply(write, applied, now)
             except Conflict as conflict:
-                if several:  # else nothing has been done yet
+                if several:  # a single write has no effect before it raises
                     self._execute("ROLLBACK TO attempt")
                     self._next = version
                 return conflict
@@ -209,9 +209,9 @@ class RecordTable:
         return applied
 
     def apply_single(self, put: Put, now: int) -> Record | None:
-        """Do a write that is a single statement, a transaction by itself; None, with nothing done, where it is more.
+        """Apply a write that is a single statement and a transaction by itself; return None if it needs more.
 
-        Neither between `begin` and `commit`, nor where another process may write.
+        Must not be called between `begin` and `commit`, or if another process may write.
         """
         self._next = self.version
         try:
@@ -222,10 +222,11 @@ class RecordTable:
         return record
 
     def restore(self, entries: Iterable[NumberedRecord], gone: Iterable[str], now: int) -> list[str]:
-        """Put these in place of all records, with new versions, between `begin` and `commit`; the blobs set free.
+        """Replace all records with these, with new versions; return the ids of the blobs that are no longer referenced.
 
-        Records that are there and not among them are removed; those among them come back even where they were removed.
-        Entries come as `all_records` tells them. Raises ValueError where a container is missing.
+        Call between `begin` and `commit`. Existing records that are not in `entries` are removed; tombstones of records
+        in `entries` are deleted. The order of `entries` is that of `all_records`. Raises ValueError if a container is
+        missing.
         """
         freed = list(self.blob_ids())
         before = [row[0] for row in self._execute("SELECT path FROM record ORDER BY id")]
@@ -238,7 +239,7 @@ class RecordTable:
             if container is None or number <= last or record.path in there:
                 raise ValueError(f"{record.path} comes without its container, or twice")
             last = number
-            # A number is the version at which a record was made (`_insert`): versions go on above all that come back.
+            # A number is the version in which its record was created (`_insert`): continue above all restored numbers.
             self._next = max(self._next, number) + 1
             self._row(number, self._next, container, record)
             self._execute("DELETE FROM gone WHERE path = ?", (record.path,))
@@ -263,7 +264,7 @@ class RecordTable:
         return freed
 
     def _apply(self, write: Write, applied: Effects, now: int) -> None:
-        """Do one write; where it raises Conflict, not even in part."""
+        """Apply a write; if it raises Conflict, nothing has changed."""
         if isinstance(write, Put):
             self._put(write, applied, now)
         else:
@@ -291,7 +292,7 @@ class RecordTable:
             self._replace(put, present, applied, now)
 
     def _rewritten(self, put: Put, now: int) -> Record | None:
-        """Return an RDF source that says something else now, and is as it was known otherwise; None where it is not."""
+        """Replace only the triples of a cached RDF source; return None if the write needs more than that."""
         path, triples = put.path, put.triples
         known = self._known(path) if put.model is Model.RDF_SOURCE else None
         if known is None or known.model is not Model.RDF_SOURCE:
@@ -400,7 +401,7 @@ class RecordTable:
             self._list(above, container, applied, now, -1)
 
     def _list(self, path: str, container: CurrentRow, applied: Effects, now: int, more: int) -> None:
-        """The list of a container changes: so many members more."""
+        """Add `more` to the number of members of a container, and give its list a new version."""
         self._next = version = self._next + 1
         listed = MemberList(version, max(now, container.list_modified or 0), (container.members or 0) + more)
         self._execute(
@@ -413,7 +414,7 @@ class RecordTable:
 
 
 def _expect(write: Write, present: CurrentRow) -> None:
-    """Raise Conflict where the record has not the version that the write expects."""
+    """Raise Conflict if the record has another version than the write expects."""
     if write.expected is None or write.expected == present.version:
         return
     if write.expected == 0:
@@ -423,7 +424,10 @@ def _expect(write: Write, present: CurrentRow) -> None:
 
 
 def _take(put: Put, present: str | None, applied: Effects) -> None:
-    """The blob of a write becomes its record's; the one it had is set free. Raises Conflict for a blob of others."""
+    """Assign the blob of a write to its record, and free the previous one.
+
+    Raises Conflict for another record's blob.
+    """
     id = None if put.blob is None else put.blob.id
     if id == present:
         return

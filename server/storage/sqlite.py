@@ -1,7 +1,7 @@
 """Records in SQLite: in memory, or durably in a folder.
 
-They are read on the loop, which takes tens of microseconds. In a folder a thread writes, on a connection of its own,
-one transaction for all writes that wait (`transactions.py`); SQLite syncs each before it is acknowledged.
+Reads run on the event loop and take tens of microseconds. In a folder, a thread writes on a connection of its own, with
+one transaction for all waiting writes (`transactions.py`); SQLite syncs each before it is acknowledged.
 """
 
 from __future__ import annotations
@@ -43,11 +43,11 @@ DATABASE = "records.sqlite"
 BLOBS = "blobs"
 ROOT = "data/"
 KEEP_SECONDS = 600.0
-"""How long received bytes are kept that no write refers to."""
+"""Seconds until received bytes that no write refers to are discarded."""
 CHECK_SECONDS = 0.5
-"""Between two looks at whether another process has changed the records."""
+"""Seconds between checks for changes by other processes."""
 _OPEN_SECONDS = 10.0
-"""How long to wait while another process writes."""
+"""Seconds to wait while another process writes."""
 _CHANGES = 10_000
 
 
@@ -56,7 +56,7 @@ def open_records(
 ) -> Records:
     """Open or create the records in a folder, or in memory without one.
 
-    `data/` and the `roots` are containers that always exist. `versions` is the number of former versions kept of each
+    `data/` and the `roots` are containers that always exist. `versions` is the number of former versions stored per
     document. Raises ValueError for an unusable database, OSError for an unusable folder.
     """
     return Records(folder, (ROOT, *roots), keep_seconds, versions)
@@ -87,7 +87,7 @@ def unusable_reason(path: str, error: Exception) -> str:
 
 
 class Records:
-    """All records of one server. Belongs to one loop; reads take tens of microseconds and never wait.
+    """All records of one server. Belongs to one event loop; reads take tens of microseconds and never wait.
 
     Reads and writes raise StorageError if the disk or the database fails, and can be repeated.
     """
@@ -132,17 +132,20 @@ class Records:
 
     @property
     def identity(self) -> str:
-        """A random name of these records, made once and kept with them: versions are only of one identity."""
+        """Random identifier of these records, created with them: versions are comparable only within one identity."""
         return self._reader.identity
 
     @property
     def version(self) -> int:
-        """The number of the last change; it rises with each, by more than one where a container lists anew."""
+        """Version of the last change.
+
+        Increases with each change; by more than one if a container's list changes, too.
+        """
         return self._version
 
     @property
     def failure(self) -> str | None:
-        """Why not everything can be kept just now, in a sentence for people; None where it can."""
+        """Reason why writes cannot be stored at the moment, as a sentence for people, or None."""
         if self._place is None:
             return None
         if self._writer.failure is not None:
@@ -162,28 +165,28 @@ class Records:
         return found
 
     def clear_cache(self) -> None:
-        """Read everything anew from now on."""
+        """Clear the cache, so that all records are read again."""
         self._cache.clear()
         self._differences.clear()
 
     def versions(self, path: str) -> Sequence[FormerVersion]:
-        """Return the former versions of a document that are kept, the oldest first."""
+        """Return the stored former versions of a document, oldest first."""
         return self._reader.versions(path)
 
     def version_at(self, path: str, time_ns: int) -> Record | None:
-        """Return the version of a document at a time, or None if it did not exist or was not kept."""
+        """Return the version of a document at a time, or None if it did not exist or is not stored."""
         return self._reader.version_at(path, time_ns)
 
     def is_tombstone(self, path: str) -> bool:
-        """Whether a record of this path was ever removed; one may be there again."""
+        """Whether a record of this path was ever removed; the path may exist again."""
         return self._reader.is_tombstone(path)
 
     def members(self, path: str, *, after: int = 0, limit: int = 1000) -> Sequence[Member]:
-        """Return the members of a container in the order of their numbers, those after one of them."""
+        """Return the members of a container with numbers above `after`, in the order of numbers."""
         return self._reader.members(path, after, limit)
 
     def last_member_numbers(self, path: str, *, up_to: int | None = None, limit: int = 1000) -> Sequence[int]:
-        """Return the numbers of the last members of a container (up to a number), the newest first."""
+        """Return the numbers of the last members of a container (up to a number), newest first."""
         return self._reader.last_member_numbers(path, up_to, limit)
 
     def changes_since(self, after: int, *, limit: int = _CHANGES) -> Sequence[RecordChange]:
@@ -199,7 +202,7 @@ class Records:
         return self._differences.since(record, after)
 
     async def write(self, *writes: Write) -> Sequence[Record | None]:
-        """Do these writes, all or none; in a folder they are durable on return.
+        """Apply all of these writes or none; in a folder they are durable on return.
 
         Return the resulting records, None for removed ones. Raises Conflict, and ValueError for a write that is invalid
         in any state. Cancelling the wait does not cancel the writes.
@@ -227,7 +230,7 @@ class Records:
         return [applied.records.get(write.path) for write in writes]
 
     async def _try(self, writes: Sequence[Write]) -> None:
-        """Do writes, undo them, and discard the received blobs that they refer to. Raises Conflict, StorageError."""
+        """Apply writes, undo them, and discard the received blobs that they refer to. Raises Conflict, StorageError."""
         received = self._received.claim(_blob_ids(writes))
 
         try:
@@ -240,7 +243,7 @@ class Records:
             self._received.discard(id)
 
     def _rewritten(self, write: Write) -> Record | None:
-        """Do a single write in memory that needs no transaction; return None if it needs one."""
+        """Apply a single write in memory that needs no transaction; return None if it needs one."""
         record = self._writer.table.apply_single(write, time.time_ns()) if isinstance(write, Put) else None
         if isinstance(write, Put) and record is not None:
             self._cache.put(record)
@@ -250,13 +253,16 @@ class Records:
         return record
 
     async def _run(self, work: Callable[[], _T]) -> _T:
-        """Run on the thread that writes, or here in memory."""
+        """Run on the writer thread, or inline in memory."""
         if self._group is None:
             return work()
         return await asyncio.get_running_loop().run_in_executor(self._thread, work)
 
     async def _transact(self, batches: Sequence[WriteBatch]) -> Sequence[Effects | Conflict]:
-        """Do batches in one durable transaction: the outcome of each. Raises StorageError with none of them done."""
+        """Apply batches in one durable transaction; return their outcomes.
+
+        Raises StorageError if none of them is applied.
+        """
         try:
             foreign, outcomes = await self._run(lambda: self._writer.commit(batches))
         except BaseException:
@@ -275,18 +281,17 @@ class Records:
                 self._freed.extend(outcome.freed)
             else:
                 self._received.keep(batch.received)
-        if self._freed:  # now that no record in the cache refers to them
+        if self._freed:  # after the cache update, so that no cached record refers to them
             await self._run(self._remove_freed)
         return outcomes
 
     def _remove_freed(self) -> None:
-        """Remove the blobs that nothing refers to any more, unless another process keeps all files still."""
+        """Remove the blobs that are no longer referenced, unless another process holds the files."""
         freed = self._freed[:]
         if freed and self._received.folder().remove(freed):
-            del self._freed[: len(freed)]  # the loop may have added more
+            del self._freed[: len(freed)]  # the event loop may have added more
 
     def _renew(self, applied: Effects) -> None:
-        """Bring the cache up to date."""
         cache = self._cache
         for record in applied.records.values():
             cache.put(record)
@@ -299,16 +304,17 @@ class Records:
                     cache.put(with_list(container, listed))
 
     def _note(self, writes: Sequence[Write], applied: Effects) -> None:
-        """Note what the writes changed of records."""
+        """Record the differences of the writes."""
         for write in writes:
             record = applied.records.get(write.path)
             if isinstance(write, Put) and record is not None:
                 self._differences.add(write, record)
 
     async def receive(self, chunks: AsyncIterator[bytes], media_type: str, *, limit: int) -> Blob:
-        """Keep bytes as they come, until a write refers to them. Raises ValueError beyond `limit` bytes.
+        """Store bytes as they are received, until a write refers to them. Raises ValueError beyond `limit` bytes.
 
-        What no write refers to within ten minutes is thrown away; what was refused in a write may be tried in another.
+        Blobs that no write refers to within ten minutes are discarded; a refused write's blob can be used in another
+        write.
         """
         if self._closed:
             raise StorageError("The records are closed.")
@@ -316,7 +322,7 @@ class Records:
         return await self._received.receive(chunks, media_type, limit)
 
     def discard(self, blob: Blob) -> None:
-        """Throw away received bytes that no write refers to; of other blobs it leaves everything as it is."""
+        """Discard a blob unless a write refers to it."""
         self._received.discard(blob.id)
 
     def file(self, blob: Blob) -> Path:
@@ -351,9 +357,9 @@ class Records:
                 _log.exception("a watcher of records failed")
 
     def _attach(self) -> None:
-        """Look from now on, on this loop, at whether another process has changed something."""
+        """Start to check for changes by other processes, on the running event loop."""
         if self._look is None and self._group is not None and not self._closed:
-            with contextlib.suppress(RuntimeError):  # not on a loop yet
+            with contextlib.suppress(RuntimeError):  # no event loop runs yet
                 self._look = asyncio.get_running_loop().create_task(self._look_elsewhere())
 
     async def _look_elsewhere(self) -> None:
@@ -366,7 +372,7 @@ class Records:
                 _log.error("the records cannot be read: %s", error)
 
     def _look_once(self) -> bool:
-        """Return whether another process has changed something; remove what could not be removed before."""
+        """Retry the removal of blobs, and return whether another process has changed the records."""
         self._remove_freed()
         return self._writer.table.changed_elsewhere()
 
@@ -378,7 +384,7 @@ class Records:
             self._wake(changed)
 
     async def close(self) -> None:
-        """Finish what is under way. Idempotent."""
+        """Finish pending writes and close the database. Idempotent."""
         if self._closed:
             return
         self._received.discard_all()
@@ -395,9 +401,9 @@ class Records:
 
 
 class _Writer:
-    """Writes in transactions, on a connection of its own. Belongs to one thread at a time.
+    """Writes in transactions, on a connection of its own. Used by one thread at a time.
 
-    `table` shows what was committed. `failure` is why nothing is written any more.
+    `table` reads the committed state. `failure` is the reason why all later writes fail.
     """
 
     def __init__(
@@ -412,7 +418,7 @@ class _Writer:
         self.table.commit()
 
     def attempt(self, writes: Sequence[Write], received: Sequence[str]) -> Effects | Conflict:
-        """Do writes and undo them: what they would do."""
+        """Apply writes and undo them; return what their effects would be."""
         self.table.begin()
         try:
             return self.table.apply(writes, received, time.time_ns())
@@ -420,9 +426,9 @@ class _Writer:
             self.table.rollback()
 
     def commit(self, batches: Sequence[WriteBatch]) -> tuple[bool, Sequence[Effects | Conflict]]:
-        """Do batches durably; return whether another process has changed something, and the outcomes.
+        """Apply batches durably; return whether another process has changed the database, and the outcomes.
 
-        Raises StorageError; then none of them is done.
+        Raises StorageError; then no batch is applied.
         """
         if self.failure is not None:
             raise self.failure
@@ -431,7 +437,7 @@ class _Writer:
         except StorageError as error:
             if not error.full:
                 raise
-        # The log begins anew in the space that it has, which may be enough.
+        # Restart the log in the space that it already has, which may be enough.
         with contextlib.suppress(sqlite3.Error):
             self._connection.execute("PRAGMA wal_checkpoint(RESTART)").fetchall()
         return self._commit(batches)
@@ -446,7 +452,7 @@ class _Writer:
         except StorageError as error:
             if not _is_failed_sync(error.__cause__):
                 raise
-            # The system takes the pages of a failed sync for written, and the next sync succeeds.
+            # After a failed sync the kernel marks the pages as clean, so that the next sync would succeed.
             _log.critical("the records cannot be kept: %s", error)
             words = f"{error} Nothing is kept from now on: see to the disk, and start rosld again."
             self.failure = StorageError(f"{words} What was refused just now may be there then.", final=True)
@@ -457,7 +463,7 @@ class _Writer:
 
 
 def _is_failed_sync(error: BaseException | None) -> bool:
-    """Whether SQLite failed to sync; before Python 3.11, which tells its extended codes, any failure of the disk."""
+    """Whether SQLite failed to sync. Before Python 3.11, which exposes extended codes: whether the disk failed."""
     name = getattr(error, "sqlite_errorname", None)
     return "disk I/O error" in str(error) if name is None else name == "SQLITE_IOERR_FSYNC"
 

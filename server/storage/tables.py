@@ -10,12 +10,12 @@ from typing import Any, NamedTuple
 from rosld.server.storage.record import Blob, Membership, Model, Record
 
 FORMAT = 1
-"""The number of this format; it rises whenever an earlier rosld could not read it any more."""
+"""Version of the schema; increases when earlier releases can no longer read the database."""
 APPLICATION = 0x726F7364
-"""What marks a SQLite file as ours ("rosd")."""
+"""SQLite application id of a rosld database ("rosd")."""
 
-# A record's id is the version it was made with: it orders the members of a container, and is never used again.
-# Lists are kept apart from their containers: a member more writes a short row, whatever a container says of itself.
+# A record's id is the version in which it was created: it orders the members of a container, and is never reused. Lists
+# are rows of their own: adding a member then writes a short row, however large the container's own triples.
 _TABLES = """
 CREATE TABLE property (name TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
 CREATE TABLE record (
@@ -49,9 +49,9 @@ CREATE INDEX gone_version ON gone (version);
 
 
 def prepare_tables(connection: sqlite3.Connection, name: str) -> None:
-    """Make the tables where there are none, in one transaction. Raises ValueError for a database that is not ours.
+    """Create the tables if there are none, in one transaction. Raises ValueError for another program's database.
 
-    `name` is what an error calls it.
+    `name` is the name of the database in errors.
     """
     connection.execute("BEGIN IMMEDIATE")
     try:
@@ -73,7 +73,7 @@ def prepare_tables(connection: sqlite3.Connection, name: str) -> None:
 
 
 def read_pragma(connection: sqlite3.Connection, pragma: str) -> int:
-    """Return the number that a pragma answers."""
+    """Return the number that a pragma returns."""
     return int(connection.execute(f"PRAGMA {pragma}").fetchone()[0])
 
 
@@ -142,7 +142,7 @@ def row_texts(
 
 
 def record_of_row(path: str, row: tuple[Any, ...]) -> Record:
-    """Return the record in a row of `SELECT_RECORD`. A change of its list modifies a container, too."""
+    """Return the record in a row of `SELECT_RECORD`. A change of a container's list also modifies the container."""
     model, version, created, modified, triples, blob, size, media_type, membership, member, listed, lately, count = row
     return Record(
         path,
@@ -171,17 +171,14 @@ _KEEP = """
 
 
 class FormerVersion(NamedTuple):
-    """A former version of a document: when it was written, and when it was deleted, if it was."""
+    """A former version of a document: the times of its writing and of its deletion, if any."""
 
     modified_ns: int
     removed_ns: int | None
 
 
 def keep_versions(connection: sqlite3.Connection, limit: int) -> None:
-    """Keep the last `limit` former versions of each document from now on; 0 adds no more.
-
-    Raises sqlite3.Error.
-    """
+    """Store the last `limit` former versions of each document from now on; 0 adds no more. Raises sqlite3.Error."""
     for name in _NAMES:
         connection.execute(f"DROP TRIGGER IF EXISTS {name}")
     if not limit:
@@ -197,13 +194,13 @@ def keep_versions(connection: sqlite3.Connection, limit: int) -> None:
 
 
 def former_versions(connection: sqlite3.Connection, path: str) -> list[FormerVersion]:
-    """Return the former versions of a document, the oldest first. Raises sqlite3.Error."""
+    """Return the former versions of a document, oldest first. Raises sqlite3.Error."""
     query = "SELECT modified, removed FROM version WHERE path = ? ORDER BY version"
     return [FormerVersion(*row) for row in connection.execute(query, (path,))]
 
 
 def former_version_at(connection: sqlite3.Connection, path: str, time_ns: int) -> Record | None:
-    """Return the former version that was there at a time; None where there was none. Raises sqlite3.Error."""
+    """Return the former version of a document at a time, or None. Raises sqlite3.Error."""
     row = connection.execute(
         "SELECT version, created, modified, removed, triples FROM version WHERE path = ? AND modified <= ? "
         "ORDER BY version DESC LIMIT 1",

@@ -1,4 +1,4 @@
-"""Transactions: their effects, and the group commit of writes that wait."""
+"""Effects of transactions, and group commit of waiting writes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rosld.server.storage.record import Conflict, Put, Record, RecordChange, Wri
 
 
 class MemberList(NamedTuple):
-    """The list of a container's members after a write: its version, when it was modified (ns), how many there are."""
+    """The list of a container's members after a write: its version, its modification time (ns), and its length."""
 
     version: int
     modified: int
@@ -25,15 +25,15 @@ class Effects:
 
     def __init__(self, received: Sequence[str] = ()) -> None:
         self.records: dict[str, Record] = {}
-        """The records that were written, as they are now."""
+        """Written records in their new state, by path."""
         self.removed: dict[str, int] = {}
-        """The version at which a path was removed."""
+        """Version of the removal, by path."""
         self.lists: dict[str, MemberList] = {}
-        """The lists that changed, of containers that are there."""
+        """Changed lists of existing containers, by path."""
         self.freed: list[str] = []
-        """The blobs that nothing refers to any more."""
+        """Ids of the blobs that are no longer referenced."""
         self.unused = set(received)
-        """The blobs that were received and wait for their record."""
+        """Ids of received blobs that no record refers to yet."""
 
     def changes(self) -> list[RecordChange]:
         """Return each path once, with its latest version, in the order of versions."""
@@ -63,14 +63,14 @@ def with_list(record: Record, listed: MemberList) -> Record:
 
 
 def version_of_change(changed: RecordChange) -> int:
-    """Return the version that changes are ordered by."""
+    """Return the version of a change, as a sort key."""
     return changed.version
 
 
 MAX_BATCHES = 128
-"""Batches in one transaction."""
+"""Maximum number of batches in one transaction."""
 MAX_BYTES = 4 * 1024 * 1024
-"""Bytes in one transaction, beyond its first batch."""
+"""Bytes in one transaction after which no further batch is added."""
 
 
 class WriteBatch:
@@ -86,11 +86,11 @@ class WriteBatch:
 
 
 Transact: TypeAlias = Callable[[Sequence[WriteBatch]], Awaitable[Sequence[Effects | Conflict]]]
-"""Does batches in one durable transaction: the outcome of each. Raises StorageError; then none of them is done."""
+"""Applies batches in one durable transaction and returns their outcomes. Raises StorageError if none is applied."""
 
 
 class GroupCommit:
-    """Commits batches of writes, those that wait together in one transaction. Belongs to one loop."""
+    """Commits batches of writes; all that wait share one transaction. Belongs to one event loop."""
 
     def __init__(self, transact: Transact) -> None:
         self._transact = transact
@@ -100,21 +100,21 @@ class GroupCommit:
         self._work: asyncio.Task[None] | None = None
 
     async def commit(self, batch: WriteBatch) -> Effects:
-        """Do a batch and wait until it is durable. Cancelling the wait does not cancel the batch."""
+        """Apply a batch and wait until it is durable. Cancelling the wait does not cancel the batch."""
         loop = asyncio.get_running_loop()
         batch.done = loop.create_future()
         self._batches.append(batch)
         if self._idle.is_set():
             self._idle.clear()
-            self._work = loop.create_task(self._do_all())  # begins together with others that come at once
+            self._work = loop.create_task(self._do_all())  # starts in the next iteration, with this one's other batches
         return await batch.done
 
     async def wait_idle(self) -> None:
-        """Wait until every batch is done."""
+        """Wait until no batch is pending."""
         await self._idle.wait()
 
     async def _do_all(self) -> None:
-        """Do the batches that wait, and those that come meanwhile."""
+        """Commit batches until none is waiting."""
         try:
             while self._batches:
                 batches = self._some()
@@ -131,7 +131,10 @@ class GroupCommit:
         return batches
 
     async def _outcomes(self, batches: Sequence[WriteBatch]) -> Sequence[Effects | Exception]:
-        """Return the outcome of each. If the transaction fails, each is tried alone: one may not fit on the disk."""
+        """Return the outcomes.
+
+        If a shared transaction fails, retry each batch alone: one may be too large for the disk.
+        """
         try:
             return await self._transact(batches)
         except Exception as error:
@@ -141,7 +144,7 @@ class GroupCommit:
 
 
 def _settle(batch: WriteBatch, outcome: Effects | BaseException) -> None:
-    """Set the result of a batch unless its waiter has gone."""
+    """Set the result of a batch unless the wait for it was cancelled."""
     if batch.done is None or batch.done.done():
         return
     if isinstance(outcome, Effects):
